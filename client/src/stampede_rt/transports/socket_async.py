@@ -44,6 +44,11 @@ class SocketCall(asyncio.BufferedProtocol):
         # the end of the stream; no response comes after it
         self._error: SocketError | asyncio.CancelledError | None = None
         self._is_over = self._is_full = self._is_paused = False
+        self.at_once: Callable[[Any], bool] | None = None
+        """Gets a response for which the user waits, in the turn of the event loop in which the response comes.
+
+        Returns False if it has not taken the response. The user gets that response, and any error of this function.
+        """
         self._news: asyncio.Future[None] | None = None
         self._room: asyncio.Future[None] | None = None
         self._done: list[Callable[[Any], object]] = []
@@ -90,13 +95,26 @@ class SocketCall(asyncio.BufferedProtocol):
             if kind == FrameKind.STATUS:
                 self._end(error_of(body))
                 return
-            if kind == FrameKind.MESSAGE:
+            if kind == FrameKind.MESSAGE and not (len(frames) == 1 and self._answer(body)):
                 self._came.append((kind, body))
                 self._unread_bytes += len(body)
         if self._unread_bytes > UNREAD_BYTES_MAX and not self._is_paused:
             self._is_paused = True
             self._transport.pause_reading()
-        _wake(self._news)
+        if self._came:
+            _wake(self._news)
+
+    def _answer(self, body: bytes | memoryview) -> bool:
+        """Let `at_once` take a response if the user waits for one."""
+        news = self._news
+        if self.at_once is None or self._came or news is None or news.done():
+            return False
+        try:
+            return self.at_once(self._decoded(body))
+        except Exception as defect:  # noqa: BLE001  # the user gets it, as if the user had read the response
+            news.set_exception(defect)
+            self._news = news = None  # the error refers to this frame
+            return True
 
     def _opened(self, tls: TlsLayer, nbytes: int) -> Sequence[FrameInRoom]:
         tls.feed(self._sealed[:nbytes])
@@ -127,14 +145,26 @@ class SocketCall(asyncio.BufferedProtocol):
         for message in messages_of(encoded, SOCKET_MESSAGE_BYTES_MAX):
             if self._is_over:
                 raise self._reason() or broken("the stream has ended")
-            if len(message) <= JOINED_BYTES_MAX:
-                self._send(frame_of(FrameKind.MESSAGE, message))
-            else:
-                self._send(head_of(FrameKind.MESSAGE, len(message)))
-                self._send(message)
+            self._send_message(message)
             while self._is_full and not self._is_over:
                 self._room = self._loop.create_future()
                 await self._room
+
+    @property
+    def write_now(self) -> Callable[[Any], None] | None:
+        """Sends a request of one message, and does not wait. None while the system takes no bytes, and at the end."""
+        return None if self._is_full or self._is_over else self._write_now
+
+    def _write_now(self, request: Any) -> None:
+        encode = self._method.encode
+        self._send_message(request if encode is None else encode(request))
+
+    def _send_message(self, message: bytes) -> None:
+        if len(message) <= JOINED_BYTES_MAX:
+            self._send(frame_of(FrameKind.MESSAGE, message))
+        else:
+            self._send(head_of(FrameKind.MESSAGE, len(message)))
+            self._send(message)
 
     def _send(self, data: bytes) -> None:
         self._transport.write(data if self._tls is None else self._tls.seal((data,)))
@@ -154,6 +184,9 @@ class SocketCall(asyncio.BufferedProtocol):
         if self._is_paused and self._unread_bytes <= UNREAD_BYTES_MAX and not self._is_over:
             self._is_paused, self._heard_s = False, self._loop.time()
             self._transport.resume_reading()
+        return self._decoded(body)
+
+    def _decoded(self, body: bytes | memoryview) -> Any:
         decode = self._method.decode
         return bytes(body) if decode is None else decode(body)
 
@@ -182,7 +215,7 @@ class SocketCall(asyncio.BufferedProtocol):
         """
         if self._is_over:
             return
-        self._is_over, self._error = True, error
+        self._is_over, self._error, self.at_once = True, error, None
         if self._watch is not None:
             self._watch.cancel()
         if self._transport is not None:

@@ -33,6 +33,15 @@ def answer_at_once(context: Context, take: Callable[[bytes | memoryview, Callabl
         answer(take)
 
 
+def write_now(context: Context) -> Callable[[bytes], None] | None:
+    """A function that writes an encoded message in this turn of the event loop.
+
+    None if the transport has none, or the caller takes no bytes at present: then await `context.write`.
+    """
+    write: Callable[[bytes], None] | None = getattr(context, "write_now", None)
+    return write
+
+
 def errors_as_status(method: Method) -> Method:
     """Wraps `method` so that a StampedeError ends the RPC with the status of that error.
 

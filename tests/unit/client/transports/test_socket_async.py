@@ -19,6 +19,7 @@ from stampede_rt.transports.socket_limits import UNREAD_BYTES_MAX
 from stampede_rt.wire.request_pieces import piece_in
 from stampede_rt.wire.stream_frames import FrameKind, frame_of, head_of
 from tests.support.socket_pairs import OPENING, RAW, FarEnd
+from tests.support.socket_port import until
 
 
 @asynccontextmanager
@@ -193,3 +194,55 @@ async def test_a_failed_stream_is_freed_without_the_garbage_collector(last: byte
         assert ended() is None
     finally:
         gc.enable()
+
+
+async def test_a_response_is_taken_in_the_turn_in_which_it_comes_if_the_user_waits_for_it() -> None:
+    async with opened() as (call, far):
+        taken: list[bytes] = []
+
+        def take(response: bytes) -> bool:
+            assert call.write_now is not None
+            call.write_now(b"answer to " + response)
+            taken.append(response)
+            return response != b"last"
+
+        call.at_once = take
+        far.socket.sendall(frame_of(FrameKind.MESSAGE, b"early"))
+        await until(lambda: bool(call._came))
+        assert await anext(call) == b"early", "nobody waited for it when it came"
+        reading = asyncio.ensure_future(anext(call))
+        await asyncio.sleep(0)
+        for message in (b"one", b"last"):
+            far.socket.sendall(frame_of(FrameKind.MESSAGE, message))
+            assert await asyncio.to_thread(far.message) == b"answer to " + message
+        assert await asyncio.wait_for(reading, 20) == b"last", "it was not taken"
+        assert taken == [b"one", b"last"]
+
+
+async def test_responses_that_come_together_go_to_the_user() -> None:
+    async with opened() as (call, far):
+        call.at_once = lambda _: True
+        reading = asyncio.ensure_future(anext(call))
+        await asyncio.sleep(0)
+        far.socket.sendall(frame_of(FrameKind.MESSAGE, b"a") + frame_of(FrameKind.MESSAGE, b"b"))
+        assert [await asyncio.wait_for(reading, 20), await anext(call)] == [b"a", b"b"]
+
+
+async def test_the_user_gets_the_error_of_a_response_that_is_taken_at_once() -> None:
+    async with opened() as (call, far):
+
+        def fail(_: bytes) -> bool:
+            raise InvalidArgument("no such item")
+
+        call.at_once = fail
+        reading = asyncio.ensure_future(anext(call))
+        await asyncio.sleep(0)
+        far.socket.sendall(frame_of(FrameKind.MESSAGE, b"a"))
+        with pytest.raises(InvalidArgument, match="no such item"):
+            await asyncio.wait_for(reading, 20)
+
+
+async def test_nothing_is_written_at_once_after_the_end() -> None:
+    async with opened() as (call, _):
+        call.cancel()
+        assert call.write_now is None

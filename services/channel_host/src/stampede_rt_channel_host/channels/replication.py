@@ -127,11 +127,11 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         """Send a change of the channel to the replicas, and show the change once it is replicated."""
         if not self._is_filled:
             return
+        for feed in self._feeds.values():  # first: the replicas work while this host goes on
+            feed.wake()
         if self._view is not None:
             self._view.stage(now)
         self._in_sync.put(self._core.next_seq)
-        for feed in self._feeds.values():
-            feed.wake()
         if self._view is None:
             self._on_shown(now)
         self._show(now)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import grpc
@@ -24,6 +25,7 @@ from stampede_rt_channel_host.copies.owner_messages import owner_of
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, FedChannel, Losses, Run
 from stampede_rt_channel_host.core.records import RecordedChannel
+from stampede_rt_runtime.sockets.dialing import HostStream
 
 WINDOW_BYTES = 4 * 2**20  # how far the source may be ahead of the copy, unless the copy states less
 GRANTS = 4  # the copy grants this part of its window at a time; each request costs the source a message
@@ -141,13 +143,17 @@ class CopyFeed:
                 await self._send(write)
 
     async def _send(self, write: Write) -> None:
+        await write(self._next_request())
+
+    def _next_request(self) -> pb.FeedRequest:
+        """The request that is due."""
         now_s = asyncio.get_running_loop().time()
         grants = now_s >= self._may_grant_s
         if grants and self._bytes_per_second:
             self._may_grant_s = now_s + self._granted / self._bytes_per_second
         self._news.clear()
         self._owes_request = False
-        await write(self._request(grants=grants))
+        return self._request(grants=grants)
 
     async def _read_all(self, call: Any, source: FeedSource) -> None:
         loop = asyncio.get_running_loop()
@@ -156,7 +162,26 @@ class CopyFeed:
             await self._take(response)
             if self._owes_request:
                 await self._answer(call.write)
+            if isinstance(call, HostStream):
+                call.answer_at_once(partial(self._take_at_once, call))
         raise Unavailable(f"the source at {source.target} has ended the feed")
+
+    def _take_at_once(self, call: Any, response: raw_run_pb2.RawFeedResponse) -> bool:
+        """Take a short part, and answer it, in the turn of the event loop in which it comes: puts wait for the answer.
+
+        Returns False for any other message.
+        """
+        if response.HasField("opened") or len(response.runs) > RUNS_PER_TURN or self._turn.locked():
+            return False
+        self._heard_s = asyncio.get_running_loop().time()
+        self._follow(response)
+        self._store_last(response.state, [run_of(one.run) for one in response.runs])
+        write = call.write_now if self._owes_request else None
+        if write is not None:
+            write(self._next_request())
+        elif self._owes_request:
+            self._news.set()
+        return True
 
     async def _answer(self, write: Write) -> None:
         """Send the request that is due. The task that reads does this itself: puts at the source wait for it."""
@@ -167,6 +192,11 @@ class CopyFeed:
             await self._send(write)
 
     async def _take(self, response: raw_run_pb2.RawFeedResponse) -> None:
+        self._follow(response)
+        await self._apply(response.state, [one.run for one in response.runs])
+
+    def _follow(self, response: raw_run_pb2.RawFeedResponse) -> None:
+        """Take over the channel as the source knows it, if the response tells of it."""
         state = response.state
         if response.HasField("opened"):
             opened = response.opened
@@ -174,7 +204,6 @@ class CopyFeed:
             self._is_opened = True
         elif state.HasField("channel"):
             self._update(self._record_of(state))
-        await self._apply(state, [one.run for one in response.runs])
 
     def _begin(self, state: pb.FeedState, *, begins_anew: bool, losses: Losses) -> None:
         """Take over the channel as the source knows it. Begin an empty copy if the present one cannot continue."""
@@ -202,24 +231,31 @@ class CopyFeed:
 
     async def _apply(self, state: pb.FeedState, bodies: Sequence[bytes]) -> None:
         """Apply one part. Stores a few runs in each turn of the event loop, and the source's state with the last."""
-        charge_bytes, cleared, first_seq, rest = 0, cleared_of(state), state.first_seq, [*bodies]
-        owner = owner_of(state.owner, self._store.now()) if state.HasField("owner") else None
+        rest = bodies
         while len(rest) > RUNS_PER_TURN:
             some, rest = [run_of(body) for body in rest[:RUNS_PER_TURN]], rest[RUNS_PER_TURN:]
             end_seq = some[-1].first_seq + len(some[-1])
-            charge_bytes += self._store_runs(some, first_seq=first_seq, cleared=cleared, next_seq=end_seq, owner=owner)
-            cleared, first_seq, owner = None, end_seq, None
+            self._granted += self._store_runs(some, **self._beginning_of(state), next_seq=end_seq)
+            # the rest of the part begins here, and has no facts of its own
+            state.first_seq = end_seq
+            state.ClearField("cleared")
+            state.ClearField("owner")
             await asyncio.sleep(0)
-        charge_bytes += self._store_runs(
-            [run_of(body) for body in rest],
-            first_seq=first_seq,
-            cleared=cleared,
-            next_seq=state.next_seq,
-            owner=owner,
-            collection=collection_of(state),
-            advance=advance_of(state),
+        self._store_last(state, [run_of(body) for body in rest])
+
+    def _store_last(self, state: pb.FeedState, runs: Sequence[Run]) -> None:
+        """Apply the last runs of a part, and then the source's state."""
+        beginning = self._beginning_of(state)
+        collection, advance = collection_of(state), advance_of(state)
+        charge_bytes = self._store_runs(
+            runs, **beginning, next_seq=state.next_seq, collection=collection, advance=advance
         )
         self._note(state, charge_bytes)
+
+    def _beginning_of(self, state: pb.FeedState) -> dict[str, Any]:
+        """The fields of a part that the copy applies before its runs."""
+        owner = owner_of(state.owner, self._store.now()) if state.HasField("owner") else None
+        return {"first_seq": state.first_seq, "cleared": cleared_of(state), "owner": owner}
 
     def _store_runs(self, runs: Sequence[Run], **part: Any) -> int:
         """Apply a part of the feed with `runs`. Returns the bytes that they cost the source's credit."""

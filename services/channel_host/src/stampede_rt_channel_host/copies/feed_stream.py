@@ -23,18 +23,16 @@ from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
-from stampede_rt_channel_host.cluster.cut_floors import floor_to_message
 from stampede_rt_channel_host.cluster.identity import ID_BYTES
-from stampede_rt_channel_host.cluster.records import channel_message
-from stampede_rt_channel_host.copies.messages import opened_to, place_of, state_to
+from stampede_rt_channel_host.copies.feed_responses import FeedResponses
+from stampede_rt_channel_host.copies.messages import opened_to, place_of
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
 from stampede_rt_channel_host.core.channel import CATCH_UP_NANOS, ChannelCore, ChannelFeed, FeedPart, LagWatch
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.access.control import current_work
-from stampede_rt_runtime.rpc import Context, answer_at_once
+from stampede_rt_runtime.rpc import Context, answer_at_once, write_now
 
 FEEDS_MAX = 64  # the most feeds of one channel; the directory allows 16 copies, and broken streams may linger
-FLOORS_MAX = 64  # a copy learns of this many groups of one channel; reads through other groups go to the owner
 SILENT_SECONDS_MAX = 4.0  # the destination of a move sends several requests a second
 WRITE_SECONDS_MAX = 10.0  # the stream of a copy ends if the copy takes nothing for this time during a write
 
@@ -54,17 +52,15 @@ class FeedStream:
     ) -> None:  # fmt: skip
         """`floors_of` returns the cuts of the groups of a channel that this host owns."""
         self._store = store
-        self._floors_of = floors_of
-        self._sent_floors: dict[bytes, CutFloor] = {}
+        self._responses = FeedResponses(store.now, floors_of)
         self._context = context
         self._stream = stream
         self._work = current_work()
         self._news = asyncio.Event()
         self._credit = Credit(self._news.set)
-        self._heard_nanos = 0  # the copy's clock, as its last request had it
         self._heard_s = time.monotonic()  # when this host got the last request
-        self._sent_heard_nanos = -1
-        self._sent_record = b""
+        self._held_next_seq = 0  # the copy has reported the items before this seq
+        self._send_at_once: Callable[[], bool] | None = None  # while the feed waits for news, and no move is under way
         self._source: ChannelCore  # the channel that is fed; set when the feed begins
         self._replication: Replication | None = None  # of the channel, if the copy is a replica
         self._host_id = b""
@@ -75,8 +71,12 @@ class FeedStream:
         self._has_handed_off = False
 
     def wake(self) -> None:
-        """Note that the channel has changed."""
-        self._news.set()
+        """Note that the channel has changed. Sends the change in this turn of the event loop if the copy has all else.
+
+        The puts wait for this. If the copy lacks something, the items that come until the next turn go out together.
+        """
+        if self._send_at_once is None or not self._send_at_once():
+            self._news.set()
 
     def end(self, error: StampedeError) -> None:
         """Note that the host no longer serves the channel. The feed of a move continues, because the destination still
@@ -186,18 +186,19 @@ class FeedStream:
         return True
 
     def _report(self, request: pb.FeedRequest, feed: ChannelFeed) -> None:
+        self._held_next_seq = request.held_next_seq
         if self._replication is not None:
             self._replication.report(self._host_id, self, min(request.held_next_seq, feed.next_seq))
 
     def _take(self, request: pb.FeedRequest, hosted: HostedChannel, copy: FedCopy) -> None:
-        self._heard_nanos, self._heard_s = request.sent_nanos, time.monotonic()
+        self._responses.heard_nanos, self._heard_s = request.sent_nanos, time.monotonic()
         self._credit.grant(request.credit_bytes)
         copy.report(request.subscriptions, ready=request.ready)
         if self._move is not None:
             self._step(request, self._move)
         if hosted.fed is not None:
             hosted.fed.relieve(hosted.record.name, copy, hosted.subscriptions)
-        if self._move is not None or self._owes_sign(hosted):  # a grant of credit is news anyway
+        if self._move is not None or self._responses.owes_sign(hosted):  # a grant of credit is news anyway
             self._news.set()
 
     def _step(self, request: pb.FeedRequest, move: OutgoingMove) -> None:
@@ -212,7 +213,7 @@ class FeedStream:
 
     async def _greet(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
         opened = opened_to(self._source.losses, begins_anew=feed.begins_anew or self._begins_anew)
-        await self._write(self._response(hosted, self._bare(feed), opened))
+        await self._write(self._responses.bare(hosted, self._source, feed, opened))
 
     async def _serve(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
         await self._greet(hosted, feed)
@@ -225,17 +226,22 @@ class FeedStream:
             part = feed.take(now, max(0, min(self._credit.left, MESSAGE_BYTES_MAX)))
             self._check_lag(hosted, feed, now)
             if part is not None:
-                await self._send(hosted, part)
+                encoded, part = self._encoded(hosted, part), None  # frees the runs before the message is written
+                await self._write(encoded)
             elif self._owes_handoff(hosted, feed):
                 await self._hand_off(hosted, feed)
-            elif self._owes_sign(hosted):
-                await self._write(self._response(hosted, self._bare(feed)))
+            elif self._responses.owes_sign(hosted):
+                await self._write(self._responses.bare(hosted, self._source, feed))
             else:
-                await self._wait_for_news()
+                await self._wait_for_news(hosted, feed)
 
-    async def _wait_for_news(self) -> None:
+    async def _wait_for_news(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
         if self._move is None:
-            await self._news.wait()
+            self._send_at_once = partial(self._send_now, hosted, feed)
+            try:
+                await self._news.wait()
+            finally:
+                self._send_at_once = None
             return
         with suppress(TimeoutError):
             async with asyncio.timeout(SILENT_SECONDS_MAX):
@@ -265,7 +271,7 @@ class FeedStream:
         assert self._move is not None, "only a move is handed over"
         self._has_handed_off = True
         handoff = pb.FeedHandoff(host_time_unix_nano=self._store.now(), permit=self._move.permit)
-        await self._write(self._response(hosted, self._bare(feed), handoff=handoff))
+        await self._write(self._responses.bare(hosted, self._source, feed, handoff=handoff))
 
     def _check_lag(self, hosted: HostedChannel, feed: ChannelFeed, now: int) -> None:
         """End the feed of a replica or move if the copy stays behind. A proxy shows its readers its age instead."""
@@ -277,48 +283,25 @@ class FeedStream:
                 metadata={"channel": hosted.record.name},
             )
 
-    async def _send(self, hosted: HostedChannel, part: FeedPart) -> None:
-        about = self._response(hosted, part)
+    def _send_now(self, hosted: HostedChannel, feed: ChannelFeed) -> bool:
+        """Send the next part if the copy has all earlier ones, and the transport takes it at once."""
+        write = None
+        if self._held_next_seq >= feed.next_seq and self._credit.left > 0 and not self._work.must_wait:
+            write = write_now(self._context)
+        part = None if write is None else feed.take(self._store.now(), min(self._credit.left, MESSAGE_BYTES_MAX))
+        if write is None or part is None:
+            return False
+        self._lag.stays_behind(0, 0)
+        write(self._encoded(hosted, part))
+        return part.next_seq == self._source.next_seq
+
+    def _encoded(self, hosted: HostedChannel, part: FeedPart) -> bytes:
+        """The message with a part, which is written now."""
+        about = self._responses.of(hosted, self._source, part)
         delivery = hosted.deliveries.encode(part.slices, about, without_payloads=False, readers=1)
-        del part  # Frees the runs before the message is written.
         self._credit.spend(delivery.charge_bytes)
         self._work.spend_write()
-        await self._write(delivery.encoded)
-
-    def _bare(self, feed: ChannelFeed) -> FeedPart:
-        """A part in which nothing has changed."""
-        return FeedPart(feed.next_seq, None, (), feed.next_seq, None, None)
-
-    def _owes_sign(self, hosted: HostedChannel) -> bool:
-        return self._heard_nanos != self._sent_heard_nanos or hosted.record.message != self._sent_record
-
-    def _response(
-        self, hosted: HostedChannel, part: FeedPart, opened: pb.FeedOpened | None = None,
-        handoff: pb.FeedHandoff | None = None,
-    ) -> bytes:  # fmt: skip
-        """The encoded message, without the part's items."""
-        state = state_to(part, self._store.now())
-        state.heard_nanos = self._sent_heard_nanos = self._heard_nanos
-        state.source_next_seq = self._source.next_seq
-        if hosted.copy is not None:
-            state.staleness_nanos = hosted.copy.staleness_nanos
-            state.source_next_seq = max(state.source_next_seq, hosted.copy.source_next_seq)
-        if part.next_seq == self._source.next_seq:
-            state.floors.extend(map(floor_to_message, self._new_floors(hosted)))
-        if hosted.record.message != self._sent_record:
-            self._sent_record = hosted.record.message
-            state.channel.CopyFrom(channel_message(hosted.record))
-        if handoff is not None:
-            state.handoff.CopyFrom(handoff)
-        return pb.FeedResponse(opened=opened, state=state).SerializeToString()
-
-    def _new_floors(self, hosted: HostedChannel) -> list[CutFloor]:
-        """The cuts that have changed since the copy got them. With this part, the copy has all items before them."""
-        copy = hosted.copy
-        floors = self._floors_of(hosted.record.channel_id) if copy is None else [*copy.floors.values()]
-        new = [one for one in floors[:FLOORS_MAX] if self._sent_floors.get(one.group_id) != one]
-        self._sent_floors |= {one.group_id: one for one in new}
-        return new
+        return delivery.encoded
 
     async def _write(self, message: bytes) -> None:
         try:

@@ -60,6 +60,10 @@ class MoveFeed(CopyFeed):
         request.ready = False  # so that the source sends no readers here before this host is the owner
         return request
 
+    def _take_at_once(self, call: Any, response: raw_run_pb2.RawFeedResponse) -> bool:
+        """Leave all messages to `_take`: no put waits for a move."""
+        return False
+
     async def _take(self, response: raw_run_pb2.RawFeedResponse) -> None:
         if self.handoff.done():  # the copy has become the owner, or soon will; the rest are signs of life
             return

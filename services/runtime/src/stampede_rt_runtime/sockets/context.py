@@ -56,6 +56,11 @@ class SocketContext:
         """From now on pass each encoded message for which `read` waits to `take` first. `take` must not wait."""
         self._connection.at_once = take
 
+    @property
+    def write_now(self) -> Callable[[bytes], None] | None:
+        """Writes an encoded message in this turn of the event loop; None while the caller takes no bytes."""
+        return self._connection.write_now
+
     async def write_with_file(self, message: Any, file: int) -> None:
         """Write a short message, and pass the open file with it, by its number. gRPC's contexts have no such method.
 

@@ -94,6 +94,16 @@ class SocketChannel(AnnotatedChannel):
 class HostStream(OpeningCall):
     """A stream whose transport is not known yet, with `read` as in grpc.aio. It takes requests of one message."""
 
+    def answer_at_once(self, take: Callable[[Any], bool]) -> None:
+        """See `SocketCall`. Does nothing over gRPC. Call it after the first response."""
+        if isinstance(self._call, SocketCall):
+            self._call.at_once = take
+
+    @property
+    def write_now(self) -> Callable[[Any], None] | None:
+        """See `SocketCall`. None over gRPC."""
+        return self._call.write_now if isinstance(self._call, SocketCall) else None
+
     async def read(self) -> Any:
         """The next response, or EOF. Raises grpc.RpcError, and StampedeError if the stream could not be opened."""
         call = self._call or await asyncio.shield(self._opening)

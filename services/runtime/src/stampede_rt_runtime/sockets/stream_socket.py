@@ -43,13 +43,9 @@ class StreamSocket(asyncio.BufferedProtocol):
     """Reads and writes the frames of one stream."""
 
     def __init__(
-        self,
-        owner: SocketOwner[StreamSocket],
-        limits: Limits,
-        hangups: HangupWatcher,
-        buffers: FrameBuffers,
+        self, owner: SocketOwner[StreamSocket], limits: Limits, hangups: HangupWatcher, buffers: FrameBuffers,
         peer: str = LOCAL_PEER,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """`peer`: the other side, as gRPC names it."""
         self.socket: Any = None
         self.peer, self.is_local, self.machine = peer, peer == LOCAL_PEER, machine_of(peer)
@@ -63,10 +59,8 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._owner, self._limits, self._hangups, self._buffers = owner, limits, hangups, buffers
         self._transport: Any = None
         opening, message = FrameKind.OPENING, FrameKind.MESSAGE
-        message_bytes_max = limits.socket_request_bytes_max
-        self._frames = FrameReader(
-            {opening: OPENING_BYTES_MAX, message: message_bytes_max, FrameKind.END: 0}, new_room=buffers.room
-        )
+        bytes_max = {opening: OPENING_BYTES_MAX, message: limits.socket_request_bytes_max, FrameKind.END: 0}
+        self._frames = FrameReader(bytes_max, new_room=buffers.room)
         self._loop = asyncio.get_running_loop()
         self._deadline: asyncio.TimerHandle | None = None
         self._messages: deque[bytes] = deque()
@@ -215,6 +209,11 @@ class StreamSocket(asyncio.BufferedProtocol):
             await self._room
         if self._is_lost:
             raise InternalError("the caller has closed its socket")
+
+    @property
+    def write_now(self) -> Write | None:
+        """Writes a message, and does not wait. None while the system takes no bytes, and after the end."""
+        return None if self._is_full or self.is_over or self._is_closing else self._write_message
 
     def write_with_file(self, message: bytes, file: int) -> None:
         """Write a short message, and pass the open file with it, by its number. Does not wait.

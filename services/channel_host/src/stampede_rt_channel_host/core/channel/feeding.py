@@ -140,6 +140,11 @@ class ChannelFeed:
         """The copy's place, as far as the source has fed it."""
         return self._cursor.next_seq
 
+    @property
+    def source_next_seq(self) -> int:
+        """The place of a copy that has all items of the source."""
+        return self._source.next_seq
+
     def take(self, now: int, limit_bytes: int) -> FeedPart | None:
         """The next part of about `limit_bytes` at most, or None if nothing has changed. Moves the place.
 

@@ -46,7 +46,9 @@ class ReplicatedView:
 
     def stage(self, now: int) -> None:
         """Take in the latest change of the channel. It is shown once its items are replicated."""
-        while (part := self._feed.take(now, _WHOLE)) is not None:  # a part has a bounded number of slices
+        is_whole = False
+        while not is_whole and (part := self._feed.take(now, _WHOLE)) is not None:  # a part has a few slices at most
+            is_whole = part.next_seq == self._feed.source_next_seq
             self.staged_bytes += _bytes_of(part)
             if not self._parts or not part.can_join(self._parts[-1]):
                 self._parts.append(part)

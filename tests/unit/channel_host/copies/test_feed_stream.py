@@ -1,0 +1,160 @@
+"""The owner of a channel sends a put to a replica, and the replica answers, in the turn in which the bytes come."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from stampede_rt.v1 import channel_service_pb2, raw_run_pb2
+from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt.values.policy import parse_policy
+from stampede_rt.wire.put_frames import put_head, put_request
+from stampede_rt.wire.records import policy_to_spec
+from stampede_rt.wire.runs import run_parts
+from stampede_rt_channel_host.channels.copy_state import CopyState
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.copies.copy_feed import RUNS_PER_TURN, CopyFeed
+from stampede_rt_channel_host.core.replication import KnownReplica
+from stampede_rt_runtime import pacing
+from tests.support.channel_host.held_transport import HeldStream, held_stream
+from tests.support.channel_host.rig import Opened, running_host
+
+REPLICA = b"r" * 16
+WINDOW_BYTES = 2**20
+
+
+@pytest.fixture(autouse=True)
+def unlimited_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine one answer may take longer than the budget."""
+    monkeypatch.setattr(pacing, "AT_ONCE_NANOS", 2**62)
+
+
+class Fed:
+    """A channel with one replica in sync, the stream of a producer, and the stream that feeds the replica."""
+
+    def __init__(self, channel: Opened, hosted: HostedChannel, producer: HeldStream, feed: HeldStream) -> None:
+        self.channel, self.hosted, self.producer, self.feed = channel, hosted, producer, feed
+        self._number = 0
+
+    def put(self) -> list[bytes]:
+        """Put an item. Returns what the host has written to the replica before it returned."""
+        self._number += 1
+        head, before = put_head(self.channel.channel_id, self.channel.epoch, 7), len(self.feed.written())
+        self.producer.send(put_request(head, self._number, run_parts((b"x",), times=None), 10**9))
+        return self.feed.written()[before:]
+
+    def report(self, **fields: Any) -> None:
+        """Tell that the replica has all items so far."""
+        request = pb.FeedRequest(held_next_seq=self.hosted.core.next_seq, sent_nanos=1, **fields)
+        assert self.feed.send(request.SerializeToString()) == []
+
+    def acks(self) -> list[channel_service_pb2.PutAck]:
+        return [one for raw in self.producer.written() for one in channel_service_pb2.PutResponse.FromString(raw).acks]
+
+
+@asynccontextmanager
+async def fed() -> AsyncIterator[Fed]:
+    async with running_host() as rig:
+        spec = policy_to_spec(parse_policy(replicas=1, ack="replica"))
+        record = rig.directory.add_channel("a", rig.host.identity.host_id, spec)
+        channel = Opened(rig, record)
+        feed = await held_stream(rig.sockets, "/stampede_rt.v1.ReplicaService/Feed")
+        opening = pb.FeedOpen(
+            channel_id=record.channel_id, epoch=record.epoch, host_id=REPLICA, target="replica:1", owner_facts=True
+        )
+        hosted = await rig.host.store.bind_for_feed(record.channel_id, record.epoch)
+        assert hosted.replication is not None
+        hosted.replication.know([KnownReplica(REPLICA, 1, False)])
+        feed.send(pb.FeedRequest(open=opening, credit_bytes=WINDOW_BYTES, sent_nanos=1).SerializeToString())
+        await feed.until_written(1)
+        made = Fed(channel, hosted, await held_stream(rig.sockets, "/stampede_rt.v1.ChannelService/Put"), feed)
+        made.report()
+        for change in hosted.replication.changes():
+            hosted.replication.confirm(change)
+        await pauses()
+        yield made
+        made.producer.close()
+        feed.close()
+
+
+async def pauses() -> None:
+    """Let the tasks of both streams run until they wait."""
+    for _ in range(20):
+        await asyncio.sleep(0)
+
+
+def parts_in(messages: list[bytes]) -> list[raw_run_pb2.RawFeedResponse]:
+    return [raw_run_pb2.RawFeedResponse.FromString(one) for one in messages]
+
+
+async def test_a_put_goes_to_the_replica_in_the_turn_in_which_it_comes() -> None:
+    async with fed() as one:
+        for seq in (1, 2, 3):
+            [part] = parts_in(one.put())
+            assert (part.state.first_seq, part.state.next_seq, len(part.runs)) == (seq, seq + 1, 1)
+            assert len(one.acks()) == seq - 1, "the replica has not answered yet"
+            one.report()
+            await one.producer.until_written(seq)
+            assert one.acks()[-1].copies == 2
+        await pauses()
+        assert one.put(), "the task of the feed has nothing to send, and waits"
+
+
+async def test_the_items_that_come_while_the_replica_lacks_one_go_out_together() -> None:
+    async with fed() as one:
+        assert one.put()
+        assert one.put() == one.put() == []
+        count = len(one.feed.written())
+        [part] = parts_in((await one.feed.until_written(count + 1))[count:])
+        assert (part.state.first_seq, part.state.next_seq) == (2, 4)
+
+
+async def test_a_replica_without_credit_gets_nothing_at_once() -> None:
+    async with fed() as one:
+        one.feed.connection.at_once = None  # so that the stream takes no request meanwhile
+        stream = one.hosted.replication
+        assert stream is not None
+        [feed] = stream._feeds.values()
+        feed._credit.left = 0  # type: ignore[attr-defined]
+        assert one.put() == []
+
+
+async def test_a_replica_answers_a_part_in_the_turn_in_which_it_comes() -> None:
+    async with fed() as one, running_host() as other:
+        copied = CopyFeed(
+            other.host.store, one.hosted.record, CopyState(lambda: 0), REPLICA, "replica:1", owner_facts=True
+        )
+        sent: list[pb.FeedRequest] = []
+        call: Any = SimpleNamespace(write_now=sent.append)
+        [opened] = parts_in(one.feed.written()[:1])
+        assert not copied._take_at_once(call, opened), "the task begins the copy"
+        await copied._take(opened)
+        [part] = parts_in(one.put())
+        assert copied._take_at_once(call, part)
+        assert [one.held_next_seq for one in sent] == [2]
+        held = copied._held()
+        assert held is not None
+        assert held.channel.next_seq == 2
+
+
+@pytest.mark.parametrize("state", ["a long part", "a request under way", "a full socket"])
+async def test_a_replica_leaves_other_parts_to_its_tasks(state: str) -> None:
+    async with fed() as one, running_host() as other:
+        copied = CopyFeed(
+            other.host.store, one.hosted.record, CopyState(lambda: 0), REPLICA, "replica:1", owner_facts=True
+        )
+        await copied._take(parts_in(one.feed.written()[:1])[0])
+        [part] = parts_in(one.put())
+        call: Any = SimpleNamespace(write_now=None)
+        if state == "a long part":
+            part.runs.extend([part.runs[0]] * RUNS_PER_TURN)
+        elif state == "a request under way":
+            await copied._turn.acquire()
+        copied._news.clear()
+        assert copied._take_at_once(call, part) == (state == "a full socket")
+        assert copied._news.is_set() == (state == "a full socket"), "the task that writes sends the answer later"
