@@ -91,7 +91,7 @@ def _mark_as_of(session: Session, channel: Channel, as_of: int) -> PastMark:
 
 
 def _lost_since(session: Session, channel: Channel, newest: int, as_of: int) -> Reason | None:
-    """Return the reason if items later than the newest one may have been lost with a host, else None."""
+    """Return the reason if items later than the newest one may have been lost with a host; otherwise None."""
     query = replace(_NEWEST, interval=parse_interval(newest, MAX_INSTANT, "(]"))
     items = read_as_of(session, channel._state, query, as_of)
     return items.reason if items.reason == "LOST" else None

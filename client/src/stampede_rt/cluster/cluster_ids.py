@@ -49,7 +49,7 @@ def may_change_to(own: str, to: str, to_former: Iterable[str]) -> bool:
 def cluster_among(own: str, seen: Iterable[ClusterSeen]) -> str:
     """Return the id of the cluster to which the caller belongs after the answers `seen`.
 
-    It is `own` if that cluster answers, else the first cluster to which the caller may change, else `own`.
+    It is `own` if that cluster answers; otherwise the first cluster to which the caller may change; otherwise `own`.
     """
     known = [one for one in seen if one.cluster_id]
     if own and any(one.cluster_id == own for one in known):

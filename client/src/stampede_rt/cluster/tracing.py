@@ -27,7 +27,7 @@ _NO_SPAN = _NoSpan()
 
 
 def trace_api() -> Any:
-    """Return the module `opentelemetry.trace` if the program has configured an SDK; else None."""
+    """Return the module `opentelemetry.trace` if the program has configured an SDK; otherwise None."""
     trace = sys.modules.get("opentelemetry.trace")
     if trace is None or isinstance(trace.get_tracer_provider(), trace.ProxyTracerProvider):
         return None

@@ -154,8 +154,8 @@ class ServedHost:
         )
 
     def _name(self) -> str:
-        """The host's name in the directory: with certificates the name in its own certificate, else `--name` or a new
-        name.
+        """The host's name in the directory: with certificates the name in its own certificate; otherwise `--name` or a
+        new name.
         """
         tls, name = self._credentials.tls, self._settings.name
         if tls is None:
@@ -202,8 +202,8 @@ def where_to_listen(settings: HostSettings, *, secured: bool) -> str:
 def where_to_call(address: str, frontends: Sequence[str], certified: Sequence[str]) -> str:
     """The address at which others reach a host that listens at `address`.
 
-    If the host listens at all addresses of its machine, the result has the machine's name if all front-ends are on
-    this machine or if `certified` has that name; else the machine's address towards the front-ends. `certified`: the
+    If the host listens at all addresses of its machine, the result has the machine's name if all front-ends are on this
+    machine or if `certified` has that name; otherwise the machine's address towards the front-ends. `certified`: the
     names and addresses in the host's certificate. Raises SettingsError if only this machine can call `address` and a
     front-end is on another machine.
     """

@@ -26,7 +26,7 @@ class Overload:
         self._logged_nanos: int | None = None
 
     def note(self, count: int, now: int) -> int | None:
-        """Count refusals. If a log line is due, returns the number of refusals since the last line; else None."""
+        """Count refusals. If a log line is due, returns the number of refusals since the last line; otherwise None."""
         self.refused += count
         self._last_nanos = now
         if self._logged_nanos is not None and now - self._logged_nanos < LOG_PERIOD_NANOS:

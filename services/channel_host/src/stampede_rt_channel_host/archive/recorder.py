@@ -164,7 +164,7 @@ class ChannelRecorder:
         return self._channel.next_seq - self.archived_to
 
     def clean_stop(self) -> CleanStop | None:
-        """The note for the folder if the archive has all items that the channel holds and will accept, else None."""
+        """The note for the folder; None unless the archive has all items that the channel holds and will accept."""
         channel = self._channel
         first = next(iter(channel.accepted_from(0)), None)
         archived_from = self.segments[0].first_seq if self.segments else channel.next_seq

@@ -72,7 +72,7 @@ class SegmentReads:
         decode: Callable[[bytes], Run],
         past: Past | None = None,
     ) -> ArchiveWindow | None:
-        """The window if it is short and all its bytes are in memory, else None. Does not block."""
+        """The window if it is short and all its bytes are in memory; otherwise None. Does not block."""
         at_hand = wanted._replace(wanted=wanted.wanted._replace(at_hand=True))
         try:
             return self._load(segments, at_hand, decode, _go_on, past, self._known_blocks_of, self.place.at_hand)

@@ -55,7 +55,7 @@ class Cursor(Protocol):
     async def from_archive(
         self, recording: Recording, limit_bytes: int, now: Callable[[], int]
     ) -> SubscriptionBatch | None:
-        """As `take`, if memory does not have the next items any more; else None. Raises Unavailable."""
+        """As `take`, if memory does not have the next items any more; otherwise None. Raises Unavailable."""
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
         """The progress of the subscription, as the reader gets it."""

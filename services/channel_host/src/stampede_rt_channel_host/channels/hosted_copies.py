@@ -92,7 +92,7 @@ class HostedCopies:
 
 
 def refusal_of(hosted: HostedChannel, demand: Freshness | None) -> StampedeError | None:
-    """The error for a read that waited at a copy, if the copy no longer meets the read's demand; else None."""
+    """The error for a read that waited at a copy, if the copy no longer meets the read's demand; otherwise None."""
     try:
         if hosted.copy is not None:
             hosted.copy.check(hosted.record.name, hosted.channel.next_seq, demand or Freshness())

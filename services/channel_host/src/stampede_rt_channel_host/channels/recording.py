@@ -250,7 +250,7 @@ class Recording:
         return {**where, "start": Bound(None, within.start), "archived_from": first_seq}
 
     async def since(self, cursor: AllCursor, limit_bytes: int, now: Callable[[], int]) -> SubscriptionBatch | None:
-        """The next part of a subscription if memory does not have it, else None. Moves the cursor.
+        """The next part of a subscription if memory does not have it; otherwise None. Moves the cursor.
 
         Raises Unavailable if the archive cannot be read.
         """

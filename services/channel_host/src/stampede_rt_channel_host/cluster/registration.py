@@ -1,6 +1,7 @@
 """Keeps this host in the directory (paper, section 4.3).
 
-Registers the host, renews its lease, lets it stop serving before the lease ends, and registers it again.
+Registers the host, renews its lease, and registers it again after the lease has ended. The host stops serving before
+its lease ends.
 """
 
 from __future__ import annotations
@@ -234,7 +235,7 @@ class Registration:
         Raises StaleRegistration if a newer process of the same host is alive. Then two processes use one data folder.
         """
         deadline_s = time.monotonic() + timeout_s
-        while True:  # once more for each process that registers meanwhile; ends with the deadline
+        while True:  # tries again after each process that has registered meanwhile; ends with the deadline
             try:
                 return await self._register_once(deadline_s - time.monotonic())
             except StaleRegistration as error:
@@ -281,7 +282,7 @@ class Registration:
             await asyncio.to_thread(self._home.note, response.cluster_id, response.former_cluster_ids)
 
     def _note_registered(self, channels: int) -> None:
-        """Log the registration: as a warning if the host lost its lease before, else as information."""
+        """Log the registration: as a warning if the host had lost its lease, otherwise as information."""
         level, text = (logging.WARNING, "registered again") if self._has_ended else (logging.INFO, "registered")
         facts = {"event": "registered", "host": self._identity.name, "channels": channels}
         logger.log(level, text, extra=facts)

@@ -191,9 +191,9 @@ class _Others:
     async def move(self, own: _Own, host: OtherHost) -> OtherHost:
         """Have a host take a channel or queue over, once there is room for the move.
 
-        Returns another host to try instead, if this one has turned out to be silent meanwhile; else `host`. Raises the
-        errors of MigrationService.MoveHere, Unavailable, and DeadlineExceeded if the host has not begun the move after
-        BEGIN_SECONDS_MAX.
+        Returns another host to try instead, if this one has turned out to be silent meanwhile; otherwise `host`. Raises
+        the errors of MigrationService.MoveHere, Unavailable, and DeadlineExceeded if the host has not begun the move
+        after BEGIN_SECONDS_MAX.
         """
         async with self._room.taken(host.host_id, is_queue=own.is_queue):
             other = self.after(own, host) if host.host_id in self._silent else host

@@ -104,7 +104,7 @@ class QueueHandovers:
             hosted.moving.kept = KeptQueue(core, next_step, made_nanos)
 
     async def _end(self, hosted: HostedQueue, host_id: bytes, *, is_committed: bool) -> None:
-        """Drop the queue if it has moved, else serve it again. Asks the directory until the outcome is known."""
+        """Drop the queue if it has moved; otherwise serve it again. Asks the directory until the outcome is known."""
         record, request_id = hosted.record, secrets.token_bytes(16)
         if is_committed:
             self._gone(hosted, refusals.moved_to(record, host_id))

@@ -102,7 +102,7 @@ class KnownProducer:
                 yield first, self.odd[first]
 
     def find(self, producer_id: int, first_number: int, end: int, since: int) -> RunOutcome | None:
-        """The outcome of the run with exactly these numbers, if it was recorded after `since`; else None.
+        """The outcome of the run with exactly these numbers, if it was recorded after `since`; otherwise None.
 
         Raises InvalidArgument if the numbers overlap those of another run.
         """

@@ -63,7 +63,7 @@ class GroupStore:
         self.in_use = asyncio.Event()  # set once this host has learned a group
 
     def known(self, group_id: bytes) -> HostedGroup | None:
-        """The group, if this host knows it; else None. Notes that a request has named the group."""
+        """The group, if this host knows it; otherwise None. Notes that a request has named the group."""
         group = self._table.groups.get(group_id)
         if group is not None:
             group.named_s = _now_s()
@@ -106,7 +106,7 @@ class GroupStore:
         return [one for one in floors if one is not None]
 
     def own(self, channel_id: bytes) -> OwnChannel | None:
-        """The channel, if it is a member that this host owns and serves; else None."""
+        """The channel, if it is a member that this host owns and serves; otherwise None."""
         return self._table.own.get(channel_id)
 
     async def keep(self) -> NoReturn:

@@ -117,8 +117,8 @@ class QueueStore:
         """Take in `records`, the queues that the directory names in its answer to a registration, in pieces.
 
         Meanwhile the host does not hold the lease. If the answer names all queues of the host (`is_complete`), the
-        store drops the queues that it does not name. Else the store serves an unnamed queue again only after its next
-        `use`.
+        store drops the queues that it does not name. Otherwise the store serves an unnamed queue again only after its
+        next `use`.
         """
         self._registrations += 1
         registration = self._registrations

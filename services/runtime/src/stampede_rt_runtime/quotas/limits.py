@@ -99,8 +99,8 @@ def check_effective(setting: QuotaSetting) -> None:
 class QuotaTable:
     """All settings of a cluster.
 
-    If several settings of a quota match a caller, the setting for exactly this name holds. Else the pattern with the
-    most literal characters holds, and among equal ones the setting with the lowest limit.
+    If several settings of a quota match a caller, the setting for exactly this name holds. Otherwise the pattern with
+    the most literal characters holds, and among equal ones the setting with the lowest limit.
     """
 
     def __init__(self, settings: Iterable[QuotaSetting] = ()) -> None:

@@ -232,7 +232,7 @@ class PeerRecord:
     """A participant (paper, sections 3.5 and 4.2).
 
     A peer may have a name, which is unique among live peers; it then has a mailbox while it is alive. `host_id`: if the
-    peer is a host, its id as a host; else None. `owner`: the name by which rules of access know the caller that
+    peer is a host, its id as a host; otherwise None. `owner`: the name by which rules of access know the caller that
     registered the peer; empty if rules do not limit that caller; None if it is unknown. `proof_sha256` is empty if the
     peer gave no proof. `registered_index`, `registration_epoch`: as in HostRecord. `ended_index`: the log position at
     which the peer's lease ended; 0 while it is alive. `created_by`: as in ChannelRecord; quotas count the peer under

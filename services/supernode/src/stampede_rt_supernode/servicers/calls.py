@@ -133,8 +133,8 @@ class DirectoryCalls:
         attempt. The delayed attempt then finds that answer. So it opens nothing after another caller has deleted the
         thing.
 
-        `unchanged`: returns the answer if the thing exists in the requested form, else None. `check`: is awaited before
-        the entry is proposed, and raises for a forbidden operation.
+        `unchanged`: returns the answer if the thing exists in the requested form; otherwise None. `check`: is awaited
+        before the entry is proposed, and raises for a forbidden operation.
         """
         check_id(op_id, "request_id")
         is_repeated = request_age_nanos(context.invocation_metadata()) > 0

@@ -59,7 +59,7 @@ class ObjectArchive:
     ) -> OpenedArchive:
         """Open the files of a channel. If the store is unreachable, uses the list of its objects on the disk.
 
-        If the disk has no list either, opens the files without one, if they `may_be_unknown`. Else raises OSError.
+        If the disk has no list either, opens the files without one, if they `may_be_unknown`. Otherwise raises OSError.
         """
         # before the listing: a leftover that moved during the listing would be neither in it nor on the disk
         self.mover.reopening(record.channel_id)

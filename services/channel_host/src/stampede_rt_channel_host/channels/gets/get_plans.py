@@ -104,7 +104,7 @@ def _plan(request: pb.GetRequest) -> GetPlan:
 
 
 def _split(raw: bytes) -> tuple[int, bytes]:
-    """The call id and the bytes after it, if the call id is the first field, as usual; else 0 and all bytes."""
+    """The call id and the bytes after it, if the call id is the first field, as usual; otherwise 0 and all bytes."""
     if not raw or raw[0] != _CALL_ID_TAG:
         return 0, raw
     call_id = 0

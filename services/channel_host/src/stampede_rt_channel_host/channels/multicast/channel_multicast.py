@@ -31,7 +31,7 @@ ITEMS_BYTES = 8192
 """About the bytes of one message with several items. A message is lost with one of its datagrams, so it is short."""
 BEAT_S_MIN = 0.02  # after the last item; then readers know that it was the last one. Grows up to BEAT_S_MAX
 LATE_S_MAX = 1.0
-"""A multicast that is behind its channel for longer leaves items out. Else readers would be late without a limit."""
+"""A multicast that is behind its channel for longer leaves items out. Otherwise its lag would have no limit."""
 KEY_SECONDS_MIN = 10.0  # a reader that has left can open datagrams at most this long
 KEY_NUMBERS_MAX = 2**16 - 1
 

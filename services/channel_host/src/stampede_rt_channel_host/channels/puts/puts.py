@@ -248,8 +248,8 @@ class ChannelPuts:
     def _fail(self, run: IncomingRun, error: StampedeError, now: int) -> None:
         """Refuse a run that waits, because of `error`.
 
-        If some items are accepted and the producer will not repeat the run, only the other items are refused. Else the
-        run as a whole gets the error, and a repetition continues after the accepted items.
+        If some items are accepted and the producer will not repeat the run, only the other items are refused. Otherwise
+        the run as a whole gets the error, and a repetition continues after the accepted items.
         """
         if run.progress.accepted_any and not (error.retryable and run.producer_id):
             run.refuse_rest(error)

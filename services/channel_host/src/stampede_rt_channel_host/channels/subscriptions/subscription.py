@@ -229,7 +229,7 @@ class Subscription(ChangeObserver):
         return about.SerializeToString() + self._cursor_bytes(cursor)
 
     def _cursor_bytes(self, cursor: Cursor) -> bytes:
-        """The cursor as an encoded response, if it has changed since the reader last got the cursor; else no bytes."""
+        """The cursor as an encoded response; no bytes if it is unchanged since the reader last got it."""
         saved, news = cursor.saved, b""
         if self._multicast.is_joined:
             if self._multicast.is_owed:

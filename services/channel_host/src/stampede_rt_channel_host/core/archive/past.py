@@ -47,9 +47,9 @@ class NextItems(NamedTuple):
 class Past(NamedTuple):
     """An archive's segments with only the items that the host had accepted by an instant.
 
-    `last_blocks` are the blocks of the last segment if it was cut off, else None. The head of a cut block describes
-    only its first items. `next_items`: None if the archive has no later items. `advance` is the highest advance at that
-    instant, and `next_advance` the time at which the host accepted a higher one; each may be None.
+    `last_blocks` are the blocks of the last segment if it was cut off; otherwise None. The head of a cut block
+    describes only its first items. `next_items`: None if the archive has no later items. `advance` is the highest
+    advance at that instant, and `next_advance` the time at which the host accepted a higher one; each may be None.
     """
 
     segments: tuple[Segment, ...]

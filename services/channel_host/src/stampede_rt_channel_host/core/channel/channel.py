@@ -197,7 +197,7 @@ class ChannelCore(ConsumedChannel):
         return open_newest(self._held, self._start_key(start, start_exclusive, now), after_key)
 
     def latest(self, cursor: NewestCursor, now: int) -> DeliveredSlice | None:
-        """Take the newest item if it is later than the last item taken; else return None.
+        """Take the newest item if it is later than the last item taken; otherwise return None.
 
         Moves the cursor and counts the skipped items.
         """

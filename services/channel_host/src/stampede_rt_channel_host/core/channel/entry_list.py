@@ -112,7 +112,7 @@ class EntryList:
         return self._before(self._place(key, bisect_right))
 
     def only_up_to(self, key: int) -> Entry | None:
-        """The last entry at or below `key`, if no other entry has its key; else None."""
+        """The last entry at or below `key`, if no other entry has its key; otherwise None."""
         number, at = self._place(key, bisect_right)
         if not at:
             number, at = number - 1, len(self._keys[number - 1]) if number else 0

@@ -130,7 +130,7 @@ class FedChannel(ChannelCore):
         self._held.overlap_nanos = limits.overlap_nanos
 
     def next_deadline(self, now: int) -> int | None:
-        """`now` if memory is left to free, else None: no item leaves because time passes."""
+        """`now` if memory is left to free; otherwise None: no item leaves because time passes."""
         return self._tick(now) if self._held.has_backlog else None
 
     def _age(self) -> None:

@@ -217,7 +217,7 @@ class ChannelIndex:
         return times[bisect_right(times, time, entry.lo, entry.hi) - 1]
 
     def single_up_to(self, time: int) -> Slice | None:
-        """The last item at or before `time`, if no other item has its time; else None."""
+        """The last item at or before `time`, if no other item has its time; otherwise None."""
         entry = self._by_time.only_up_to(time)
         if entry is None or isinstance(entry, OneRun):
             return None if entry is None else Slice(entry, 0, 1)
@@ -227,7 +227,7 @@ class ChannelIndex:
         return Slice(entry.run, at, at + 1) if is_single else None
 
     def oldest_item(self, floor: ItemKey) -> OldestItems | None:
-        """The first item, if it is a run of its own at or above `floor`; else None."""
+        """The first item, if it is a run of its own at or above `floor`; otherwise None."""
         first, following = self._by_time.first, self._by_time.nth(1)
         if not isinstance(first, OneRun) or (first.first_time, first.first_seq) < floor:
             return None

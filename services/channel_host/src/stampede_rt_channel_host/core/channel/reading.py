@@ -194,8 +194,8 @@ class Reading:
         return region.is_empty or self._is_below_frontier(region) or self._is_finished(region)
 
     def _is_finished(self, region: ResolvedInterval) -> bool:
-        """Whether an item or an advance has passed the region's end: it is at or after an exclusive end, or after an
-        inclusive end.
+        """Whether an item or an advance has passed the region's end. The end instant itself passes an exclusive end,
+        but not an inclusive one.
         """
         passed = region.end + (not region.end_exclusive)
         newest, advance, consumed = self._held.newest, self.advance, self.consumed_up_to

@@ -179,7 +179,7 @@ class OneRun(Run):
         return (self.length,)
 
     def payload_bytes(self, lo: int, hi: int) -> int:
-        """The item's payload length, if the item lies between the two positions; else 0."""
+        """The item's payload length, if the item lies between the two positions; otherwise 0."""
         return self.length if lo < hi else 0
 
     def __len__(self) -> int:

@@ -34,7 +34,7 @@ def item_at(held: HeldItems, time: int, now: int) -> FoundItem | None:
 
 
 def newest_in(held: HeldItems, within: ResolvedInterval) -> FoundItem | None:
-    """The newest item, if the interval holds all items; else None."""
+    """The newest item, if the interval holds all items; otherwise None."""
     oldest, newest = held.oldest, held.newest
     if oldest is None or newest is None or oldest not in within or newest not in within:
         return None

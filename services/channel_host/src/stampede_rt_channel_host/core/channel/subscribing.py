@@ -117,7 +117,7 @@ class AllCursor:
 
 
 def missing_from(held: Holdings, cursor: AllCursor) -> Range | None:
-    """The first owed seqs if memory does not have them, else None. The range may end before the first held seq."""
+    """The first owed seqs if memory does not have them; otherwise None. The range may end before the first held seq."""
     owed = cursor.owed(held.next_seq)
     if owed is None:
         return None

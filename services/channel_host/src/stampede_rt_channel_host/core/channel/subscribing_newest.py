@@ -40,7 +40,7 @@ class NewestCursor:
         return lost_gap(losses[-1].next_seq) if losses else None
 
     def take(self, held: Holdings) -> DeliveredSlice | None:
-        """The newest item, if it is later than the last item taken; else None."""
+        """The newest item, if it is later than the last item taken; otherwise None."""
         part = next(held.slices_down(self._low), None)
         newest = None if part is None else Slice(part.run, part.hi - 1, part.hi)
         if newest is not None:

@@ -75,7 +75,7 @@ class VisibleAll:
         self._follower = CutFollower(channel, cut, now, next_seq=next_seq, archived=archived)
 
     def unheld_step(self, horizon: Horizon, now: int) -> RecordedStep | None:
-        """The next step, or the rest of the present one, if memory does not have all of it; else None.
+        """The next step, or the rest of the present one, if memory does not have all of it; otherwise None.
 
         The caller performs the step, and then calls `skip_to`.
         """

@@ -85,9 +85,9 @@ def open_channel(tables: Tables, operation: OpenChannel) -> ChannelOpened:
 
 
 def open_unchanged(tables: Tables, operation: OpenChannel) -> ChannelOpened | None:
-    """The answer to `operation` if it changes nothing, else None.
+    """The answer to `operation` if it changes nothing; otherwise None.
 
-    Raises the errors of `open_channel`, except those about a lack of room or of a host.
+    Raises the errors of `open_channel`, except those for a missing host or for a full directory or host.
     """
     check_open(operation)
     channel = tables.channel_named(operation.name)
@@ -182,10 +182,10 @@ def _choose_host(
 ) -> HostRecord:
     """The host for a new channel, or for the channel `channel_id`, whose owner is not alive.
 
-    It is the live host that the caller names, if any. Else it is the live host with the name of the `former` owner,
-    which is that owner, restarted without its data folder. Else it is the host of the channel `operation.beside`, if it
-    is alive and has room. Else it is the host of the other members of the channel's groups, if it has room. Else it is
-    the least loaded live host, see `placement`. A channel that is `recorded` gets only a host with an archive.
+    The first of these hosts that exists: the live host that the caller names; the live host with the name of the
+    `former` owner, which has restarted without its data folder; the host of the channel `operation.beside`, if this
+    host is alive and has room; the host of the other members of the channel's groups, if it has room; the least loaded
+    live host (see `placement`). A channel that is `recorded` gets only a host with an archive.
     """
     if operation.host_name:
         return _named_host(tables, operation, recorded=recorded)
@@ -232,10 +232,10 @@ def _no_host(channel: str, *, is_new: bool, recorded: bool) -> StampedeError:
 
 
 def _host_beside(tables: Tables, operation: OpenChannel, channel_id: bytes) -> HostRecord | None:
-    """The live host of the channel `operation.beside`, if it has room; else None.
+    """The live host of the channel `operation.beside`, if it has room; otherwise None.
 
-    Raises ChannelNotFound if a new channel names one that does not exist. A channel that exists already gets another
-    host anyway: its program cannot open the missing one first.
+    Raises ChannelNotFound if a new channel names one that does not exist. An existing channel then gets
+    another host, because a program that opens it may be unable to create the missing channel.
     """
     if not operation.beside:
         return None

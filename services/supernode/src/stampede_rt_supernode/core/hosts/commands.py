@@ -13,7 +13,7 @@ class RegisterHost(Operation):
     """A host registers. If its boot incarnation is new, its channels and queues get `new_incarnation`.
 
     `registration_epoch`: see `registration_epochs`. `continues_boot_incarnation`: the boot incarnation of the host's
-    former process, if its archive has all items of its recorded channels; else 0. `move_key`: see `move_permits`;
+    former process, if its archive has all items of its recorded channels; otherwise 0. `move_key`: see `move_permits`;
     empty: it has none. `is_private`, `machine`: see HostLoad.
     """
 

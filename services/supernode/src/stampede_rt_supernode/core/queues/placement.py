@@ -19,9 +19,9 @@ from stampede_rt_supernode.core.tables import Tables
 def choose_host(tables: Tables, queue: str, host_name: str, former: str | None = None) -> HostRecord:
     """The host for a new queue, or for a queue whose owner is not alive. `queue`: the queue as error texts name it.
 
-    It is the live host `host_name`, if the caller names one. Else it is the live host with the name of the `former`
-    owner. Else it is the least loaded live host; among equals the one with the fewest channels and queues. Raises
-    InvalidName, HostNotFound, or Unavailable with reason NO_HOST.
+    It is the live host `host_name`, if the caller names one. Otherwise it is the live host with the name of the
+    `former` owner. Otherwise it is the least loaded live host; among equals the one with the fewest channels and
+    queues. Raises InvalidName, HostNotFound, or Unavailable with reason NO_HOST.
     """
     if host_name:
         return host_by_name(tables, host_name)

@@ -63,7 +63,7 @@ def open_queue(tables: Tables, operation: OpenQueue) -> QueueOpened:
 
 
 def open_queue_unchanged(tables: Tables, operation: OpenQueue) -> QueueOpened | None:
-    """The answer to `operation` if it changes nothing, else None.
+    """The answer to `operation` if it changes nothing; otherwise None.
 
     Raises the errors of `open_queue`, except those about a lack of room or of a host.
     """

@@ -184,8 +184,8 @@ def copies_after_owner_change(tables: Tables, before: Copied, after: Copied) -> 
     """The copies of a channel whose record becomes `after`, with another owner or a new incarnation.
 
     If the new owner held a copy, that copy is gone. The new owner feeds the copies that its copy or the former owner
-    fed. If the incarnation is new, no copy is in sync any more. Else a copy that was in sync stays so: it holds all
-    items that were acknowledged or shown.
+    fed. If the incarnation is new, no copy is in sync any more. Otherwise a copy that was in sync stays so: it holds
+    all items that were acknowledged or shown.
     """
     held = tables.replicas.of(id_of(before))
     left = (one for one in held if one.host_id != after.host_id and one.kind is not ReplicaKind.MOVE)
