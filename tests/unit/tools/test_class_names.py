@@ -54,7 +54,3 @@ def test_an_allowed_name_needs_a_reason() -> None:
 
 def test_the_list_of_names_to_rename_only_gets_shorter() -> None:
     assert len(read_lists(class_names.LISTS.read_text()).to_rename) <= NAMES_TO_RENAME_AT_FIRST
-
-
-def test_the_distributions_have_no_other_duplicates(capsys: pytest.CaptureFixture[str]) -> None:
-    assert class_names.main() == 0, capsys.readouterr().out
