@@ -95,7 +95,7 @@ async def test_a_stream_of_puts_makes_no_garbage_in_cycles(puts: Callable[[Opene
             for _ in range(5):
                 await puts(channel, target)
             async with asyncio.timeout(20):
-                while rig.sockets._streams or any("HandleExc" in one.get_name() for one in asyncio.all_tasks()):  # noqa: ASYNC110
+                while rig.sockets._streams or any(PUT_METHOD in one.get_name() for one in asyncio.all_tasks()):  # noqa: ASYNC110
                     await asyncio.sleep(0)
             gc.collect()
             left = Counter(type(one).__qualname__ for one in gc.garbage if is_of_the_host(one))
