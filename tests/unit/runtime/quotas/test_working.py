@@ -255,3 +255,12 @@ def test_the_statistics_of_a_thread_are_opened_once(monkeypatch: pytest.MonkeyPa
     for _ in range(5):
         clock()
     assert opened == [working.SCHEDULER_STATISTICS]
+
+
+def test_a_fork_of_the_importing_process_opens_its_own_statistics(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The import once opened those of the importing thread, and the fork then read about its parent."""
+    opened: list[object] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "open", lambda path, *_: opened.append(path) or -1)
+        working._Statistics()
+    assert opened == []

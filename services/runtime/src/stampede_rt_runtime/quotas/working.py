@@ -8,7 +8,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Coroutine, Generator, Iterator
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -89,8 +89,9 @@ class _OpenFile:
 
 
 class _Statistics(threading.local):
-    def __init__(self) -> None:
-        self.file = _OpenFile()
+    @cached_property
+    def file(self) -> _OpenFile:
+        return _OpenFile()  # at the first use: a fork of the importing process must not read about its parent
 
 
 _statistics = _Statistics()
