@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import random
+from importlib.machinery import SourceFileLoader
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
+from stampede_rt_supernode.replication.library import pinned_copy
 from stampede_rt_supernode.replication.library.pinned_copy import (
     PINNED_VERSION,
     LibraryMismatch,
@@ -35,6 +37,16 @@ def test_another_version_of_the_library_is_refused() -> None:
 def test_a_changed_file_of_the_library_is_refused() -> None:
     with pytest.raises(LibraryMismatch, match=r"PySyncObj 0\.3\.17"):
         check_pin(found_version=PINNED_VERSION, source=installed_source() + b"\n")
+
+
+def test_python_s_cache_serves_the_pinned_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each supernode once compiled the library at its start."""
+    import pysyncobj.syncobj  # noqa: F401  # writes the cache
+
+    pinned_copy._pinned_code.cache_clear()
+    monkeypatch.setattr("builtins.compile", None)
+    monkeypatch.setattr(SourceFileLoader, "source_to_code", None)
+    assert "SyncObj" in pinned_copy._pinned_code().co_names
 
 
 def test_the_adapted_library_uses_the_given_clock_and_cannot_unpickle() -> None:
