@@ -15,6 +15,8 @@ from hypothesis import settings
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 
+from stampede_rt_local.process import ServiceProcess
+from tests.support.forking.forked_popen import ForkedPopen
 from tests.support.sharing.shares import at_end_of_share, share_of
 
 # The suite plays the same scenarios each time: it fails by a change, not by a draw. `make explore` plays others.
@@ -116,3 +118,6 @@ for variable in ("STAMPEDE_SECRET_FILE", "STAMPEDE_URL", "COLUMNS", "LINES"):
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
     sys.dont_write_bytecode = False
     sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = str(Path(__file__).parents[1] / ".make" / "pycache")
+
+# The services that tests start themselves need not load their modules again and again.
+ServiceProcess.popen_class = ForkedPopen

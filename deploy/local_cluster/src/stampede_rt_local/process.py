@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from typing import IO
+from typing import IO, ClassVar
 
 from stampede_rt_local.namespaces import NetworkNamespace
 
@@ -35,6 +35,9 @@ class ServiceProcess:
     block. The process runs in `namespace`, if one is given. `stop` waits `stop_seconds` for its end; state more for a
     host with a longer `--drain-seconds`. Only one thread at a time may use the object.
     """
+
+    popen_class: ClassVar[type[subprocess.Popen[bytes]]] = subprocess.Popen
+    """Starts the processes."""
 
     def __init__(
         self,
@@ -96,7 +99,7 @@ class ServiceProcess:
         command = [sys.executable, "-P", "-m", "stampede_rt_runtime.parent_watch", self._module, *self.arguments]
         if self._namespace is not None:
             command = self._namespace.command(*command)
-        self._run = _Run(command, self._hear_line, self._hear_exit)
+        self._run = _Run(self.popen_class, command, self._hear_line, self._hear_exit)
 
     def wait_ready(self, timeout: float, *, unless: Callable[[], bool] = lambda: False) -> str:
         """Wait for the ready line, `timeout` seconds at most, and return the address in it.
@@ -170,14 +173,20 @@ class ServiceProcess:
 class _Run:
     """One run of the process, with a thread that reads its output until its end."""
 
-    def __init__(self, command: list[str], on_line: Callable[[str], None], on_exit: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        popen_class: type[subprocess.Popen[bytes]],
+        command: list[str],
+        on_line: Callable[[str], None],
+        on_exit: Callable[[], None],
+    ) -> None:
         self.address: str | None = None
         self.lines: deque[str] = deque(maxlen=LAST_LINES_MAX)
         self.ready_or_ended = threading.Event()
         self._on_line = on_line
         self._on_exit = on_exit
         self._asked = False
-        self.popen = subprocess.Popen(
+        self.popen = popen_class(
             command,
             stdin=subprocess.PIPE,  # `parent_watch` reads it; the kernel closes it when this process ends
             stdout=subprocess.PIPE,

@@ -260,7 +260,12 @@ def test_the_statistics_of_a_thread_are_opened_once(monkeypatch: pytest.MonkeyPa
 def test_a_fork_of_the_importing_process_opens_its_own_statistics(monkeypatch: pytest.MonkeyPatch) -> None:
     """The import once opened those of the importing thread, and the fork then read about its parent."""
     opened: list[object] = []
+
+    def noted(path: Any, *_: Any) -> int:
+        opened.append(path)
+        return -1
+
     with monkeypatch.context() as patch:
-        patch.setattr(os, "open", lambda path, *_: opened.append(path) or -1)
+        patch.setattr(os, "open", noted)
         working._Statistics()
     assert opened == []

@@ -1,0 +1,1 @@
+"""Starts services as forks of a process that has loaded their modules."""
