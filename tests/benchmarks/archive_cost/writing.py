@@ -1,8 +1,9 @@
 """The speeds of writers: 300 KB frames, and items of 64 B.
 
 The plain writer appends the same bytes to one file, with an fsync after each 16 MiB, as the archive of a host does when
-there is much to write. JetStream has file storage and brings it to the disk every 0.2 s, as the host does. Redis has an
-append-only file and an fsync a second. JetStream and Redis write a quarter of the items.
+there is much to write. The second plain writer gets them from another process through a socket, as a host does.
+JetStream has file storage and brings it to the disk every 0.2 s, as the host does. Redis has an append-only file and an
+fsync a second. JetStream and Redis write a quarter of the items.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, Segmen
 from stampede_rt_channel_host.copies.messages import run_of
 from stampede_rt_channel_host.core.archive import ArchivedRun
 from stampede_rt_local.ports import free_ports
+from tests.benchmarks.archive_cost.behind_socket import seconds_behind_socket
 from tests.benchmarks.archive_cost.figures import heading, ratios, row, seconds_of, spread
 
 SYNC_BYTES = 16 * 2**20
@@ -59,6 +61,12 @@ def plain(folder: Path, work: Work, per_write: int = 1) -> float:
     taken = seconds_of(write)
     (folder / "plain").unlink()
     return work.items / taken
+
+
+def plain_behind_socket(folder: Path, work: Work, per_write: int) -> float:
+    """Send the items to a process that appends them to a file of this folder, `per_write` in each write."""
+    parts = work.items // per_write
+    return work.items / seconds_behind_socket(folder / "plain", work.payload * per_write, parts, SYNC_BYTES)
 
 
 def archive_alone(folder: Path, work: Work) -> float:
@@ -156,6 +164,9 @@ def writers_of(rt: st.Connection, folder: Path) -> dict[str, Writer]:
     """All writers, by the names of their rows. The others are compared with the first one."""
     return {
         "plain file": lambda work: plain(folder, work, 1 if work is FRAMES else RUN_ITEMS),
+        "plain file behind a socket": lambda work: plain_behind_socket(
+            folder, work, 1 if work is FRAMES else RUN_ITEMS
+        ),
         "archive alone, without a host": lambda work: archive_alone(folder, work),
         "channel in memory": lambda work: ours(rt, f"cost/{work.name}/memory", work),
         "recorded channel": lambda work: ours(rt, f"cost/{work.name}/recorded", work, archive="forever"),

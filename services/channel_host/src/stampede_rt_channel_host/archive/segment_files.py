@@ -13,7 +13,7 @@ from stampede_rt_channel_host.archive.clean_stop import CleanStop, read_stop, re
 from stampede_rt_channel_host.archive.kept_blocks import FoundBlocks, KeptBlocks
 from stampede_rt_channel_host.archive.segment_folder import SegmentFolder
 from stampede_rt_channel_host.archive.segment_reads import SegmentReads
-from stampede_rt_channel_host.archive.stable_writes import sync_folder, write_all
+from stampede_rt_channel_host.archive.stable_writes import start_flush, sync_folder, write_all
 from stampede_rt_channel_host.core.archive import (
     ADVANCE_BYTES,
     HEAD_BYTES,
@@ -34,6 +34,11 @@ from stampede_rt_channel_host.core.archive import (
 from stampede_rt_channel_host.core.archive.stored_segment import below, first_number
 
 BLOCK_BYTES = 2**18
+GATHERED_BYTES = 2 * 2**20
+"""Blocks are written together up to this length.
+
+Each write waits for the interpreter again, which the event loop uses. A longer write leaves the disk without work.
+"""
 SEGMENT_BYTES = 64 * 2**20
 SEGMENTS_PER_AGE = 16  # a segment ends after 1/16 of the archive's age, because the archive drops only whole segments
 
@@ -105,6 +110,8 @@ class SegmentFiles(SegmentReads):
         """Whether the host knows all segments: False until the first listing after an opening without one."""
         self._segments: tuple[Segment, ...] = ()
         self._file: int | None = None  # the segment to which blocks are appended
+        self._gathered: list[bytes] = []  # the parts of blocks that are still to be written to it
+        self._written_to = self._flushed_to = 0  # the offsets up to which it is written, and is coming to the disk
         self._begun_at = 0  # the acceptance instant of its first block
         self._near = (0, 0)
         self._advance: ArchivedAdvance | None = None  # the latest one
@@ -189,8 +196,7 @@ class SegmentFiles(SegmentReads):
         try:
             for part in parts:
                 self._append(part, limits)
-            if self._file is not None:
-                os.fsync(self._file)
+            self._sync()
         except OSError:
             self._undo(before)
             raise
@@ -224,11 +230,27 @@ class SegmentFiles(SegmentReads):
     def _append_block(self, head: BlockHead, buffers: list[bytes], limits: ArchiveLimits) -> None:
         if self._file is None or self._is_full(head, limits):
             self._begin_segment(head)
-        file, segment = self._file, self._segments[-1]
-        assert file is not None, "a segment is open"
-        write_all(file, buffers)
-        self._segments = (*self._segments[:-1], grown(segment, head))
+        segment = grown(self._segments[-1], head)
+        self._gathered += buffers
+        self._segments = (*self._segments[:-1], segment)
         self._near = head.high
+        if segment.length - self._written_to >= GATHERED_BYTES:
+            self._write_gathered()
+
+    def _write_gathered(self) -> None:
+        """Write the gathered blocks, and let them come to the disk."""
+        assert self._file is not None, "a segment is open"
+        buffers, self._gathered = self._gathered, []
+        write_all(self._file, buffers)
+        self._written_to = self._segments[-1].length
+        self._flushed_to = start_flush(self._file, self._flushed_to, self._written_to)
+
+    def _sync(self) -> None:
+        """Bring everything that was appended to the present segment to stable storage."""
+        if self._file is not None:
+            self._write_gathered()
+            os.fsync(self._file)
+            self._flushed_to = self._written_to
 
     def _is_full(self, head: BlockHead, limits: ArchiveLimits) -> bool:
         segment = self._segments[-1]
@@ -252,13 +274,13 @@ class SegmentFiles(SegmentReads):
             write_all(self._file, advance)
             opening += advance
         length = sum(map(len, opening))
-        self._begun_at = head.first_accepted
+        self._begun_at, self._written_to, self._flushed_to = head.first_accepted, length, 0
         fresh = Segment(number, length, 0, head.first_seq, head.first_seq, None, None, 0)
         self._segments = (*self._segments, fresh)
 
     def _end_segment(self) -> None:
         if self._file is not None:
-            os.fsync(self._file)
+            self._sync()
             os.close(self._file)
             self._file = None
 
@@ -267,7 +289,7 @@ class SegmentFiles(SegmentReads):
 
         If some bytes cannot be taken back now, `_delete_leftovers` or `open` deletes them later.
         """
-        file, self._file = self._file, None
+        file, self._file, self._gathered = self._file, None, []
         self._segments = before
         with suppress(OSError):
             if file is not None:
