@@ -7,6 +7,8 @@ from contextlib import asynccontextmanager
 
 import pytest
 
+from stampede_rt.errors import Overloaded
+from stampede_rt.status import from_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.policy import parse_policy
 from stampede_rt.wire.put_frames import put_head, put_request
@@ -195,3 +197,46 @@ async def test_a_half_close_after_a_put_ends_the_stream_after_the_ack() -> None:
         stream.send_frames(frame_of(FrameKind.MESSAGE, put_of(channel, 1)) + frame_of(FrameKind.END))
         ack, status = await stream.until_written(2)
         assert (acks_in([ack])[0].first_seq, status) == (1, b"")
+
+
+@pytest.mark.parametrize("runs", [3, 20], ids=["at once", "by the task of the stream"])
+async def test_no_run_of_a_producer_overtakes_a_refused_run_that_the_producer_sends_again(runs: int) -> None:
+    async with stream_of("Put") as (stream, channel):
+        puts = channel.rig.host.store.find(channel.channel_id, channel.epoch).puts
+        refusals = iter([Overloaded("there is no memory")])
+
+        def check_room(_: int) -> None:
+            if (error := next(refusals, None)) is not None:
+                raise error
+
+        puts.check_room = check_room
+        later = [put_request(b"", number, run_parts((b"later",), times=None), 0) for number in range(2, runs + 1)]
+        first = put_request(b"", 1, run_parts((b"first",), times=None), 0)
+        head = put_head(channel.channel_id, channel.epoch, PRODUCER)
+        written = len(stream.written())
+        stream.send(head + first + b"".join(later))
+        stream.send(put_request(b"", runs + 1, run_parts((b"later",), times=None), 0))
+        while len(acks := acks_in(stream.written()[written:])) < runs + 1:
+            await stream.until_written(len(stream.written()) + 1)
+        assert {from_error_message(ack.error).reason for ack in acks} == {"OVERLOADED"}
+        stream.send(first)
+        stream.send(b"".join(later[:2]))
+        while len(acks := acks_in(stream.written()[written:])) < runs + 4:
+            await stream.until_written(len(stream.written()) + 1)
+        assert [ack.first_seq for ack in acks[-3:]] == [1, 2, 3]
+        assert (await channel.get()).payloads == [b"first", b"later", b"later"]
+
+
+async def test_a_refused_put_does_not_refuse_a_later_put_that_names_its_channel() -> None:
+    async with stream_of("Put") as (stream, channel):
+        puts = channel.rig.host.store.find(channel.channel_id, channel.epoch).puts
+        refusals = iter([Overloaded("there is no memory")])
+
+        def check_room(_: int) -> None:
+            if (error := next(refusals, None)) is not None:
+                raise error
+
+        puts.check_room = check_room
+        [refusal] = acks_in(stream.send(put_of(channel, 1)))
+        assert from_error_message(refusal.error).reason == "OVERLOADED"
+        assert acks_in(stream.send(put_of(channel, 2)))[0].first_seq == 1

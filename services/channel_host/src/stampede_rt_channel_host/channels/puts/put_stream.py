@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 from grpc.aio import EOF
 
 from stampede_rt.errors import InvalidArgument, Overloaded, PermissionDenied, StampedeError
+from stampede_rt.status import from_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.request_pieces import PIECE_TAG
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
@@ -75,6 +76,7 @@ class PutStream:
         self._epoch = 0
         self._producer_id = 0
         self._acks: AckWriter  # made when the stream is served
+        self._refused: tuple[int, StampedeError] | None = None  # the run that the producer sends again, and the reason
         self._judged_at: HostedChannel | None = None  # the channel of the latest run
         self._account = current_account()
         self._owner = own_name()
@@ -106,7 +108,7 @@ class PutStream:
         request = read_request(raw)
         if request.channel_id:
             self._channel_id, self._epoch = request.channel_id, request.epoch
-            self._producer_id = request.producer_id
+            self._producer_id, self._refused = request.producer_id, None
         too_much = len(request.puts) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX
         is_single = bool(request.channel_id) and len(request.puts) == 1
         return _ReceivedRequest(request.puts, received_s, too_much, is_single)
@@ -130,6 +132,7 @@ class PutStream:
             return False
         if names:
             self._channel_id, self._epoch, self._producer_id = channel_id, epoch, request.producer_id
+            self._refused = None
         received_s = time.monotonic()
         with _announced_together(hosted):
             acks = [self._judge_now(put, received_s, hosted) for put in request.puts]
@@ -162,6 +165,7 @@ class PutStream:
         """The ack of a run whose channel lets no put wait for room."""
         ack = self._judge(put, received_s, hosted)
         assert isinstance(ack, pb.PutAck), "the channel lets no put wait"
+        self._note_refusal(ack)
         return held_ack(ack, hosted, put, received_s)
 
     async def _put(self, received: _ReceivedRequest) -> pb.PutAck | HeldAck:
@@ -169,6 +173,7 @@ class PutStream:
         put = received.puts.popleft()
         judged = self._judge(put, received.received_s)
         ack = judged if isinstance(judged, pb.PutAck) else await self._wait(*judged, received)
+        self._note_refusal(ack)
         return ack if self._judged_at is None else held_ack(ack, self._judged_at, put, received.received_s)
 
     def _judge(
@@ -179,6 +184,8 @@ class PutStream:
         `hosted`: the channel, if it was found in this turn of the event loop.
         """
         now = self._store.now()
+        if self._refused is not None and put.first_number > self._refused[0]:
+            return refused(put.first_number, 0, self._refused[1], now)
         run: IncomingRun | None = None
         try:
             check_number(self._producer_id, put.first_number)
@@ -199,6 +206,16 @@ class PutStream:
             return hosted.puts.put(run, now) or (run, hosted)
         except StampedeError as error:
             return refused(put.first_number, run.items if run else 0, error, now)
+
+    def _note_refusal(self, ack: pb.PutAck) -> None:
+        """Note whether the producer sends the run of this ack again. Until then the stream accepts none of its later
+        runs, because they would overtake that run. A request that names its channel begins anew.
+        """
+        error = from_error_message(ack.error) if self._producer_id and ack.HasField("error") else None
+        if error is not None and error.retryable:
+            self._refused = self._refused or (ack.first_number, error)
+        elif self._refused is not None and ack.first_number == self._refused[0]:
+            self._refused = None
 
     async def _wait(self, run: IncomingRun, hosted: HostedChannel, received: _ReceivedRequest) -> pb.PutAck:
         """Wait for the ack of a run that waits for room.
