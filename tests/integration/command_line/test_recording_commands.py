@@ -105,6 +105,7 @@ def test_a_recording_that_is_killed_can_be_recovered(
         process.stderr.readline()
         for _ in range(30):
             channel.put(os.urandom(100_000))
+        wait_until(lambda: path.exists() and path.stat().st_size > 20 * 100_000)  # an empty file cannot be read
         wait_until(lambda: len(seqs_of(read(path)[0], "killed")) >= 20)
         process.send_signal(signal.SIGKILL)
     status, out, told = run("file", "recover", path, "-o", saved)
