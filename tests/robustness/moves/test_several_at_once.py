@@ -17,8 +17,9 @@ from stampede_rt_channel_host.channels import moving
 from stampede_rt_channel_host.copies import outgoing_moves
 from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_supernode.core.records import ReplicaKind
+from tests.robustness.moves.simulated_directory import SimulatedDirectory
 from tests.robustness.moves.test_crashes_at_each_step import Story, quick
-from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, SimulatedDirectory, World
+from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, World
 from tests.support.supernode.operations import id_of
 
 CHANNELS = 5

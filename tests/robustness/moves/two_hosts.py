@@ -8,10 +8,10 @@ There are two hosts, and a third one if the channel has replicas. Then the real 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
-from stampede_rt.errors import StampedeError, Unavailable, error_for
+from stampede_rt.errors import StampedeError, error_for
 from stampede_rt.wire.runs import encode_run
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
@@ -20,33 +20,20 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.records import recorded_channel
-from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, Release
 from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
-from stampede_rt_channel_host.copies.move_directory import Kept
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
-from stampede_rt_channel_host.copies.replica_directory import FeedSource, ListedReplica, ListedReplicas
+from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.copies.replica_keeper import ReplicaKeeper
 from stampede_rt_channel_host.copies.replica_servicer import ReplicaServicer
 from stampede_rt_channel_host.core.records import RecordedChannel
-from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange
 from stampede_rt_runtime.access.move_permits import KEY_BYTES
 from stampede_rt_runtime.clock import HostClock, SystemClock
 from stampede_rt_supernode.codecs.record_codec import channel_record
 from stampede_rt_supernode.core.cluster.feature_levels import MOVES_LEVEL
 from stampede_rt_supernode.core.commands import Operation, Refused
-from stampede_rt_supernode.core.moves.commands import (
-    CommitMove,
-    CommitMoves,
-    MoveCommitted,
-    MoveToCommit,
-    MoveToRelease,
-    ReleaseMoves,
-)
-from stampede_rt_supernode.core.moves.several import released
-from stampede_rt_supernode.core.records import ReplicaKind, ReplicaRecord
-from stampede_rt_supernode.core.replicas.commands import RemoveReplica, SetReplicaInSync
 from tests.robustness.moves.links import Connection, Link
+from tests.robustness.moves.simulated_directory import SimulatedDirectory
 from tests.support.supernode.operations import Log, add_replica, expire, id_of, open_channel, register
 
 STEPS = (
@@ -156,6 +143,10 @@ class World:
         """Whether there is a way between the hosts of a link."""
         return True
 
+    def is_destination(self, host: Host) -> bool:
+        """Whether the host is the one to which the test moves channels."""
+        return host is self.hosts[DESTINATION]
+
     async def on_the_way(self, host: Host) -> None:
         """A call of a host is on its way to the directory, or the answer on its way back."""
         await asyncio.sleep(0)
@@ -235,131 +226,6 @@ class Host:
 
     def items(self, hosted: HostedChannel) -> list[int]:
         return [time for part in hosted.channel.accepted_from(1) for time in part.run.times[part.lo : part.hi]]
-
-
-class SimulatedDirectory(GatheredMoves):
-    """The calls of one host to the directory: those of its store, its moves, its copies and its replicas."""
-
-    def __init__(self, host: Host) -> None:
-        super().__init__()
-        self.host, self.world = host, host.world
-        self.permits: list[bytes] = []  # the permits that this host has got
-
-    async def _reach(self) -> None:
-        await self.world.on_the_way(self.host)
-        if self.world.is_cut_off or not self.host.alive:
-            raise Unavailable("no supernode can be reached")
-
-    def _copies(self, channel_id: bytes) -> tuple[ReplicaRecord, ...]:
-        return self.world.log.directory.tables.replicas.of(channel_id)
-
-    async def resolve(self, channel_id: bytes) -> RecordedChannel:
-        await self._reach()
-        return self.world.record_of(channel_id)
-
-    async def owner_of(self, channel_id: bytes) -> tuple[RecordedChannel, FeedSource]:
-        await self._reach()
-        return self.world.placed(channel_id)
-
-    async def source_of(self, channel_id: bytes, host_id: bytes) -> FeedSource | None:
-        await self._reach()
-        record = self.world.record_of(channel_id)
-        if record.host_id == host_id:
-            return FeedSource(host_id, "", record.epoch)
-        copy = next((one for one in self._copies(channel_id) if one.host_id == host_id), None)
-        if copy is None:
-            return None
-        target = self.world.target_of(copy.source_host_id)
-        return FeedSource(copy.source_host_id, target, record.epoch, copy.kind is ReplicaKind.WARM)
-
-    async def replicas_of(self, channel_id: bytes) -> ListedReplicas:
-        await self._reach()
-        record = self.world.record_of(channel_id)
-        warm = [one for one in self._copies(channel_id) if one.kind is ReplicaKind.WARM]
-        return ListedReplicas(record.host_id, record.epoch, [
-            ListedReplica(KnownReplica(one.host_id, one.boot_incarnation, one.in_sync),
-                          self.world.target_of(one.host_id))
-            for one in warm
-        ])  # fmt: skip
-
-    async def add_replica(self, channel_id: bytes, epoch: int, *, acknowledged: bool) -> None:
-        await self._reach()
-        self.world.apply(add_replica(channel_id, epoch=epoch, warm=True, acknowledged=acknowledged))
-
-    async def remove_replica(self, channel_id: bytes, host_id: bytes) -> None:
-        await self._reach()
-        self.world.apply(RemoveReplica(channel_id=channel_id, host_id=host_id))
-
-    async def change(self, channel_id: bytes, epoch: int, change: ReplicaChange) -> None:
-        await self._reach()
-        self.world.apply(SetReplicaInSync(
-            channel_id=channel_id, epoch=epoch, host_id=change.host_id, boot_incarnation=change.boot_incarnation,
-            in_sync=change.in_sync, change_number=change.number,
-        ))  # fmt: skip
-        await self._reach()  # the answer may be lost
-
-    async def kept_here(self, channel_id: bytes) -> Kept:
-        await self._reach()
-        return self._kept_at(channel_id, self.host.identity.host_id)
-
-    def _kept_at(self, channel_id: bytes, host_id: bytes) -> Kept:
-        if self.world.record_of(channel_id).host_id == host_id:
-            return Kept.HEIR
-        kinds = [one.kind for one in self._copies(channel_id) if one.host_id == host_id]
-        return {ReplicaKind.MOVE: Kept.HEIR, ReplicaKind.WARM: Kept.REPLICA}[kinds[0]] if kinds else Kept.NO
-
-    @property
-    def _moves_here(self) -> bool:
-        return self.host.identity.host_id == id_of(DESTINATION)
-
-    async def commit_one(self, move: Commit) -> RecordedChannel:
-        await self._ask_for_commit([move])
-        if (before := self.world.commits.get(move.request_id)) is not None:
-            return before
-        operation = CommitMove(
-            channel_id=move.channel_id, epoch=move.epoch, to_host_id=self.host.identity.host_id,
-            to_boot_incarnation=self.host.identity.boot_incarnation, permit=move.permit,
-        )  # fmt: skip
-        done = self.world.apply(operation)
-        assert isinstance(done, MoveCommitted)
-        record = self.world.commits[move.request_id] = recorded_channel(channel_record(done.channel))
-        await self._answer_commit()
-        return record
-
-    async def commit_all(self, moves: Sequence[Commit]) -> list[RecordedChannel]:
-        await self._ask_for_commit(moves)
-        operation = CommitMoves(
-            to_host_id=self.host.identity.host_id, to_boot_incarnation=self.host.identity.boot_incarnation,
-            moves=tuple(MoveToCommit(channel_id=one.channel_id, epoch=one.epoch, permit=one.permit) for one in moves),
-        )  # fmt: skip
-        done = self.world.apply(operation)
-        self.world.together = max(self.world.together, len(done.channels))
-        await self._answer_commit()
-        return [recorded_channel(channel_record(one)) for one in done.channels]
-
-    async def _ask_for_commit(self, moves: Sequence[Commit]) -> None:
-        self.permits += [one.permit for one in moves if one.permit]
-        if self._moves_here:
-            self.world.at("commit is asked for")
-        await self._reach()
-
-    async def _answer_commit(self) -> None:
-        if self._moves_here:
-            self.world.at("committed")
-            await self._reach()  # the answer may be lost
-
-    async def release_all(self, moves: Sequence[Release]) -> set[bytes]:
-        self.world.at("removal is asked for")
-        await self._reach()
-        asked = tuple(MoveToRelease(channel_id=one.channel_id, epoch=one.epoch) for one in moves)
-        done = self.world.apply(ReleaseMoves(host_id=self.host.identity.host_id, moves=asked))
-        self.world.at("removed")
-        await self._reach()
-        return {*done.channel_ids}
-
-    async def released_of(self, channel_ids: Sequence[bytes]) -> list[bytes]:
-        await self._reach()
-        return released(self.world.log.directory.tables, self.host.identity.host_id, channel_ids)
 
 
 class _AnyCaller:
