@@ -104,3 +104,42 @@ async def test_a_source_has_the_whole_time_for_its_answer_after_a_slow_connectio
     channel: Any = SlowSource(0.4, 0.3)
     with pytest.raises(Unavailable, match="has ended the feed"):
         await rig.feed.run(source, channel)
+
+
+class BreakingSource:
+    """A source whose stream breaks for the side that writes, when `break_now` is called."""
+
+    def __init__(self) -> None:
+        self._broken = asyncio.Event()
+        self.break_now = self._broken.set
+        self.writes = 0
+
+    def stream_stream(self, method: str, **named: Any) -> Any:
+        return lambda: self
+
+    async def write(self, request: pb.FeedRequest) -> None:
+        self.writes += 1
+        if self.writes > 1:
+            await self._broken.wait()
+            raise asyncio.InvalidStateError("the call has ended")
+
+    async def read(self) -> object:
+        return await asyncio.get_running_loop().create_future()
+
+    def cancel(self) -> None:
+        pass
+
+
+async def test_a_feed_that_is_stopped_in_the_turn_in_which_its_stream_breaks_ends_as_cancelled() -> None:
+    """Otherwise the keeper would take the error for a broken stream, and would feed a copy that it has stopped."""
+    source: Any = SimpleNamespace(host_id=b"s" * 16, target="localhost:1", epoch=1)
+    rig, broken = Rig(holds_items=False), BreakingSource()
+    rig.feed._news.set()
+    channel: Any = broken
+    task = asyncio.create_task(rig.feed.run(source, channel))
+    while broken.writes < 2:  # noqa: ASYNC110 - turns of the loop
+        await asyncio.sleep(0)
+    broken.break_now()
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task

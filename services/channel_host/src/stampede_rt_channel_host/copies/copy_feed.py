@@ -20,6 +20,7 @@ from stampede_rt_channel_host.channels.new_channels import NewCopy
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.cut_floors import floor_from_message
 from stampede_rt_channel_host.cluster.records import recorded_channel
+from stampede_rt_channel_host.cluster.task_failures import first_failure
 from stampede_rt_channel_host.copies.messages import advance_of, cleared_of, collection_of, losses_of, place_to, run_of
 from stampede_rt_channel_host.copies.owner_messages import owner_of
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
@@ -83,7 +84,7 @@ class CopyFeed:
                 await self._read_all(call, source)
                 writing.cancel()
         except BaseExceptionGroup as group:
-            raise _plain(group.exceptions[0], source.target) from group
+            raise _plain(first_failure(group), source.target) from group
         except (grpc.RpcError, asyncio.InvalidStateError, TimeoutError) as error:
             raise _plain(error, source.target) from error
         finally:

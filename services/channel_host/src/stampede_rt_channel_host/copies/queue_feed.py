@@ -14,6 +14,7 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
 from stampede_rt_channel_host.cluster.records import queue_message
+from stampede_rt_channel_host.cluster.task_failures import first_failure
 from stampede_rt_channel_host.copies.queue_messages import PART_BYTES
 from stampede_rt_channel_host.copies.queue_steps import STEPS_PER_REQUEST, step_parts, whole_parts
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
@@ -59,7 +60,7 @@ class QueueFeedStream:
                 await self._begin(call, place)
                 await self._send_steps(call)
         except BaseExceptionGroup as group:
-            raise self._plain(group.exceptions[0]) from group
+            raise self._plain(first_failure(group)) from group
         except (grpc.RpcError, asyncio.InvalidStateError, TimeoutError) as error:
             raise self._plain(error) from error
         finally:

@@ -19,6 +19,7 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.v1 import group_service_pb2_grpc
 from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.task_failures import first_failure
 from stampede_rt_channel_host.core.group import WantedChannels
 from stampede_rt_channel_host.groups.link import INTEREST_MAX, HostLink, LinkHandler
 from stampede_rt_runtime.admission import caller_identity
@@ -264,4 +265,4 @@ async def _unwrapped(work: Any) -> None:
     try:
         await work
     except BaseExceptionGroup as group:
-        raise group.exceptions[0] from group
+        raise first_failure(group) from group
