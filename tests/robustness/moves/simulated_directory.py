@@ -135,7 +135,7 @@ class SimulatedDirectory(GatheredMoves):
     async def _answer_commit(self) -> None:
         if self.world.is_destination(self.host):
             self.world.at("committed")
-            await self._reach()  # the answer may be lost
+        await self._reach()  # the answer may be lost
 
     async def release_all(self, moves: Sequence[Release]) -> set[bytes]:
         self.world.at("removal is asked for")

@@ -79,9 +79,9 @@ async def test_the_permit_of_a_failed_move_is_refused() -> None:
     move = asyncio.create_task(story.move())
     await story.until(lambda: world.is_cut_off)
     world.hosts[DESTINATION].incoming._moves[world.channel_id].cancel()
+    await asyncio.gather(move, return_exceptions=True)  # and no request of it is on its way any more
     world.is_cut_off = False
     await story.until(lambda: world.record.epoch == 2)
-    await asyncio.gather(move, return_exceptions=True)
     permits = known_permits(world)
     assert permits, "the source has handed over"
     for epoch in (1, 2):
