@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Coroutine
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 from stampede_rt.errors import StampedeError, Unavailable
@@ -30,7 +30,7 @@ from stampede_rt_channel_host.queues.sweep import sweep_queues_forever
 from stampede_rt_supernode.codecs.queue_codec import queue_record
 from stampede_rt_supernode.core.commands import Operation
 from stampede_rt_supernode.core.moves.commands import CommitQueueMove, QueueMoveCommitted
-from stampede_rt_supernode.core.records import ReplicaKind, ReplicaRecord
+from stampede_rt_supernode.core.records import QueueRecord, ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas.commands import AddReplica, RemoveReplica, SetReplicaInSync
 from stampede_rt_supernode.core.replicas.things import Copied
 from tests.robustness.moves.two_hosts import World
@@ -118,6 +118,12 @@ class QueueHost(LeasedHost):
         for hosted in self.queues.all():
             if hosted._timer is not None:
                 hosted._timer.cancel()
+
+
+@lru_cache(maxsize=16)
+def _recorded(record: QueueRecord) -> RecordedQueue:
+    """As a host reads the record. Hosts ask for it several times a second."""
+    return recorded_queue(queue_record(record))
 
 
 class _AnyCaller:
@@ -222,7 +228,7 @@ class QueueCluster(Cluster):
 
     def queue(self, queue_id: bytes) -> RecordedQueue:
         """The present record of a queue."""
-        return recorded_queue(queue_record(self.log.directory.tables.queues.by_id[queue_id]))
+        return _recorded(self.log.directory.tables.queues.by_id[queue_id])
 
     def queues(self) -> list[RecordedQueue]:
         """The present records."""
