@@ -25,7 +25,7 @@ from stampede_rt_runtime.any_loop_channel import AnyLoopChannel
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.limits import Limits, Option
 from stampede_rt_runtime.renewing import RenewingChannel
-from stampede_rt_runtime.sockets.dialing import SocketChannel
+from stampede_rt_runtime.sockets.dialing import KnownEndpoints, SocketChannel
 from stampede_rt_runtime.tls import ServiceTls
 
 Dial = Callable[[str], grpc.aio.Channel]
@@ -38,10 +38,12 @@ def dial(
     limits: Limits | None = None,
     tls: TlsReader | None = None,
     transport: Transport = Transport.GRPC,
+    known: KnownEndpoints | None = None,
 ) -> grpc.aio.Channel:
     """A channel to `target` that sends `secret` with every call. Connects at the first call. The caller closes it.
 
-    `transport`: that of streams in both directions. All other calls go over gRPC.
+    `transport`: that of streams in both directions. All other calls go over gRPC. `known`: the sockets of hosts, for
+    all connections that share this object.
 
     With `tls` both sides prove themselves by certificates. After a renewal of the certificates, new calls use a new
     connection. The channel adds the secret itself, because gRPC's call credentials need TLS, and gRPC's interceptors
@@ -50,7 +52,7 @@ def dial(
     options = (limits or Limits()).channel_options()
     channel = _open(target, options, tls)
     if transport is not Transport.GRPC:
-        channel = SocketChannel(channel, target, transport, tls)
+        channel = SocketChannel(channel, target, transport, tls, known or KnownEndpoints())
     metadata = call_metadata(secret.text if secret else None)
     return AnnotatedChannel(channel, lambda: metadata) if metadata else channel
 
@@ -111,7 +113,7 @@ class Dialer:
 
     def dial_streams(self, transport: Transport) -> Dial:
         """Return a `Dial` whose channels have this transport for streams in both directions."""
-        return partial(dial, secret=self.secret, tls=self._reader(), transport=transport)
+        return partial(dial, secret=self.secret, tls=self._reader(), transport=transport, known=KnownEndpoints())
 
     def dial_from_any_loop(self, target: str) -> grpc.aio.Channel:
         """See `dial_from_any_loop`."""

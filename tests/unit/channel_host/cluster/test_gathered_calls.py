@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import pytest
 
 from stampede_rt.errors import StaleBinding, StampedeError, Unavailable
+from stampede_rt_channel_host.cluster import gathered_calls
 from stampede_rt_channel_host.cluster.gathered_calls import GatheredCalls
 
 
@@ -61,8 +62,9 @@ async def test_a_failed_call_fails_its_own_lookups_and_no_later_ones(fails: Exce
     first, later = await asked(calls, 1), await asked(calls, 2, 3)
     directory.fails = fails
     directory.go.set()
-    with pytest.raises(StampedeError, match=str(fails)):
+    with pytest.raises(StampedeError, match=str(fails)) as told:
         await first[0]
+    assert told.value.retryable, "the directory may have done it, so the caller has to ask again"
     assert await asyncio.gather(*later) == [4, 9]
 
 
@@ -75,3 +77,30 @@ async def test_a_cancelled_lookup_is_left_out_and_delays_no_other() -> None:
     directory.go.set()
     assert await stays == 9
     assert directory.calls == [[1], [3]]
+
+
+async def test_questions_that_come_soon_after_a_call_wait_for_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    is_time = asyncio.Event()
+
+    async def sleep(seconds: float) -> None:
+        assert 0 < seconds <= 3600
+        await is_time.wait()
+
+    monkeypatch.setattr(gathered_calls, "sleep", sleep)
+    directory = Directory()
+    directory.go.set()
+    calls = GatheredCalls(directory.ask, 3, interval_s=3600)
+    assert await calls.ask(1) == 1, "a lone question does not wait"
+    soon = await asked(calls, 2) + await asked(calls, 3)
+    assert directory.calls == [[1]]
+    is_time.set()
+    assert await asyncio.gather(*soon) == [4, 9]
+    assert directory.calls == [[1], [2, 3]]
+
+
+async def test_enough_questions_for_a_whole_call_do_not_wait() -> None:
+    directory = Directory()
+    directory.go.set()
+    calls = GatheredCalls(directory.ask, 3, interval_s=3600)
+    assert await calls.ask(1) == 1
+    assert await asyncio.gather(*await asked(calls, 2, 3, 4)) == [4, 9, 16]

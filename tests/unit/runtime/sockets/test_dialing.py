@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.server import serving
+from stampede_rt_runtime.sockets.dialing import ANSWER_SECONDS_MAX, ANSWERS_MAX, KnownEndpoints
 from stampede_rt_runtime.tls import load_tls
 from tests.support.socket_port import (
     ECHO,
@@ -45,21 +47,31 @@ class Gatekeeper(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
     def __init__(self, target: str) -> None:
         self._target = target
         self.streams = Streams()
+        self.asked = 0
 
     def add_to(self, server: Any) -> None:
         gatekeeper_service_pb2_grpc.add_GatekeeperServiceServicer_to_server(self, server)
         self.streams.add_to(server)
 
     async def ListDataEndpoints(self, request: Any, context: Any) -> pb.ListDataEndpointsResponse:  # noqa: N802
+        self.asked += 1
         offered = pb.DataEndpoint(transport=pb.TRANSPORT_SOCKET, target=self._target, ticket=b"t" * 32)
         return pb.ListDataEndpointsResponse(endpoints=[offered])
 
 
 class Rig:
-    """A connection to a host. `at_socket`: the methods at its socket, and `over_grpc`: the same over gRPC."""
+    """A connection to a host. `at_socket`: the methods at its socket, and `over_grpc`: the same over gRPC.
+
+    `known`: the answers of the host to this connection and to others. `again` opens another connection.
+    """
+
+    address: str
+    known: KnownEndpoints
+    again: Callable[[], AbstractAsyncContextManager[grpc.aio.Channel]]
 
     def __init__(self, channel: grpc.aio.Channel, one: Port, gatekeeper: Gatekeeper) -> None:
         self.channel, self.at_socket, self.over_grpc = channel, one.streams, gatekeeper.streams
+        self.gatekeeper = gatekeeper
         self._server = one.server
 
     @property
@@ -87,8 +99,11 @@ def rig(port: Open, request: pytest.FixtureRequest) -> Opened:
             secret = None if is_secured else SECRET
             server = await stack.enter_async_context(serving(gatekeeper.add_to, secret=secret, tls=own))
             reader = TlsReader(certificates().issue(Role.OPERATOR, "tests")) if is_secured else None
-            connection = dial(server.address, secret=secret, tls=reader, transport=transport)
-            yield Rig(await stack.enter_async_context(connection), one, gatekeeper)
+            known = KnownEndpoints()
+            again = partial(dial, server.address, secret=secret, tls=reader, transport=transport, known=known)
+            made = Rig(await stack.enter_async_context(again()), one, gatekeeper)
+            made.known, made.again, made.address = known, again, server.address
+            yield made
 
     return opened
 
@@ -163,3 +178,55 @@ async def test_a_stream_that_is_cancelled_while_it_opens_leaves_no_socket(rig: O
             call.cancel()
             await asyncio.wait([call._opening])
         await until(lambda: opened.sockets == 0)
+
+
+async def test_connections_at_the_same_time_ask_the_host_for_its_sockets_once(rig: Opened) -> None:
+    async with rig() as opened, opened.again() as other:
+        await echo(opened.begin(ECHO))
+        await echo(other.stream_stream(ECHO)())  # type: ignore[call-arg]
+        assert (opened.gatekeeper.asked, opened.sockets) == (1, 2)
+
+
+async def test_a_host_whose_known_sockets_are_gone_is_asked_again(rig: Opened, tmp_path: Path) -> None:
+    async with rig() as opened:
+        gone = pb.DataEndpoint(transport=pb.TRANSPORT_SOCKET, target=f"unix:{tmp_path}/0123456789abcdef.sock")
+        opened.known.keep(opened.address, [gone])
+        await echo(opened.begin(ECHO))
+        assert (opened.gatekeeper.asked, opened.sockets) == (1, 1)
+
+
+@pytest.mark.parametrize("transport", [Transport.BEST, Transport.GRPC])
+async def test_a_stream_is_logged_with_its_first_answer(
+    rig: Opened, transport: Transport, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    async with rig(transport) as opened:
+        call = opened.begin(ECHO)
+        await call.write(b"a")
+        assert not began(caplog)
+        await call.read()
+        assert len(began(caplog)) == (transport is Transport.BEST), "a connection without sockets tells nothing"
+
+
+async def test_a_stream_to_a_host_that_nobody_reaches_is_not_logged(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    async with dial("127.0.0.1:1", secret=None, transport=Transport.BEST) as channel:
+        call = channel.stream_stream(ECHO)()  # type: ignore[call-arg]
+        with pytest.raises(grpc.RpcError):
+            await call.read()
+    assert not began(caplog)
+
+
+def began(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [one.getMessage() for one in caplog.records if getattr(one, "event", "") == "host_stream_began"]
+
+
+def test_an_answer_counts_for_a_second_and_the_oldest_one_is_forgotten() -> None:
+    now_s = 0.0
+    known = KnownEndpoints(lambda: now_s)
+    one = pb.DataEndpoint(target="unix:/x")
+    for number in range(ANSWERS_MAX + 1):
+        known.keep(f"h{number}", [one])
+    assert (known.of("h0"), known.of("h1")) == ((), [one])
+    now_s = ANSWER_SECONDS_MAX
+    assert known.of("h1") == ()

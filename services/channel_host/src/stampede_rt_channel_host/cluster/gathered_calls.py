@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from asyncio import sleep
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Generic, TypeVar
 
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import StampedeError, Unavailable
 
 Question = TypeVar("Question")
 Answer = TypeVar("Answer")
@@ -23,10 +24,16 @@ class GatheredCalls(Generic[Question, Answer]):
     """
 
     def __init__(
-        self, ask: Callable[[Sequence[Question]], Awaitable[Sequence[Answer | StampedeError]]], most: int
+        self,
+        ask: Callable[[Sequence[Question]], Awaitable[Sequence[Answer | StampedeError]]],
+        most: int,
+        interval_s: float = 0.0,
     ) -> None:
+        """`interval_s`: the least time between two calls. Questions that come before it is over wait for each other."""
         self._ask = ask
         self._most = most
+        self._interval_s = interval_s
+        self._not_before_s = 0.0
         self._waiting: deque[tuple[Question, asyncio.Future[Answer]]] = deque()
         self._calls: asyncio.Task[None] | None = None
 
@@ -42,11 +49,19 @@ class GatheredCalls(Generic[Question, Answer]):
         """Make calls while questions wait."""
         try:
             while self._waiting:
+                await self._pause()
                 asked = [self._waiting.popleft() for _ in range(min(self._most, len(self._waiting)))]
                 if asked := [one for one in asked if not one[1].done()]:  # the caller of a done one was cancelled
                     _deal([answer for _, answer in asked], await self._answers([question for question, _ in asked]))
         finally:
             self._calls = None
+
+    async def _pause(self) -> None:
+        """Wait until the time of the next call, unless enough questions for a whole call wait already."""
+        wait_s = self._not_before_s - asyncio.get_running_loop().time()
+        if wait_s > 0 and len(self._waiting) < self._most:
+            await sleep(wait_s)
+        self._not_before_s = asyncio.get_running_loop().time() + self._interval_s
 
     async def _answers(self, questions: Sequence[Question]) -> Sequence[Answer | StampedeError]:
         try:
@@ -57,7 +72,8 @@ class GatheredCalls(Generic[Question, Answer]):
             logger.exception(
                 "a call for several moves failed", extra={"event": "task_defect", "task": "gathered calls"}
             )
-            return [StampedeError(f"the host failed ({error!r}); please report it")] * len(questions)
+            # The directory may have done what the call asks for. So this is an error of a call that can be repeated.
+            return [Unavailable(f"the host failed ({error!r}); please report it")] * len(questions)
 
 
 def _deal(waiting: Sequence[asyncio.Future[Answer]], answers: Sequence[Answer | StampedeError]) -> None:

@@ -16,6 +16,8 @@ from stampede_rt_channel_host.cluster.gathered_calls import GatheredCalls
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 MOVES_MAX = 32  # in one call
+CHANGE_SECONDS = 0.02  # the least time between two entries; puts of the channels wait meanwhile
+DROP_SECONDS = 0.1  # the least time between two questions of a former owner, which has its items until then
 
 
 class Commit(NamedTuple):
@@ -38,9 +40,9 @@ class GatheredMoves(ABC):
     """Gathers the calls of one host. A subclass makes them: `..._one` and `..._all` raise the directory's errors."""
 
     def __init__(self) -> None:
-        self._commits = GatheredCalls(self._commit_each, MOVES_MAX)
-        self._releases = GatheredCalls(self._release_each, MOVES_MAX)
-        self._drops = GatheredCalls(self._released_each, MOVES_MAX)
+        self._commits = GatheredCalls(self._commit_each, MOVES_MAX, CHANGE_SECONDS)
+        self._releases = GatheredCalls(self._release_each, MOVES_MAX, CHANGE_SECONDS)
+        self._drops = GatheredCalls(self._released_each, MOVES_MAX, DROP_SECONDS)
 
     async def commit(self, channel_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedChannel:
         """Make this host the owner, if the epoch is still this one. Safe to repeat. Raises StaleBinding.
