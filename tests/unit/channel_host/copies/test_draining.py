@@ -60,7 +60,7 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
         return pb.MoveHereResponse()
 
 
-async def drained(channels: int, *hosts: Host, recorded: bool = False) -> Drained:
+async def drained(channels: int, *hosts: Host, recorded: bool = False, name: str = "cam/{}") -> Drained:
     """Drain `channels` channels without groups to these hosts. Returns the outcome."""
     async with AsyncExitStack() as servers:
         others: list[OtherHost] = []
@@ -73,7 +73,7 @@ async def drained(channels: int, *hosts: Host, recorded: bool = False) -> Draine
 
         policy = Policy(archive_nanos=1) if recorded else Policy()
         records = [
-            SimpleNamespace(channel_id=b"c%d" % one, name=f"cam/{one}", policy=policy) for one in range(channels)
+            SimpleNamespace(channel_id=b"c%d" % one, name=name.format(one), policy=policy) for one in range(channels)
         ]
         own = [SimpleNamespace(record=one, copy=None, is_heir=False, epoch=1, moving=None) for one in records]
         allowed: set[tuple[bytes, bytes]] = set()
@@ -135,3 +135,9 @@ async def test_the_log_names_a_channel_that_cannot_move_but_not_a_deleted_one() 
     moved, left = await drained(2, host)
     assert (moved, len(left)) == (1, 1)
     assert "it is recorded" in next(iter(left.values()))
+
+
+async def test_things_of_one_name_are_drained_one_by_one() -> None:
+    host = Host()
+    assert await drained(2, host, name="cam") == Drained(2, {})
+    assert sorted(host.taken) == [b"c0", b"c1"]

@@ -128,7 +128,7 @@ class Draining:
     async def run(self, seconds: float) -> Drained:
         """Move all channels and queues away. Ends after `seconds`, even if some have not moved. Raises nothing."""
         own = self._own()
-        left = {one.name: "the time was over" for one in own.values()}
+        left = dict.fromkeys(own, "the time was over")
         if own:
             try:
                 async with asyncio.timeout(seconds):
@@ -137,7 +137,7 @@ class Draining:
                 pass
             except StampedeError as error:
                 left = dict.fromkeys(left, str(error))
-        drained = Drained(len(own) - len(left), left)
+        drained = Drained(len(own) - len(left), {own[one].name: why for one, why in left.items()})
         self._tell(drained)
         return drained
 
@@ -158,7 +158,7 @@ class Draining:
             extra = {"event": "host_drained", "channels": drained.moved}
             logger.info("all channels have moved to other hosts", extra=extra)
 
-    async def _move_all(self, own: dict[bytes, _Own], left: dict[str, str]) -> None:
+    async def _move_all(self, own: dict[bytes, _Own], left: dict[bytes, str]) -> None:
         """Move the channels. Removes each moved one from `left`, and notes there the reason for each other one."""
         hosts = await self._directory.other_hosts()
         if not hosts:
@@ -241,14 +241,14 @@ class _Others:
             await connection.close(None)
 
 
-async def _move(own: _Own, place: OtherHost, others: _Others, left: dict[str, str]) -> None:
+async def _move(own: _Own, place: OtherHost, others: _Others, left: dict[bytes, str]) -> None:
     """Move one channel or queue.
 
     Tries one host after the other while they have no room, have too many moves, or do not answer.
     """
     delay_s, host = RETRY_SECONDS_MIN, others.first(own, place)
     if host is None:
-        left[own.name] = "it is recorded (archive), and no other live host has an archive"
+        left[own.id] = "it is recorded (archive), and no other live host has an archive"
     while host is not None and own.is_here:  # paced by the sleep; `Draining.run` ends it
         try:
             if (other := await others.move(own, host)) is host:
@@ -258,7 +258,7 @@ async def _move(own: _Own, place: OtherHost, others: _Others, left: dict[str, st
         except (ChannelNotFound, QueueNotFound):  # deleted meanwhile
             break
         except StampedeError as error:
-            left[own.name] = str(error)
+            left[own.id] = str(error)
             if error.reason == "SHUTTING_DOWN":
                 others.leave_out(host)
             elif not isinstance(error, _AGAIN) and error.reason != "MOVE_CONFLICT":
@@ -267,4 +267,4 @@ async def _move(own: _Own, place: OtherHost, others: _Others, left: dict[str, st
         await asyncio.sleep(delay_s)
         delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
     if host is not None or not own.is_here:
-        left.pop(own.name)
+        left.pop(own.id, None)
