@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
 
 import pytest
 
@@ -88,4 +89,15 @@ async def test_the_permit_of_a_failed_move_is_refused() -> None:
         steal(world, DESTINATION, permits, epoch)
     assert world.owner is world.hosts[SOURCE]
     story.check(await story.settle())
+    await world.aclose()
+
+
+async def test_a_destination_that_is_the_owner_no_more_when_it_hears_of_its_commit_drops_the_channel() -> None:
+    """Its lease ended at once. Otherwise it would be no replica either, and the directory would count it as one."""
+    story = Story("committed", lambda world: world.expire(DESTINATION))
+    with suppress(StampedeError):
+        await story.move()
+    world = story.world
+    await story.until(lambda: world.owner is world.hosts[SOURCE])
+    assert world.hosts[DESTINATION].store.known(world.channel_id) is None
     await world.aclose()

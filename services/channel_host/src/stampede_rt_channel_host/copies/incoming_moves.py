@@ -7,6 +7,7 @@ import logging
 import secrets
 import time
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from functools import partial
 from typing import NamedTuple, TypeVar
 
@@ -167,6 +168,13 @@ class IncomingMoves:
                 extra = {"event": "move_not_archived", "channel": hosted.record.name, "why": why}
                 logger.warning("the archive has not all items of a channel that has moved here", extra=extra)
 
+    async def _learn_owner(self, hosted: HostedChannel) -> None:
+        """Drop a channel that another host owns: this host was registered anew before it knew of its commit."""
+        with suppress(StampedeError):
+            present = await self._directory.resolve(hosted.record.channel_id)
+            if present.host_id != self._identity.host_id and self._store.known(present.channel_id) is hosted:
+                self._store.forget(present.channel_id, refusals.moved(present.name, present.host_id))
+
     async def _remove_heir(self, hosted: HostedChannel) -> None:
         """Remove the former owner as the heir. Tries again for as long as this host has the channel.
 
@@ -177,7 +185,8 @@ class IncomingMoves:
         while self._store.known(hosted.record.channel_id) is hosted:  # paced by the sleep
             try:
                 return await self._directory.remove_heir(hosted.record.channel_id, hosted.record.epoch)
-            except StaleBinding:  # the store learns of the present owner when this host registers again
+            except StaleBinding:
+                await self._learn_owner(hosted)
                 break
             except StampedeError as error:
                 extra = {"event": "move_undecided", "channel": hosted.record.name, "why": str(error)}
