@@ -17,12 +17,14 @@ def restore_channel(
 ) -> None:
     """Take the newest archived items into memory, so that the channel continues where its archive ends.
 
-    A channel that stopped before its first item has a note of the stop, and no items.
+    Leaves all items up to the last hole to the archive: only reads of the archive say LOST for a hole. A channel that
+    stopped before its first item has a note of the stop, and no items.
     """
     window, segments = newest or ArchiveWindow(ChannelIndex(), None, None, None), found.segments
-    parts = sorted(window.items.slices(FIRST_KEY, LAST_KEY), key=lambda one: one.first_seq)
+    after = _left_to_archive(window)
+    low = FIRST_KEY if after is None else (after + 1, 0)
+    parts = sorted(window.items.slices(low, LAST_KEY), key=lambda one: one.first_seq)
     runs = [part.run if part.is_whole else _cut(part, cut) for part in parts]
-    after = window.edge
     first = segments[0].first_seq if segments else 1
     if after is None and first > 1 and runs:
         after = min(min(run.times) for run in runs) - 1
@@ -34,6 +36,12 @@ def restore_channel(
         loss=loss if stop is None else (stop.lost_from, stop.lost_before),
         advance=stop.advance if stop is not None and stop.incarnation == channel.incarnation else None,
     )
+
+
+def _left_to_archive(window: ArchiveWindow) -> int | None:
+    """The time up to which all items stay in the archive only, or None if memory takes all of them."""
+    ends = [hole.end for hole in window.holes]
+    return max(ends if window.edge is None else [*ends, window.edge], default=None)
 
 
 def _cut(part: Slice, cut: Callable[[bytes, int, int], bytes]) -> Run:

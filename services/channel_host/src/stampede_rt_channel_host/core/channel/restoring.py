@@ -23,7 +23,8 @@ def restore(held: Holdings, runs: Iterable[Run], *, after: int | None, next_seq:
         _skip_to(held, run.first_seq)
         held.store(run, run.payload_bytes(0, len(run)), min(run.times), max(run.times))
     _skip_to(held, next_seq)
-    held.collected_end = None if after is None else held.oldest
+    if after is not None:
+        held.collected_end = after + 1 if held.oldest is None else held.oldest
 
 
 def leave_to_archive(held: Holdings, edge: int, backlog: ArchiveBacklog | None, clock: int) -> bool:
