@@ -75,17 +75,16 @@ EVERY_TRANSPORT = "STAMPEDE_EVERY_TRANSPORT" in os.environ
 """Whether each test runs over each transport, also where the transport cannot matter (`make contract`)."""
 
 
-CANNOT_RUN_OVER = {"multicast": {"here"}, "renewed_tokens": {"shared"}}
+CANNOT_RUN_OVER = {"renewed_tokens": {"shared"}}
 """The transports that a test module can never use.
 
-The host in the process of the tests has no address for datagrams. A subscription that reads a ring does not reconnect
-when its token is renewed.
+A subscription that reads a ring does not reconnect when its token is renewed.
 """
 
 
 def _is_wanted(item: pytest.Item) -> bool:
     found, module = _parameters(item), item.path.stem.removeprefix("test_")
-    if EVERY_TRANSPORT:
+    if EVERY_TRANSPORT and "here" not in found:
         return ("memory" not in found or "grpc" in found) and not found & CANNOT_RUN_OVER.get(module, set())
     if "grpc-public" in found:
         return "sync" in found and module in OVER_PUBLIC_STREAMS

@@ -243,6 +243,8 @@ def test_a_host_cannot_claim_a_channel_of_another_host(cluster: LocalCluster) ->
         assert ask(owner, own, moves).startswith("PERMISSION_DENIED: host h9 may not move channels or queues of")
         assert ask(owner, own, feed).startswith("PERMISSION_DENIED: no caller has asked this host to hand channel")
         assert ask(supernode, own, commits).startswith("PERMISSION_DENIED: host h9 cannot own channel moved/by/nobody")
+        commit.permit = bytes(1000)
+        assert ask(supernode, own, commits).startswith("INVALID_ARGUMENT: the permit of a move has 32 bytes or none")
         assert rt.channel("moved/by/nobody").info.host == "h1"
     assert ask(supernode, own, leaving("h9")) == ""
 

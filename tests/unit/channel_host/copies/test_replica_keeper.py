@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
+import pytest
+
 from stampede_rt.errors import Unavailable
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.values.model import Policy
@@ -14,7 +16,7 @@ from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.copies.replica_directory import ListedReplica, ListedReplicas
-from stampede_rt_channel_host.copies.replica_keeper import ReplicaKeeper
+from stampede_rt_channel_host.copies.replica_keeper import KeptChannel, ReplicaKeeper
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange
 from tests.support.clock import ManualClock
 
@@ -67,11 +69,14 @@ class Frozen:
         pass
 
 
-async def test_the_flag_of_a_silent_replica_is_cleared_while_another_host_is_frozen_and_a_third_one_missing() -> None:
-    clock = ManualClock()
-    policy = Policy(max_items=1, replicas=3)
+def opened(replicas: int) -> HostedChannel:
+    policy = Policy(max_items=1, replicas=replicas)
     record = channel_pb2.ChannelRecord(name="cam", epoch=1, incarnation=5, spec=policy_to_spec(policy))
-    hosted = HostedChannel(recorded_channel(record), MemoryBudget(2**30), clock.time_unix_nano, lambda _: None)
+    return HostedChannel(recorded_channel(record), MemoryBudget(2**30), ManualClock().time_unix_nano, lambda _: None)
+
+
+async def test_the_flag_of_a_silent_replica_is_cleared_while_another_host_is_frozen_and_a_third_one_missing() -> None:
+    hosted = opened(replicas=3)
     store: Any = Store()
     directory: Any = Directory()
     identity = HostIdentity(host_id=OWNER, name="h1", boot_incarnation=1)
@@ -83,3 +88,24 @@ async def test_the_flag_of_a_silent_replica_is_cleared_while_another_host_is_fro
     finally:
         await keeper.aclose()
     assert directory.tries_to_add >= 1
+
+
+class LonelyDirectory(Directory):
+    """A directory without a host for a replica."""
+
+    async def replicas_of(self, channel_id: bytes) -> ListedReplicas:
+        return ListedReplicas(OWNER, 1, [])
+
+
+async def test_an_owner_asks_less_often_while_no_host_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    store: Any = Store()
+    directory: Any = LonelyDirectory()
+    kept = KeptChannel(OWNER, store, directory, lambda target: Frozen(), opened(replicas=1))  # type: ignore[arg-type,return-value]
+    tried_at_s = []
+    for now_s in range(1000, 1040):
+        monkeypatch.setattr(asyncio.get_running_loop(), "time", lambda now_s=now_s: float(now_s))
+        before = directory.tries_to_add
+        await kept.look()
+        if directory.tries_to_add > before:
+            tried_at_s.append(now_s - 1000)
+    assert tried_at_s == [0, 2, 6, 14, 24, 34]

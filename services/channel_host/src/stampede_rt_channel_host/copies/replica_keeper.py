@@ -35,6 +35,7 @@ logger = logging.getLogger(__name__)
 
 ROUND_SECONDS = 0.2  # a replica that is silent for a second loses its flag at most this time later
 MISSING_SECONDS, LIST_SECONDS = 1.0, 10.0  # how old the list of the directory may be, with replicas missing and without
+# MISSING_SECONDS doubles with each try while no host is free, up to LIST_SECONDS: each try is an entry of the log.
 PAUSE_SECONDS = 0.02
 BIND_SECONDS_MAX = 2.0
 
@@ -56,6 +57,7 @@ class KeptReplicas(ABC):
         self._thing_id = thing_id
         self._listed_s = -LIST_SECONDS
         self._lacks = True
+        self._missing_s = MISSING_SECONDS
         self._has_told = False
         self._work: dict[bytes, asyncio.Task[None]] = {}  # by the host of a replica
 
@@ -95,7 +97,7 @@ class KeptReplicas(ABC):
         """Keep the replicas until the host gives the channel or queue up."""
         try:
             while self.is_served():  # paced by the wait for news
-                await self._look()
+                await self.look()
                 with suppress(TimeoutError):
                     async with asyncio.timeout(ROUND_SECONDS):
                         await self._replication.news.wait()
@@ -107,7 +109,8 @@ class KeptReplicas(ABC):
             for task in [*self._work.values()]:
                 task.cancel()
 
-    async def _look(self) -> None:
+    async def look(self) -> None:
+        """Do what is due now. Raises ChannelNotFound and QueueNotFound; logs other errors."""
         try:
             if self.may_serve():
                 await self._round()
@@ -133,7 +136,7 @@ class KeptReplicas(ABC):
     async def _round(self) -> None:
         now_s = asyncio.get_running_loop().time()
         age_s = now_s - self._listed_s
-        if age_s >= (MISSING_SECONDS if self._lacks else LIST_SECONDS) or not self._replication.is_known:
+        if age_s >= (self._missing_s if self._lacks else LIST_SECONDS) or not self._replication.is_known:
             listed = await self._list()
             if listed.owner_host_id != self._host_id or listed.epoch != self.epoch:
                 return  # the store learns of it from its next caller, or from its next registration
@@ -163,12 +166,13 @@ class KeptReplicas(ABC):
         """Add missing replicas, remove surplus ones, and begin those that have no feed."""
         wanted, replicas = self.wanted, listed.replicas
         failure: StampedeError | None = None
+        missing_s, self._missing_s = self._missing_s, MISSING_SECONDS
         if len(replicas) < wanted:
             try:
                 for _ in range(wanted - len(replicas)):
                     await self._directory.add_replica(self._thing_id, self.epoch, acknowledged=self.waits)
             except Unavailable as error:  # no host is left
-                failure = error
+                failure, self._missing_s = error, min(2 * missing_s, LIST_SECONDS)
             replicas = (await self._list()).replicas
         await self._remove(sorted(replicas, key=lambda one: one.known.in_sync)[: max(0, len(replicas) - wanted)])
         for one in replicas:
@@ -239,10 +243,10 @@ class ReplicaKeeper(KeepingTasks):
         """`dial` opens connections to other hosts."""
         super().__init__()
         host_id = identity.host_id
-        store.on_replicated = lambda hosted: self.keep(_KeptChannel(host_id, store, directory, dial, hosted))
+        store.on_replicated = lambda hosted: self.keep(KeptChannel(host_id, store, directory, dial, hosted))
 
 
-class _KeptChannel(KeptReplicas):
+class KeptChannel(KeptReplicas):
     """Keeps the replicas of one channel."""
 
     def __init__(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hmac
 
 KEY_BYTES = 32
+PERMIT_BYTES = 32
 _PURPOSE = b"stampede move"
 
 

@@ -5,8 +5,10 @@ the log, and encodes the response.
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
 
+from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import migration_directory_service_pb2 as pb
-from stampede_rt.v1 import migration_directory_service_pb2_grpc
+from stampede_rt.v1 import migration_directory_service_pb2_grpc, move_pb2
+from stampede_rt_runtime.access.move_permits import PERMIT_BYTES
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.move_kinds import moves_from, releases_from
 from stampede_rt_supernode.codecs.queue_codec import queue_record
@@ -35,6 +37,7 @@ class MigrationDirectoryServicer(migration_directory_service_pb2_grpc.MigrationD
     async def CommitMove(self, request: pb.CommitMoveRequest, context: Context) -> pb.CommitMoveResponse:
         """In a cluster with certificates only the new owner may call this, and the present owner must permit it."""
         self._calls.check_host(context, request.to_host_id)
+        _check_permits(request)
         operation = CommitMove(
             channel_id=request.channel_id,
             epoch=request.epoch,
@@ -49,6 +52,7 @@ class MigrationDirectoryServicer(migration_directory_service_pb2_grpc.MigrationD
     async def CommitMoves(self, request: pb.CommitMovesRequest, context: Context) -> pb.CommitMovesResponse:
         """In a cluster with certificates only the new owner may call this, and the present owners must permit it."""
         self._calls.check_host(context, request.to_host_id)
+        _check_permits(*request.moves)
         operation = CommitMoves(
             to_host_id=request.to_host_id,
             to_boot_incarnation=request.to_boot_incarnation,
@@ -80,6 +84,7 @@ class MigrationDirectoryServicer(migration_directory_service_pb2_grpc.MigrationD
     async def CommitQueueMove(self, request: pb.CommitQueueMoveRequest, context: Context) -> pb.CommitQueueMoveResponse:
         """In a cluster with certificates only the new owner may call this, and the present owner must permit it."""
         self._calls.check_host(context, request.to_host_id)
+        _check_permits(request)
         operation = CommitQueueMove(
             queue_id=request.queue_id,
             epoch=request.epoch,
@@ -89,3 +94,10 @@ class MigrationDirectoryServicer(migration_directory_service_pb2_grpc.MigrationD
         )
         committed = await self._calls.submit(context, operation, QueueMoveCommitted, request.request_id)
         return pb.CommitQueueMoveResponse(queue=queue_record(committed.queue))
+
+
+def _check_permits(*moves: pb.CommitMoveRequest | pb.CommitQueueMoveRequest | move_pb2.MoveToCommit) -> None:
+    """Keep long permits out of the log. Raises InvalidArgument."""
+    for move in moves:
+        if len(move.permit) not in (0, PERMIT_BYTES):
+            raise InvalidArgument(f"the permit of a move has {PERMIT_BYTES} bytes or none, not {len(move.permit)}")
