@@ -118,11 +118,12 @@ class Steps:
 
     def run(self, step: Callable[..., None], *arguments: Any) -> None:
         """Run the step before this call returns, unless the caller interrupts another one. Waits for other threads."""
-        if self._waiting or self.is_interrupted:
+        if self.is_interrupted:
             self._waiting.append(partial(step, *arguments))
-        else:
-            with self._mutex:
-                self._run(step, *arguments)
+            return
+        with self._mutex:
+            self._run_waiting()  # they were offered before
+            self._run(step, *arguments)
         while self._waiting and not self.is_interrupted:
             with self._mutex:
                 self._run_waiting()

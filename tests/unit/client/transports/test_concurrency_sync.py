@@ -5,7 +5,9 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
+from time import sleep
 from types import FrameType
 
 import pytest
@@ -172,3 +174,59 @@ def test_a_signal_wakes_all_waiting_threads_and_each_later_wait_until_it_is_clea
     signals.clear()
     signals.clear()
     assert not signals.wait(0)
+
+
+def test_a_step_whose_caller_a_signal_ends_before_its_turn_never_runs() -> None:
+    """A fixed fault: behind an offered step it was left to another thread, though the put had raised."""
+    steps, seen = Steps(), list[str]()
+    inside, may_end = threading.Event(), threading.Event()
+
+    def slow() -> None:
+        inside.set()
+        may_end.wait(10)
+
+    first = threading.Thread(target=lambda: steps.offer(slow))
+    first.start()
+    assert inside.wait(10)
+    in_a_thread(lambda: steps.offer(seen.append, "offered"))
+    killer = threading.Timer(0.1, signal.pthread_kill, (threading.main_thread().ident, signal.SIGUSR1))
+    killer.start()
+    with pytest.raises(Interrupted):
+        steps.run(seen.append, "of a put that has raised")
+    may_end.set()
+    first.join(10)
+    killer.join(10)
+    steps.run(seen.append, "next")
+    assert seen == ["offered", "next"]
+
+
+def test_a_call_returns_after_its_step_though_another_thread_runs_steps_meanwhile() -> None:
+    """A fixed fault: that thread took the step over, and the call returned during the step."""
+    steps, seen = Steps(), list[str]()
+    inside, may_end, begun = threading.Event(), threading.Event(), threading.Event()
+
+    class Watched(deque[Callable[[], None]]):
+        def append(self, step: Callable[[], None]) -> None:
+            super().append(step)
+            if threading.current_thread() is threading.main_thread():  # loses the interpreter here
+                may_end.set()
+                begun.wait(10)
+
+    def slow() -> None:
+        inside.set()
+        may_end.wait(10)
+
+    def step() -> None:
+        begun.set()
+        sleep(0.05)
+        seen.append("step")
+
+    steps._waiting = Watched()
+    first = threading.Thread(target=lambda: steps.offer(slow))
+    first.start()
+    assert inside.wait(10)
+    in_a_thread(lambda: steps.offer(seen.append, "offered"))
+    threading.Timer(0.1, may_end.set).start()
+    steps.run(step)
+    assert seen == ["offered", "step"]
+    first.join(10)
