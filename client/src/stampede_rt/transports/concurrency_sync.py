@@ -71,32 +71,35 @@ class Signal:
 
     def __init__(self) -> None:
         self._is_set = False
-        self._baton = threading.Lock()  # free if the flag is set; each woken caller passes it on to the next one
-        self._baton.acquire()
+        self._round = object()  # another one after each `set`
+        self._waiting: deque[threading.Lock] = deque()  # one for each waiting caller, who waits until it is released
 
     def set(self) -> None:
-        """Wake all waiting callers."""
-        self._is_set = True
-        with suppress(RuntimeError):  # it is free already
-            self._baton.release()
+        """Wake all waiting callers, also if `clear` follows at once."""
+        self._is_set, self._round = True, object()
+        with suppress(IndexError):  # another thread has woken them
+            for _ in range(len(self._waiting)):
+                self._waiting.popleft().release()
 
     def clear(self) -> None:
         """Make later waits block again."""
         self._is_set = False
-        self._baton.acquire(blocking=False)
-        if self._is_set:  # since the first line
-            self.set()
 
     def wait(self, timeout_s: float | None) -> bool:
-        """Wait until `set`, for at most `timeout_s`. Returns whether it is set."""
-        return wait_in_parts(self._wait, timeout_s)
+        """Wait until `set`, for at most `timeout_s`. Returns whether it is set, or was set meanwhile."""
+        return wait_in_parts(partial(self._wait, self._round), timeout_s)
 
-    def _wait(self, timeout_s: float | None) -> bool:
+    def _wait(self, since: object, timeout_s: float | None) -> bool:
+        woken = threading.Lock()
+        woken.acquire()
+        self._waiting.append(woken)
         try:
-            return self._is_set or self._baton.acquire(timeout=-1 if timeout_s is None else max(timeout_s, 0.0))
+            if not self._is_set and self._round is since:
+                woken.acquire(timeout=-1 if timeout_s is None else max(timeout_s, 0.0))
         finally:
-            if self._is_set:
-                self.set()
+            with suppress(ValueError):  # `set` has taken it
+                self._waiting.remove(woken)
+        return self._is_set or self._round is not since
 
 
 class Steps:

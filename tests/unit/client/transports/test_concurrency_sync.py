@@ -230,3 +230,18 @@ def test_a_call_returns_after_its_step_though_another_thread_runs_steps_meanwhil
     steps.run(step)
     assert seen == ["offered", "step"]
     first.join(10)
+
+
+def test_a_signal_that_is_cleared_at_once_wakes_all_that_wait() -> None:
+    """A fixed fault: it woke one of them."""
+    signals, woken = Signal(), list[bool]()
+    waiting = [threading.Thread(target=lambda: woken.append(signals.wait(10))) for _ in range(5)]
+    for one in waiting:
+        one.start()
+    sleep(0.1)
+    signals.set()
+    signals.clear()
+    for one in waiting:
+        one.join(2)
+    assert woken == [True] * 5
+    assert not signals.wait(0)
