@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -13,6 +15,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.recordings import Recordings
+from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
 from stampede_rt_channel_host.core.archive.seq_starts import start_of
 from stampede_rt_channel_host.core.channel import Offer, Query, ReadAnswer, Run, make_run, run_to_end
 from stampede_rt_channel_host.core.group import Horizon
@@ -240,3 +243,23 @@ async def test_a_move_waits_for_the_store_because_the_new_owner_must_not_repeat_
         recordings.archive = one.archive
         with pytest.raises(Unavailable, match="cannot be used"):
             await recordings.prepare_move(record(2), 5)
+
+
+@pytest.mark.asyncio
+async def test_the_new_owner_gives_the_channel_away_only_once_it_knows_the_former_items(tmp_path: Path) -> None:
+    """A fixed fault: the third owner had the store, but its memory said that no earlier items existed."""
+    store, other = FakeStore(), b"c" * 16
+    await left(tmp_path / "a", store)
+    store.failure = "away"
+    async with host(tmp_path / "b", store) as one:
+        one.clock = SINCE
+        owner = await Owner(one).serve()
+        await owner.put(SINCE + 1)
+        nothing: Any = SimpleNamespace(move_key=b"", name="b")
+        moves = OutgoingMoves(nothing, nothing, nothing, nothing)
+        moves.allowed.allow(owner.hosted.record.channel_id, 2, other)
+        with pytest.raises(Unavailable, match="when this host reaches the store"):
+            moves.check(owner.hosted, other)
+        store.failure = ""
+        await owner.find()
+        moves.check(owner.hosted, other)

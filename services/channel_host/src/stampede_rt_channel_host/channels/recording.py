@@ -199,6 +199,11 @@ class Recording:
         if self._unknown is not None:
             self._unknown.check(self.recorder, query, now, horizon)
 
+    def check_movable(self) -> None:
+        """Raise Unavailable if a new owner could not know that the object store has earlier items."""
+        if self._unknown is not None:
+            raise self._unknown.move_error()
+
     def check_start(self, start: Bound, now: int, horizon: Horizon | None = None) -> None:
         """As `check_known`, for a reader that begins at `start`."""
         self.check_known(Query(interval=Interval(start, start), match=Match.START), now, horizon)

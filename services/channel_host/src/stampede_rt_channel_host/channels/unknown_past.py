@@ -47,6 +47,15 @@ class UnknownPast:
             'within="memory"'
         )
 
+    def move_error(self) -> Unavailable:
+        """The error of a move. The memory of the new owner would say that no items have left it."""
+        return Unavailable(
+            f"the host has taken channel {self._channel.name} over while the object store of its archive was away, so "
+            "it does not know yet which earlier items the store has, and a new owner would not show them; move the "
+            "channel when this host reaches the store",
+            metadata={"channel": self._channel.name},
+        )
+
     def hides(self, recorder: ChannelRecorder, query: Query, now: int, horizon: Horizon | None = None) -> bool:
         """Whether the answer of a read may have items that only the store has."""
         held, _ = self._channel.look(now)

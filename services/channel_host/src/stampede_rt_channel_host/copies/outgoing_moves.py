@@ -48,7 +48,8 @@ class OutgoingMoves:
 
     def check(self, hosted: HostedChannel, host_id: bytes) -> None:
         """Raises PermissionDenied if no caller has allowed the move to that host, MOVE_CONFLICT if the channel cannot
-        move now, Overloaded if too many move, and Unavailable if too few of its replicas are in sync.
+        move now, Overloaded if too many move, and Unavailable if too few of its replicas are in sync, or if this host
+        does not know yet which of its items the object store has.
         """
         record = hosted.record
         self.allowed.check(f"channel {record.name}", record.channel_id, hosted.epoch, host_id)
@@ -56,6 +57,8 @@ class OutgoingMoves:
             raise refusals.move_conflict(hosted.record.name)
         if hosted.replication is not None:
             hosted.replication.check_movable()
+        if hosted.recording is not None:
+            hosted.recording.check_movable()
         self._slots.check(hosted.record)
 
     def over(self, hosted: HostedChannel) -> None:
