@@ -245,3 +245,21 @@ def test_a_signal_that_is_cleared_at_once_wakes_all_that_wait() -> None:
         one.join(2)
     assert woken == [True] * 5
     assert not signals.wait(0)
+
+
+def test_a_waiting_caller_wakes_although_a_signal_handler_has_cleared_the_flag_again() -> None:
+    """A fixed fault: a flush waited for its whole timeout if a signal handler flushed the same producer meanwhile."""
+    signals = Signal()
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        signals.set()
+        signals.clear()
+        assert not signals.wait(0)
+
+    former = signal.signal(signal.SIGALRM, handle)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+        assert signals.wait(5)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, former)
