@@ -211,11 +211,11 @@ class Producer(BoundToProcess):
         """Block until `condition` holds. Replace the stream if it fails meanwhile. Raises DeadlineExceeded."""
         while True:
             self._moved.clear()
-            self._steps.run(self._take_news)  # a signal may have interrupted it
+            is_ready = self._holds(condition)
             left_s = deadline_s - clock.monotonic()
             if self._failure is not None and left_s > 0:
                 self._recover(self._failure, left_s)
-            elif self._failure is None and condition():
+            elif is_ready:
                 return
             else:
                 if left_s <= 0:
@@ -224,6 +224,17 @@ class Producer(BoundToProcess):
                         "in time: it is overloaded, or the channel is full; give a longer timeout, or put less"
                     )
                 self._moved.wait(None if left_s == float("inf") else left_s)
+
+    def _holds(self, condition: Callable[[], bool]) -> bool:
+        """Whether there is no failure and `condition` holds. No other thread counts an ack while this looks."""
+        found: list[bool] = []
+
+        def look() -> None:
+            self._take_news()  # a signal may have interrupted it
+            found.append(self._failure is None and condition())
+
+        self._steps.run(look)
+        return found == [True]
 
     def _recover(self, failure: StampedeError, left_s: float) -> None:
         """Replace a stream that ended with `failure`.

@@ -152,7 +152,11 @@ class Steps:
 
     def _run_waiting(self) -> None:
         while self._waiting and not self.is_interrupted:
-            self._run(self._waiting.popleft())
+            try:
+                step = self._waiting.popleft()
+            except IndexError:  # a signal handler has run the last one
+                return
+            self._run(step)
 
 
 def run_all(operations: Sequence[Callable[[], Result]]) -> list[Result]:

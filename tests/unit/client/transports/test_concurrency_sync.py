@@ -146,6 +146,64 @@ def test_a_step_waits_for_the_step_of_another_thread() -> None:
     assert seen == ["slow", "next"]
 
 
+class Handed(deque[Callable[[], None]]):
+    """Waiting steps. The thread that appends one goes on only after another thread has begun that step."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.appended, self.begun = threading.Event(), threading.Event()
+
+    def append(self, step: Callable[[], None]) -> None:
+        super().append(step)
+        self.appended.set()
+        assert self.begun.wait(10)
+
+
+def test_a_call_returns_after_its_step_also_if_another_thread_runs_the_step() -> None:
+    """A fixed fault: the call returned as soon as another thread had taken its step."""
+    steps, seen, waiting = Steps(), list[str](), Handed()
+    inside = threading.Event()
+
+    def first() -> None:
+        inside.set()
+        assert waiting.appended.wait(10)
+
+    def second() -> None:
+        waiting.begun.set()
+        time.sleep(0.1)  # the calling thread would return meanwhile
+        seen.append("second")
+
+    other = threading.Thread(target=lambda: steps.offer(first))
+    other.start()
+    assert inside.wait(10)
+    steps._waiting = waiting
+    deque.append(waiting, lambda: None)  # so that the next call hands its step over
+    steps.run(second)
+    assert seen == ["second"]
+    other.join(10)
+
+
+class Interrupting(deque[Callable[[], None]]):
+    """Waiting steps. A signal handler runs a step just before the first of them is taken."""
+
+    handle: Callable[[], None] | None = None
+
+    def popleft(self) -> Callable[[], None]:
+        handle, self.handle = self.handle, None
+        if handle is not None:
+            handle()
+        return super().popleft()
+
+
+def test_a_handler_that_runs_all_waiting_steps_leaves_none_to_the_interrupted_call() -> None:
+    """A fixed fault: the interrupted call raised IndexError."""
+    steps, seen, waiting = Steps(), list[str](), Interrupting()
+    steps._waiting = waiting
+    waiting.handle = lambda: steps.run(seen.append, "of the handler")
+    steps.offer(seen.append, "offered")
+    assert seen == ["offered", "of the handler"]
+
+
 def test_a_step_that_a_signal_ends_leaves_the_others_their_turn() -> None:
     steps, seen = Steps(), list[str]()
 

@@ -1,0 +1,101 @@
+"""The blocking producer against a stream whose acks another thread brings."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, cast
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt._sync import producer as producer_module
+from stampede_rt._sync.channel_state import ChannelState
+from stampede_rt._sync.producer import Producer
+from stampede_rt._sync.session import Session
+from stampede_rt.cluster.binding import Binding, BindingCache
+from stampede_rt.status import from_error_message, to_error_message
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.values.model import ChannelInfo, Policy
+from stampede_rt.wire.batching import UnackedRuns
+
+LIMIT_S = 5.0
+
+
+class Place:
+    """A session with one channel at one place, and the stream to it."""
+
+    closed = inherited = False
+    here = None
+
+    def __init__(self) -> None:
+        self.cache, self.endpoints = BindingCache(), self
+        self.on_response: Any = None
+
+    def check_process(self) -> None:
+        return
+
+    def to(self, target: str) -> Place:
+        return self
+
+    def duplex(self, on_response: Any, on_end: Any) -> Place:
+        self.on_response = on_response
+        return self
+
+    def send(self, request: bytes | list[bytes]) -> None:
+        return
+
+    def cancel(self) -> None:
+        return
+
+    def perform(self, state: ChannelState, operation: Any, timeout_s: float = 10.0) -> Any:
+        return operation(Binding(subject_id=b"c", target="there", epoch=1, incarnation=1), timeout_s)
+
+
+class LookedAt(UnackedRuns):
+    """The unacknowledged runs. Each look whether there are some first calls the next one of `looks`."""
+
+    looks: list[Any] | None = None
+
+    def __len__(self) -> int:
+        if self.looks:
+            self.looks.pop(0)()
+        return super().__len__()
+
+
+def refused() -> pb.PutAck:
+    """The ack of the first run, whose only item is refused."""
+    error = to_error_message(st.InvalidArgument("not this one"))
+    return pb.PutAck(first_number=1, items=1, rejections=[pb.PutRejection(error=error)])
+
+
+def test_a_flush_raises_the_refusal_that_another_thread_counts_while_the_flush_looks(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A fixed fault: the flush returned between the end of the last run and the count of its refusals."""
+    info = ChannelInfo.__new__(ChannelInfo)
+    object.__setattr__(info, "channel_id", b"c")
+    object.__setattr__(info, "name", "cam/left")
+    place = Place()
+    producer = Producer(cast(Session, place), ChannelState(info, cast(Policy, None), True))
+    unacked = producer._unacked = LookedAt()
+    producer.put(b"x")
+    has_told, flushed = threading.Event(), threading.Event()
+
+    def slow(error: Any) -> st.StampedeError:
+        has_told.set()
+        flushed.wait(0.2)
+        return from_error_message(error)
+
+    def tell() -> None:
+        place.on_response(pb.PutResponse(acks=[refused()]))
+        has_told.set()
+
+    def looked() -> None:
+        threading.Thread(target=tell).start()
+        assert has_told.wait(LIMIT_S)
+
+    monkeypatch.setattr(producer_module, "from_error_message", slow)
+    unacked.looks = [lambda: None, looked]  # the flush first looks whether there is room
+    with pytest.raises(st.InvalidArgument, match="not this one"):
+        producer.flush(LIMIT_S)
+    assert producer.rejections == 1
