@@ -14,8 +14,6 @@ from stampede_rt_channel_host.archive.recorder import span_of
 from stampede_rt_channel_host.archive.segment_files import SegmentFiles
 from stampede_rt_channel_host.channels.restored_channel import restore_channel
 from stampede_rt_channel_host.core.archive import (
-    HEAD_BYTES,
-    ROW_BYTES,
     ArchivedRead,
     Segment,
     Wanted,
@@ -23,7 +21,7 @@ from stampede_rt_channel_host.core.archive import (
     reaches,
     resolved,
 )
-from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Query, ReadAnswer, run_to_end
+from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Offer, Query, ReadAnswer, run_to_end
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 from tests.unit.channel_host.archive.test_archive_files import decode, opened, write
 
@@ -51,7 +49,7 @@ class Restarted:
         moment, span = self.channel.snapshot(CLOCK), span_of(self.segments)
         within = resolved(moment, span, query)
         assert within is not None
-        if not reaches(moment.look(0)[0], start):
+        if not self.segments or not reaches(moment.look(0)[0], start):
             return self.channel.read(query, CLOCK)
         read = ArchivedRead(moment, span, query, within)
         run_to_end(read.begin())
@@ -75,11 +73,21 @@ def path(tmp_path: Path) -> Path:
 
 
 def flips(former: bytes) -> Iterator[bytes]:
-    """The file with one flipped bit, at many places before the last block."""
-    for at in range(0, former.index(b"11 ") - ROW_BYTES - HEAD_BYTES, 3):
+    """The file with one flipped bit, at many places."""
+    for at in range(0, len(former), 3):
         flipped = bytearray(former)
         flipped[at] ^= 1 << at % 8
         yield bytes(flipped)
+
+
+def check(host: Restarted, last: int) -> None:
+    """Check that a read that lacks items up to the seq `last` says so, whatever its interval and direction."""
+    assert last - len(seqs(host.read(0, last + 1))) in (0, 2), "a flipped bit costs one block"
+    for start in range(0, last + 1, 2):
+        for end, newest_first in ((start + 1, False), (last, False), (last, True)):
+            answer = host.read(start, end, newest_first=newest_first)
+            lacks = set(range(max(1, start), min(end, last) + 1)) - seqs(answer)
+            assert not lacks or answer.reason == "LOST", (start, end, lacks, answer.reason)
 
 
 @pytest.mark.parametrize("restored_bytes", [1, 300, 2**20])
@@ -89,11 +97,32 @@ def test_each_read_that_lacks_items_of_a_damaged_block_says_so(path: Path, resto
         path.write_bytes(flipped)
         path.with_name("stopped-cleanly").write_bytes(note)
         host = Restarted(path.parent, restored_bytes)
-        held = seqs(host.read(0, LAST + 1))
-        assert LAST - len(held) in (0, 2), "a flipped bit costs one block"
-        for start in range(0, LAST + 1, 2):
-            for newest_first in (False, True):
-                answer = host.read(start, LAST, newest_first=newest_first)
-                lacks = set(range(max(1, start), LAST + 1)) - seqs(answer)
-                assert not lacks or answer.reason == "LOST", (lacks, answer.reason)
-        path.write_bytes(former)
+        assert (host.found.damaged_blocks, host.found.torn_bytes) == (1, 0)
+        assert host.channel.next_seq == LAST + 1, "no later item gets the seq of a lost one"
+        check(host, LAST)
+
+
+def test_a_damaged_block_stays_a_loss_when_later_items_and_another_stop_have_come(path: Path) -> None:
+    former, note = path.read_bytes(), path.with_name("stopped-cleanly").read_bytes()
+    for flipped in [*flips(former)][::3]:
+        path.write_bytes(flipped)
+        path.with_name("stopped-cleanly").write_bytes(note)
+        first = Restarted(path.parent)
+        write(first.files, LAST + 1, 1)
+        first.files.close(
+            CleanStop(7, epoch=2, lost_from=first.channel.lost_from, lost_before=first.channel.lost_before)
+        )
+        check(Restarted(path.parent), LAST + 2)
+        for later in {*path.parent.glob("*.segment")} - {path}:
+            later.unlink()
+
+
+def test_an_item_with_the_time_of_the_last_archived_items_hides_none_of_them(path: Path) -> None:
+    host = Restarted(path.parent, restored_bytes=1)
+    held, _ = host.channel.look(CLOCK)
+    edge = held.newest_collected
+    assert edge is not None
+    offer = Offer(times=[edge], durations=None, lengths=[1])
+    assert host.channel.put(offer, CLOCK, lambda first_seq, kept, stamped: b"13 ").run is not None
+    assert seqs(host.read(0, LAST)) == {*range(1, LAST + 2)}
+    assert seqs(host.read(edge, edge)) == {edge, LAST + 1}

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import os
 from base64 import b64decode, b64encode
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from stampede_rt_channel_host.archive.stable_writes import sync_folder
+from stampede_rt_channel_host.core.archive import Segment
 
 _FILE = "stopped-cleanly"
 
@@ -17,7 +19,8 @@ class CleanStop(NamedTuple):
     """The facts about a channel that its items do not have, as of the moment at which its host stopped.
 
     `epoch` and `incarnation` are those of the channel then. `lost_from` and `lost_before` are the bounds of an earlier
-    loss, or None. `retries` is the encoded retry window of the producers.
+    loss, or None. `retries` is the encoded retry window of the producers. The archive had all seqs below `end_seq`, and
+    no item later than `newest`; 0 and None: it is not known. A host that starts thus notices a damaged last block.
     """
 
     incarnation: int
@@ -26,6 +29,14 @@ class CleanStop(NamedTuple):
     lost_before: int | None = None
     retries: bytes = b""
     epoch: int = 0
+    end_seq: int = 0
+    newest: int | None = None
+
+    def at_end(self, segments: Sequence[Segment], epoch: int) -> CleanStop:
+        """The note of a host that stops in this epoch with these segments."""
+        end_seq = max((one.end_seq for one in segments), default=0)
+        newest = max((one.high[0] for one in segments if one.high is not None), default=None)
+        return self._replace(epoch=epoch, end_seq=end_seq, newest=newest)
 
     def is_of(self, incarnation: int, epoch: int) -> bool:
         """Whether the note is still true: since then, no other host and no process without a clean stop has served it.
@@ -53,7 +64,8 @@ def read_stop(folder: Path) -> CleanStop | None:
         stop = CleanStop(**{**facts, "retries": b64decode(facts["retries"])})
     except (FileNotFoundError, ValueError, TypeError, KeyError):
         return None
-    return stop if isinstance(stop.incarnation, int) and isinstance(stop.epoch, int) else None
+    is_sound = all(isinstance(one, int) for one in (stop.incarnation, stop.epoch, stop.end_seq))
+    return stop if is_sound and isinstance(stop.newest, int | None) else None
 
 
 def remove_stop(folder: Path) -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from stampede_rt_channel_host.archive.clean_stop import CleanStop, read_stop, remove_stop, write_stop
 from stampede_rt_channel_host.archive.kept_blocks import FoundBlocks, KeptBlocks
-from stampede_rt_channel_host.archive.segment_folder import SegmentFolder
+from stampede_rt_channel_host.archive.segment_folder import SegmentFolder, reads_of
 from stampede_rt_channel_host.archive.segment_reads import SegmentReads
 from stampede_rt_channel_host.archive.stable_writes import start_flush, sync_folder, write_all
 from stampede_rt_channel_host.core.archive import (
@@ -120,30 +120,32 @@ class SegmentFiles(SegmentReads):
     def open(self, epoch: int, incarnation: int = 0, stored: Sequence[Segment] = ()) -> OpenedArchive:
         """Find the segments, and cut the torn tail off the last one. `epoch`, `incarnation`: of the channel now.
 
-        `stored`: the segments that are only in an object store.
+        After a clean stop nothing can be torn, and a last block that is not whole is a damaged one. `stored`: the
+        segments that are only in an object store.
         """
         self._epoch = epoch
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         stop = read_stop(self._folder)
-        if stop is not None and not stop.is_of(incarnation, epoch):
-            stop = None
-        opened = self._find(stored)
+        opened = self._find(stored, stop)
         remove_stop(self._folder)
-        return opened._replace(stop=None if opened.torn_bytes else stop)
+        is_clean = stop is not None and stop.is_of(incarnation, epoch) and not opened.torn_bytes
+        return opened._replace(stop=stop if is_clean else None)
 
     def open_left(self) -> None:
         """Find the segments of a channel that this host does not serve. The note of a clean stop stays."""
-        self._find(())
+        self._find((), read_stop(self._folder))
 
-    def _find(self, stored: Sequence[Segment]) -> OpenedArchive:
+    def _find(self, stored: Sequence[Segment], stop: CleanStop | None) -> OpenedArchive:
         found, torn_bytes, damaged = [], 0, 0
+        may_be_torn = stop is None or not stop.end_seq
         following: int | None = None
         others, numbers = {one.number: one for one in stored}, self._files.numbers()
         for number in sorted((*numbers, *others), reverse=True):
             if number in others:
                 segment, torn, bad = self._below(others[number], following), 0, 0
             else:
-                segment, torn, bad = self._open_one(number, following, is_last=number == numbers[-1])
+                last = number == numbers[-1]
+                segment, torn, bad = self._open_one(number, following, is_last=last, may_be_torn=last and may_be_torn)
             torn_bytes, damaged = torn_bytes + torn, damaged + bad
             if segment is not None:
                 found.append(segment)
@@ -161,7 +163,9 @@ class SegmentFiles(SegmentReads):
             self._files.remove(segment.number)
         return short
 
-    def _open_one(self, number: int, following: int | None, *, is_last: bool) -> tuple[Segment | None, int, int]:
+    def _open_one(
+        self, number: int, following: int | None, *, is_last: bool, may_be_torn: bool
+    ) -> tuple[Segment | None, int, int]:
         """Open a segment of the folder. `following`: the first seq of the next segment, or None. Blocks from this seq
         on do not count: a write that failed left them behind, and their items were written again.
         """
@@ -169,20 +173,19 @@ class SegmentFiles(SegmentReads):
         file = os.open(path, os.O_RDWR if is_last else os.O_RDONLY)
         try:
             length = os.fstat(file).st_size
-            scanned = scan(lambda offset, size: os.pread(file, size, offset), length, check_contents=is_last)
-            if is_last and scanned.end < length:
+            scanned = scan(reads_of(file), length, check_contents=is_last, may_be_torn=may_be_torn)
+            if scanned.end < length:
                 os.ftruncate(file, scanned.end)
                 os.fsync(file)
         finally:
             os.close(file)
-        torn = length - scanned.end if is_last else 0
         blocks = scanned.blocks if following is None else below(scanned.blocks, length, following)
         segment = summary(number, blocks[-1].end if blocks else 0, blocks)
         if segment is None:
             path.unlink()
         else:
             self._kept.keep(self, number, FoundBlocks(segment.length, SegmentBlocks(blocks)))
-        return segment, torn, len(scanned.damaged)
+        return segment, length - scanned.end, len(scanned.damaged)
 
     def write(
         self, parts: Sequence[Sequence[ArchivedRun] | SeqGap | Advances], limits: ArchiveLimits
@@ -345,7 +348,7 @@ class SegmentFiles(SegmentReads):
         """
         self._end_segment()
         if stop is not None and self._folder.is_dir():
-            write_stop(self._folder, stop._replace(epoch=self._epoch))
+            write_stop(self._folder, stop.at_end(self._segments, self._epoch))
         else:
             with suppress(OSError):  # it has files
                 self._folder.rmdir()

@@ -60,7 +60,7 @@ class SegmentFolder:
     def opened(self, number: int) -> Iterator[ReadAt]:
         """Open a segment: within the context the function reads its bytes."""
         with self.file_of(number).open("rb", buffering=0) as file:
-            yield lambda offset, size: os.pread(file.fileno(), size, offset)
+            yield reads_of(file.fileno())
 
     @contextmanager
     def at_hand(self, number: int) -> Iterator[ReadAt]:
@@ -93,6 +93,11 @@ class SegmentFolder:
                 self.file_of(number).unlink(missing_ok=True)
                 removed += 1
         return removed
+
+
+def reads_of(file: int) -> ReadAt:
+    """Reads an open file."""
+    return lambda offset, size: os.pread(file, size, offset)
 
 
 def _read_at_hand(file: int, offset: int, size: int) -> bytes:

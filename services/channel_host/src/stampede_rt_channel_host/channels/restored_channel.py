@@ -28,14 +28,29 @@ def restore_channel(
     first = segments[0].first_seq if segments else 1
     if after is None and first > 1 and runs:
         after = min(min(run.times) for run in runs) - 1
-    stop, loss = found.stop, (span_of(segments).newest, channel.lost_before)
+    stop, end_seq = found.stop, max((one.end_seq for one in segments), default=1)
     channel.restore(
         runs,
         after=after,
-        next_seq=max((one.end_seq for one in segments), default=1),
-        loss=loss if stop is None else (stop.lost_from, stop.lost_before),
+        next_seq=end_seq if stop is None else max(end_seq, stop.end_seq),
+        loss=_loss(channel, found, end_seq),
         advance=stop.advance if stop is not None and stop.incarnation == channel.incarnation else None,
     )
+
+
+def _loss(channel: ChannelCore, found: OpenedArchive, end_seq: int) -> tuple[int | None, int | None]:
+    """From which instant on, and before which, items may be lost (see `Reading`). `end_seq`: of the segments."""
+    stop, newest = found.stop, span_of(found.segments).newest
+    if stop is None:
+        return newest, channel.lost_before
+    if stop.newest is None or end_seq >= stop.end_seq:
+        return stop.lost_from, stop.lost_before
+    if stop.lost_before is None:  # the head of the last block is damaged
+        return newest, stop.newest + 1
+    lost_before = max(stop.lost_before, stop.newest + 1)
+    if newest is None or stop.lost_from is None:
+        return None, lost_before
+    return min(newest, stop.lost_from), lost_before
 
 
 def _left_to_archive(window: ArchiveWindow) -> int | None:

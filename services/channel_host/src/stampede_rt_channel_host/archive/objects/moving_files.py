@@ -59,7 +59,7 @@ class MovingFiles(SegmentFiles):
         opened = self.open(epoch, incarnation)
         self.stored.forget_known()
         self.is_known = self.is_listed = False
-        return opened
+        return opened._replace(stop=opened.stop and opened.stop._replace(end_seq=0))
 
     def look(self, now: int, seal_nanos: int, limits: ArchiveLimits | None) -> None:
         """Close the open segment if its first item is older than `seal_nanos`. Drop outdated segments; `limits` None:

@@ -39,7 +39,8 @@ class PlacedBlock(NamedTuple):
 class Scan(NamedTuple):
     """The blocks of a segment. `end` is the offset after its last whole block: the bytes after it are a torn tail.
 
-    `damaged` are the stretches of bytes in which no block could be found, and the blocks whose content is damaged.
+    If nothing can be torn, `end` is the end of the file. `damaged` are the stretches of bytes in which no block could
+    be found, and the blocks whose content is damaged.
     """
 
     blocks: Sequence[PlacedBlock]
@@ -65,12 +66,12 @@ class Segment(NamedTuple):
     lacks: int = 0
 
 
-def scan(read_at: ReadAt, length: int, *, check_contents: bool, begin: int = 0) -> Scan:
+def scan(read_at: ReadAt, length: int, *, check_contents: bool, begin: int = 0, may_be_torn: bool = True) -> Scan:
     """All blocks of a segment of `length` bytes, or those from the offset `begin` on.
 
     A block that reaches beyond the end is a torn tail. If a head is damaged, the scan searches for the next head. With
     `check_contents`, last blocks with damaged contents also belong to the torn tail: a host that lost its power may
-    have written only a part of them.
+    have written only a part of them. Without `may_be_torn`, the file was whole once, and everything else is damage.
     """
     blocks: list[PlacedBlock] = []
     damaged: list[tuple[int, int]] = []
@@ -87,8 +88,11 @@ def scan(read_at: ReadAt, length: int, *, check_contents: bool, begin: int = 0) 
         damaged.append((offset, following))
         offset = following
     if check_contents:
-        _cut_torn(blocks, read_at, damaged)
+        _check_contents(blocks, read_at, damaged, may_be_torn=may_be_torn)
     end = blocks[-1].end if blocks else begin
+    if not may_be_torn and end < length:
+        damaged.append((end, length))
+        end = length
     return Scan(blocks, end, [one for one in damaged if one[0] < end])
 
 
@@ -106,10 +110,12 @@ def _next_head(read_at: ReadAt, offset: int, length: int) -> int | None:
     return None
 
 
-def _cut_torn(blocks: list[PlacedBlock], read_at: ReadAt, damaged: list[tuple[int, int]]) -> None:
-    """Remove the last blocks up to the last whole one. Note the damaged blocks before it."""
+def _check_contents(
+    blocks: list[PlacedBlock], read_at: ReadAt, damaged: list[tuple[int, int]], *, may_be_torn: bool
+) -> None:
+    """Note the blocks with damaged contents. With `may_be_torn`, remove the last blocks up to the last whole one."""
     bad = [one for one in blocks if not is_whole(one.head, read_at(one.offset + HEAD_BYTES, one.head.content_bytes))]
-    while blocks and bad and blocks[-1] is bad[-1]:
+    while may_be_torn and blocks and bad and blocks[-1] is bad[-1]:
         blocks.pop()
         bad.pop()
     damaged += [(one.offset, one.end) for one in bad]

@@ -17,7 +17,7 @@ def restore(held: Holdings, runs: Iterable[Run], *, after: int | None, next_seq:
     of the next accepted item.
     """
     if after is not None:
-        held.floor = (after + 1, 0)
+        held.floor = (after, next_seq)  # later items may have the time `after`, too
         held.newest_collected, held.collected_by = after, ARCHIVE
     for run in runs:
         _skip_to(held, run.first_seq)
@@ -37,7 +37,7 @@ def leave_to_archive(held: Holdings, edge: int, backlog: ArchiveBacklog | None, 
     if low is not None and low[0] <= edge:
         return False
     held.outdate(held.oldest_before(edge + 1), AGE, clock)
-    held.floor = max(held.floor, (edge + 1, 0))
+    held.floor = max(held.floor, (edge, held.next_seq))  # later items may have the time `edge`, too
     held.collected_by = ARCHIVE
     held.collected_end = edge + 1 if held.oldest is None else held.oldest
     return True
