@@ -7,7 +7,6 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from time import sleep
 from types import FrameType
 
 import pytest
@@ -146,43 +145,6 @@ def test_a_step_waits_for_the_step_of_another_thread() -> None:
     assert seen == ["slow", "next"]
 
 
-class Handed(deque[Callable[[], None]]):
-    """Waiting steps. The thread that appends one goes on only after another thread has begun that step."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.appended, self.begun = threading.Event(), threading.Event()
-
-    def append(self, step: Callable[[], None]) -> None:
-        super().append(step)
-        self.appended.set()
-        assert self.begun.wait(10)
-
-
-def test_a_call_returns_after_its_step_also_if_another_thread_runs_the_step() -> None:
-    """A fixed fault: the call returned as soon as another thread had taken its step."""
-    steps, seen, waiting = Steps(), list[str](), Handed()
-    inside = threading.Event()
-
-    def first() -> None:
-        inside.set()
-        assert waiting.appended.wait(10)
-
-    def second() -> None:
-        waiting.begun.set()
-        time.sleep(0.1)  # the calling thread would return meanwhile
-        seen.append("second")
-
-    other = threading.Thread(target=lambda: steps.offer(first))
-    other.start()
-    assert inside.wait(10)
-    steps._waiting = waiting
-    deque.append(waiting, lambda: None)  # so that the next call hands its step over
-    steps.run(second)
-    assert seen == ["second"]
-    other.join(10)
-
-
 class Interrupting(deque[Callable[[], None]]):
     """Waiting steps. A signal handler runs a step just before the first of them is taken."""
 
@@ -261,7 +223,7 @@ def test_a_step_whose_caller_a_signal_ends_before_its_turn_never_runs() -> None:
 def test_a_call_returns_after_its_step_though_another_thread_runs_steps_meanwhile() -> None:
     """A fixed fault: that thread took the step over, and the call returned during the step."""
     steps, seen = Steps(), list[str]()
-    inside, may_end, begun = threading.Event(), threading.Event(), threading.Event()
+    inside, may_end, begun, returned = (threading.Event() for _ in range(4))
 
     class Watched(deque[Callable[[], None]]):
         def append(self, step: Callable[[], None]) -> None:
@@ -276,7 +238,7 @@ def test_a_call_returns_after_its_step_though_another_thread_runs_steps_meanwhil
 
     def step() -> None:
         begun.set()
-        sleep(0.05)
+        returned.wait(0.05)
         seen.append("step")
 
     steps._waiting = Watched()
@@ -286,6 +248,7 @@ def test_a_call_returns_after_its_step_though_another_thread_runs_steps_meanwhil
     in_a_thread(lambda: steps.offer(seen.append, "offered"))
     threading.Timer(0.1, may_end.set).start()
     steps.run(step)
+    returned.set()
     assert seen == ["offered", "step"]
     first.join(10)
 
@@ -296,7 +259,8 @@ def test_a_signal_that_is_cleared_at_once_wakes_all_that_wait() -> None:
     waiting = [threading.Thread(target=lambda: woken.append(signals.wait(10))) for _ in range(5)]
     for one in waiting:
         one.start()
-    sleep(0.1)
+        while not is_waiting(one):
+            pass
     signals.set()
     signals.clear()
     for one in waiting:
