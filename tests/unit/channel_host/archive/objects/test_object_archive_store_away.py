@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from stampede_rt._async.session import CALL_TIMEOUT_S
 from stampede_rt.errors import Unavailable
 from stampede_rt_channel_host.archive.objects import former_owners, guarded_store, object_archive, segment_mover
 from stampede_rt_channel_host.archive.objects.segment_store import FoundObject, StoreError
@@ -207,3 +208,8 @@ async def test_the_list_on_the_disk_follows_the_epoch_of_the_channel(tmp_path: P
     async with host(tmp_path, store) as again:
         await again.serve(3)
         assert again.channel.next_seq == 2
+
+
+def test_a_host_without_a_list_decides_while_the_call_of_a_client_still_waits() -> None:
+    """A fixed fault: each call ended before the wait, and the next call began the wait again."""
+    assert object_archive.LISTING_SECONDS_MAX + object_archive.UNKNOWN_SECONDS_MAX <= CALL_TIMEOUT_S - 2

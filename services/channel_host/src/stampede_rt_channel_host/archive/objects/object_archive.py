@@ -23,8 +23,10 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 
 LISTING_SECONDS_MAX = 3.0
 """If a listing takes longer and the disk has a list of the objects, the mover finishes the listing."""
-UNKNOWN_SECONDS_MAX = 7.0
-"""How much longer the host waits for a listing if the disk has no list."""
+UNKNOWN_SECONDS_MAX = 4.0
+"""How much longer the host waits for a listing if the disk has no list. Both waits fit into a call of a client, because
+the wait begins again if the call ends.
+"""
 
 
 class ObjectSettings(NamedTuple):
