@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -59,9 +60,11 @@ class Owner:
         self.recordings = Recordings()
         self.recordings.archive = one.archive
 
-    async def serve(self) -> Owner:
+    async def serve(self, **policy: Any) -> Owner:
+        found = record(self.epoch)
+        found = replace(found, policy=replace(found.policy, **policy))
         self.hosted = await self.recordings.adopt(
-            record(self.epoch), None, lambda one: HostedChannel(one, MemoryBudget(2**30), self.now)
+            found, None, lambda one: HostedChannel(one, MemoryBudget(2**30), self.now)
         )
         assert self.hosted.recording is not None
         self.recording = self.hosted.recording
@@ -127,6 +130,21 @@ async def test_the_new_owner_serves_what_it_has_and_says_what_it_does_not_know_y
         with pytest.raises(Unavailable):
             owner.recording.past_reader()
         assert await owner.times(Query(interval=Interval(Bound(None, SINCE), NOW), match=Match.START))
+
+
+@pytest.mark.asyncio
+async def test_a_read_waits_for_the_store_while_items_of_the_former_owner_may_overlap(tmp_path: Path) -> None:
+    store = FakeStore()
+    store.failure = "away"
+    async with host(tmp_path / "b", store) as one:
+        one.clock = SINCE
+        owner = await Owner(one).serve(overlap_nanos=100)
+        await owner.put(SINCE + 1, SINCE + 200)
+        for time, hidden in ((SINCE + 99, True), (SINCE + 100, False)):
+            query = Query(interval=Interval(Bound(None, time), Bound(None, time)))
+            assert owner.recording.reaches(query, owner.now()) == hidden
+            started = Query(interval=query.interval, match=Match.START)
+            assert not owner.recording.reaches(started, owner.now())
 
 
 @pytest.mark.asyncio

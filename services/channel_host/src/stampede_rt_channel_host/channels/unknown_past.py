@@ -73,7 +73,8 @@ class UnknownPast:
         if not self.is_fresh:
             return reaches(held, min(within.start, last))
         is_begun = oldest is not None and oldest <= min(within.start, last)
-        if within.start >= self._since and (is_begun or query.match is not Match.SPAN):
+        lasting = held.overlap_nanos if query.match is Match.SPAN else 0  # a former item may last for this time
+        if within.start >= self._since + lasting and (is_begun or query.match is not Match.SPAN):
             return False
         return not self._has_latest(held, query, within, last)
 
