@@ -9,6 +9,7 @@ from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
 from stampede_rt_channel_host.core.channel import ChannelCore, run_to_end
+from stampede_rt_channel_host.core.run_outcome import RunOutcome
 
 NOW = 1000
 
@@ -68,3 +69,17 @@ async def test_after_a_move_a_full_channel_refuses_a_put_whose_wait_is_over() ->
     puts.release()
     assert run.ack is not None
     assert [one.index for one in run.ack.rejections] == [1]
+
+
+def test_the_retry_window_has_a_run_without_a_wait_before_its_first_items_are_announced() -> None:
+    """A fixed fault: a replica got the first items of such a run, and learned of the run only with the next change."""
+    known = list[RunOutcome | None]()
+
+    def announced(now: int) -> None:
+        known.append(puts.retries.find(7, 1, 4, now))
+
+    puts = ChannelPuts(a_channel(3), MemoryBudget(2**20), lambda: NOW, announced, lambda: None)
+    ack = puts.put(run_of(4, wait_nanos=0), NOW)
+    assert ack is not None
+    assert (ack.first_seq, [one.index for one in ack.rejections]) == (1, [3])
+    assert [outcome is not None and outcome.is_whole for outcome in known] == [True]

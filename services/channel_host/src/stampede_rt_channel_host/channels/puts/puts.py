@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 from stampede_rt.errors import InvalidArgument, ItemTooLarge, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
@@ -129,11 +129,14 @@ class ChannelPuts:
             return refused(run.first_number, run.items, self._ending, now, self._channel.incarnation)
         is_held = self._overdue is not None
         has_to_wait = is_held or bool(self._waiting_runs)
-        if self._recognise(run, now) or (not has_to_wait and self._claim_and_offer(run, now)):
-            assert run.ack is not None, "a run that does not wait has an ack"
-            return run.ack
-        if run.wait_nanos is not None and run.wait_nanos <= 0 and not is_held:
-            return self._refuse_rest(run, now)
+        may_not_wait = run.wait_nanos is not None and run.wait_nanos <= 0 and not is_held
+        # a run that is accepted in part, and refused otherwise, is announced once its outcome is known, see `_offer`
+        with self.announced_together() if may_not_wait and self._channel.may_block else nullcontext():
+            if self._recognise(run, now) or (not has_to_wait and self._claim_and_offer(run, now)):
+                assert run.ack is not None, "a run that does not wait has an ack"
+                return run.ack
+            if may_not_wait:
+                return self._refuse_rest(run, now)
         if len(self._waiting_runs) >= WAITING_PUTS_MAX:
             raise Overloaded(
                 f"{WAITING_PUTS_MAX} puts wait for room in the channel already, the limit; put again later"
@@ -283,7 +286,10 @@ class ChannelPuts:
         return self._offer(run, now)
 
     def _offer(self, run: IncomingRun, now: int) -> bool:
-        """Offer the rest of the run, whose memory is claimed. Returns True if the run has its ack."""
+        """Offer the rest of the run, whose memory is claimed. Returns True if the run has its ack.
+
+        The retry window has a run with an ack before its items are announced. A replica gets both together.
+        """
         self.check_room(run.charged_bytes)
         outcome = self._channel.put(run.offer, now, run.seal)
         is_done = run.take_outcome(outcome, now)
