@@ -164,7 +164,7 @@ async def test_a_channel_that_ends_or_changes_meanwhile_gets_no_ring(worker: Wor
         with pytest.raises(Unavailable, match="ask again"):
             await reader.ring()
     assert (host.hosted.ring, host.ring_bytes, len(host.rings)) == (None, 0, 0)
-    assert is_closed(worker.made[0].file)
+    await until(lambda: is_closed(worker.made[0].file))
 
 
 async def test_a_reader_that_asks_after_a_change_gets_a_ring_of_its_own(worker: Worker) -> None:
@@ -218,7 +218,7 @@ async def test_a_ring_for_items_that_grow_meanwhile_takes_the_longer_ones(worker
     view = await reader.ring()
     assert [len(one) for one in payloads_in(view)] == [5, 300_000]
     assert [one.size.data_bytes for one in worker.made] == [4 * MIB, 12 * MIB]
-    assert worker.made[0].mapped.closed
+    await until(lambda: worker.made[0].mapped.closed)
     assert host.ring_bytes == worker.made[1].size.whole_bytes
 
 
@@ -297,6 +297,27 @@ async def test_one_item_that_is_too_large_for_every_ring_bars_its_channel_only_w
     assert refused.refusals == ["the channel's items are too large"]
     host.put(*(b"%d" % number for number in range(100)))
     assert payloads_in(await Reader(host).ring())
+
+
+async def test_a_worker_thread_frees_the_memory_of_a_ring(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fixed fault: the event loop stood for milliseconds when a large ring ended, for instance in a put."""
+    close, threads = RingMemory.close, list[threading.Thread]()
+
+    def noted(memory: RingMemory) -> None:
+        threads.append(threading.current_thread())
+        close(memory)
+
+    monkeypatch.setattr(RingMemory, "close", noted)
+    host = Host()
+    host.put(b"0")
+    await Reader(host).ring()
+    assert host.hosted.ring is not None
+    memory = host.hosted.ring.memory
+    host.hosted.close_ring()
+    assert host.ring_bytes == 0
+    await until(lambda: memory.mapped.closed)
+    assert threads
+    assert threading.main_thread() not in threads
 
 
 @pytest.mark.parametrize("error", [None, StampedeError("")])

@@ -97,7 +97,7 @@ class ChannelRing:
             self._writer.close()
             futexes.wake(self._changes_address)
             self._writer.release()
-            self.memory.close()
+            self.memory.close_soon()
             self.ended.set()
             if self.on_closed is not None:
                 self.on_closed()

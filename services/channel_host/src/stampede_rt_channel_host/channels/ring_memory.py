@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import fcntl
 import mmap
 import os
@@ -41,3 +42,10 @@ class RingMemory:
         """Free this process' share of the memory. Release all views before. Idempotent."""
         self.mapped.close()
         self._close_file()
+
+    def close_soon(self) -> None:
+        """As `close`, on a worker thread, because the system takes milliseconds for it. The event loop calls this."""
+        try:
+            asyncio.get_running_loop().run_in_executor(None, self.close)
+        except RuntimeError:  # the loop ends, and gives no thread
+            self.close()

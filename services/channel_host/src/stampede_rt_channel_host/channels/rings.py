@@ -140,7 +140,7 @@ class Rings:
             raise
 
     def _free(self, memory: RingMemory) -> None:
-        memory.close()
+        memory.close_soon()
         self._count(-memory.size.whole_bytes)
 
     def _begin(self, hosted: HostedChannel, memory: RingMemory, fit: RingFit) -> ChannelRing:
