@@ -250,6 +250,21 @@ async def test_a_short_share_gives_a_shorter_ring_and_a_longer_one_when_there_is
     assert host.hosted.ring.fit.data_bytes == 40 * MIB
 
 
+async def test_a_longer_ring_takes_the_runs_for_which_the_short_one_ended() -> None:
+    """A fixed fault: it was for the newest runs only, and the next large item ended it again."""
+    host = Host(bytes_max=8 * MIB * MEMORY_SHARE)
+    host.put(bytes(300_000))
+    reader = Reader(host)
+    await reader.ring()
+    host.put(*(b"%d" % number for number in range(100)))
+    host.memory.bytes_max = 2**30
+    host.rings.review(asyncio.get_running_loop().time() + REVIEW_SECONDS)
+    await reader.serving
+    await Reader(host).ring()
+    assert host.hosted.ring is not None
+    assert host.hosted.ring.fit.data_bytes == 12 * MIB
+
+
 async def test_a_host_without_memory_for_any_ring_refuses_and_gives_one_later() -> None:
     host = Host(bytes_max=MIB * MEMORY_SHARE)
     host.put(bytes(300_000))

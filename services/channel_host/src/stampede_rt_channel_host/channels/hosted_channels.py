@@ -52,7 +52,7 @@ class HostedChannel:
     recording: Recording | None = None
     """The recording of a channel with an archive."""
     refused_run_bytes = 0
-    """The length of the run for which the last ring was too small; 0: there was none since then."""
+    """The length of a run that the next ring should take: the last one was too small, or did not fit; 0: none."""
     ring_making: object = None  # identifies the ring that a worker thread makes for this channel
     registration = 0
     """The number of the host's last registration when the store took `record` over."""

@@ -188,6 +188,7 @@ class Rings:
             longest = max(ring.recent_runs.turn(), newest_run_bytes(hosted.channel))
             best = self._fit_for(longest, ring.memory.size.whole_bytes)
             if best is not None and not ring.fit.suits(best):
+                hosted.refused_run_bytes = longest  # the next ring takes such a run, too
                 hosted.close_ring()
 
     def _drop_unused(self, ring: ChannelRing) -> None:
