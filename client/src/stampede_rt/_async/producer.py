@@ -124,7 +124,7 @@ class Producer(BoundToProcess):
             self._interrupting_bytes = 0
             while self._is_down() or not self._builder.fits(payload, instant, attributes, kind):
                 await self._send(deadline_s)
-        self._steps.run(self._add, payload, instant, nanos, attributes, kind)
+        self._do(self._add, payload, instant, nanos, attributes, kind)
 
     async def flush(self, timeout: float | None = CALL_TIMEOUT_S) -> None:
         """Block until the host has accepted or refused every item. Then raise the first refusal, if there is one.
@@ -177,12 +177,20 @@ class Producer(BoundToProcess):
         if self._stream is None and self._failure is None:  # without a stream no ack makes room
             await self._open(max(min(deadline_s - clock.monotonic(), CALL_TIMEOUT_S), 0.0))
         await self._until(self._has_room, deadline_s)
-        self._steps.run(self._send_filled)
+        self._do(self._send_filled)
 
     async def _send_all(self, deadline_s: float = float("inf")) -> None:
         """Finish the run under construction as soon as there is room, and send all gathered runs."""
         await self._send(deadline_s)
-        self._steps.run(lambda: self._write(self._unacked.take_gathered()))
+        self._do(lambda: self._write(self._unacked.take_gathered()))
+
+    def _do(self, step: Callable[..., None], *arguments: Any) -> None:
+        """Run a step. If a signal ends it, a later call sends all unacknowledged runs again over another stream."""
+        try:
+            self._steps.run(step, *arguments)
+        except BaseException:
+            self._failure = self._failure or Unavailable("a signal handler has interrupted a put; put again")
+            raise
 
     def _is_down(self) -> bool:
         return self._stream is None or self._failure is not None

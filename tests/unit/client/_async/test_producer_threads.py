@@ -30,6 +30,8 @@ class Place:
     def __init__(self) -> None:
         self.cache, self.endpoints = BindingCache(), self
         self.on_response: Any = None
+        self.streams = 0
+        self.errors: list[BaseException] = []  # of the next sends
 
     def check_process(self) -> None:
         return
@@ -39,10 +41,14 @@ class Place:
 
     def duplex(self, on_response: Any, on_end: Any) -> Place:
         self.on_response = on_response
+        self.streams += 1
         return self
 
     def send(self, request: bytes | list[bytes]) -> None:
-        return
+        if self.errors and isinstance(request, list):
+            raise self.errors.pop()
+        if isinstance(request, list) and self.streams > 1:
+            self.on_response(pb.PutResponse(acks=[pb.PutAck(first_number=1, items=1)]))
 
     def cancel(self) -> None:
         return
@@ -62,6 +68,13 @@ class LookedAt(UnackedRuns):
         return super().__len__()
 
 
+def producer_at(place: Place) -> Producer:
+    info = ChannelInfo.__new__(ChannelInfo)
+    object.__setattr__(info, "channel_id", b"c")
+    object.__setattr__(info, "name", "cam/left")
+    return Producer(cast(Session, place), ChannelState(info, cast(Policy, None), True))
+
+
 def refused() -> pb.PutAck:
     """The ack of the first run, whose only item is refused."""
     error = to_error_message(st.InvalidArgument("not this one"))
@@ -72,11 +85,8 @@ def test_a_flush_raises_the_refusal_that_another_thread_counts_while_the_flush_l
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A fixed fault: the flush returned between the end of the last run and the count of its refusals."""
-    info = ChannelInfo.__new__(ChannelInfo)
-    object.__setattr__(info, "channel_id", b"c")
-    object.__setattr__(info, "name", "cam/left")
     place = Place()
-    producer = Producer(cast(Session, place), ChannelState(info, cast(Policy, None), True))
+    producer = producer_at(place)
     unacked = producer._unacked = LookedAt()
     producer.put(b"x")
     has_told, flushed = threading.Event(), threading.Event()
@@ -99,3 +109,14 @@ def test_a_flush_raises_the_refusal_that_another_thread_counts_while_the_flush_l
     with pytest.raises(st.InvalidArgument, match="not this one"):
         producer.flush(LIMIT_S)
     assert producer.rejections == 1
+
+
+def test_a_run_whose_sending_a_signal_has_ended_is_sent_again() -> None:
+    """A fixed fault: after Ctrl-C in a put, the next flush waited for an ack of a run that was not sent."""
+    place = Place()
+    producer = producer_at(place)
+    place.errors.append(KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        producer.put(b"x")
+    producer.flush(LIMIT_S)
+    assert (place.streams, producer.accepted) == (2, 1)
