@@ -121,12 +121,18 @@ class Steps:
 
     def run(self, step: Callable[..., None], *arguments: Any) -> None:
         """Run the step before this call returns, unless the caller interrupts another one. Waits for other threads."""
-        if self.is_interrupted:
+        thread = threading.get_ident()
+        if self._runner == thread:
             self._waiting.append(partial(step, *arguments))
             return
         with self._mutex:
-            self._run_waiting()  # they were offered before
-            self._run(step, *arguments)
+            if self._waiting:
+                self._run_waiting()  # they were offered before
+            try:  # as `_run`, without another call: each item of a producer takes a step
+                self._runner = thread
+                step(*arguments)
+            finally:
+                self._runner = 0
         while self._waiting and not self.is_interrupted:
             with self._mutex:
                 self._run_waiting()
