@@ -241,6 +241,12 @@ MUTANTS = (
         noticed_by="tests/robustness/moves/test_several_at_once.py",
     ),
     Mutant(
+        name="a_broken_stream_is_used_for_the_next_move",
+        file=f"{HOST}/copies/incoming_moves.py",
+        edits=(("            if stream.is_new or feed.is_opened:\n", "            if True:\n"),),
+        noticed_by="tests/robustness/moves/test_streams_of_moves.py",
+    ),
+    Mutant(
         name="a_release_at_any_epoch",
         file=f"{SUPERNODE}/core/moves/several.py",
         edits=(("(channel.host_id, channel.epoch) == (host_id, move.epoch)", "channel.host_id == host_id"),),

@@ -97,11 +97,13 @@ class RawSubscribeResponse(_message.Message):
     def __init__(self, opened: _Optional[_Union[_channel_service_pb2.SubscriptionOpened, _Mapping]] = ..., gap: _Optional[_Union[_channel_service_pb2.SubscriptionGap, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[RawDeliveredRun, _Mapping]]] = ..., progress: _Optional[_Union[_channel_service_pb2.SubscriptionProgress, _Mapping]] = ...) -> None: ...
 
 class RawFeedResponse(_message.Message):
-    __slots__ = ("opened", "state", "runs")
+    __slots__ = ("opened", "state", "runs", "move_over")
     OPENED_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     RUNS_FIELD_NUMBER: _ClassVar[int]
+    MOVE_OVER_FIELD_NUMBER: _ClassVar[int]
     opened: _replica_service_pb2.FeedOpened
     state: _replica_service_pb2.FeedState
     runs: _containers.RepeatedCompositeFieldContainer[RawDeliveredRun]
-    def __init__(self, opened: _Optional[_Union[_replica_service_pb2.FeedOpened, _Mapping]] = ..., state: _Optional[_Union[_replica_service_pb2.FeedState, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[RawDeliveredRun, _Mapping]]] = ...) -> None: ...
+    move_over: bool
+    def __init__(self, opened: _Optional[_Union[_replica_service_pb2.FeedOpened, _Mapping]] = ..., state: _Optional[_Union[_replica_service_pb2.FeedState, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[RawDeliveredRun, _Mapping]]] = ..., move_over: bool = ...) -> None: ...

@@ -48,7 +48,7 @@ class FeedRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[FeedOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., sent_nanos: _Optional[int] = ..., subscriptions: _Optional[int] = ..., ready: bool = ..., hold: bool = ..., committed_epoch: _Optional[int] = ..., released: bool = ..., held_next_seq: _Optional[int] = ...) -> None: ...
 
 class FeedOpen(_message.Message):
-    __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts", "move_id")
+    __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts", "move_id", "another_may_follow")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
@@ -56,6 +56,7 @@ class FeedOpen(_message.Message):
     PLACE_FIELD_NUMBER: _ClassVar[int]
     OWNER_FACTS_FIELD_NUMBER: _ClassVar[int]
     MOVE_ID_FIELD_NUMBER: _ClassVar[int]
+    ANOTHER_MAY_FOLLOW_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     host_id: bytes
@@ -63,7 +64,8 @@ class FeedOpen(_message.Message):
     place: FeedPlace
     owner_facts: bool
     move_id: bytes
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ..., owner_facts: bool = ..., move_id: _Optional[bytes] = ...) -> None: ...
+    another_may_follow: bool
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ..., owner_facts: bool = ..., move_id: _Optional[bytes] = ..., another_may_follow: bool = ...) -> None: ...
 
 class FeedPlace(_message.Message):
     __slots__ = ("incarnation", "next_seq", "floor_resets", "owner_until_unix_nano", "owner_epoch")
@@ -80,14 +82,16 @@ class FeedPlace(_message.Message):
     def __init__(self, incarnation: _Optional[int] = ..., next_seq: _Optional[int] = ..., floor_resets: _Optional[int] = ..., owner_until_unix_nano: _Optional[int] = ..., owner_epoch: _Optional[int] = ...) -> None: ...
 
 class FeedResponse(_message.Message):
-    __slots__ = ("opened", "state", "runs")
+    __slots__ = ("opened", "state", "runs", "move_over")
     OPENED_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     RUNS_FIELD_NUMBER: _ClassVar[int]
+    MOVE_OVER_FIELD_NUMBER: _ClassVar[int]
     opened: FeedOpened
     state: FeedState
     runs: _containers.RepeatedCompositeFieldContainer[_item_pb2.DeliveredRun]
-    def __init__(self, opened: _Optional[_Union[FeedOpened, _Mapping]] = ..., state: _Optional[_Union[FeedState, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ...) -> None: ...
+    move_over: bool
+    def __init__(self, opened: _Optional[_Union[FeedOpened, _Mapping]] = ..., state: _Optional[_Union[FeedState, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., move_over: bool = ...) -> None: ...
 
 class FeedOpened(_message.Message):
     __slots__ = ("begins_anew", "lost_before_unix_nano", "lost_from_unix_nano", "former")

@@ -30,7 +30,7 @@ class Rig:
         record: Any = SimpleNamespace(channel_id=b"c" * 16, name="c")
         state = CopyState(steady_nanos=lambda: self.clock.boot_nanos)
         self.feed = CopyFeed(store, record, state, b"h" * 16, "localhost:1", owner_facts=True)
-        self.feed._is_opened = True
+        self.feed.is_opened = True
         self.feed._request()
 
     def hears(self, charge_bytes: int = 0) -> bool:

@@ -57,7 +57,8 @@ class CopyFeed:
         self._bytes_per_second = bytes_per_second
         self._owner_facts = owner_facts
         self._period_s = REPLICA_REQUEST_SECONDS if owner_facts else REQUEST_SECONDS
-        self._granted, self._grant_bytes = window_bytes, window_bytes // GRANTS
+        self._window_bytes, self._grant_bytes = window_bytes, window_bytes // GRANTS
+        self._granted = 0
         self._sent_nanos = 0  # the copy's clock in the last request
         self._reported_seq = 0  # the seq up to which the last request has said that this host holds everything
         self._news = asyncio.Event()
@@ -65,16 +66,22 @@ class CopyFeed:
         self._owes_request = False  # after this message of the source, a request is due at once
         self._turn = asyncio.Lock()  # of the requests
         self._may_grant_s = 0.0  # the time at which the copy may grant more, because of `bytes_per_second`
-        self._is_opened = False  # the source has accepted the copy's place
+        self.is_opened = False  # the source has accepted the copy's place
 
     async def run(self, source: FeedSource, channel: grpc.aio.Channel) -> None:
         """Feed the copy until the stream breaks. Raises the error that broke it."""
-        call = channel.stream_stream(
-            METHOD,
-            request_serializer=pb.FeedRequest.SerializeToString,
-            response_deserializer=raw_run_pb2.RawFeedResponse.FromString,
-        )()
-        self._state.source_host_id = source.host_id
+        call = feed_over(channel)
+        try:
+            await self.run_over(call, source)
+        finally:
+            call.cancel()
+
+    async def run_over(self, call: Any, source: FeedSource) -> None:
+        """Feed the copy over a stream that no other feed uses now. Returns when the move that the feed is for is over.
+
+        Raises the error that broke the stream. The caller ends the stream.
+        """
+        self._state.source_host_id, self._granted = source.host_id, self._window_bytes
         try:
             async with asyncio.timeout(BROKEN_AFTER_SECONDS):
                 await call.write(self._request(self._opening(source)))
@@ -82,13 +89,12 @@ class CopyFeed:
             async with asyncio.TaskGroup() as sides:
                 writing = sides.create_task(self._write_all(call.write))
                 await self._read_all(call, source)
-                writing.cancel()
+                async with self._turn:  # gRPC would end a stream in which a write is cancelled
+                    writing.cancel()
         except BaseExceptionGroup as group:
             raise _plain(first_failure(group), source.target) from group
         except (grpc.RpcError, asyncio.InvalidStateError, TimeoutError) as error:
             raise _plain(error, source.target) from error
-        finally:
-            call.cancel()
 
     def _opening(self, source: FeedSource) -> pb.FeedOpen:
         held = self._held()
@@ -109,7 +115,7 @@ class CopyFeed:
     def _request(self, opening: pb.FeedOpen | None = None, *, grants: bool = True) -> pb.FeedRequest:
         held, granted = self._held(), self._granted if grants else 0
         self._granted -= granted
-        self._reported_seq = held.channel.next_seq if self._is_opened and held is not None else 0
+        self._reported_seq = held.channel.next_seq if self.is_opened and held is not None else 0
         return pb.FeedRequest(
             open=opening,
             credit_bytes=granted,
@@ -161,6 +167,8 @@ class CopyFeed:
         while hasattr(response := await call.read(), "state"):  # gRPC's EOF has no fields
             self._heard_s = loop.time()
             await self._take(response)
+            if response.move_over:
+                return
             if self._owes_request:
                 await self._answer(call.write)
             if isinstance(call, HostStream):
@@ -202,7 +210,7 @@ class CopyFeed:
         if response.HasField("opened"):
             opened = response.opened
             self._begin(state, begins_anew=opened.begins_anew, losses=losses_of(opened))
-            self._is_opened = True
+            self.is_opened = True
         elif state.HasField("channel"):
             self._update(self._record_of(state))
 
@@ -280,6 +288,15 @@ class CopyFeed:
             self._owes_request = True  # puts wait until the replica reports this part
         self._granted += charge_bytes
         self._owes_request |= self._granted >= self._grant_bytes
+
+
+def feed_over(channel: grpc.aio.Channel) -> Any:
+    """A new stream for feeds over a connection to the source."""
+    return channel.stream_stream(
+        METHOD,
+        request_serializer=pb.FeedRequest.SerializeToString,
+        response_deserializer=raw_run_pb2.RawFeedResponse.FromString,
+    )()
 
 
 def _core(held: HostedChannel) -> FedChannel:

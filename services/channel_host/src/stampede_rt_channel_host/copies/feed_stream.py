@@ -68,7 +68,7 @@ class FeedStream:
         self._lag = LagWatch()
         self._moves = moves
         self._move: OutgoingMove | None = None
-        self._has_handed_off = False
+        self._has_handed_off = self._is_released = False
 
     def wake(self) -> None:
         """Note that the channel has changed. Sends the change in this turn of the event loop if the copy has all else.
@@ -85,24 +85,17 @@ class FeedStream:
         if self._move is None or not self._move.is_committed:
             self._stream.end(error)
 
-    async def run(self, request: pb.FeedRequest) -> None:
-        """Feed the copy until the stream ends. `request` is the first request of the stream, and names the copy's host.
+    async def run(self, request: pb.FeedRequest) -> bool:
+        """Feed the copy until the stream or the move ends. `request` has `open`, which names the copy's host.
 
-        Raises InvalidArgument, StaleBinding, Unavailable if this host is itself a copy that is behind, and Overloaded
-        if the channel has too many feeds or the copy takes nothing.
+        Returns whether the caller may begin another move in this stream. Raises InvalidArgument, StaleBinding,
+        Unavailable if this host is itself a copy that is behind, and Overloaded if the channel has too many feeds or
+        the copy takes nothing.
         """
         opening = request.open
-        hosted = await self._store.bind_for_feed(opening.channel_id, opening.epoch)  # perhaps no caller has used it yet
+        hosted = await self._checked(opening)
         if hosted.fed is None:
             hosted.fed = FedCopies()
-        if len([*hosted.fed]) >= FEEDS_MAX:
-            raise Overloaded(f"channel {hosted.record.name} has {FEEDS_MAX} feeds, the limit; end some")
-        if opening.owner_facts and hosted.copy is not None:
-            raise refusals.copy_cannot(hosted.record.name, "does not know the facts that only the owner has")
-        if opening.move_id:
-            self._moves.check(
-                hosted, opening.host_id
-            )  # first, because the feed of a replica that begins anew clears its flag
         feed = await self._begin(hosted, opening)
         copy = FedCopy(
             opening.host_id,
@@ -116,10 +109,12 @@ class FeedStream:
             hosted.fed.add(copy)
         self._observe(hosted, opening, feed)
         self._take(request, hosted, copy)
-        answer_at_once(self._context, partial(self._take_at_once, hosted, copy, feed))
+        if self._move is None:  # the stream would keep this object beyond the end of a move
+            answer_at_once(self._context, partial(self._take_at_once, hosted, copy, feed))
         reading = self._stream.spawn(self._read(hosted, copy, feed))
         try:
             await self._serve(hosted, feed)
+            return await self._is_free(opening)
         finally:
             reading.cancel()
             feed.close()
@@ -129,6 +124,18 @@ class FeedStream:
             hosted.fed.discard(copy)
             if self._move is not None:
                 self._move.feed_ended()
+
+    async def _checked(self, opening: pb.FeedOpen) -> HostedChannel:
+        """The channel of a feed. Raises the errors of `run`."""
+        hosted = await self._store.bind_for_feed(opening.channel_id, opening.epoch)  # perhaps no caller has used it yet
+        if len([*(hosted.fed or ())]) >= FEEDS_MAX:
+            raise Overloaded(f"channel {hosted.record.name} has {FEEDS_MAX} feeds, the limit; end some")
+        if opening.owner_facts and hosted.copy is not None:
+            raise refusals.copy_cannot(hosted.record.name, "does not know the facts that only the owner has")
+        if opening.move_id:
+            # first, because the feed of a replica that begins anew clears its flag
+            self._moves.check(hosted, opening.host_id)
+        return hosted
 
     async def _begin(self, hosted: HostedChannel, opening: pb.FeedOpen) -> ChannelFeed:
         """The feed at the copy's place. A replica gets all accepted items. Other copies get the items that readers see.
@@ -170,14 +177,14 @@ class FeedStream:
                 raise InvalidArgument("the stream is open already; leave `open` out after the first request")
             self._take(request, hosted, copy)
             self._report(request, feed)
+            if self._is_released:
+                return  # the next request may begin another move
         self._credit.end()
 
     def _take_at_once(
         self, hosted: HostedChannel, copy: FedCopy, feed: ChannelFeed, raw: bytes | memoryview, _write: object
     ) -> bool:
         """Take a request in the turn of the event loop in which it comes, because puts wait for it."""
-        if self._move is not None:
-            return False
         request: pb.FeedRequest = parse(pb.FeedRequest, bytes(raw), "FeedRequest")
         if request.HasField("open"):
             return False
@@ -209,7 +216,15 @@ class FeedStream:
             move.committed(request.committed_epoch)
         if request.released:
             move.released()
+            self._is_released = True
             self._credit.end()  # ends the feed
+
+    async def _is_free(self, opening: pb.FeedOpen) -> bool:
+        """Whether the move is over, and the caller may have another one. Then tells the caller."""
+        is_free = self._is_released and opening.another_may_follow
+        if is_free:
+            await self._write(pb.FeedResponse(move_over=True).SerializeToString())
+        return is_free
 
     async def _greet(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
         opened = opened_to(self._source.losses, begins_anew=feed.begins_anew or self._begins_anew)

@@ -24,6 +24,7 @@ from stampede_rt_channel_host.copies.keeper import CopyKeeper
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.move_feed import MoveFeed
 from stampede_rt_channel_host.copies.move_slots import MoveSlots
+from stampede_rt_channel_host.copies.move_streams import MoveStream, MoveStreams
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.records import RecordedChannel
 
@@ -57,7 +58,7 @@ class IncomingMoves:
         self._store = store
         self._directory = directory
         self._keeper = keeper
-        self._dial = dial
+        self._streams = MoveStreams(dial)
         self._bytes_per_second = bytes_per_second
         self._moves: dict[bytes, asyncio.Task[Moved]] = {}  # by channel
         self._slots = MoveSlots(f"to host {identity.name}")
@@ -101,6 +102,7 @@ class IncomingMoves:
         for move in moves:
             move.cancel()
         await asyncio.gather(*moves, return_exceptions=True)
+        await self._streams.aclose()
 
     async def _move(self, record: RecordedChannel, source: FeedSource) -> Moved:
         state = self._keeper.pause(record.channel_id)
@@ -108,16 +110,32 @@ class IncomingMoves:
             self._store, record, state, self._identity.host_id, self._keeper.target, self._bytes_per_second,
             WINDOW_BYTES if self._slots.under_way <= WIDE_WINDOWS_MAX else NARROW_WINDOW_BYTES,
         )  # fmt: skip
-        channel = self._dial(source.target)
-        feeding = asyncio.create_task(feed.run(source, channel), name=f"feed of {record.name}")
+        feeding = asyncio.create_task(self._feed(feed, source), name=f"feed of {record.name}")
         try:
             return await self._take_over(record, source, state, feed, feeding)
         finally:
             feeding.cancel()
             await asyncio.gather(feeding, return_exceptions=True)
-            await channel.close(None)
             self._keeper.resume(record, state)
             self._store.recordings.give_up(record.channel_id)
+
+    async def _feed(self, feed: MoveFeed, source: FeedSource) -> None:
+        """Feed the copy until the move is over. A stream of earlier moves may have broken; then uses a new one."""
+        stream = self._streams.free(source.target)
+        try:
+            await self._feed_over(stream, feed, source)
+        except Unavailable:
+            if stream.is_new or feed.is_opened:
+                raise
+            await self._feed_over(self._streams.new(source.target), feed, source)
+
+    async def _feed_over(self, stream: MoveStream, feed: MoveFeed, source: FeedSource) -> None:
+        is_free = False
+        try:
+            await feed.run_over(stream.call, source)
+            is_free = True
+        finally:
+            await self._streams.give_back(stream, is_free=is_free)
 
     async def _take_over(
         self, record: RecordedChannel, source: FeedSource, state: CopyState, feed: MoveFeed, feeding: asyncio.Task[None]

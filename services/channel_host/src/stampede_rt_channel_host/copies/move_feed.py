@@ -51,7 +51,7 @@ class MoveFeed(CopyFeed):
 
     def _opening(self, source: FeedSource) -> pb.FeedOpen:
         opening = super()._opening(source)
-        opening.move_id = secrets.token_bytes(16)
+        opening.move_id, opening.another_may_follow = secrets.token_bytes(16), True
         return opening
 
     def _request(self, opening: pb.FeedOpen | None = None, *, grants: bool = True) -> pb.FeedRequest:
@@ -64,8 +64,15 @@ class MoveFeed(CopyFeed):
         """Leave all messages to `_take`: no put waits for a move."""
         return False
 
+    def _note(self, state: pb.FeedState, charge_bytes: int) -> None:
+        """Leave the report that the copy has caught up to `hold`, which follows, unless replicas wait for it."""
+        was_caught_up = self._state.caught_up
+        super()._note(state, charge_bytes)
+        if self._state.caught_up and not was_caught_up and not self._record.policy.replicas:
+            self._owes_request = False
+
     async def _take(self, response: raw_run_pb2.RawFeedResponse) -> None:
-        if self.handoff.done():  # the copy has become the owner, or soon will; the rest are signs of life
+        if self.handoff.done():  # the copy has become the owner, or soon will; the rest are signs of life, and the end
             return
         await super()._take(response)
         if response.state.HasField("handoff"):
