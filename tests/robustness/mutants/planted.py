@@ -241,6 +241,12 @@ MUTANTS = (
         noticed_by="tests/robustness/moves/test_several_at_once.py",
     ),
     Mutant(
+        name="a_refused_move_of_a_drain_counts_as_moved",
+        file=f"{HOST}/copies/drain_requests.py",
+        edits=(('            if outcome.HasField("error"):', "            if False:"),),
+        noticed_by="tests/unit/channel_host/copies/test_draining.py",
+    ),
+    Mutant(
         name="a_broken_stream_is_used_for_the_next_move",
         file=f"{HOST}/copies/incoming_moves.py",
         edits=(("            if stream.is_new or feed.is_opened:\n", "            if True:\n"),),

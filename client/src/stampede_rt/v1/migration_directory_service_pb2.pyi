@@ -1,4 +1,5 @@
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
+from stampede_rt.v1 import directory_pb2 as _directory_pb2
 from stampede_rt.v1 import move_pb2 as _move_pb2
 from stampede_rt.v1 import queue_pb2 as _queue_pb2
 from google.protobuf.internal import containers as _containers
@@ -72,6 +73,20 @@ class ListReleasedMovesResponse(_message.Message):
     CHANNEL_IDS_FIELD_NUMBER: _ClassVar[int]
     channel_ids: _containers.RepeatedScalarFieldContainer[bytes]
     def __init__(self, channel_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
+
+class ListOwnersRequest(_message.Message):
+    __slots__ = ("channel_ids",)
+    CHANNEL_IDS_FIELD_NUMBER: _ClassVar[int]
+    channel_ids: _containers.RepeatedScalarFieldContainer[bytes]
+    def __init__(self, channel_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
+
+class ListOwnersResponse(_message.Message):
+    __slots__ = ("channels", "hosts")
+    CHANNELS_FIELD_NUMBER: _ClassVar[int]
+    HOSTS_FIELD_NUMBER: _ClassVar[int]
+    channels: _containers.RepeatedCompositeFieldContainer[_channel_pb2.ChannelRecord]
+    hosts: _containers.RepeatedCompositeFieldContainer[_directory_pb2.HostRecord]
+    def __init__(self, channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., hosts: _Optional[_Iterable[_Union[_directory_pb2.HostRecord, _Mapping]]] = ...) -> None: ...
 
 class CommitQueueMoveRequest(_message.Message):
     __slots__ = ("request_id", "queue_id", "epoch", "to_host_id", "to_boot_incarnation", "permit")

@@ -55,6 +55,11 @@ class MigrationDirectoryServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListReleasedMovesRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListReleasedMovesResponse.FromString,
                 _registered_method=True)
+        self.ListOwners = channel.unary_unary(
+                '/stampede_rt.v1.MigrationDirectoryService/ListOwners',
+                request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListOwnersRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListOwnersResponse.FromString,
+                _registered_method=True)
         self.CommitQueueMove = channel.unary_unary(
                 '/stampede_rt.v1.MigrationDirectoryService/CommitQueueMove',
                 request_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.CommitQueueMoveRequest.SerializeToString,
@@ -108,6 +113,14 @@ class MigrationDirectoryServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def ListOwners(self, request, context):
+        """Between hosts and supernodes only: as DirectoryService.ResolveChannel, for several channels that are to move. Channels
+        that do not exist are not in the answer. Errors: INVALID_ARGUMENT.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def CommitQueueMove(self, request, context):
         """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
         the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
@@ -142,6 +155,11 @@ def add_MigrationDirectoryServiceServicer_to_server(servicer, server):
                     servicer.ListReleasedMoves,
                     request_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListReleasedMovesRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListReleasedMovesResponse.SerializeToString,
+            ),
+            'ListOwners': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListOwners,
+                    request_deserializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListOwnersRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListOwnersResponse.SerializeToString,
             ),
             'CommitQueueMove': grpc.unary_unary_rpc_method_handler(
                     servicer.CommitQueueMove,
@@ -258,6 +276,33 @@ class MigrationDirectoryService(object):
             '/stampede_rt.v1.MigrationDirectoryService/ListReleasedMoves',
             stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListReleasedMovesRequest.SerializeToString,
             stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListReleasedMovesResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListOwners(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.MigrationDirectoryService/ListOwners',
+            stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListOwnersRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_migration__directory__service__pb2.ListOwnersResponse.FromString,
             options,
             channel_credentials,
             insecure,

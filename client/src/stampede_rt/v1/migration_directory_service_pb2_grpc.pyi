@@ -59,6 +59,10 @@ class MigrationDirectoryServiceStub:
     """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that it
     can drop their items. It reads no more than that. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
     """
+    ListOwners: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListOwnersRequest, _migration_directory_service_pb2.ListOwnersResponse]
+    """Between hosts and supernodes only: as DirectoryService.ResolveChannel, for several channels that are to move. Channels
+    that do not exist are not in the answer. Errors: INVALID_ARGUMENT.
+    """
     CommitQueueMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitQueueMoveRequest, _migration_directory_service_pb2.CommitQueueMoveResponse]
     """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
     the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
@@ -98,6 +102,10 @@ class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
     ListReleasedMoves: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListReleasedMovesRequest, _migration_directory_service_pb2.ListReleasedMovesResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that it
     can drop their items. It reads no more than that. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
+    """
+    ListOwners: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListOwnersRequest, _migration_directory_service_pb2.ListOwnersResponse]  # type: ignore[assignment]
+    """Between hosts and supernodes only: as DirectoryService.ResolveChannel, for several channels that are to move. Channels
+    that do not exist are not in the answer. Errors: INVALID_ARGUMENT.
     """
     CommitQueueMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitQueueMoveRequest, _migration_directory_service_pb2.CommitQueueMoveResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
@@ -159,6 +167,16 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_migration_directory_service_pb2.ListReleasedMovesResponse, _abc.Awaitable[_migration_directory_service_pb2.ListReleasedMovesResponse]]:
         """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that it
         can drop their items. It reads no more than that. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
+        """
+
+    @_abc_1.abstractmethod
+    def ListOwners(
+        self,
+        request: _migration_directory_service_pb2.ListOwnersRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_migration_directory_service_pb2.ListOwnersResponse, _abc.Awaitable[_migration_directory_service_pb2.ListOwnersResponse]]:
+        """Between hosts and supernodes only: as DirectoryService.ResolveChannel, for several channels that are to move. Channels
+        that do not exist are not in the answer. Errors: INVALID_ARGUMENT.
         """
 
     @_abc_1.abstractmethod

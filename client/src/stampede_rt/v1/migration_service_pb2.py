@@ -23,58 +23,65 @@ _sym_db = _symbol_database.Default()
 
 
 from stampede_rt.v1 import channel_pb2 as stampede__rt_dot_v1_dot_channel__pb2
+from stampede_rt.v1 import error_pb2 as stampede__rt_dot_v1_dot_error__pb2
 from stampede_rt.v1 import queue_pb2 as stampede__rt_dot_v1_dot_queue__pb2
 from stampede_rt.v1 import replica_service_pb2 as stampede__rt_dot_v1_dot_replica__service__pb2
 from stampede_rt.v1 import subject_pb2 as stampede__rt_dot_v1_dot_subject__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&stampede_rt/v1/migration_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1astampede_rt/v1/queue.proto\x1a$stampede_rt/v1/replica_service.proto\x1a\x1cstampede_rt/v1/subject.proto\")\n\x10\x44rainHostRequest\x12\x15\n\rtimeout_nanos\x18\x01 \x01(\x03\"e\n\x11\x44rainHostResponse\x12\r\n\x05moved\x18\x01 \x01(\r\x12-\n\x04left\x18\x02 \x03(\x0b\x32\x1f.stampede_rt.v1.ChannelNotMoved\x12\x12\n\nleft_count\x18\x03 \x01(\r\"/\n\x0f\x43hannelNotMoved\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06reason\x18\x02 \x01(\t\"L\n\x10\x41llowMoveRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\x10\n\x08queue_id\x18\x02 \x01(\x0c\x12\x12\n\nto_host_id\x18\x03 \x01(\x0c\"\x13\n\x11\x41llowMoveResponse\"7\n\x0fMoveHereRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\x10\n\x08queue_id\x18\x02 \x01(\x0c\"\xa8\x01\n\x10MoveHereResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12*\n\x05queue\x18\x05 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\x12\x0c\n\x04held\x18\x02 \x01(\x04\x12\x12\n\nheld_bytes\x18\x03 \x01(\x04\x12\x16\n\x0e\x62lackout_nanos\x18\x04 \x01(\x03\"`\n\x14HandOverQueueRequest\x12/\n\x04open\x18\x01 \x01(\x0b\x32!.stampede_rt.v1.HandOverQueueOpen\x12\x17\n\x0f\x63ommitted_epoch\x18\x02 \x01(\x04\"\x97\x01\n\x10\x46\x65\x65\x64QueueRequest\x12\x15\n\rowner_host_id\x18\x01 \x01(\x0c\x12*\n\x05queue\x18\x02 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\x12\x13\n\x0b\x62\x65gins_anew\x18\x03 \x01(\x08\x12+\n\x05parts\x18\x04 \x03(\x0b\x32\x1c.stampede_rt.v1.FedQueuePart\"\x97\x01\n\x0c\x46\x65\x64QueuePart\x12\x36\n\x07\x63ontent\x18\x01 \x01(\x0b\x32%.stampede_rt.v1.HandOverQueueResponse\x12\x11\n\tnext_step\x18\x02 \x01(\x04\x12)\n\x07removed\x18\x03 \x03(\x0b\x32\x18.stampede_rt.v1.SeqRange\x12\x11\n\tago_nanos\x18\x04 \x01(\x03\"P\n\x11\x46\x65\x65\x64QueueResponse\x12\x11\n\tnext_step\x18\x01 \x01(\x04\x12\x13\n\x0bincarnation\x18\x02 \x01(\x06\x12\x13\n\x0bowner_epoch\x18\x03 \x01(\x04\"E\n\x11HandOverQueueOpen\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x0f\n\x07host_id\x18\x03 \x01(\x0c\"\x9e\x03\n\x15HandOverQueueResponse\x12/\n\x05\x66\x61\x63ts\x18\x01 \x01(\x0b\x32 .stampede_rt.v1.HandedQueueFacts\x12\'\n\x04runs\x18\x02 \x03(\x0b\x32\x19.stampede_rt.v1.HandedRun\x12\x11\n\tmore_body\x18\x03 \x01(\x0c\x12&\n\x04held\x18\x04 \x03(\x0b\x32\x18.stampede_rt.v1.SeqRange\x12/\n\x08messages\x18\x05 \x03(\x0b\x32\x1d.stampede_rt.v1.HandedMessage\x12;\n\x0c\x61\x63knowledged\x18\x06 \x03(\x0b\x32%.stampede_rt.v1.HandedAcknowledgement\x12.\n\tproducers\x18\x07 \x03(\x0b\x32\x1b.stampede_rt.v1.FedProducer\x12\x34\n\x0bmessage_ids\x18\x08 \x03(\x0b\x32\x1f.stampede_rt.v1.HandedMessageId\x12\x0c\n\x04\x65nds\x18\t \x01(\x08\x12\x0e\n\x06permit\x18\n \x01(\x0c\"\x82\x01\n\x10HandedQueueFacts\x12\x10\n\x08next_seq\x18\x01 \x01(\x04\x12\x18\n\x10next_delivery_id\x18\x02 \x01(\x04\x12/\n\x08\x63ounters\x18\x03 \x01(\x0b\x32\x1d.stampede_rt.v1.QueueCounters\x12\x11\n\tnext_step\x18\x04 \x01(\x04\"^\n\tHandedRun\x12\x11\n\tfirst_seq\x18\x01 \x01(\x04\x12\x14\n\x0clength_bytes\x18\x02 \x03(\r\x12\x1a\n\x12\x61\x63\x63\x65pted_ago_nanos\x18\x03 \x01(\x03\x12\x0c\n\x04\x62ody\x18\x04 \x01(\x0c\"\xc9\x01\n\rHandedMessage\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x12\n\ndeliveries\x18\x02 \x03(\r\x12\x14\n\x0c\x61\x63knowledged\x18\x03 \x03(\x06\x12+\n\x06leases\x18\x04 \x03(\x0b\x32\x1b.stampede_rt.v1.HandedLease\x12\x13\n\x0b\x64\x65lay_nanos\x18\x05 \x01(\x03\x12\x12\n\nis_leaving\x18\x06 \x01(\x08\x12+\n\x04last\x18\x07 \x01(\x0b\x32\x1d.stampede_rt.v1.HandedFailure\"w\n\x0bHandedLease\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x04\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x12\n\ntaker_name\x18\x03 \x01(\t\x12\x13\n\x0blease_nanos\x18\x04 \x01(\x03\x12\x18\n\x10leased_ago_nanos\x18\x05 \x01(\x03\"d\n\rHandedFailure\x12\x0e\n\x06number\x18\x01 \x01(\r\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x12\n\ntaker_name\x18\x03 \x01(\t\x12\r\n\x05\x65nded\x18\x04 \x01(\t\x12\x0e\n\x06reason\x18\x05 \x01(\t\"Q\n\x15HandedAcknowledgement\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x04\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x11\n\tago_nanos\x18\x03 \x01(\x03\"T\n\x0fHandedMessageId\x12\x12\n\nmessage_id\x18\x01 \x01(\t\x12\x0b\n\x03seq\x18\x02 \x01(\x04\x12\x11\n\tago_nanos\x18\x03 \x01(\x03\x12\r\n\x05owner\x18\x04 \x01(\t2\xbd\x03\n\x10MigrationService\x12P\n\tAllowMove\x12 .stampede_rt.v1.AllowMoveRequest\x1a!.stampede_rt.v1.AllowMoveResponse\x12M\n\x08MoveHere\x12\x1f.stampede_rt.v1.MoveHereRequest\x1a .stampede_rt.v1.MoveHereResponse\x12`\n\rHandOverQueue\x12$.stampede_rt.v1.HandOverQueueRequest\x1a%.stampede_rt.v1.HandOverQueueResponse(\x01\x30\x01\x12T\n\tFeedQueue\x12 .stampede_rt.v1.FeedQueueRequest\x1a!.stampede_rt.v1.FeedQueueResponse(\x01\x30\x01\x12P\n\tDrainHost\x12 .stampede_rt.v1.DrainHostRequest\x1a!.stampede_rt.v1.DrainHostResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&stampede_rt/v1/migration_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1astampede_rt/v1/error.proto\x1a\x1astampede_rt/v1/queue.proto\x1a$stampede_rt/v1/replica_service.proto\x1a\x1cstampede_rt/v1/subject.proto\")\n\x10\x44rainHostRequest\x12\x15\n\rtimeout_nanos\x18\x01 \x01(\x03\"e\n\x11\x44rainHostResponse\x12\r\n\x05moved\x18\x01 \x01(\r\x12-\n\x04left\x18\x02 \x03(\x0b\x32\x1f.stampede_rt.v1.ChannelNotMoved\x12\x12\n\nleft_count\x18\x03 \x01(\r\"/\n\x0f\x43hannelNotMoved\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06reason\x18\x02 \x01(\t\"L\n\x10\x41llowMoveRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\x10\n\x08queue_id\x18\x02 \x01(\x0c\x12\x12\n\nto_host_id\x18\x03 \x01(\x0c\"\x13\n\x11\x41llowMoveResponse\"7\n\x0fMoveHereRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\x10\n\x08queue_id\x18\x02 \x01(\x0c\"\xa8\x01\n\x10MoveHereResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12*\n\x05queue\x18\x05 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\x12\x0c\n\x04held\x18\x02 \x01(\x04\x12\x12\n\nheld_bytes\x18\x03 \x01(\x04\x12\x16\n\x0e\x62lackout_nanos\x18\x04 \x01(\x03\"*\n\x13MoveEachHereRequest\x12\x13\n\x0b\x63hannel_ids\x18\x01 \x03(\x0c\"E\n\x14MoveEachHereResponse\x12-\n\x08outcomes\x18\x01 \x03(\x0b\x32\x1b.stampede_rt.v1.MoveOutcome\"G\n\x0bMoveOutcome\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12$\n\x05\x65rror\x18\x02 \x01(\x0b\x32\x15.stampede_rt.v1.Error\"`\n\x14HandOverQueueRequest\x12/\n\x04open\x18\x01 \x01(\x0b\x32!.stampede_rt.v1.HandOverQueueOpen\x12\x17\n\x0f\x63ommitted_epoch\x18\x02 \x01(\x04\"\x97\x01\n\x10\x46\x65\x65\x64QueueRequest\x12\x15\n\rowner_host_id\x18\x01 \x01(\x0c\x12*\n\x05queue\x18\x02 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\x12\x13\n\x0b\x62\x65gins_anew\x18\x03 \x01(\x08\x12+\n\x05parts\x18\x04 \x03(\x0b\x32\x1c.stampede_rt.v1.FedQueuePart\"\x97\x01\n\x0c\x46\x65\x64QueuePart\x12\x36\n\x07\x63ontent\x18\x01 \x01(\x0b\x32%.stampede_rt.v1.HandOverQueueResponse\x12\x11\n\tnext_step\x18\x02 \x01(\x04\x12)\n\x07removed\x18\x03 \x03(\x0b\x32\x18.stampede_rt.v1.SeqRange\x12\x11\n\tago_nanos\x18\x04 \x01(\x03\"P\n\x11\x46\x65\x65\x64QueueResponse\x12\x11\n\tnext_step\x18\x01 \x01(\x04\x12\x13\n\x0bincarnation\x18\x02 \x01(\x06\x12\x13\n\x0bowner_epoch\x18\x03 \x01(\x04\"E\n\x11HandOverQueueOpen\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x0f\n\x07host_id\x18\x03 \x01(\x0c\"\x9e\x03\n\x15HandOverQueueResponse\x12/\n\x05\x66\x61\x63ts\x18\x01 \x01(\x0b\x32 .stampede_rt.v1.HandedQueueFacts\x12\'\n\x04runs\x18\x02 \x03(\x0b\x32\x19.stampede_rt.v1.HandedRun\x12\x11\n\tmore_body\x18\x03 \x01(\x0c\x12&\n\x04held\x18\x04 \x03(\x0b\x32\x18.stampede_rt.v1.SeqRange\x12/\n\x08messages\x18\x05 \x03(\x0b\x32\x1d.stampede_rt.v1.HandedMessage\x12;\n\x0c\x61\x63knowledged\x18\x06 \x03(\x0b\x32%.stampede_rt.v1.HandedAcknowledgement\x12.\n\tproducers\x18\x07 \x03(\x0b\x32\x1b.stampede_rt.v1.FedProducer\x12\x34\n\x0bmessage_ids\x18\x08 \x03(\x0b\x32\x1f.stampede_rt.v1.HandedMessageId\x12\x0c\n\x04\x65nds\x18\t \x01(\x08\x12\x0e\n\x06permit\x18\n \x01(\x0c\"\x82\x01\n\x10HandedQueueFacts\x12\x10\n\x08next_seq\x18\x01 \x01(\x04\x12\x18\n\x10next_delivery_id\x18\x02 \x01(\x04\x12/\n\x08\x63ounters\x18\x03 \x01(\x0b\x32\x1d.stampede_rt.v1.QueueCounters\x12\x11\n\tnext_step\x18\x04 \x01(\x04\"^\n\tHandedRun\x12\x11\n\tfirst_seq\x18\x01 \x01(\x04\x12\x14\n\x0clength_bytes\x18\x02 \x03(\r\x12\x1a\n\x12\x61\x63\x63\x65pted_ago_nanos\x18\x03 \x01(\x03\x12\x0c\n\x04\x62ody\x18\x04 \x01(\x0c\"\xc9\x01\n\rHandedMessage\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x12\n\ndeliveries\x18\x02 \x03(\r\x12\x14\n\x0c\x61\x63knowledged\x18\x03 \x03(\x06\x12+\n\x06leases\x18\x04 \x03(\x0b\x32\x1b.stampede_rt.v1.HandedLease\x12\x13\n\x0b\x64\x65lay_nanos\x18\x05 \x01(\x03\x12\x12\n\nis_leaving\x18\x06 \x01(\x08\x12+\n\x04last\x18\x07 \x01(\x0b\x32\x1d.stampede_rt.v1.HandedFailure\"w\n\x0bHandedLease\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x04\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x12\n\ntaker_name\x18\x03 \x01(\t\x12\x13\n\x0blease_nanos\x18\x04 \x01(\x03\x12\x18\n\x10leased_ago_nanos\x18\x05 \x01(\x03\"d\n\rHandedFailure\x12\x0e\n\x06number\x18\x01 \x01(\r\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x12\n\ntaker_name\x18\x03 \x01(\t\x12\r\n\x05\x65nded\x18\x04 \x01(\t\x12\x0e\n\x06reason\x18\x05 \x01(\t\"Q\n\x15HandedAcknowledgement\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x04\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x11\n\tago_nanos\x18\x03 \x01(\x03\"T\n\x0fHandedMessageId\x12\x12\n\nmessage_id\x18\x01 \x01(\t\x12\x0b\n\x03seq\x18\x02 \x01(\x04\x12\x11\n\tago_nanos\x18\x03 \x01(\x03\x12\r\n\x05owner\x18\x04 \x01(\t2\x9c\x04\n\x10MigrationService\x12P\n\tAllowMove\x12 .stampede_rt.v1.AllowMoveRequest\x1a!.stampede_rt.v1.AllowMoveResponse\x12M\n\x08MoveHere\x12\x1f.stampede_rt.v1.MoveHereRequest\x1a .stampede_rt.v1.MoveHereResponse\x12]\n\x0cMoveEachHere\x12#.stampede_rt.v1.MoveEachHereRequest\x1a$.stampede_rt.v1.MoveEachHereResponse(\x01\x30\x01\x12`\n\rHandOverQueue\x12$.stampede_rt.v1.HandOverQueueRequest\x1a%.stampede_rt.v1.HandOverQueueResponse(\x01\x30\x01\x12T\n\tFeedQueue\x12 .stampede_rt.v1.FeedQueueRequest\x1a!.stampede_rt.v1.FeedQueueResponse(\x01\x30\x01\x12P\n\tDrainHost\x12 .stampede_rt.v1.DrainHostRequest\x1a!.stampede_rt.v1.DrainHostResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.migration_service_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_DRAINHOSTREQUEST']._serialized_start=184
-  _globals['_DRAINHOSTREQUEST']._serialized_end=225
-  _globals['_DRAINHOSTRESPONSE']._serialized_start=227
-  _globals['_DRAINHOSTRESPONSE']._serialized_end=328
-  _globals['_CHANNELNOTMOVED']._serialized_start=330
-  _globals['_CHANNELNOTMOVED']._serialized_end=377
-  _globals['_ALLOWMOVEREQUEST']._serialized_start=379
-  _globals['_ALLOWMOVEREQUEST']._serialized_end=455
-  _globals['_ALLOWMOVERESPONSE']._serialized_start=457
-  _globals['_ALLOWMOVERESPONSE']._serialized_end=476
-  _globals['_MOVEHEREREQUEST']._serialized_start=478
-  _globals['_MOVEHEREREQUEST']._serialized_end=533
-  _globals['_MOVEHERERESPONSE']._serialized_start=536
-  _globals['_MOVEHERERESPONSE']._serialized_end=704
-  _globals['_HANDOVERQUEUEREQUEST']._serialized_start=706
-  _globals['_HANDOVERQUEUEREQUEST']._serialized_end=802
-  _globals['_FEEDQUEUEREQUEST']._serialized_start=805
-  _globals['_FEEDQUEUEREQUEST']._serialized_end=956
-  _globals['_FEDQUEUEPART']._serialized_start=959
-  _globals['_FEDQUEUEPART']._serialized_end=1110
-  _globals['_FEEDQUEUERESPONSE']._serialized_start=1112
-  _globals['_FEEDQUEUERESPONSE']._serialized_end=1192
-  _globals['_HANDOVERQUEUEOPEN']._serialized_start=1194
-  _globals['_HANDOVERQUEUEOPEN']._serialized_end=1263
-  _globals['_HANDOVERQUEUERESPONSE']._serialized_start=1266
-  _globals['_HANDOVERQUEUERESPONSE']._serialized_end=1680
-  _globals['_HANDEDQUEUEFACTS']._serialized_start=1683
-  _globals['_HANDEDQUEUEFACTS']._serialized_end=1813
-  _globals['_HANDEDRUN']._serialized_start=1815
-  _globals['_HANDEDRUN']._serialized_end=1909
-  _globals['_HANDEDMESSAGE']._serialized_start=1912
-  _globals['_HANDEDMESSAGE']._serialized_end=2113
-  _globals['_HANDEDLEASE']._serialized_start=2115
-  _globals['_HANDEDLEASE']._serialized_end=2234
-  _globals['_HANDEDFAILURE']._serialized_start=2236
-  _globals['_HANDEDFAILURE']._serialized_end=2336
-  _globals['_HANDEDACKNOWLEDGEMENT']._serialized_start=2338
-  _globals['_HANDEDACKNOWLEDGEMENT']._serialized_end=2419
-  _globals['_HANDEDMESSAGEID']._serialized_start=2421
-  _globals['_HANDEDMESSAGEID']._serialized_end=2505
-  _globals['_MIGRATIONSERVICE']._serialized_start=2508
-  _globals['_MIGRATIONSERVICE']._serialized_end=2953
+  _globals['_DRAINHOSTREQUEST']._serialized_start=212
+  _globals['_DRAINHOSTREQUEST']._serialized_end=253
+  _globals['_DRAINHOSTRESPONSE']._serialized_start=255
+  _globals['_DRAINHOSTRESPONSE']._serialized_end=356
+  _globals['_CHANNELNOTMOVED']._serialized_start=358
+  _globals['_CHANNELNOTMOVED']._serialized_end=405
+  _globals['_ALLOWMOVEREQUEST']._serialized_start=407
+  _globals['_ALLOWMOVEREQUEST']._serialized_end=483
+  _globals['_ALLOWMOVERESPONSE']._serialized_start=485
+  _globals['_ALLOWMOVERESPONSE']._serialized_end=504
+  _globals['_MOVEHEREREQUEST']._serialized_start=506
+  _globals['_MOVEHEREREQUEST']._serialized_end=561
+  _globals['_MOVEHERERESPONSE']._serialized_start=564
+  _globals['_MOVEHERERESPONSE']._serialized_end=732
+  _globals['_MOVEEACHHEREREQUEST']._serialized_start=734
+  _globals['_MOVEEACHHEREREQUEST']._serialized_end=776
+  _globals['_MOVEEACHHERERESPONSE']._serialized_start=778
+  _globals['_MOVEEACHHERERESPONSE']._serialized_end=847
+  _globals['_MOVEOUTCOME']._serialized_start=849
+  _globals['_MOVEOUTCOME']._serialized_end=920
+  _globals['_HANDOVERQUEUEREQUEST']._serialized_start=922
+  _globals['_HANDOVERQUEUEREQUEST']._serialized_end=1018
+  _globals['_FEEDQUEUEREQUEST']._serialized_start=1021
+  _globals['_FEEDQUEUEREQUEST']._serialized_end=1172
+  _globals['_FEDQUEUEPART']._serialized_start=1175
+  _globals['_FEDQUEUEPART']._serialized_end=1326
+  _globals['_FEEDQUEUERESPONSE']._serialized_start=1328
+  _globals['_FEEDQUEUERESPONSE']._serialized_end=1408
+  _globals['_HANDOVERQUEUEOPEN']._serialized_start=1410
+  _globals['_HANDOVERQUEUEOPEN']._serialized_end=1479
+  _globals['_HANDOVERQUEUERESPONSE']._serialized_start=1482
+  _globals['_HANDOVERQUEUERESPONSE']._serialized_end=1896
+  _globals['_HANDEDQUEUEFACTS']._serialized_start=1899
+  _globals['_HANDEDQUEUEFACTS']._serialized_end=2029
+  _globals['_HANDEDRUN']._serialized_start=2031
+  _globals['_HANDEDRUN']._serialized_end=2125
+  _globals['_HANDEDMESSAGE']._serialized_start=2128
+  _globals['_HANDEDMESSAGE']._serialized_end=2329
+  _globals['_HANDEDLEASE']._serialized_start=2331
+  _globals['_HANDEDLEASE']._serialized_end=2450
+  _globals['_HANDEDFAILURE']._serialized_start=2452
+  _globals['_HANDEDFAILURE']._serialized_end=2552
+  _globals['_HANDEDACKNOWLEDGEMENT']._serialized_start=2554
+  _globals['_HANDEDACKNOWLEDGEMENT']._serialized_end=2635
+  _globals['_HANDEDMESSAGEID']._serialized_start=2637
+  _globals['_HANDEDMESSAGEID']._serialized_end=2721
+  _globals['_MIGRATIONSERVICE']._serialized_start=2724
+  _globals['_MIGRATIONSERVICE']._serialized_end=3264
 # @@protoc_insertion_point(module_scope)

@@ -1,4 +1,5 @@
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
+from stampede_rt.v1 import error_pb2 as _error_pb2
 from stampede_rt.v1 import queue_pb2 as _queue_pb2
 from stampede_rt.v1 import replica_service_pb2 as _replica_service_pb2
 from stampede_rt.v1 import subject_pb2 as _subject_pb2
@@ -69,6 +70,26 @@ class MoveHereResponse(_message.Message):
     held_bytes: int
     blackout_nanos: int
     def __init__(self, channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., queue: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ..., held: _Optional[int] = ..., held_bytes: _Optional[int] = ..., blackout_nanos: _Optional[int] = ...) -> None: ...
+
+class MoveEachHereRequest(_message.Message):
+    __slots__ = ("channel_ids",)
+    CHANNEL_IDS_FIELD_NUMBER: _ClassVar[int]
+    channel_ids: _containers.RepeatedScalarFieldContainer[bytes]
+    def __init__(self, channel_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
+
+class MoveEachHereResponse(_message.Message):
+    __slots__ = ("outcomes",)
+    OUTCOMES_FIELD_NUMBER: _ClassVar[int]
+    outcomes: _containers.RepeatedCompositeFieldContainer[MoveOutcome]
+    def __init__(self, outcomes: _Optional[_Iterable[_Union[MoveOutcome, _Mapping]]] = ...) -> None: ...
+
+class MoveOutcome(_message.Message):
+    __slots__ = ("channel_id", "error")
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FIELD_NUMBER: _ClassVar[int]
+    channel_id: bytes
+    error: _error_pb2.Error
+    def __init__(self, channel_id: _Optional[bytes] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ...) -> None: ...
 
 class HandOverQueueRequest(_message.Message):
     __slots__ = ("open", "committed_epoch")

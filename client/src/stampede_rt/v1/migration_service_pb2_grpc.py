@@ -47,6 +47,11 @@ class MigrationServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereResponse.FromString,
                 _registered_method=True)
+        self.MoveEachHere = channel.stream_stream(
+                '/stampede_rt.v1.MigrationService/MoveEachHere',
+                request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveEachHereRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveEachHereResponse.FromString,
+                _registered_method=True)
         self.HandOverQueue = channel.stream_stream(
                 '/stampede_rt.v1.MigrationService/HandOverQueue',
                 request_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.HandOverQueueRequest.SerializeToString,
@@ -88,6 +93,15 @@ class MigrationServiceServicer(object):
         Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
         OVERLOADED (32 moves of channels, or 8 of queues, to or from one host are under way; the copy cannot catch up),
         WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def MoveEachHere(self, request_iterator, context):
+        """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels, and the host answers
+        each once, in any order. It reads no further request while 64 channels have no answer. Errors that end the
+        stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -135,6 +149,11 @@ def add_MigrationServiceServicer_to_server(servicer, server):
                     servicer.MoveHere,
                     request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereResponse.SerializeToString,
+            ),
+            'MoveEachHere': grpc.stream_stream_rpc_method_handler(
+                    servicer.MoveEachHere,
+                    request_deserializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveEachHereRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_migration__service__pb2.MoveEachHereResponse.SerializeToString,
             ),
             'HandOverQueue': grpc.stream_stream_rpc_method_handler(
                     servicer.HandOverQueue,
@@ -209,6 +228,33 @@ class MigrationService(object):
             '/stampede_rt.v1.MigrationService/MoveHere',
             stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereRequest.SerializeToString,
             stampede__rt_dot_v1_dot_migration__service__pb2.MoveHereResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def MoveEachHere(request_iterator,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.stream_stream(
+            request_iterator,
+            target,
+            '/stampede_rt.v1.MigrationService/MoveEachHere',
+            stampede__rt_dot_v1_dot_migration__service__pb2.MoveEachHereRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_migration__service__pb2.MoveEachHereResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -51,6 +51,11 @@ class MigrationServiceStub:
     OVERLOADED (32 moves of channels, or 8 of queues, to or from one host are under way; the copy cannot catch up),
     WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
     """
+    MoveEachHere: _grpc.StreamStreamMultiCallable[_migration_service_pb2.MoveEachHereRequest, _migration_service_pb2.MoveEachHereResponse]
+    """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels, and the host answers
+    each once, in any order. It reads no further request while 64 channels have no answer. Errors that end the
+    stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
+    """
     HandOverQueue: _grpc.StreamStreamMultiCallable[_migration_service_pb2.HandOverQueueRequest, _migration_service_pb2.HandOverQueueResponse]
     """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers, lets
     all calls wait, and sends the whole queue in parts. It waits for `committed_epoch` then. If the stream ends without it,
@@ -92,6 +97,11 @@ class MigrationServiceAsyncStub(MigrationServiceStub):
     Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
     OVERLOADED (32 moves of channels, or 8 of queues, to or from one host are under way; the copy cannot catch up),
     WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+    """
+    MoveEachHere: _aio.StreamStreamMultiCallable[_migration_service_pb2.MoveEachHereRequest, _migration_service_pb2.MoveEachHereResponse]  # type: ignore[assignment]
+    """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels, and the host answers
+    each once, in any order. It reads no further request while 64 channels have no answer. Errors that end the
+    stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     HandOverQueue: _aio.StreamStreamMultiCallable[_migration_service_pb2.HandOverQueueRequest, _migration_service_pb2.HandOverQueueResponse]  # type: ignore[assignment]
     """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers, lets
@@ -143,6 +153,17 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
         OVERLOADED (32 moves of channels, or 8 of queues, to or from one host are under way; the copy cannot catch up),
         WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+        """
+
+    @_abc_1.abstractmethod
+    def MoveEachHere(
+        self,
+        request_iterator: _MaybeAsyncIterator[_migration_service_pb2.MoveEachHereRequest],
+        context: _ServicerContext,
+    ) -> _typing.Union[_abc.Iterator[_migration_service_pb2.MoveEachHereResponse], _abc.AsyncIterator[_migration_service_pb2.MoveEachHereResponse]]:
+        """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels, and the host answers
+        each once, in any order. It reads no further request while 64 channels have no answer. Errors that end the
+        stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
         """
 
     @_abc_1.abstractmethod

@@ -203,8 +203,9 @@ class ChannelHost:
         self._queues_here = QueueArrivals(self.identity, self.queues, self._move_directory, self._dial)
         self.store.copies.on_inherited = self.groups.exchange.inherit_floors
         self.draining = Draining(
-            self.store, self.queues, self._move_directory, self.groups.ids_of, self._dial, self.moves_away.allowed.allow
-        )
+            self.store, self.queues, self._move_directory, self.groups.ids_of, self._dial, self._dial_streams,
+            self.moves_away.allowed.allow,
+        )  # fmt: skip
         self._callers = FeedCallers(DirectoryQueries(self._supernodes))
         self._migration = MigrationServicer(
             self.moves_here,
@@ -215,6 +216,7 @@ class ChannelHost:
             QueueFeeds(self.identity, self.queues, of_queues, self._callers),
             self.identity,
             self.moves_away.allowed.allow,
+            self._streams,
         )
 
     def _make_queues(

@@ -57,6 +57,7 @@ _METHODS: Mapping[str, frozenset[Role]] = {
     "MigrationService/DrainHost": _OPERATORS,
     "MigrationService/FeedQueue": _HOSTS,
     "MigrationService/HandOverQueue": _HOSTS,
+    "MigrationService/MoveEachHere": _HOSTS,
     "ReplicaDirectoryService/SetReplicaInSync": _HOSTS,
     "ReplicaDirectoryService/ReportReplicaLoads": _HOSTS,
 }

@@ -12,6 +12,7 @@ import grpc
 import pytest
 
 from stampede_rt.errors import ChannelNotFound, InvalidArgument, Overloaded, StampedeError
+from stampede_rt.status import to_error_message
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
 from stampede_rt.values.model import Policy
@@ -36,8 +37,10 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
 
     def __init__(
         self, *errors: StampedeError, always: StampedeError | None = None, is_frozen: bool = False,
-        has_archive: bool = False,
+        has_archive: bool = False, is_older: bool = False, breaks: int = 0,
     ) -> None:  # fmt: skip
+        """`is_older`: it knows no streams of drains. `breaks`: this many streams break at their first request."""
+        self.is_older, self.breaks, self.streams = is_older, breaks, 0
         self.errors, self.always, self.is_frozen, self.has_archive = [*errors], always, is_frozen, has_archive
         self.taken: list[bytes] = []
         self.is_allowed: Callable[[bytes], bool] = lambda channel_id: False
@@ -51,13 +54,34 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
 
     @errors_as_status
     async def MoveHere(self, request: pb.MoveHereRequest, context: Context) -> pb.MoveHereResponse:  # noqa: N802
+        assert self.is_older or request.queue_id, "the drain has asked for the channel in its stream"
+        await self._take(request.channel_id)
+        return pb.MoveHereResponse()
+
+    async def _take(self, channel_id: bytes) -> None:
         if self.is_frozen:
             await asyncio.get_running_loop().create_future()
         if self.always is not None or self.errors:
             raise self.always or self.errors.pop(0)
-        assert self.is_allowed(request.channel_id), "the drain has allowed its own move first"
-        self.taken.append(request.channel_id)
-        return pb.MoveHereResponse()
+        assert self.is_allowed(channel_id), "the drain has allowed its own move first"
+        self.taken.append(channel_id)
+
+    @errors_as_status
+    async def MoveEachHere(self, requests: Any, context: Context) -> None:  # type: ignore[override]  # noqa: N802
+        if self.is_older:
+            await context.abort(grpc.StatusCode.UNIMPLEMENTED, "Method not found!")
+        self.streams += 1
+        while isinstance(request := await context.read(), pb.MoveEachHereRequest):
+            if self.breaks:
+                self.breaks -= 1
+                raise Overloaded("the stream breaks")
+            for channel_id in request.channel_ids:
+                outcome = pb.MoveOutcome(channel_id=channel_id)
+                try:
+                    await self._take(channel_id)
+                except StampedeError as error:
+                    outcome.error.CopyFrom(to_error_message(error))
+                await context.write(pb.MoveEachHereResponse(outcomes=[outcome]))
 
 
 async def drained(channels: int, *hosts: Host, recorded: bool = False, name: str = "cam/{}") -> Drained:
@@ -86,7 +110,8 @@ async def drained(channels: int, *hosts: Host, recorded: bool = False, name: str
         store: Any = SimpleNamespace(all=lambda: own, serves=lambda hosted: True)
         directory: Any = SimpleNamespace(other_hosts=other_hosts)
         queues: Any = SimpleNamespace(all=list)
-        drain = Draining(store, queues, directory, lambda channel_id: [], grpc.aio.insecure_channel, allow)
+        dial = grpc.aio.insecure_channel
+        drain = Draining(store, queues, directory, lambda channel_id: [], dial, dial, allow)
         return await drain.run(SECONDS_MAX)
 
 
@@ -100,6 +125,24 @@ async def test_a_drain_asks_a_host_with_too_many_moves_again_later() -> None:
     busy = Host(*[FULL] * 5)
     assert await drained(3, busy) == Drained(3, {})
     assert sorted(busy.taken) == [b"c0", b"c1", b"c2"]
+
+
+async def test_all_channels_of_a_drain_are_named_in_one_stream() -> None:
+    host = Host()
+    assert await drained(40, host) == Drained(40, {})
+    assert host.streams == 1
+
+
+async def test_a_drain_calls_a_host_of_an_older_release_for_each_channel() -> None:
+    older, full = Host(is_older=True), Host(always=FULL)
+    assert await drained(5, older, full) == Drained(5, {})
+    assert sorted(older.taken) == [b"c0", b"c1", b"c2", b"c3", b"c4"]
+
+
+async def test_a_drain_whose_stream_breaks_opens_another_one() -> None:
+    host = Host(breaks=2)
+    assert await drained(5, host) == Drained(5, {})
+    assert host.streams == 3
 
 
 async def test_a_recorded_channel_is_drained_only_to_a_host_with_an_archive() -> None:

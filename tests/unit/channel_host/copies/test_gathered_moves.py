@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from stampede_rt.errors import StaleBinding
+from stampede_rt.errors import ChannelNotFound, StaleBinding
 from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, Release
 
 
@@ -18,6 +19,15 @@ class Directory(GatheredMoves):
     def __init__(self) -> None:
         super().__init__()
         self.begun, self.all_begun = 0, asyncio.Event()
+        self.asked: list[list[bytes]] = []
+
+    async def owner_of_one(self, channel_id: bytes) -> Any:
+        return (await self.owners_of([channel_id]))[0]
+
+    async def owners_of(self, channel_ids: Sequence[bytes]) -> Sequence[Any]:
+        """Knows all channels but `gone`."""
+        self.asked.append([*channel_ids])
+        return [(SimpleNamespace(channel_id=one), "owner") for one in channel_ids if one != b"gone"]
 
     async def commit_one(self, move: Commit) -> Any:
         self.begun += 1
@@ -44,3 +54,21 @@ async def test_the_reasons_of_several_refused_moves_are_asked_for_at_the_same_ti
         for name, move in zip("abcd", moves, strict=True):
             with pytest.raises(StaleBinding, match=f"no {name}"):
                 await move
+
+
+async def test_moves_that_begin_at_the_same_time_ask_for_their_owners_together() -> None:
+    directory = Directory()
+    asking = [asyncio.create_task(directory.owner_of(name)) for name in (b"a", b"gone", b"c")]
+    async with asyncio.timeout(10):
+        await asyncio.wait(asking)
+    assert directory.asked == [[b"a", b"gone", b"c"]]
+    assert asking[0].result()[0].channel_id == b"a"
+    assert asking[2].result()[0].channel_id == b"c"
+    with pytest.raises(ChannelNotFound, match=b"gone".hex()):
+        asking[1].result()
+
+
+async def test_a_lone_move_asks_for_its_owner_alone() -> None:
+    directory = Directory()
+    found: Any = await directory.owner_of(b"a")
+    assert (found[0].channel_id, directory.asked) == (b"a", [[b"a"]])

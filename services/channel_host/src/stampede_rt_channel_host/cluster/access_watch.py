@@ -6,11 +6,9 @@ import asyncio
 import logging
 from typing import NoReturn
 
-import grpc
-
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import access_service_pb2, access_service_pb2_grpc
-from stampede_rt_channel_host.cluster.supernodes import Supernodes
+from stampede_rt_channel_host.cluster.supernodes import Supernodes, is_unknown_call
 from stampede_rt_channel_host.core.records import RecordedChange
 from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.access.messages import state_from
@@ -69,16 +67,8 @@ class AccessWatch:
                 "GetAccessState", request, CALL_SECONDS_MAX, service=access_service_pb2_grpc.AccessServiceStub
             )
         except StampedeError as error:
-            if not _knows_no_rules(error):
+            # While the cluster has such a supernode, its feature level allows no rules. So an empty state is right.
+            if not is_unknown_call(error):
                 raise
             return AccessState()
         return state_from(response)
-
-
-def _knows_no_rules(error: StampedeError) -> bool:
-    """Whether the supernode that answered is of an earlier release, which knows no rules.
-
-    While the cluster has such a supernode, the cluster's feature level allows no rules. So an empty state is right.
-    """
-    cause = error.__cause__
-    return isinstance(cause, grpc.aio.AioRpcError) and cause.code() is grpc.StatusCode.UNIMPLEMENTED

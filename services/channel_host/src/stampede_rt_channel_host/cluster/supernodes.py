@@ -239,6 +239,12 @@ class Supernodes:
             await channel.close(None)
 
 
+def is_unknown_call(error: StampedeError) -> bool:
+    """Whether the supernode that answered is of an earlier release, which does not know the call."""
+    cause = error.__cause__
+    return isinstance(cause, grpc.aio.AioRpcError) and cause.code() is grpc.StatusCode.UNIMPLEMENTED
+
+
 async def _call(
     method: Callable[..., Any], request: Any, timeout_s: float, target: str, metadata: Sequence[tuple[str, str]] = ()
 ) -> Any:

@@ -22,6 +22,7 @@ from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.copies.drain_requests import DrainRequests
 from stampede_rt_channel_host.copies.drain_room import DrainRoom
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.core.placing import OtherHost, spread, together
@@ -31,6 +32,7 @@ from stampede_rt_channel_host.queues.refusals import display_name
 
 logger = logging.getLogger(__name__)
 
+Dial = Callable[[str], grpc.aio.Channel]
 NAMES_LOGGED_MAX = 20
 _AGAIN = (Overloaded, Unavailable, DeadlineExceeded)  # another host, or the same one later, may take it
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.05, 1.0
@@ -109,12 +111,12 @@ class _OwnQueue:
 class Draining:
     """Moves the channels and queues of one host away.
 
-    `groups_of` returns the groups of a channel, `dial` opens connections.
+    `groups_of` returns the groups of a channel, `dial` opens connections, `dial_streams` those for one stream.
     """
 
     def __init__(
         self, store: ChannelStore, queues: QueueStore, directory: MoveDirectory,
-        groups_of: Callable[[bytes], Collection[bytes]], dial: Callable[[str], grpc.aio.Channel],
+        groups_of: Callable[[bytes], Collection[bytes]], dial: Dial, dial_streams: Dial,
         allow: Callable[[bytes, int, bytes], None],
     ) -> None:  # fmt: skip
         """`allow` notes that another host may ask for a channel or queue, see `AllowedMoves.allow`."""
@@ -122,7 +124,7 @@ class Draining:
         self._queues = queues
         self._directory = directory
         self._groups_of = groups_of
-        self._dial = dial
+        self._dial, self._dial_streams = dial, dial_streams
         self._allow = allow
 
     async def run(self, seconds: float) -> Drained:
@@ -165,7 +167,7 @@ class Draining:
             left.update(dict.fromkeys(left, "there is no other live host"))
             return
         places = spread(together({one: self._groups_of(one) for one in own}), hosts)
-        others = _Others(hosts, self._dial, self._allow)
+        others = _Others(hosts, self._dial, self._dial_streams, self._allow)
         try:
             async with asyncio.TaskGroup() as moves:
                 for each, place in ((one, places[one.id]) for one in own.values()):
@@ -178,15 +180,15 @@ class _Others:
     """The other hosts during one drain, and the connections to them."""
 
     def __init__(
-        self, hosts: Sequence[OtherHost], dial: Callable[[str], grpc.aio.Channel],
-        allow: Callable[[bytes, int, bytes], None],
-    ) -> None:  # fmt: skip
+        self, hosts: Sequence[OtherHost], dial: Dial, dial_streams: Dial, allow: Callable[[bytes, int, bytes], None]
+    ) -> None:
         self._hosts = [*hosts]
         self._allow = allow
-        self._dial = dial
+        self._dial, self._dial_streams = dial, dial_streams
         self._room = DrainRoom()
         self._silent: set[bytes] = set()  # the hosts that have not begun the latest move
         self._connections: dict[str, grpc.aio.Channel] = {}
+        self._requests: dict[str, DrainRequests] = {}
 
     async def move(self, own: _Own, host: OtherHost) -> OtherHost:
         """Have a host take a channel or queue over, once there is room for the move.
@@ -203,22 +205,31 @@ class _Others:
         return other or host
 
     async def _ask(self, own: _Own, host: OtherHost) -> None:
-        if host.target not in self._connections:
-            self._connections[host.target] = self._dial(host.target)
-        stub = migration_service_pb2_grpc.MigrationServiceStub(self._connections[host.target])
-        while True:  # the source ends a move whose destination is silent; each call joins the move
+        while True:  # the source ends a move whose destination is silent; each request joins the move
             self._allow(own.id, own.epoch, host.host_id)
             try:
-                await stub.MoveHere(own.request, timeout=BEGIN_SECONDS_MAX)
+                await self._take_over(own, host.target)
                 self._silent.discard(host.host_id)
                 return
-            except grpc.RpcError as error:
-                plain = from_rpc_error(error, host.target)
-                if isinstance(plain, DeadlineExceeded) and own.is_moving:
-                    continue
-                if isinstance(plain, DeadlineExceeded):
+            except DeadlineExceeded:
+                if not own.is_moving:
                     self._silent.add(host.host_id)
-                raise plain from error
+                    raise
+
+    async def _take_over(self, own: _Own, target: str) -> None:
+        """Ask once. Channels go in one stream for all. A queue has a call of its own, and so has each channel at a host
+        of an older release.
+        """
+        if target not in self._requests:
+            self._connections[target] = self._dial(target)
+            self._requests[target] = DrainRequests(target, self._dial_streams(target))
+        if not own.is_queue and await self._requests[target].take(own.id, BEGIN_SECONDS_MAX):
+            return
+        stub = migration_service_pb2_grpc.MigrationServiceStub(self._connections[target])
+        try:
+            await stub.MoveHere(own.request, timeout=BEGIN_SECONDS_MAX)
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, target) from error
 
     def leave_out(self, host: OtherHost) -> None:
         """Stop choosing this host, because it stops. Idempotent."""
@@ -237,6 +248,8 @@ class _Others:
 
     async def aclose(self) -> None:
         """Close the connections."""
+        for requests in self._requests.values():
+            await requests.aclose()
         for connection in self._connections.values():
             await connection.close(None)
 

@@ -11,12 +11,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
-from stampede_rt.errors import StaleBinding, StampedeError
+from stampede_rt.errors import ChannelNotFound, StaleBinding, StampedeError
 from stampede_rt_channel_host.cluster.gathered_calls import GatheredCalls
+from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.records import RecordedChannel
 
+Placed = tuple[RecordedChannel, FeedSource]  # a channel, and its owner
+
 MOVES_MAX = 32  # in one call
-CHANGE_SECONDS = 0.02  # the least time between two entries; puts of the channels wait meanwhile
+CHANGE_SECONDS = 0.01  # the least time between two entries; puts of the channels wait meanwhile
+OWNER_SECONDS = 0.01  # the least time between two questions for owners, before moves begin
 DROP_SECONDS = 0.1  # the least time between two questions of a former owner, which has its items until then
 
 
@@ -40,9 +44,16 @@ class GatheredMoves(ABC):
     """Gathers the calls of one host. A subclass makes them: `..._one` and `..._all` raise the directory's errors."""
 
     def __init__(self) -> None:
+        self._owners = GatheredCalls(self._owner_of_each, MOVES_MAX, OWNER_SECONDS)
         self._commits = GatheredCalls(self._commit_each, MOVES_MAX, CHANGE_SECONDS)
         self._releases = GatheredCalls(self._release_each, MOVES_MAX, CHANGE_SECONDS)
         self._drops = GatheredCalls(self._released_each, MOVES_MAX, DROP_SECONDS)
+
+    async def owner_of(self, channel_id: bytes) -> Placed:
+        """The channel's present record, and its owner. The owner's `target` is empty if it is not alive. Raises
+        ChannelNotFound.
+        """
+        return await self._owners.ask(channel_id)
 
     async def commit(self, channel_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedChannel:
         """Make this host the owner, if the epoch is still this one. Safe to repeat. Raises StaleBinding.
@@ -61,6 +72,14 @@ class GatheredMoves(ABC):
         return await self._drops.ask(channel_id)
 
     @abstractmethod
+    async def owner_of_one(self, channel_id: bytes) -> Placed:
+        """One channel and its owner."""
+
+    @abstractmethod
+    async def owners_of(self, channel_ids: Sequence[bytes]) -> Sequence[Placed]:
+        """The channels that exist, and their owners."""
+
+    @abstractmethod
     async def commit_one(self, move: Commit) -> RecordedChannel:
         """Commit one move."""
 
@@ -75,6 +94,12 @@ class GatheredMoves(ABC):
     @abstractmethod
     async def released_of(self, channel_ids: Sequence[bytes]) -> Collection[bytes]:
         """The channels of which the directory has nothing at this host."""
+
+    async def _owner_of_each(self, channel_ids: Sequence[bytes]) -> list[Placed | StampedeError]:
+        if len(channel_ids) == 1:
+            return [await self.owner_of_one(channel_ids[0])]
+        found = {one[0].channel_id: one for one in await self.owners_of(channel_ids)}
+        return [found.get(one) or _unknown(one) for one in channel_ids]
 
     async def _commit_each(self, moves: Sequence[Commit]) -> list[RecordedChannel | StampedeError]:
         if len(moves) == 1:
@@ -98,6 +123,10 @@ class GatheredMoves(ABC):
     async def _released_each(self, channel_ids: Sequence[bytes]) -> list[bool | StampedeError]:
         released = await self.released_of(channel_ids)
         return [one in released for one in channel_ids]
+
+
+def _unknown(channel_id: bytes) -> StampedeError:
+    return ChannelNotFound(f"no channel has the id {channel_id.hex()}", metadata={"channel_id": channel_id.hex()})
 
 
 def _lost(move: Release) -> StampedeError:

@@ -9,11 +9,13 @@ from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
 from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.cluster.records import channel_message, queue_message
 from stampede_rt_channel_host.copies.draining import Draining
-from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
+from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves, Moved
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
+from stampede_rt_channel_host.copies.moves_of_drains import MovesOfDrain
 from stampede_rt_channel_host.copies.queue_arrivals import QueueArrivals
 from stampede_rt_channel_host.copies.queue_feed_servicer import QueueFeeds
 from stampede_rt_channel_host.copies.queue_handover import QueueHandovers
@@ -36,11 +38,14 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
     def __init__(
         self, moves: IncomingMoves, queues: QueueArrivals, handovers: QueueHandovers, directory: MoveDirectory,
         draining: Draining, feeds: QueueFeeds, identity: HostIdentity, allow: Callable[[bytes, int, bytes], None],
+        streams: OpenStreams,
     ) -> None:  # fmt: skip
         """`feeds`: those of the replicas of queues at this host.
 
-        `allow` notes the next owner of a channel or queue at an epoch, see `AllowedMoves.allow`.
+        `allow` notes the next owner of a channel or queue at an epoch, see `AllowedMoves.allow`. `streams` ends open
+        streams when the host ends.
         """
+        self._streams = streams
         self._feeds = feeds
         self._identity = identity
         self._allow = allow
@@ -95,12 +100,7 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
         """Make this host the owner of a channel or queue."""
         if request.queue_id:
             return await self._move_queue_here(request.queue_id)
-        _check_channel_id(request.channel_id)
-        record, source = await self._directory.owner_of(request.channel_id)
-        check_known(AccessKind.CHANNEL, record.name, by_id=True)
-        check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, record.name)
-        current_account().change()
-        hosted, blackout_nanos = await self._moves.move_here(record, source)
+        hosted, blackout_nanos = await self._move_channel_here(request.channel_id)
         counters = hosted.channel.latest_counters()
         return pb.MoveHereResponse(
             channel=channel_message(hosted.record),
@@ -108,6 +108,20 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
             held_bytes=counters.held_bytes,
             blackout_nanos=blackout_nanos,
         )
+
+    async def _move_channel_here(self, channel_id: bytes) -> Moved:
+        _check_channel_id(channel_id)
+        record, source = await self._directory.owner_of(channel_id)
+        check_known(AccessKind.CHANNEL, record.name, by_id=True)
+        check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, record.name)
+        current_account().change()
+        return await self._moves.move_here(record, source)
+
+    @errors_as_status
+    async def MoveEachHere(self, requests: AsyncIterator[pb.MoveEachHereRequest], context: Context) -> None:  # type: ignore[override]
+        """Make this host the owner of the channels of another host, which drains."""
+        async with self._streams.serve(context) as stream:
+            await MovesOfDrain(stream, context, self._move_channel_here).run()
 
     async def _move_queue_here(self, queue_id: bytes) -> pb.MoveHereResponse:
         check_queue_id(queue_id)

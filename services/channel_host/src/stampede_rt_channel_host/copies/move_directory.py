@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
+from contextlib import suppress
 from enum import Enum
 from typing import Any
 
+from stampede_rt.errors import ChannelNotFound, StampedeError
 from stampede_rt.v1 import (
+    channel_pb2,
+    directory_pb2,
     directory_service_pb2,
     migration_directory_service_pb2_grpc,
     move_pb2,
@@ -21,8 +25,8 @@ from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_queue
-from stampede_rt_channel_host.cluster.supernodes import Supernodes
-from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, Release
+from stampede_rt_channel_host.cluster.supernodes import Supernodes, is_unknown_call
+from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, Placed, Release
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.placing import OtherHost
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedQueue
@@ -61,17 +65,29 @@ class MoveDirectory(GatheredMoves):
         """The channel's present record. Raises ChannelNotFound."""
         return await self._queries.resolve(channel_id)
 
-    async def owner_of(self, channel_id: bytes) -> tuple[RecordedChannel, FeedSource]:
-        """The channel's present record, and its owner. The owner's `target` is empty if it is not alive. Raises
-        ChannelNotFound.
-        """
+    async def owner_of_one(self, channel_id: bytes) -> Placed:
+        """The channel and its owner. Raises ChannelNotFound."""
         request = directory_service_pb2.ResolveChannelRequest(channel_id=channel_id)
         found: directory_service_pb2.ResolveChannelResponse = await self._supernodes.call(
             "ResolveChannel", request, CALL_SECONDS_MAX
         )
-        record, owner = recorded_channel(found.channel), found.host
-        target = owner.gatekeepers[0].target if owner.alive and owner.gatekeepers else ""
-        return record, FeedSource(record.host_id, target, record.epoch)
+        return _placed(found.channel, found.host)
+
+    async def owners_of(self, channel_ids: Sequence[bytes]) -> list[Placed]:
+        """Ask for several channels at once. Asks a supernode of an earlier release for one after the other."""
+        try:
+            found = await self._call("ListOwners", pb.ListOwnersRequest(channel_ids=channel_ids))
+        except StampedeError as error:
+            if not is_unknown_call(error):
+                raise
+            return [one async for one in self._one_by_one(channel_ids)]
+        hosts = {one.host_id: one for one in found.hosts}
+        return [_placed(one, hosts[one.host_id]) for one in found.channels]
+
+    async def _one_by_one(self, channel_ids: Sequence[bytes]) -> AsyncIterator[Placed]:
+        for one in channel_ids:
+            with suppress(ChannelNotFound):
+                yield await self.owner_of_one(one)
 
     async def other_hosts(self) -> list[OtherHost]:
         """The live hosts other than this one."""
@@ -173,3 +189,9 @@ class MoveDirectory(GatheredMoves):
         stub: Any = migration_directory_service_pb2_grpc.MigrationDirectoryServiceStub,
     ) -> Any:
         return await self._supernodes.call(method, request, CALL_SECONDS_MAX, service=stub)
+
+
+def _placed(channel: channel_pb2.ChannelRecord, owner: directory_pb2.HostRecord) -> Placed:
+    record = recorded_channel(channel)
+    target = owner.gatekeepers[0].target if owner.alive and owner.gatekeepers else ""
+    return record, FeedSource(record.host_id, target, record.epoch)

@@ -10,6 +10,7 @@ from stampede_rt.v1 import migration_directory_service_pb2 as pb
 from stampede_rt.v1 import migration_directory_service_pb2_grpc, move_pb2
 from stampede_rt_runtime.access.move_permits import PERMIT_BYTES
 from stampede_rt_runtime.rpc import Context, errors_as_status
+from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.move_kinds import moves_from, releases_from
 from stampede_rt_supernode.codecs.queue_codec import queue_record
 from stampede_rt_supernode.codecs.record_codec import channel_record
@@ -23,7 +24,7 @@ from stampede_rt_supernode.core.moves.commands import (
     QueueMoveCommitted,
     ReleaseMoves,
 )
-from stampede_rt_supernode.core.moves.several import released
+from stampede_rt_supernode.core.moves.several import owners, released
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 
 
@@ -79,6 +80,12 @@ class MigrationDirectoryServicer(migration_directory_service_pb2_grpc.MigrationD
             context, lambda one: released(one.tables, request.host_id, list(request.channel_ids))
         )
         return pb.ListReleasedMovesResponse(channel_ids=ids)
+
+    @errors_as_status
+    async def ListOwners(self, request: pb.ListOwnersRequest, context: Context) -> pb.ListOwnersResponse:
+        """The owners of channels that are to move. Only hosts may call this."""
+        channels, hosts = await self._calls.read(context, lambda one: owners(one.tables, list(request.channel_ids)))
+        return pb.ListOwnersResponse(channels=map(channel_record, channels), hosts=map(host_record, hosts))
 
     @errors_as_status
     async def CommitQueueMove(self, request: pb.CommitQueueMoveRequest, context: Context) -> pb.CommitQueueMoveResponse:

@@ -16,7 +16,7 @@ from stampede_rt_supernode.core.moves.commands import (
     MoveToRelease,
     ReleaseMoves,
 )
-from stampede_rt_supernode.core.moves.several import MOVES_MAX, released
+from stampede_rt_supernode.core.moves.several import MOVES_MAX, owners, released
 from stampede_rt_supernode.core.records import ReplicaKind
 from tests.support.supernode.operations import (
     Log,
@@ -135,3 +135,13 @@ def test_an_entry_names_a_limited_number_of_channels(log: Log, count: int) -> No
         assert f"names {count} channels; name 1 to 32" in done.message
     with pytest.raises(InvalidArgument):
         released(log.directory.tables, id_of(1), ids)
+
+
+def test_the_owners_of_several_channels_are_named_once_and_unknown_channels_are_left_out(log: Log) -> None:
+    committed(log, 2, a=1)
+    ids = [channel(log, name).channel_id for name in NAMES]
+    channels, hosts = owners(log.directory.tables, [*ids, id_of(99)])
+    assert [one.channel_id for one in channels] == ids
+    assert [one.host_id for one in hosts] == [id_of(2), id_of(1)]
+    with pytest.raises(InvalidArgument):
+        owners(log.directory.tables, [])

@@ -16,7 +16,7 @@ from stampede_rt_supernode.core.moves.commands import (
     ReleaseMoves,
 )
 from stampede_rt_supernode.core.moves.transitions import commit_move
-from stampede_rt_supernode.core.records import ChannelRecord, ReplicaKind
+from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaKind
 from stampede_rt_supernode.core.replicas.transitions import drop_copy
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation
@@ -96,3 +96,10 @@ def released(tables: Tables, host_id: bytes, channel_ids: Sequence[bytes]) -> li
         and channel.host_id != host_id
         and tables.replicas.at(one, host_id) is None
     ]
+
+
+def owners(tables: Tables, channel_ids: Sequence[bytes]) -> tuple[list[ChannelRecord], list[HostRecord]]:
+    """The channels that exist, and their owners, each once."""
+    check_ids(channel_ids)
+    channels = [found for one in channel_ids if (found := tables.channels.get(one)) is not None]
+    return channels, [tables.hosts[one] for one in dict.fromkeys(channel.host_id for channel in channels)]

@@ -1,0 +1,108 @@
+"""The stream in which a drain asks one host to take over channels (`MigrationService.MoveEachHere`)."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import grpc
+
+from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
+from stampede_rt.status import from_error_message, from_rpc_error
+from stampede_rt.v1 import migration_service_pb2 as pb
+
+METHOD = "/stampede_rt.v1.MigrationService/MoveEachHere"
+
+
+class DrainRequests:
+    """The requests to one host. Those of one turn of the event loop go into one message."""
+
+    def __init__(self, target: str, channel: grpc.aio.Channel) -> None:
+        """`channel`: the connection to the host at `target`."""
+        self._target = target
+        self._channel = channel
+        self._asked: dict[bytes, asyncio.Future[None]] = {}  # by channel: the requests without an answer
+        self._new: list[bytes] = []
+        self._news = asyncio.Event()
+        self._stream: asyncio.Task[None] | None = None
+        self._is_served = True
+
+    async def take(self, channel_id: bytes, seconds: float) -> bool:
+        """Have the host take a channel over. False: the host is of an older release, and does not know this request.
+
+        Raises the error of the move, DeadlineExceeded after `seconds`, and Unavailable if the stream breaks.
+        """
+        if not self._is_served:
+            return False
+        answer = self._asked[channel_id] = asyncio.get_running_loop().create_future()
+        self._new.append(channel_id)
+        self._news.set()
+        if self._stream is None:
+            self._stream = asyncio.create_task(self._run(), name=f"drain to {self._target}")
+        try:
+            async with asyncio.timeout(seconds):
+                await answer
+        except TimeoutError:
+            raise DeadlineExceeded(f"{self._target} did not answer in {seconds:g} s") from None
+        except StampedeError:
+            if self._is_served:
+                raise
+        finally:
+            if self._asked.get(channel_id) is answer:
+                del self._asked[channel_id]
+        return self._is_served
+
+    async def _run(self) -> None:
+        """Ask, and deal the outcomes, until the stream breaks. Then all requests without an answer fail."""
+        failure: StampedeError = Unavailable(f"{self._target} has ended the stream of the drain")
+        call = self._channel.stream_stream(
+            METHOD,
+            request_serializer=pb.MoveEachHereRequest.SerializeToString,
+            response_deserializer=pb.MoveEachHereResponse.FromString,
+        )()
+        writing = asyncio.create_task(self._write(call))
+        try:
+            while isinstance(response := await call.read(), pb.MoveEachHereResponse):
+                self._deal(response)
+        except grpc.RpcError as error:
+            failure = from_rpc_error(error, self._target)
+            self._is_served = error.code() is not grpc.StatusCode.UNIMPLEMENTED
+        except StampedeError as error:
+            failure = error
+        finally:
+            self._stream = None
+            writing.cancel()
+            call.cancel()
+            await asyncio.gather(writing, return_exceptions=True)
+            self._fail(failure)
+
+    async def _write(self, call: Any) -> None:
+        while True:  # until `_run` cancels this task; the task that reads gets the error of a broken stream
+            await self._news.wait()
+            self._news.clear()
+            new, self._new = self._new, []
+            await call.write(pb.MoveEachHereRequest(channel_ids=new))
+
+    def _deal(self, response: pb.MoveEachHereResponse) -> None:
+        for outcome in response.outcomes:
+            answer = self._asked.pop(outcome.channel_id, None)
+            if answer is None or answer.done():
+                continue
+            if outcome.HasField("error"):
+                answer.set_exception(from_error_message(outcome.error))
+            else:
+                answer.set_result(None)
+
+    def _fail(self, failure: StampedeError) -> None:
+        asked, self._asked = self._asked, {}
+        self._new.clear()
+        for answer in asked.values():
+            if not answer.done():
+                answer.set_exception(failure)
+
+    async def aclose(self) -> None:
+        """End the stream and the connection."""
+        if self._stream is not None:
+            self._stream.cancel()
+            await asyncio.gather(self._stream, return_exceptions=True)
+        await self._channel.close(None)
