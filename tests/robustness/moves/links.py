@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from grpc.aio import EOF
 
 from stampede_rt.errors import StampedeError, Unavailable
-from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt_channel_host.copies.fed_responses import read_response
 
 if TYPE_CHECKING:
     from tests.robustness.moves.two_hosts import Host, World
@@ -106,9 +106,9 @@ class Link:
             raise found
         if found is EOF:
             return EOF
-        response = raw_run_pb2.RawFeedResponse.FromString(found)
+        response = read_response(found)
         if self.is_of_move:
-            self.world.at("handed over" if response.state.HasField("handoff") else "feeding")
+            self.world.at("handed over" if response.fields.state.HasField("handoff") else "feeding")
         return response
 
     # The source's side.

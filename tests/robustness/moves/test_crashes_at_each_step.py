@@ -293,8 +293,8 @@ async def test_an_owner_that_lacks_the_last_facts_of_the_former_one_feeds_a_prox
         channel_id=story.world.channel_id, epoch=1, host_id=id_of(DESTINATION), target="proxy:1", place=place
     )
     await link.write(pb.FeedRequest(open=opening, credit_bytes=10**6))
-    assert (await link.read()).opened.begins_anew
-    assert [len(one.run) > 0 for one in (await link.read()).runs] == [True]
+    assert (await link.read()).fields.opened.begins_anew
+    assert [len(one) > 0 for one in (await link.read()).runs] == [True]
     link.cut()
 
 

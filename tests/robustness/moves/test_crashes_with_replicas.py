@@ -262,5 +262,5 @@ async def test_a_replica_begins_anew_if_it_may_have_items_of_a_former_owner_that
     )  # fmt: skip
     await link.write(pb.FeedRequest(open=opening, credit_bytes=10**6))
     async with asyncio.timeout(10):
-        assert (await link.read()).opened.begins_anew is begins_anew
+        assert (await link.read()).fields.opened.begins_anew is begins_anew
     link.cut()

@@ -16,7 +16,7 @@ from stampede_rt.wire.varints import decode_varint
 
 LONG_BYTES = 4096
 """Protobuf decodes a shorter response, which is faster."""
-_RUNS_TAG = 3 << 3 | 2  # SubscribeResponse.runs
+_RUNS_TAG = 3 << 3 | 2  # SubscribeResponse.runs and FeedResponse.runs
 _RUN_TAG = 1 << 3 | 2  # DeliveredRun.run
 _NEXT_TIME = struct.Struct("<Bq")
 _NEXT_TIME_TAG = 2 << 3 | 1  # DeliveredRun.next_time_unix_nano
@@ -42,6 +42,14 @@ def read_answer(raw: bytes | memoryview) -> SubscribeAnswer:
     """Decode a response. The runs of a long one are views of `raw`. Raises DecodeError."""
     if len(raw) < LONG_BYTES:
         return SubscribeAnswer(pb.SubscribeResponse.FromString(raw), [])  # type: ignore[arg-type]
+    others, runs = split_runs(raw)
+    return SubscribeAnswer(pb.SubscribeResponse.FromString(others), runs)
+
+
+def split_runs(raw: bytes | memoryview) -> tuple[bytes, list[LongRun]]:
+    """The other fields of a SubscribeResponse or FeedResponse, and its runs, which are views of `raw`. Raises
+    DecodeError.
+    """
     view, at, others_at = memoryview(raw), 0, 0
     others, runs = list[memoryview](), list[LongRun]()
     try:
@@ -56,7 +64,7 @@ def read_answer(raw: bytes | memoryview) -> SubscribeAnswer:
         raise DecodeError("the response ends within a field") from error
     if at != len(view):
         raise DecodeError("a field is longer than the response")
-    return SubscribeAnswer(pb.SubscribeResponse.FromString(b"".join((*others, view[others_at:]))), runs)
+    return b"".join((*others, view[others_at:])), runs
 
 
 def _field_at(view: memoryview, at: int) -> tuple[int, int]:

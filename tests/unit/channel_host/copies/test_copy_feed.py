@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from stampede_rt.errors import InvalidArgument, Unavailable
-from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.copies import copy_feed
 from stampede_rt_channel_host.copies.copy_feed import GRANTS, WINDOW_BYTES, CopyFeed
+from stampede_rt_channel_host.copies.fed_responses import read_response
 from tests.support.clock import ManualClock
 
 MS = 10**6
@@ -70,7 +70,7 @@ async def test_a_source_can_change_only_its_own_channel_at_the_copys_host(opened
     other = pb.FeedResponse(opened=opened, state=pb.FeedState())
     other.state.channel.channel_id = b"x" * 16
     with pytest.raises(InvalidArgument, match="sent the record of another channel"):
-        await rig.feed._take(raw_run_pb2.RawFeedResponse.FromString(other.SerializeToString()))
+        await rig.feed._take(read_response(other.SerializeToString()))
 
 
 class SlowSource:

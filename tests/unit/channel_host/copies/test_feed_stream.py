@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from stampede_rt.v1 import channel_service_pb2, raw_run_pb2
+from stampede_rt.v1 import channel_service_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt.values.policy import parse_policy
 from stampede_rt.wire.put_frames import put_head, put_request
@@ -19,6 +19,7 @@ from stampede_rt.wire.runs import run_parts
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.copies.copy_feed import RUNS_PER_TURN, CopyFeed
+from stampede_rt_channel_host.copies.fed_responses import FedResponse, read_response
 from stampede_rt_channel_host.core.replication import KnownReplica
 from stampede_rt_runtime import pacing
 from tests.support.channel_host.held_transport import HeldStream, held_stream
@@ -88,15 +89,15 @@ async def pauses() -> None:
         await asyncio.sleep(0)
 
 
-def parts_in(messages: list[bytes]) -> list[raw_run_pb2.RawFeedResponse]:
-    return [raw_run_pb2.RawFeedResponse.FromString(one) for one in messages]
+def parts_in(messages: list[bytes]) -> list[FedResponse]:
+    return [read_response(one) for one in messages]
 
 
 async def test_a_put_goes_to_the_replica_in_the_turn_in_which_it_comes() -> None:
     async with fed() as one:
         for seq in (1, 2, 3):
             [part] = parts_in(one.put())
-            assert (part.state.first_seq, part.state.next_seq, len(part.runs)) == (seq, seq + 1, 1)
+            assert (part.fields.state.first_seq, part.fields.state.next_seq, len(part.runs)) == (seq, seq + 1, 1)
             assert len(one.acks()) == seq - 1, "the replica has not answered yet"
             one.report()
             await one.producer.until_written(seq)
@@ -111,7 +112,7 @@ async def test_the_items_that_come_while_the_replica_lacks_one_go_out_together()
         assert one.put() == one.put() == []
         count = len(one.feed.written())
         [part] = parts_in((await one.feed.until_written(count + 1))[count:])
-        assert (part.state.first_seq, part.state.next_seq) == (2, 4)
+        assert (part.fields.state.first_seq, part.fields.state.next_seq) == (2, 4)
 
 
 async def test_a_replica_without_credit_gets_nothing_at_once() -> None:
@@ -152,7 +153,7 @@ async def test_a_replica_leaves_other_parts_to_its_tasks(state: str) -> None:
         [part] = parts_in(one.put())
         call: Any = SimpleNamespace(write_now=None)
         if state == "a long part":
-            part.runs.extend([part.runs[0]] * RUNS_PER_TURN)
+            part = part._replace(runs=[part.runs[0]] * (RUNS_PER_TURN + 1))
         elif state == "a request under way":
             await copied._turn.acquire()
         copied._news.clear()

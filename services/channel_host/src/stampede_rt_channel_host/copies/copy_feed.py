@@ -21,6 +21,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.cut_floors import floor_from_message
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.cluster.task_failures import first_failure
+from stampede_rt_channel_host.copies.fed_responses import FedResponse, read_response
 from stampede_rt_channel_host.copies.messages import advance_of, cleared_of, collection_of, losses_of, place_to, run_of
 from stampede_rt_channel_host.copies.owner_messages import owner_of
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
@@ -164,10 +165,10 @@ class CopyFeed:
 
     async def _read_all(self, call: Any, source: FeedSource) -> None:
         loop = asyncio.get_running_loop()
-        while hasattr(response := await call.read(), "state"):  # gRPC's EOF has no fields
+        while isinstance(response := await call.read(), FedResponse):
             self._heard_s = loop.time()
             await self._take(response)
-            if response.move_over:
+            if response.fields.move_over:
                 return
             if self._owes_request:
                 await self._answer(call.write)
@@ -175,16 +176,16 @@ class CopyFeed:
                 call.answer_at_once(partial(self._take_at_once, call))
         raise Unavailable(f"the source at {source.target} has ended the feed")
 
-    def _take_at_once(self, call: Any, response: raw_run_pb2.RawFeedResponse) -> bool:
+    def _take_at_once(self, call: Any, response: FedResponse) -> bool:
         """Take a short part, and answer it, in the turn of the event loop in which it comes: puts wait for the answer.
 
         Returns False for any other message.
         """
-        if response.HasField("opened") or len(response.runs) > RUNS_PER_TURN or self._turn.locked():
+        if response.fields.HasField("opened") or len(response.runs) > RUNS_PER_TURN or self._turn.locked():
             return False
         self._heard_s = asyncio.get_running_loop().time()
-        self._follow(response)
-        self._store_last(response.state, [run_of(one.run) for one in response.runs])
+        self._follow(response.fields)
+        self._store_last(response.fields.state, [run_of(bytes(body)) for body in response.runs])
         write = call.write_now if self._owes_request else None
         if write is not None:
             write(self._next_request())
@@ -200,9 +201,9 @@ class CopyFeed:
         async with self._turn:
             await self._send(write)
 
-    async def _take(self, response: raw_run_pb2.RawFeedResponse) -> None:
-        self._follow(response)
-        await self._apply(response.state, [one.run for one in response.runs])
+    async def _take(self, response: FedResponse) -> None:
+        self._follow(response.fields)
+        await self._apply(response.fields.state, response.runs)
 
     def _follow(self, response: raw_run_pb2.RawFeedResponse) -> None:
         """Take over the channel as the source knows it, if the response tells of it."""
@@ -238,11 +239,11 @@ class CopyFeed:
         if held is not None:
             held.update(record)
 
-    async def _apply(self, state: pb.FeedState, bodies: Sequence[bytes]) -> None:
+    async def _apply(self, state: pb.FeedState, bodies: Sequence[bytes | memoryview]) -> None:
         """Apply one part. Stores a few runs in each turn of the event loop, and the source's state with the last."""
         rest = bodies
         while len(rest) > RUNS_PER_TURN:
-            some, rest = [run_of(body) for body in rest[:RUNS_PER_TURN]], rest[RUNS_PER_TURN:]
+            some, rest = [run_of(bytes(body)) for body in rest[:RUNS_PER_TURN]], rest[RUNS_PER_TURN:]
             end_seq = some[-1].first_seq + len(some[-1])
             self._granted += self._store_runs(some, **self._beginning_of(state), next_seq=end_seq)
             # the rest of the part begins here, and has no facts of its own
@@ -250,7 +251,7 @@ class CopyFeed:
             state.ClearField("cleared")
             state.ClearField("owner")
             await asyncio.sleep(0)
-        self._store_last(state, [run_of(body) for body in rest])
+        self._store_last(state, [run_of(bytes(body)) for body in rest])
 
     def _store_last(self, state: pb.FeedState, runs: Sequence[Run]) -> None:
         """Apply the last runs of a part, and then the source's state."""
@@ -295,7 +296,7 @@ def feed_over(channel: grpc.aio.Channel) -> Any:
     return channel.stream_stream(
         METHOD,
         request_serializer=pb.FeedRequest.SerializeToString,
-        response_deserializer=raw_run_pb2.RawFeedResponse.FromString,
+        response_deserializer=read_response,
     )()
 
 

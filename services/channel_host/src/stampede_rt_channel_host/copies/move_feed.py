@@ -6,11 +6,11 @@ import asyncio
 import secrets
 from typing import Any
 
-from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.copy_state import CopyState, Inheritance
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.copies.copy_feed import WINDOW_BYTES, CopyFeed
+from stampede_rt_channel_host.copies.fed_responses import FedResponse
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.records import RecordedChannel
 
@@ -60,7 +60,7 @@ class MoveFeed(CopyFeed):
         request.ready = False  # so that the source sends no readers here before this host is the owner
         return request
 
-    def _take_at_once(self, call: Any, response: raw_run_pb2.RawFeedResponse) -> bool:
+    def _take_at_once(self, call: Any, response: FedResponse) -> bool:
         """Leave all messages to `_take`: no put waits for a move."""
         return False
 
@@ -71,11 +71,11 @@ class MoveFeed(CopyFeed):
         if self._state.caught_up and not was_caught_up and not self._record.policy.replicas:
             self._owes_request = False
 
-    async def _take(self, response: raw_run_pb2.RawFeedResponse) -> None:
+    async def _take(self, response: FedResponse) -> None:
         if self.handoff.done():  # the copy has become the owner, or soon will; the rest are signs of life, and the end
             return
         await super()._take(response)
-        if response.state.HasField("handoff"):
-            handoff = response.state.handoff
+        if response.fields.state.HasField("handoff"):
+            handoff = response.fields.state.handoff
             self.permit = handoff.permit
             self.handoff.set_result(Inheritance(handoff.host_time_unix_nano))
