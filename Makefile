@@ -45,7 +45,7 @@ demos: setup  ## all demos; the TV watcher and stereo with client tokens and rul
 	$(RUN)/stampede demo rover
 
 test: setup  ## the whole test suite
-	$(RUN)/pytest -n 5 --dist loadfile --no-loadscope-reorder
+	timeout --kill-after=30 3000 $(RUN)/pytest -n 5 --dist loadfile --no-loadscope-reorder --max-worker-restart 2
 
 test-acl: setup  ## the tests with a whole cluster, as a client whom rules of access judge
 	STAMPEDE_TEST_ACL=1 $(RUN)/pytest -n 2 --dist loadfile --tb=native $(ACL_TESTS)
