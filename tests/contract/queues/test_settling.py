@@ -105,7 +105,7 @@ async def test_the_error_of_a_block_is_raised_even_if_the_lease_has_ended(rig: R
 
 
 async def test_a_live_taker_whose_lease_ended_gets_further_messages(rig: Rig) -> None:
-    """The host checks whether the taker lives before it passes the taker over."""
+    """Before the host skips a taker, it checks whether the taker is still alive."""
     queue = await rig.queue(lease="100ms")
     gets = [asyncio.ensure_future(queue.get(timeout=20)) for _ in range(3)]
     await until(queue, lambda stats: stats.waiting_gets == 1)

@@ -1,4 +1,4 @@
-"""`stampede bench paper` runs through on a small scale and leaves its charts; no time is judged here."""
+"""`stampede bench paper` runs to its end on a small scale and writes its charts. These tests judge no times."""
 
 from __future__ import annotations
 

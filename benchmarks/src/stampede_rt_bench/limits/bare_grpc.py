@@ -39,7 +39,7 @@ class BareGrpc:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Return the work that it cannot do: frames, because it serves one reader only."""
+        """Return the kinds of work that this system cannot do: frames, because it serves one reader only."""
         return {"frames": ONE_READER}
 
     def unavailable_because(self) -> str | None:

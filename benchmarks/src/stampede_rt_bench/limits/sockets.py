@@ -1,4 +1,4 @@
-"""Raw sockets, Unix and TCP, with frames of a length and bytes. No client and server in Python can be faster."""
+"""Raw sockets, Unix and TCP. Each frame is its length and its bytes. No client and server in Python can be faster."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class RawSockets:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Return the work that it cannot do: frames, because it serves one reader only."""
+        """Return the kinds of work that this system cannot do: frames, because it serves one reader only."""
         return {"frames": ONE_READER}
 
     @property

@@ -1,4 +1,4 @@
-"""The moves of one call of the directory: each gets its own outcome, and none waits for the others in turn."""
+"""The moves that one call of the directory gathers: each has its own outcome, and waits for no other move."""
 
 from __future__ import annotations
 
