@@ -144,19 +144,36 @@ def test_a_stale_binding_is_forgotten_for_every_thread() -> None:
 def test_a_run_holds_as_many_items_as_fit_and_the_next_run_continues_their_numbers() -> None:
     builder = RunBuilder()
     for number in range(RUN_ITEMS_MAX):
-        assert builder.fits(b"x", number, None, "")
-        builder.add(b"x", number, None, None, "")
-    assert not builder.fits(b"x", 0, None, "")
-    run = builder.take()
+        assert builder.has_room(1)
+        builder.add((b"x", number, None, None, ""), 1)
+    assert not builder.has_room(1)
+    run = builder.cut()
+    assert run == builder.cut(), "the items wait until the caller drops them"
+    builder.add((b"x", None, 5, {"a": "b"}, ""), 1)  # as a signal handler may add one
+    builder.drop(run)
     assert (run.first_number, run.items, builder.next_number) == (1, RUN_ITEMS_MAX, RUN_ITEMS_MAX + 1)
     assert parse_run(b"".join(run.encoded)).durations is None
-    builder.add(b"x", None, 5, {"a": "b"}, "")
-    assert not builder.fits(b"x", 1, {"a": "b"}, "")
-    assert not builder.fits(b"x", None, None, "")
-    assert not builder.fits(b"x", None, {"a": "b"}, "text/plain")
-    assert not builder.fits(bytes(RUN_BYTES_MAX), None, {"a": "b"}, "")
-    assert builder.fits(b"x", None, {"a": "b"}, "")
-    assert parse_run(b"".join(builder.take().encoded)).durations == [5]
+    assert not builder.has_room(RUN_BYTES_MAX)
+    assert parse_run(b"".join(builder.cut().encoded)).durations == [5]
+
+
+def test_items_that_do_not_fit_together_come_into_runs_of_their_own() -> None:
+    builder = RunBuilder()
+    kinds: list[tuple[int | None, dict[str, str] | None, str]] = [
+        (None, None, ""), (1, None, ""), (1, {"a": "b"}, ""), (1, {"a": "c"}, ""), (1, {"a": "c"}, "text/plain"),
+    ]  # fmt: skip
+    for time, attributes, content_type in kinds:
+        for _ in range(2):
+            builder.add((b"x", time, None, attributes, content_type), 1)
+    long = bytes(RUN_BYTES_MAX)
+    for _ in range(2):
+        builder.add((long, None, None, None, ""), len(long))
+    runs = []
+    while len(builder):
+        runs.append(builder.cut())
+        builder.drop(runs[-1])
+    assert [(run.first_number, run.items) for run in runs] == [(1, 2), (3, 2), (5, 2), (7, 2), (9, 2), (11, 1), (12, 1)]
+    assert builder.length_bytes == 0
 
 
 @pytest.mark.parametrize("reason", [name.removeprefix("ERROR_REASON_") for name in error_pb2.ErrorReason.keys()[1:]])

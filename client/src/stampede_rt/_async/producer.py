@@ -63,8 +63,7 @@ class Producer(BoundToProcess):
         self._failure: StampedeError | None = None
         self._backoff: Backoff | None = None  # set from a failure until the next ack
         self._finished = False
-        self.accepted = 0
-        self.rejections = 0
+        self.accepted = self.rejections = 0
         self.rejected: list[StampedeError] = []
         when_dropped(self, partial(_give_up, self._opened))
 
@@ -99,8 +98,8 @@ class Producer(BoundToProcess):
         """Accept one item for sending.
 
         The producer sends an item at once if no earlier item is unacknowledged. Otherwise it collects items in runs,
-        and sends several runs together. If the item does not fit into the present run, the call blocks while 8 MiB or
-        64 runs are unacknowledged. The call also blocks while the producer opens a stream.
+        and sends several runs together. If 256 items or 224 KiB are collected, the call blocks while 8 MiB or 64 runs
+        are unacknowledged. The call also blocks while the producer opens a stream.
 
         `timeout` in seconds is the longest wait, by default 10; None waits without a limit, as a channel with
         on_full="block" may need. The other arguments are those of `Channel.put`. If a put raises or is cancelled, the
@@ -114,17 +113,26 @@ class Producer(BoundToProcess):
         coding = self._state.coding
         payload = coding.encode(payload) if coding else check_payload(payload)
         check_attributes(attributes)
-        instant = time if time is None or type(time) is int else parse_instant(time)
+        labels = dict(attributes) if attributes else None  # the caller may change its mapping after the put
+        instant = None if time is None else parse_instant(time)
         nanos = duration if duration is None else parse_item_duration(duration)
         kind = content_type_of(content_type) or (coding.content_type if coding else "")
-        deadline_s = float("inf") if timeout is None else clock.monotonic() + timeout
+        length_bytes = len(payload)
+        if self._stream is None or self._failure is not None or not self._builder.has_room(length_bytes):
+            await self._make_room(length_bytes, timeout)
+        self._builder.add((payload, instant, nanos, labels, kind), length_bytes)
+        if self._unacked.is_idle:  # no ack under way will send the item
+            self._do(self._send_filled)
+
+    async def _make_room(self, length_bytes: int, timeout: float | None) -> None:
+        """Block until there is a stream and an item of this length may wait. A signal handler does not block."""
         if self._steps.is_interrupted:
-            self._count_interrupting(len(payload))
-        else:
-            self._interrupting_bytes = 0
-            while self._is_down() or not self._builder.fits(payload, instant, attributes, kind):
-                await self._send(deadline_s)
-        self._do(self._add, payload, instant, nanos, attributes, kind)
+            self._count_interrupting(length_bytes)
+            return
+        self._interrupting_bytes = 0
+        deadline_s = float("inf") if timeout is None else clock.monotonic() + timeout
+        while self._stream is None or self._failure is not None or not self._builder.has_room(length_bytes):
+            await self._send(deadline_s)
 
     async def flush(self, timeout: float | None = CALL_TIMEOUT_S) -> None:
         """Block until the host has accepted or refused every item. Then raise the first refusal, if there is one.
@@ -155,14 +163,6 @@ class Producer(BoundToProcess):
         if stream is not None:
             stream.cancel()
 
-    def _add(self, payload: bytes, time: int | None, nanos: int | None, labels: Any, kind: str) -> None:
-        if not self._builder.fits(payload, time, labels, kind):  # since `put` looked, a signal handler has put an item
-            self._send_filled()
-        self._builder.add(payload, time, nanos, labels, kind)
-        _in_flight.add(self)
-        if self._unacked.is_idle:  # no run is under way: send this item at once
-            self._send_filled()
-
     def _count_interrupting(self, length_bytes: int) -> None:
         """Count an item of a signal handler or `__del__` that interrupts a put. It cannot wait for room."""
         self._interrupting_bytes += length_bytes + ITEM_OVERHEAD_BYTES
@@ -184,35 +184,34 @@ class Producer(BoundToProcess):
         await self._send(deadline_s)
         self._do(lambda: self._write(self._unacked.take_gathered()))
 
-    def _do(self, step: Callable[..., None], *arguments: Any) -> None:
+    def _do(self, step: Callable[[], None]) -> None:
         """Run a step. If a signal ends it, a later call sends all unacknowledged runs again over another stream."""
         try:
-            self._steps.run(step, *arguments)
+            self._steps.run(step)
         except BaseException:
             self._failure = self._failure or Unavailable("a signal handler has interrupted a put; put again")
             raise
 
-    def _is_down(self) -> bool:
-        return self._stream is None or self._failure is not None
-
     def _send_filled(self) -> None:
-        """Finish the run under construction, and send full messages. This is a part of a step.
+        """Finish runs as long as there is room, and send full messages. This is a part of a step.
 
-        If no sent run is unacknowledged, this sends everything.
+        If no sent run is unacknowledged, this sends everything. A call that a signal has ended may be repeated.
         """
-        if len(self._builder):
-            for message in self._unacked.add(self._builder.take()):
-                self._write(message)
-        elif self._unacked.is_idle:
-            self._write(self._unacked.take_gathered())
+        self._builder.drop(self._unacked.last)  # if a signal has ended a call between the two
+        while len(self._builder) and self._has_room():
+            _in_flight.add(self)
+            self._unacked.add(self._builder.cut())
+            self._builder.drop(self._unacked.last)
+        self._write(self._unacked.take_ready())
 
-    def _write(self, runs: Sequence[NumberedRun]) -> None:
-        """Write one message. If the stream is broken, `_open` sends the runs again over the next stream."""
-        if self._stream is not None and runs:
-            try:
-                self._stream.send(runs)
-            except Unavailable as error:
-                self._failure = self._failure or error
+    def _write(self, requests: Sequence[Sequence[NumberedRun]]) -> None:
+        """Write messages. If the stream is broken, `_open` sends the runs again over the next stream."""
+        try:
+            for runs in requests:
+                if self._stream is not None:
+                    self._stream.send(runs)
+        except Unavailable as error:
+            self._failure = self._failure or error
 
     async def _until(self, condition: Callable[[], bool], deadline_s: float) -> None:
         """Block until `condition` holds. Replace the stream if it fails meanwhile. Raises DeadlineExceeded."""
@@ -240,7 +239,7 @@ class Producer(BoundToProcess):
             self._take_news()  # a signal may have interrupted it
             found.append(self._failure is None and condition())
 
-        self._steps.run(look)
+        self._do(look)
         return found == [True]
 
     async def _recover(self, failure: StampedeError, left_s: float) -> None:
@@ -270,19 +269,20 @@ class Producer(BoundToProcess):
             generation = self._generation
             told = partial(_weakly(self._acked), generation), partial(_weakly(self._ended), generation)
             stream = open_run_stream(self._session, binding, self._producer_id, self._tail, *told)
-            self._steps.run(self._begin, stream, generation)
+            self._do(partial(self._begin, stream, generation))
 
         await self._session.perform(self._state, open_at, timeout_s)
 
     def _begin(self, stream: RunStream, generation: int) -> None:
         """Begin to use the stream, and send the unacknowledged runs again."""
         if generation != self._generation or self._stream is not None:  # a signal handler has used the producer
-            stream.cancel()
+            if stream is not self._stream:
+                stream.cancel()
             return
         self._stream, self._failure = stream, None
         self._opened[:] = [stream]
-        for runs in self._unacked.resend():
-            self._write(runs)
+        self._builder.drop(self._unacked.last)
+        self._write(self._unacked.resend())
         if len(self._unacked):
             _in_flight.add(self)
         else:

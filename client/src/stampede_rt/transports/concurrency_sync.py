@@ -117,19 +117,18 @@ class Steps:
     @property
     def is_interrupted(self) -> bool:
         """Whether the calling code interrupts a step on its own thread."""
-        return self._runner == threading.get_ident()
+        return self._runner == threading.get_ident() and self._mutex._is_owned()  # type: ignore[attr-defined]
 
     def run(self, step: Callable[..., None], *arguments: Any) -> None:
         """Run the step before this call returns, unless the caller interrupts another one. Waits for other threads."""
-        thread = threading.get_ident()
-        if self._runner == thread:
+        if self.is_interrupted:
             self._waiting.append(partial(step, *arguments))
             return
         with self._mutex:
             if self._waiting:
                 self._run_waiting()  # they were offered before
-            try:  # as `_run`, without another call: each item of a producer takes a step
-                self._runner = thread
+            try:
+                self._runner = threading.get_ident()
                 step(*arguments)
             finally:
                 self._runner = 0
@@ -149,20 +148,18 @@ class Steps:
             finally:
                 self._mutex.release()
 
-    def _run(self, step: Callable[..., None], *arguments: Any) -> None:
+    def _run_waiting(self) -> None:
+        """Run all waiting steps. If a signal ends this call, a step may wait again that has run before."""
         try:
-            self._runner = threading.get_ident()
-            step(*arguments)
+            self._runner = threading.get_ident()  # from now on a signal handler only adds steps
+            while self._waiting:
+                step = self._waiting[0]
+                try:
+                    step()
+                finally:
+                    self._waiting.popleft()
         finally:
             self._runner = 0
-
-    def _run_waiting(self) -> None:
-        while self._waiting and not self.is_interrupted:
-            try:
-                step = self._waiting.popleft()
-            except IndexError:  # a signal handler has run the last one
-                return
-            self._run(step)
 
 
 def run_all(operations: Sequence[Callable[[], Result]]) -> list[Result]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import takewhile
+from typing import Any
 
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
 from stampede_rt.values.model import ABSENT
@@ -13,6 +15,8 @@ from stampede_rt.wire.request_pieces import JOINED_BYTES_MAX
 from stampede_rt.wire.runs import RUN_BYTES_MAX, run_parts
 
 _FRAMING_BYTES = 32  # the most bytes that a request needs around one run
+WaitingItem = tuple[bytes, int | None, int | None, Mapping[str, str] | None, str]
+"""A payload with its time, its duration, its attributes and its content type."""
 REQUEST_RUNS_MAX = 16  # the host judges the runs of a request in one step, in about a millisecond
 
 
@@ -34,119 +38,146 @@ class NumberedRun:
         return sum(map(len, self.encoded)) + _FRAMING_BYTES
 
 
-@dataclass(slots=True)
 class RunBuilder:
-    """Collects items that fit together in one run. The caller takes the run when it can send the run.
+    """Collects items, and cuts runs of them. Only one caller at a time may cut and drop, and any may `add` meanwhile.
 
-    Items fit together if all or none of them have a time, if their attributes and content types are equal, and if the
-    run stays within its limits. The builder numbers the items of all its runs: the next item has `next_number`.
+    Items fit together in one run if all or none of them have a time, if their attributes and content types are equal,
+    and if the run stays within its limits. The builder numbers the items of all its runs.
     """
 
-    next_number: int = 1
-    _payloads: list[bytes] = field(default_factory=list)
-    _times: list[int] = field(default_factory=list)
-    _durations: list[int] = field(default_factory=list)
-    _attributes: Mapping[str, str] | None = None
-    _content_type: str = ""
-    length_bytes: int = 0
+    __slots__ = ("_waiting", "length_bytes")
+
+    def __init__(self) -> None:
+        self._waiting: list[Any] = [1]  # the number of the first waiting item, and then the items: see `drop`
+        self.length_bytes = 0  # of the payloads that wait; a little wrong if two callers add at the same moment
 
     def __len__(self) -> int:
-        return len(self._payloads)
+        return len(self._waiting) - 1
 
-    def fits(self, payload: bytes, time: int | None, attributes: Mapping[str, str] | None, content_type: str) -> bool:
-        """Whether the next item can join the present run."""
-        if not self._payloads:
-            return True
-        return (
-            len(self._payloads) < RUN_ITEMS_MAX
-            and self.length_bytes + len(payload) <= RUN_BYTES_MAX
-            and (time is None) is (not self._times)
-            and (attributes or None) == self._attributes
-            and content_type == self._content_type
-        )
+    @property
+    def next_number(self) -> int:
+        """The number of the first item that is in no run yet."""
+        number: int = self._waiting[0]
+        return number
 
-    def add(
-        self,
-        payload: bytes,
-        time: int | None,
-        duration: int | None,
-        attributes: Mapping[str, str] | None,
-        content_type: str,
-    ) -> None:
-        """Append an item to the present run. Call `fits` first."""
-        if not self._payloads:
-            self._attributes, self._content_type = attributes or None, content_type
-        self._payloads.append(payload)
-        if time is not None:
-            self._times.append(time)
-        self._durations.append(ABSENT if duration is None else duration)
-        self.length_bytes += len(payload)
+    def has_room(self, length_bytes: int) -> bool:
+        """Whether a payload of this length may wait together with the present ones."""
+        items = len(self._waiting) - 1
+        return not items or (items < RUN_ITEMS_MAX and self.length_bytes + length_bytes <= RUN_BYTES_MAX)
 
-    def take(self) -> NumberedRun:
-        """Return the present run, encoded, and begin the next one. Do not call it on an empty builder."""
-        has_durations = any(duration != ABSENT for duration in self._durations)
+    def add(self, item: WaitingItem, length_bytes: int) -> None:
+        """Append an item, with the length of its payload. Call `has_room` first.
+
+        One operation of the interpreter adds the item, so no thread, signal handler or exception finds a part of it.
+        """
+        self.length_bytes += length_bytes
+        self._waiting.append(item)
+
+    def cut(self) -> NumberedRun:
+        """Return a run of the first items that fit together, encoded. They wait until `drop`. Some items must wait."""
+        number, *items = self._waiting[: RUN_ITEMS_MAX + 1]
+        payloads, times, durations, attributes, content_types = zip(*_fitting(items), strict=True)
+        has_durations = any(duration is not None for duration in durations)
         encoded = run_parts(
-            self._payloads,
-            times=self._times or None,
-            durations=self._durations if has_durations else None,
-            content_type=self._content_type,
-            attributes=self._attributes,
+            payloads,
+            times=None if times[0] is None else times,
+            durations=[ABSENT if one is None else one for one in durations] if has_durations else None,
+            content_type=content_types[0],
+            attributes=attributes[0],
         )
-        run = NumberedRun(self.next_number, len(self._payloads), self.length_bytes, encoded)
-        self.next_number += run.items
-        self._payloads, self._times, self._durations, self.length_bytes = [], [], [], 0
-        return run
+        return NumberedRun(number, len(payloads), sum(map(len, payloads)), encoded)
+
+    def drop(self, run: NumberedRun | None) -> None:
+        """Forget the items of the run, which `cut` has returned last. Does nothing if they were dropped before.
+
+        One operation drops the items and changes the number. So an exception of a signal handler comes before or after.
+        """
+        if run is None or run.first_number < self.next_number:
+            return
+        self._waiting[: run.items + 1] = [run.first_number + run.items]
+        self.length_bytes = max(self.length_bytes - run.length_bytes, 0) if len(self._waiting) > 1 else 0
+
+
+def _fitting(items: list[WaitingItem]) -> list[WaitingItem]:
+    """Return the first items that fit together in one run."""
+    _, first_time, _, first_attributes, first_type = items[0]
+    length_bytes = 0
+    for index, (payload, time, _, attributes, content_type) in enumerate(items):
+        length_bytes += len(payload)
+        is_alike = (time is None) is (first_time is None) and content_type == first_type
+        if index and not (is_alike and attributes == first_attributes and length_bytes <= RUN_BYTES_MAX):
+            return items[:index]
+    return items
 
 
 class UnackedRuns:
     """The finished runs of a producer that the host has not acknowledged: first the sent ones, then the gathered ones.
 
-    While sent runs wait for their acks, the next ones gather, up to a full request. `length_bytes` counts payloads, and
-    64 bytes for each item.
+    While sent runs wait for their acks, the next ones gather, up to a full request. One operation of the interpreter
+    makes each change. So an exception of a signal handler leaves no run half added or half sent.
     """
 
     def __init__(self) -> None:
-        self._sent: deque[NumberedRun] = deque()
-        self._gathered: list[NumberedRun] = []
-        self.length_bytes = 0
+        self._runs: deque[NumberedRun] = deque()
+        self._sent_before = 0  # the sent runs have lower numbers
 
     def __len__(self) -> int:
-        return len(self._sent) + len(self._gathered)
+        return len(self._runs)
+
+    @property
+    def length_bytes(self) -> int:
+        """The bytes of the payloads, and 64 bytes for each item."""
+        return sum(run.length_bytes + run.items * ITEM_OVERHEAD_BYTES for run in self._runs)
 
     @property
     def is_idle(self) -> bool:
-        """Whether no sent run waits for its ack. Then none is gathered either."""
-        return not self._sent
+        """Whether no sent run waits for its ack."""
+        runs = self._runs
+        return not runs or runs[0].first_number >= self._sent_before
 
-    def add(self, run: NumberedRun) -> list[list[NumberedRun]]:
-        """Add a run. Returns the requests to send now: full ones, and all if no sent run waits for its ack."""
-        self.length_bytes += run.length_bytes + run.items * ITEM_OVERHEAD_BYTES
-        *full, self._gathered = in_requests((*self._gathered, run))
-        self._sent.extend(one for request in full for one in request)
-        if self.is_idle or len(self._gathered) == REQUEST_RUNS_MAX:
-            full.append(self.take_gathered())
-        return full
+    @property
+    def last(self) -> NumberedRun | None:
+        """The run that was added last; None if it is acknowledged."""
+        return self._runs[-1] if self._runs else None
 
-    def take_gathered(self) -> list[NumberedRun]:
-        """Return the gathered runs, which count as sent from now on."""
-        runs, self._gathered = self._gathered, []
-        self._sent.extend(runs)
-        return runs
+    def add(self, run: NumberedRun) -> None:
+        """Add a run."""
+        self._runs.append(run)
 
-    def resend(self) -> Iterable[list[NumberedRun]]:
+    def take_ready(self) -> list[list[NumberedRun]]:
+        """Return the requests to send now: full ones, and all if no sent run waits for its ack.
+
+        Their runs count as sent from now on.
+        """
+        requests = self._gathered()
+        if requests and len(requests[-1]) < REQUEST_RUNS_MAX and not self.is_idle:
+            requests.pop()
+        return self._as_sent(requests)
+
+    def take_gathered(self) -> list[list[NumberedRun]]:
+        """Return all gathered runs in requests. They count as sent from now on."""
+        return self._as_sent(self._gathered())
+
+    def resend(self) -> list[list[NumberedRun]]:
         """Return all runs in requests, for a new stream. They count as sent."""
-        self.take_gathered()
-        return in_requests(self._sent)
+        return self._as_sent(list(in_requests(self._runs)))
+
+    def _gathered(self) -> list[list[NumberedRun]]:
+        gathered = [*takewhile(lambda run: run.first_number >= self._sent_before, reversed(self._runs))]
+        return list(in_requests(reversed(gathered)))
+
+    def _as_sent(self, requests: list[list[NumberedRun]]) -> list[list[NumberedRun]]:
+        if requests:
+            self._sent_before = requests[-1][-1].first_number + 1
+        return requests
 
     def awaits(self, first_number: int) -> bool:
         """Whether the run with this number has been sent, and is the first one without an ack."""
-        return bool(self._sent) and self._sent[0].first_number == first_number
+        return not self.is_idle and self._runs[0].first_number == first_number
 
     def acknowledge(self) -> NumberedRun:
         """Remove and return the run that was sent first."""
-        run = self._sent.popleft()
-        self.length_bytes -= run.length_bytes + run.items * ITEM_OVERHEAD_BYTES
-        return run
+        return self._runs.popleft()
 
 
 def in_requests(runs: Iterable[NumberedRun]) -> Iterator[list[NumberedRun]]:

@@ -84,8 +84,9 @@ def runs_of(*payloads: list[bytes], time: int | None = None) -> list[NumberedRun
     builder, runs = RunBuilder(), []
     for group in payloads:
         for payload in group:
-            builder.add(payload, time, None, None, "")
-        runs.append(builder.take())
+            builder.add((payload, time, None, None, ""), len(payload))
+        runs.append(builder.cut())
+        builder.drop(runs[-1])
     return runs
 
 

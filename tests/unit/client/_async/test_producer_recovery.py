@@ -131,7 +131,7 @@ async def test_a_put_to_a_host_that_does_not_answer_ends_at_its_timeout() -> Non
     for _ in range(IN_FLIGHT_RUNS_MAX - 3):
         await producer.put(b"more")
         await producer._send_all()
-    while producer._builder.fits(bytes(2**20), None, None, ""):
+    while producer._builder.has_room(2**20):
         await producer.put(bytes(2**20))
     handed_over = len(producer._builder)
     with pytest.raises(st.DeadlineExceeded, match=f"did not acknowledge {IN_FLIGHT_RUNS_MAX} runs .* is overloaded"):

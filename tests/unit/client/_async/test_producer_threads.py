@@ -120,3 +120,28 @@ def test_a_run_whose_sending_a_signal_has_ended_is_sent_again() -> None:
         producer.put(b"x")
     producer.flush(LIMIT_S)
     assert (place.streams, producer.accepted) == (2, 1)
+
+
+def test_an_item_keeps_the_attributes_that_its_put_had() -> None:
+    """A fixed fault: a program that changed its mapping after a put changed the items that still waited."""
+    place = Place()
+    producer = producer_at(place)
+    labels = {"n": "1"}
+    for number in range(3):
+        labels["n"] = str(number)
+        producer.put(b"x", attributes=labels)
+    waiting = producer._builder
+    assert b"".join(waiting.cut().encoded).count(b"x") == 1
+    waiting.drop(waiting.cut())
+    assert len(waiting) == 1
+
+
+def test_a_time_beyond_64_bits_is_refused_and_hinders_no_later_put() -> None:
+    """A fixed fault: the item stayed in the run under construction, and all later puts failed."""
+    place = Place()
+    producer = producer_at(place)
+    for _ in range(2):
+        with pytest.raises(st.InvalidArgument):
+            producer.put(b"x", time=2**70)
+    producer.put(b"x")
+    assert len(producer._unacked) == 1
