@@ -14,14 +14,18 @@ def check_payload(payload: object) -> bytes:
 
     Raises InvalidArgument, ItemTooLarge.
     """
-    if not isinstance(payload, bytes | bytearray | memoryview):
-        raise InvalidArgument(f"the payload is a {type(payload).__name__}; {_instead(payload)}")
-    data = payload if type(payload) is bytes else bytes(payload)
+    data = payload if type(payload) is bytes else _copied(payload)
     if len(data) > ITEM_BYTES_MAX:
         raise ItemTooLarge(
             f"the payload has {len(data)} bytes; one item or message has at most {ITEM_BYTES_MAX}: split it"
         )
     return data
+
+
+def _copied(payload: object) -> bytes:
+    if not isinstance(payload, bytes | bytearray | memoryview):
+        raise InvalidArgument(f"the payload is a {type(payload).__name__}; {_instead(payload)}")
+    return bytes(payload)
 
 
 def _instead(payload: object) -> str:

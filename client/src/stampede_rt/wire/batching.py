@@ -24,18 +24,15 @@ REQUEST_RUNS_MAX = 16  # the host judges the runs of a request in one step, in a
 class NumberedRun:
     """A finished run, with the producer's number of its first item and the length of its payloads.
 
-    `encoded` has the bytes of the run in pieces, as `run_parts` returns them.
+    `encoded` has the bytes of the run in pieces, as `run_parts` returns them. `request_bytes`: of the run in a request,
+    at most.
     """
 
     first_number: int
     items: int
     length_bytes: int
     encoded: Sequence[bytes]
-
-    @property
-    def request_bytes(self) -> int:
-        """The bytes of the run in a request, at most."""
-        return sum(map(len, self.encoded)) + _FRAMING_BYTES
+    request_bytes: int
 
 
 class RunBuilder:
@@ -85,7 +82,8 @@ class RunBuilder:
             content_type=content_types[0],
             attributes=attributes[0],
         )
-        return NumberedRun(number, len(payloads), sum(map(len, payloads)), encoded)
+        request_bytes = sum(map(len, encoded)) + _FRAMING_BYTES
+        return NumberedRun(number, len(payloads), sum(map(len, payloads)), encoded, request_bytes)
 
     def drop(self, run: NumberedRun | None) -> None:
         """Forget the items of the run, which `cut` has returned last. Does nothing if they were dropped before.
