@@ -130,8 +130,10 @@ class UnackedRuns:
     @property
     def is_idle(self) -> bool:
         """Whether no sent run waits for its ack."""
-        runs = self._runs
-        return not runs or runs[0].first_number >= self._sent_before
+        try:
+            return self._runs[0].first_number >= self._sent_before
+        except IndexError:  # none waits; another thread may have taken the last one just now
+            return True
 
     @property
     def last(self) -> NumberedRun | None:
