@@ -25,6 +25,7 @@ from tests.support.forking import loaded_process
 
 _WATCHED = (sys.executable, "-P", "-m", "stampede_rt_runtime.parent_watch")
 _READ_AT_START = ("PYTHON", "GRPC_", "MALLOC_", "LD_", "LC_", "LANG", "TZ", "OPENSSL_")
+_FORK_S_MAX = 120  # a fork takes milliseconds; a busy machine may take seconds
 _PR_SET_CHILD_SUBREAPER = 36  # prctl(2)
 _one_at_a_time = threading.Lock()
 
@@ -74,6 +75,11 @@ def _fork(request: bytes, streams: list[int]) -> int:
         try:
             socket.send_fds(calls, [request], streams)
             answer = calls.recv(32)
+        except BaseException:
+            # The answer may still come, and the next caller would take it for its own. It gets another loaded process.
+            calls.close()
+            _loaded_process.cache_clear()
+            raise
         finally:
             _set_subreaper(0)
     if not answer:
@@ -99,6 +105,8 @@ def _loaded_process() -> socket.socket:
             stdout=subprocess.DEVNULL,
             env=environment,
         )
+    ours.settimeout(_FORK_S_MAX)
     atexit.register(process.wait)
+    atexit.register(process.kill)
     atexit.register(ours.close)
     return ours
