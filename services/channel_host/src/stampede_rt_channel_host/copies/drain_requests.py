@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from itertools import islice
 from typing import Any
 
 import grpc
@@ -10,19 +11,20 @@ import grpc
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.status import from_error_message, from_rpc_error
 from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt_channel_host.copies.moves_of_drains import NAMED_MAX
 
 METHOD = "/stampede_rt.v1.MigrationService/MoveEachHere"
 
 
 class DrainRequests:
-    """The requests to one host. Those of one turn of the event loop go into one message."""
+    """The requests to one host. Those of one turn of the event loop go into one message, up to NAMED_MAX of them."""
 
     def __init__(self, target: str, channel: grpc.aio.Channel) -> None:
         """`channel`: the connection to the host at `target`."""
         self._target = target
         self._channel = channel
         self._asked: dict[bytes, asyncio.Future[None]] = {}  # by channel: the requests without an answer
-        self._new: list[bytes] = []
+        self._new: dict[bytes, None] = {}  # the asked channels that no message names yet
         self._news = asyncio.Event()
         self._stream: asyncio.Task[None] | None = None
         self._is_served = True
@@ -35,7 +37,7 @@ class DrainRequests:
         if not self._is_served:
             return False
         answer = self._asked[channel_id] = asyncio.get_running_loop().create_future()
-        self._new.append(channel_id)
+        self._new[channel_id] = None
         self._news.set()
         if self._stream is None:
             self._stream = asyncio.create_task(self._run(), name=f"drain to {self._target}")
@@ -50,6 +52,7 @@ class DrainRequests:
         finally:
             if self._asked.get(channel_id) is answer:
                 del self._asked[channel_id]
+                self._new.pop(channel_id, None)  # the caller may ask another host next
         return self._is_served
 
     async def _run(self) -> None:
@@ -80,8 +83,10 @@ class DrainRequests:
         while True:  # until `_run` cancels this task; the task that reads gets the error of a broken stream
             await self._news.wait()
             self._news.clear()
-            new, self._new = self._new, []
-            await call.write(pb.MoveEachHereRequest(channel_ids=new))
+            while new := [*islice(self._new, NAMED_MAX)]:
+                for channel_id in new:
+                    del self._new[channel_id]
+                await call.write(pb.MoveEachHereRequest(channel_ids=new))
 
     def _deal(self, response: pb.MoveEachHereResponse) -> None:
         for outcome in response.outcomes:
