@@ -57,10 +57,11 @@ class MoveStreams:
 
     def free(self, target: str) -> MoveStream:
         """A stream to the host at `target`: a free one if there is one."""
-        if not self._free[target]:
+        if target not in self._free:
             return self.new(target)
-        stream = self._free[target].pop()
+        stream = self._free[target][-1]
         stream.use()
+        self._remove(stream)
         return stream
 
     async def give_back(self, stream: MoveStream, *, is_free: bool) -> None:
@@ -71,11 +72,14 @@ class MoveStreams:
         else:
             await stream.aclose()
 
-    def _end(self, stream: MoveStream) -> None:
+    def _remove(self, stream: MoveStream) -> None:
         free = self._free[stream.target]
         free.remove(stream)
         if not free:
             del self._free[stream.target]
+
+    def _end(self, stream: MoveStream) -> None:
+        self._remove(stream)
         ending = asyncio.create_task(stream.aclose(), name="end of a stream of moves")
         self._ending.add(ending)
         ending.add_done_callback(self._ending.discard)
