@@ -14,6 +14,9 @@ PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_dir
 # Those with a whole cluster. A test that cannot run with rules says so: @pytest.mark.without_rules(reason). They use
 # --tb=native, because the own tracebacks of pytest may exceed the recursion of the parser of Python 3.11, which ends the run.
 ACL_TESTS = tests/contract $(shell grep -rlE 'cluster_fixture|running_cluster' --include='test_*.py' tests/integration)
+# A test may swallow the error of pytest-timeout, or hang in its teardown. Its process then writes all stacks and ends, and
+# pytest-xdist begins a new one. It would give a test that ends each process to one after the other.
+END_HANGS := -o faulthandler_timeout=660 -o faulthandler_exit_on_timeout=true --max-worker-restart 2
 export UV_PYTHON_DOWNLOADS := never
 # Where bytecode files are forbidden beside the sources (as in many container images), all that runs here keeps them
 # below .make. Without them each of the hundreds of processes of the tests would compile all its modules again.
@@ -45,10 +48,10 @@ demos: setup  ## all demos; the TV watcher and stereo with client tokens and rul
 	$(RUN)/stampede demo rover
 
 test: setup  ## the whole test suite
-	timeout --kill-after=30 3000 $(RUN)/pytest -n 5 --dist loadfile --no-loadscope-reorder --max-worker-restart 2
+	timeout --kill-after=30 3000 $(RUN)/pytest -n 5 --dist loadfile --no-loadscope-reorder $(END_HANGS)
 
 test-acl: setup  ## the tests with a whole cluster, as a client whom rules of access judge
-	STAMPEDE_TEST_ACL=1 $(RUN)/pytest -n 2 --dist loadfile --tb=native $(ACL_TESTS)
+	STAMPEDE_TEST_ACL=1 $(RUN)/pytest -n 2 --dist loadfile --tb=native $(END_HANGS) $(ACL_TESTS)
 
 contract: setup  ## the contract over every transport with both clients, also where the suite leaves a transport out: about 12 minutes
 	STAMPEDE_EVERY_TRANSPORT=1 $(RUN)/pytest -n 3 --dist loadfile tests/contract
