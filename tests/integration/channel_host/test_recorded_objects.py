@@ -123,6 +123,21 @@ def test_the_next_owner_of_a_channel_serves_what_its_lost_host_had_moved(
         cluster.hosts[0].restart()
 
 
+def test_after_a_clean_stop_the_next_owner_of_a_channel_says_that_nothing_is_lost(
+    cluster: LocalCluster, rt: st.Connection
+) -> None:
+    channel, began = filled(rt, "rig/stopped", "h1")
+    cluster.hosts[0].stop()
+    try:
+        wait_until(lambda: rt.channel("rig/stopped").info.host == "h2", "the directory has found another host")
+        channel = rt.channel("rig/stopped")
+        put(channel, began, ITEMS, ITEMS + 5)
+        found = channel.get(began, began + (ITEMS + 4) * MS)
+        assert (numbers(found), found.reason, found.truncated) == (list(range(ITEMS + 5)), None, False)
+    finally:
+        cluster.hosts[0].restart()
+
+
 def test_deleting_a_channel_deletes_its_objects(server: S3Server, folder: Path, rt: st.Connection) -> None:
     channel, _ = filled(rt, "rig/deleted", "h2")
     moved(server, folder, channel, "h2")

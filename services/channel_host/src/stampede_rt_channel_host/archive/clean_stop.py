@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from base64 import b64decode, b64encode
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +14,8 @@ from stampede_rt_channel_host.archive.stable_writes import sync_folder
 from stampede_rt_channel_host.core.archive import Segment
 
 _FILE = "stopped-cleanly"
+_INSTANT = r"(x|-?\d{1,19})"
+_NAME = re.compile("_".join([r"(\d{1,20})", r"(\d{1,20})", *[_INSTANT] * 3]) + r"\.stopped")
 
 
 class CleanStop(NamedTuple):
@@ -45,6 +48,27 @@ class CleanStop(NamedTuple):
         epoch by one.
         """
         return self.incarnation == incarnation or self.epoch in (epoch - 1, epoch)
+
+
+def name_of_stop(stop: CleanStop) -> str:
+    """The name of an object that tells the next owner of the channel about a clean stop.
+
+    It has no incarnation, no advance and no retries, because the directory gives a new incarnation to the channel if
+    another host takes it over.
+    """
+    instants = ("x" if one is None else str(one) for one in (stop.newest, stop.lost_from, stop.lost_before))
+    return "_".join([f"{stop.epoch:09}", str(stop.end_seq), *instants]) + ".stopped"
+
+
+def stop_named(name: str) -> CleanStop | None:
+    """The clean stop that an object with this name tells about, or None if it is not such a name."""
+    found = _NAME.fullmatch(name)
+    if found is None:
+        return None
+    epoch, end_seq, *instants = found.groups()
+    newest, lost_from, lost_before = (None if one == "x" else int(one) for one in instants)
+    stop = CleanStop(0, None, lost_from, lost_before, b"", int(epoch), int(end_seq), newest)
+    return stop if name_of_stop(stop) == name else None
 
 
 def write_stop(folder: Path, stop: CleanStop) -> None:

@@ -66,8 +66,8 @@ class ChannelRecorder:
         self.limits = ArchiveLimits(None, None)
         self.encoded_retries: Callable[[], bytes] = bytes
         """Returns the encoded retry window of the producers."""
-        self.on_listed: Callable[[], None] = _ignore
-        """Is called when the object store has told which segments it has, after an opening without it."""
+        self.on_listed: Callable[[CleanStop | None], None] = _ignore
+        """Is called when the object store has told which segments it has, with the clean stop of the last owner."""
         self._channel = channel
         lacks_from = _lacks_from(channel, segments, is_shared=files.is_shared) if from_memory else channel.next_seq
         self.archived_to = lacks_from
@@ -306,5 +306,5 @@ def span_of(segments: tuple[Segment, ...]) -> ArchiveSpan:
     return ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=is_cut)
 
 
-def _ignore() -> None:
+def _ignore(_: CleanStop | None) -> None:
     """Nobody waits for a listing."""

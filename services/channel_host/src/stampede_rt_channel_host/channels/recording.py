@@ -12,6 +12,7 @@ from stampede_rt.errors import Unavailable
 from stampede_rt.values.model import Policy, Reason
 from stampede_rt.values.policy import FOREVER_NANOS
 from stampede_rt.values.timeline import Bound, Interval, Match, ResolvedInterval
+from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.disk_use import ChannelDiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.objects.segment_store import StoreError
@@ -147,9 +148,9 @@ class Recording:
         if self.recorder.note(now):
             self._archive.touch(self.recorder, self._written)
 
-    def _listed(self) -> None:
+    def _listed(self, stop: CleanStop | None) -> None:
         if self._unknown is not None:
-            self._unknown.listed()
+            self._unknown.listed(stop)
             self._written()
 
     def _written(self) -> None:

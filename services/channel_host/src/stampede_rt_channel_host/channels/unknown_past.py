@@ -85,17 +85,20 @@ class UnknownPast:
         found = held.last_time_up_to(last)
         return found is not None and found >= within.start and (found >= self._since or found == held.newest)
 
-    def listed(self) -> None:
-        """Note that the store has told which items it has."""
+    def listed(self, stop: CleanStop | None) -> None:
+        """Note that the store has told which items it has. `stop`: the clean stop of the last owner."""
         self._is_listed = True
+        self._stop = self._stop or stop
 
     def is_over(self, recorder: ChannelRecorder, now: int) -> bool:
         """Whether the host knows all items now. Then memory has left the earlier ones to the archive."""
         if not (self._is_listed and self.is_fresh):
             return self._is_listed
         edge = span_of(tuple(one for one in recorder.segments if one.end_seq <= self._first_seq)).newest
-        if edge is None:
-            return True
         stop = self._stop
         loss = (edge, self._since) if stop is None else (stop.lost_from, stop.lost_before)
+        if edge is None:
+            if stop is not None:
+                self._channel.take_losses(self._channel.losses._replace(before=loss[1], since=loss[0]))
+            return True
         return self._channel.leave_to_archive(edge, loss, now)

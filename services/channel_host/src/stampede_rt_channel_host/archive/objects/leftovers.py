@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Protocol
 
+from stampede_rt_channel_host.archive.clean_stop import stop_named
 from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore
 from stampede_rt_channel_host.archive.objects.stored_segments import OBJECTS
@@ -99,7 +100,8 @@ class Leftovers:
             sync_folder(path)
         names = []
         for one in self._store.find(f"{OBJECTS}/{path.name}/"):
-            if segment_named(one.name.rpartition("/")[2]) is None:  # the archive has not made this object
+            name = one.name.rpartition("/")[2]
+            if segment_named(name) is None and stop_named(name) is None:  # the archive has not made this object
                 continue
             names.append(one.name)
             if len(names) == DELETED_AT_ONCE:

@@ -8,7 +8,7 @@ from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
-from stampede_rt_channel_host.archive.clean_stop import read_stop
+from stampede_rt_channel_host.archive.clean_stop import CleanStop, read_stop
 from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
 from stampede_rt_channel_host.archive.objects.stored_segments import Packed, StoredSegments
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
@@ -38,6 +38,9 @@ class MovingFiles(SegmentFiles):
         self._unplaced: list[Segment] = []  # of the former owner, from a look that the store has interrupted
         self.waiting: tuple[Segment, ...] = ()
         """The closed segments that have not moved yet, as of the last `look`."""
+        self.former_stop: CleanStop | None = None
+        """The clean stop of the last owner, if a listing of the store has told it."""
+        self._stop: CleanStop | None = None  # of this owner
 
     def known(self, epoch: int, incarnation: int) -> Mapping[int, StoredSegment] | None:
         """The segments in the store as the disk knows them; None: it may not know all of them. Raises OSError.
@@ -52,7 +55,9 @@ class MovingFiles(SegmentFiles):
         """As `open`. `found`: the segments in the store. Raises OSError."""
         opened = self.open(epoch, incarnation, self.stored.adopt(found))
         self.stored.note(epoch)
-        return opened
+        if self.is_listed:
+            self.former_stop = self.stored.take_stop(epoch)
+        return opened._replace(stop=opened.stop or self.former_stop)
 
     def open_unknown(self, epoch: int, incarnation: int) -> OpenedArchive:
         """As `open`, for a host that does not know the segments in the store. Raises OSError."""
@@ -93,6 +98,18 @@ class MovingFiles(SegmentFiles):
                 self.stored.remove(number)
         return self._segments
 
+    def close(self, stop: CleanStop | None) -> None:
+        """See `SegmentFiles`."""
+        super().close(stop)
+        self._stop = None if stop is None else stop.at_end(self._segments, self._epoch)
+
+    def name_of_stop(self) -> str | None:
+        """The name of the object that tells the next owner about a clean stop; None unless the files are closed with a
+        clean stop, and the store has all segments.
+        """
+        is_whole = self._stop is not None and not self.is_left and not self._local()
+        return self.stored.name_of_stop(self._stop) if self._stop is not None and is_whole else None
+
     def leave(self) -> None:
         """Delete the folder of a channel that the host has given up, if it has no segments. Raises OSError."""
         if self.is_given_up and not self.is_left and not self.stored.numbers():
@@ -109,6 +126,7 @@ class MovingFiles(SegmentFiles):
         kept = {one.number: one for one in self._segments}
         latest = max(*kept, first_number(self._epoch)) if kept else 2**63
         self.is_listed = True
+        self.former_stop = self.former_stop or self.stored.take_stop(self._epoch)
         self._unplaced += self.stored.adopt({number: one for number, one in found.items() if number not in kept})
         new = [one for one in self._unplaced if self.stored.is_stored(one.number)]
         if self.is_known:

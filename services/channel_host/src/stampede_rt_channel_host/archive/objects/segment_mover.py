@@ -24,6 +24,7 @@ LOOK_SECONDS_MIN, LOOK_SECONDS_MAX = 0.05, 5.0
 BACK_OFF_SECONDS_MIN, BACK_OFF_SECONDS_MAX = 1.0, 60.0
 DELETED_AT_ONCE = 100
 UPLOAD_SECONDS_LEAST, UPLOAD_BYTES_PER_SECOND = 30.0, 10**5  # a slower upload has failed
+STOP_TEXT = b"Stampede RT: the owner of the channel stopped, and the archive has all of its items.\n"
 LOOKS_PER_DROP = 12  # after this many looks, outdated segments of idle channels leave the archive
 
 
@@ -254,13 +255,20 @@ class SegmentMover:
         archived_to = recorder.archived_to
         recorder.keep(await self.in_writer(lambda: files.find_again(found, archived_to)))
         self._former.found(files, lacks_items=files.lacks_items(archived_to))
-        recorder.on_listed()
+        recorder.on_listed(files.former_stop)
 
     async def _delete_outdated(self, files: MovingFiles) -> None:
         names = files.stored.outdated[:DELETED_AT_ONCE]
         if names and not files.is_left:
             await self.in_thread(lambda: self.store.delete(names))
             del files.stored.outdated[: len(names)]
+
+    async def _note_stops(self) -> None:
+        """Make an object for each channel that has stopped cleanly, unless the store fails. Raises StoreError."""
+        for files in () if self._store_fails else (*self._recorders,):
+            name = await self.in_writer(files.name_of_stop)
+            if name is not None:
+                await self.store.create(name, STOP_TEXT)
 
     async def in_thread(self, call: Callable[[], Result]) -> Result:
         """Have a thread ask the store."""
@@ -271,13 +279,14 @@ class SegmentMover:
         return await asyncio.get_running_loop().run_in_executor(self.writer, call)
 
     async def close(self, seconds_max: float) -> None:
-        """Move the closed segments, for `seconds_max` at most, and end."""
+        """Move the closed segments, tell the next owners about a clean stop, for `seconds_max` at most, and end."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.wait([self._task])
         try:
             async with asyncio.timeout(seconds_max):
                 await self.move_all()
+                await self._tried(self._note_stops())
         except TimeoutError:
             logger.warning("closed files of the archive stay on the disk", extra={"event": "archive_store_unfinished"})
         self._threads.shutdown(wait=False)

@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from stampede_rt_channel_host.archive.clean_stop import CleanStop, name_of_stop, stop_named
 from stampede_rt_channel_host.archive.objects.chunk_cache import ChunkCache
 from stampede_rt_channel_host.archive.objects.known_objects import Known, KnownObjects
 from stampede_rt_channel_host.archive.objects.segment_store import LaterOwner, SegmentStore
@@ -45,6 +46,8 @@ class StoredSegments(SegmentFolder):
         self.prefix = f"{OBJECTS}/{path.name}/"
         self.outdated: list[str] = []
         """The objects that have left the archive, but not the store."""
+        self.stops: dict[str, CleanStop] = {}
+        """The clean stops of earlier owners, by the names of their objects, as of the last listing."""
         self._cache, self._store = cache, store
         self._known = KnownObjects(path, store.url)
         self.stored_bytes = 0
@@ -66,13 +69,16 @@ class StoredSegments(SegmentFolder):
         Raises StoreError, and LaterOwner if there are segments of a later epoch. Ignores objects that are no segments.
         Any thread may call it.
         """
-        found = self._segments_of((one.name, one.bytes) for one in self._store.find(self.prefix))
-        latest = max(found, default=0)
-        if latest >= first_number(epoch + 1):
+        listed = [(one.name, one.bytes) for one in self._store.find(self.prefix)]
+        found, stops = self._segments_of(listed), self._stops_of(name for name, _ in listed)
+        later = [one.name for one in found.values() if one.segment.number >= first_number(epoch + 1)]
+        later += [name for name, stop in stops.items() if stop.epoch > epoch]
+        if later:
             raise LaterOwner(
-                f"the object store {self._store.url} has files of a later owner of the channel ({found[latest].name}); "
+                f"the object store {self._store.url} has files of a later owner of the channel ({later[-1]}); "
                 "open the channel again"
             )
+        self.stops = {name: stop for name, stop in stops.items() if stop.epoch < epoch}
         self._index_overlaps([found[one] for one in sorted(found)], following)
         return found
 
@@ -106,6 +112,23 @@ class StoredSegments(SegmentFolder):
             if segment is not None:
                 found[segment.number] = StoredSegment(segment, name, size)
         return found
+
+    def _stops_of(self, names: Iterable[str]) -> dict[str, CleanStop]:
+        stops = ((one, stop_named(one.removeprefix(self.prefix))) for one in names)
+        return {name: stop for name, stop in stops if stop is not None}
+
+    def take_stop(self, epoch: int) -> CleanStop | None:
+        """The clean stop of the last owner, if the last listing had it. `epoch`: of the channel now.
+
+        All stops in that listing leave the store: they do not tell about this owner's items.
+        """
+        stops, self.stops = self.stops, {}
+        self.outdated += stops
+        return next((one for one in stops.values() if one.epoch == epoch - 1), None)
+
+    def name_of_stop(self, stop: CleanStop) -> str:
+        """The name of the object that tells about a clean stop of this owner."""
+        return self.prefix + name_of_stop(stop)
 
     def note(self, epoch: int) -> None:
         """Note on the disk which segments the store has. `epoch`: of the channel now. Raises OSError."""

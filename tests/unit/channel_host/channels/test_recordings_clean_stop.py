@@ -1,0 +1,178 @@
+"""A host that takes a recorded channel over from a host that stopped cleanly: the object store tells it so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from stampede_rt.values.timeline import NOW, OLDEST, Bound, Interval
+from stampede_rt_channel_host.archive.clean_stop import CleanStop, name_of_stop, stop_named
+from stampede_rt_channel_host.archive.objects import former_owners, guarded_store
+from stampede_rt_channel_host.archive.objects.opened_store import OpenedStore
+from stampede_rt_channel_host.archive.objects.segment_store import LaterOwner, SegmentStore
+from stampede_rt_channel_host.core.channel import Query
+from tests.support.channel_host.object_stores import PREFIX, FakeStore, moving_files
+from tests.unit.channel_host.archive.objects.test_segment_mover import Host
+from tests.unit.channel_host.channels.test_unknown_past import Owner
+
+ALL = Query(interval=Interval(OLDEST, NOW))
+SINCE = 1000
+"""The instant of the first take-over."""
+
+
+@pytest.fixture(autouse=True)
+def quick_retries(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guarded_store, "PAUSE_SECONDS", 0.0)
+    monkeypatch.setattr(former_owners, "WAIT_SECONDS_MIN", 0.0)
+
+
+def all_up_to(time: int) -> Query:
+    return Query(interval=Interval(Bound(None, 0), Bound(None, time)))
+
+
+def stops(store: FakeStore) -> list[str]:
+    return [name for name in store.objects if name.endswith(".stopped")]
+
+
+async def owner(path: Path, store: SegmentStore, epoch: int) -> Owner:
+    """The owner of the channel in this epoch. Call `stop` or `kill`."""
+    one = Host(path, store)  # type: ignore[arg-type]
+    one.clock = (epoch - 1) * SINCE
+    return await Owner(one, epoch).serve()
+
+
+async def stop(one: Owner) -> None:
+    await one.recordings.close(1)
+
+
+def kill(one: Owner) -> None:
+    one.recording.recorder.files._end_segment()
+    one.host.archive.folder.close()
+
+
+def in_memory(path: Path) -> SegmentStore:
+    return FakeStore()
+
+
+def in_a_folder(path: Path) -> SegmentStore:
+    return OpenedStore(f"file://{path}/store")
+
+
+@pytest.mark.parametrize("store_at", [in_memory, in_a_folder])
+@pytest.mark.asyncio
+async def test_after_a_clean_stop_the_next_owner_has_all_items_and_says_that_none_are_lost(
+    tmp_path: Path, store_at: Callable[[Path], SegmentStore]
+) -> None:
+    store = store_at(tmp_path)
+    first = await owner(tmp_path / "a", store, 1)
+    await first.put(1, 2, 3)
+    await stop(first)
+    second = await owner(tmp_path / "b", store, 2)
+    assert second.hosted.channel.next_seq == 4
+    assert (await second.read(all_up_to(3))).reason is None
+    await second.put(SINCE + 1)
+    answer = await second.read(ALL)
+    assert (answer.reason, answer.truncated) == (None, False)
+    assert await second.times(ALL) == [1, 2, 3, SINCE + 1]
+    await stop(second)
+    third = await owner(tmp_path / "c", store, 3)
+    await third.put(2 * SINCE + 1)
+    answer = await third.read(ALL)
+    assert (answer.reason, await third.times(ALL)) == (None, [1, 2, 3, SINCE + 1, 2 * SINCE + 1])
+    await stop(third)
+
+
+@pytest.mark.asyncio
+async def test_only_the_stop_of_the_last_owner_counts_and_the_next_owner_deletes_it(tmp_path: Path) -> None:
+    store = FakeStore()
+    first = await owner(tmp_path / "a", store, 1)
+    await first.put(1)
+    await stop(first)
+    told = {name: store.objects[name] for name in stops(store)}
+    assert len(told) == 1
+    second = await owner(tmp_path / "b", store, 2)
+    await second.put(SINCE + 1)
+    await second.find()
+    assert not stops(store)
+    kill(second)
+    store.objects.update(told)  # as if the second owner had been killed before it deleted the object
+    third = await owner(tmp_path / "c", store, 3)
+    await third.put(2 * SINCE + 1)
+    assert (await third.read(ALL)).reason == "LOST"
+    await stop(third)
+
+
+@pytest.mark.asyncio
+async def test_if_the_store_is_away_at_the_stop_the_stop_goes_on_and_the_next_owner_says_lost(tmp_path: Path) -> None:
+    store = FakeStore()
+    first = await owner(tmp_path / "a", store, 1)
+    await first.put(1)
+    store.failure = "away"
+    await stop(first)
+    store.failure = ""
+    assert not store.objects
+    second = await owner(tmp_path / "b", store, 2)
+    await second.put(SINCE + 1)
+    assert (await second.read(all_up_to(SINCE + 1))).reason == "LOST"
+    await stop(second)
+
+
+@pytest.mark.parametrize("times", [(), (1, 2)])
+@pytest.mark.asyncio
+async def test_an_owner_that_could_not_reach_the_store_at_first_learns_of_the_clean_stop_later(
+    tmp_path: Path, times: tuple[int, ...]
+) -> None:
+    store = FakeStore()
+    first = await owner(tmp_path / "a", store, 1)
+    await first.put(*times)
+    await stop(first)
+    store.failure = "away"
+    second = await owner(tmp_path / "b", store, 2)
+    await second.put(SINCE + 1)
+    store.failure = ""
+    await second.find()
+    answer = await second.read(all_up_to(SINCE + 1))
+    assert (answer.reason, await second.times(ALL)) == (None, [*times, SINCE + 1])
+    await stop(second)
+
+
+@pytest.mark.asyncio
+async def test_a_clean_stop_does_not_hide_an_earlier_loss(tmp_path: Path) -> None:
+    store = FakeStore()
+    first = await owner(tmp_path / "a", store, 1)
+    await first.put(1)
+    await first.host.archive.write_all()
+    first.host.clock += 61 * 10**9
+    await first.find()
+    kill(first)
+    second = await owner(tmp_path / "b", store, 2)
+    await second.put(SINCE + 1)
+    await stop(second)
+    third = await owner(tmp_path / "c", store, 3)
+    assert (await third.read(all_up_to(SINCE + 1))).reason == "LOST"
+    later = Query(interval=Interval(Bound(None, SINCE + 1), Bound(None, SINCE + 1)))
+    assert (await third.read(later)).reason is None
+    assert (await third.read(Query(interval=Interval(Bound(None, 0), Bound(None, 0))))).reason != "LOST"
+    await stop(third)
+
+
+def test_a_host_that_lost_its_lease_opens_no_channel_with_a_clean_stop_of_a_later_owner(tmp_path: Path) -> None:
+    store = FakeStore()
+    files = moving_files(tmp_path, store)
+    store.objects[PREFIX + name_of_stop(CleanStop(0, epoch=3))] = b""
+    with pytest.raises(LaterOwner, match="later owner"):
+        files.stored.find(2)
+
+
+@pytest.mark.parametrize(
+    "stop", [CleanStop(0, epoch=1), CleanStop(0, None, -5, 7, b"", 12, 2**63, -9), CleanStop(0, None, None, 7, b"", 3)]
+)
+def test_the_name_of_the_object_tells_all_about_a_clean_stop(stop: CleanStop) -> None:
+    assert stop_named(name_of_stop(stop)) == stop
+
+
+@pytest.mark.parametrize("name", ["", "x", "1_2_x_x_x.stopped", "000000001_2_x_x.stopped", "000000001_2_x_x_x.segment"])
+def test_an_object_with_another_name_tells_nothing(name: str) -> None:
+    assert stop_named(name) is None
