@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 from types import SimpleNamespace
 from typing import Any
 
@@ -62,7 +64,7 @@ class Owner:
 
     async def serve(self, **policy: Any) -> Owner:
         found = record(self.epoch)
-        found = replace(found, policy=replace(found.policy, **policy))
+        found = replace(found, policy=replace(found.policy, **{"max_future_nanos": 0, **policy}))
         self.hosted = await self.recordings.adopt(
             found, None, lambda one: HostedChannel(one, MemoryBudget(2**30), self.now)
         )
@@ -249,6 +251,52 @@ async def test_a_host_that_starts_again_before_the_store_is_back_keeps_the_items
         store.failure = ""
         await owner.find()
         assert await owner.times(ALL) == whole
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.asyncio
+async def test_each_read_without_the_store_has_all_items_or_says_that_it_does_not_know_them(
+    tmp_path: Path, seed: int
+) -> None:
+    random, store, ahead = Random(seed), FakeStore(), 40
+    former = Host(tmp_path / "a", store)
+    first = await Owner(former, 1).serve(max_future_nanos=ahead, max_items=4)
+    whole = []
+    for at in range(1, 6):
+        former.clock = at * SINCE // 5 - 1
+        whole.append(former.clock + random.randint(-20, ahead))
+        first.hosted.core.put(*offer(whole[-1], former.clock))
+        first.hosted.changed(former.clock)
+    await first.recordings.close(0)
+    store.failure = "away"
+    async with host(tmp_path / "b", store) as one:
+        one.clock = SINCE
+        owner = await Owner(one).serve(max_future_nanos=ahead, max_items=4)
+        for _ in range(6):
+            one.clock += random.randint(1, 25)
+            whole.append(one.clock + random.randint(-10, ahead))
+            owner.hosted.core.put(*offer(whole[-1], one.clock))
+            owner.hosted.changed(one.clock)
+        await one.archive.write_all()
+        known = 0
+        for start in range(SINCE - 60, SINCE + 200, 3):
+            for end in (start, start + 30, start + 400):
+                interval = Interval(Bound(None, start), Bound(None, end))
+                wanted = sorted(time for time in whole if start <= time <= end)
+                latest = max((time for time in whole if start <= time <= end), default=None)
+                for query, times in (
+                    (Query(interval=interval, match=Match.START), wanted),
+                    (Query(interval=interval, match=Match.START, limit=1, newest_first=True), [latest] * bool(wanted)),
+                ):
+                    with suppress(Unavailable):
+                        assert await owner.times(query) == times, (query, whole)
+                        known += 1
+        assert known
+
+
+def offer(time: int, now: int) -> tuple[Offer, int, Any]:
+    made = Offer(times=[time], durations=None, lengths=[7])
+    return made, now, lambda seq, kept, stamped: b"%d:%d" % (seq, time)
 
 
 @pytest.mark.asyncio

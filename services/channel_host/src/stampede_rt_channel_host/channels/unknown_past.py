@@ -11,22 +11,25 @@ from stampede_rt_channel_host.core.archive.recorded_items import earliest
 from stampede_rt_channel_host.core.archive.seq_starts import start_of
 from stampede_rt_channel_host.core.channel import ChannelCore, Query
 from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.group import Horizon
 
 
 class UnknownPast:
     """Says which reads have to wait until the store tells which items it has.
 
-    All items of the former owners lie before `since`, the instant of the take-over. The host has all later ones. With
-    `is_fresh` the channel began here without items, at the first seq of its epoch. Otherwise the host had the channel
-    before it was recorded, and knows which items have left its memory.
+    The former owners accepted all their items before the instant of the take-over, so that the times of these lie less
+    than `max_future` after it. The host has all items from there on. With `is_fresh` the channel began here without
+    items, at the first seq of its epoch. Otherwise the host had the channel before it was recorded, and knows which
+    items have left its memory.
     """
 
     def __init__(self, channel: ChannelCore, epoch: int, stop: CleanStop | None) -> None:
         """`stop`: the note of the former process of this host, if it had all items."""
         self.is_fresh = channel.next_seq == 1
         self._channel, self._first_seq, self._stop = channel, start_of(epoch), stop
-        self._since = channel.lost_before or 0
+        self._begun = channel.lost_before or 0
+        self._since = self._begun + ChannelLimits.of(channel.policy).max_future_nanos
         self._is_listed = False
         if self.is_fresh:
             channel.restore((), after=None, next_seq=self._first_seq, loss=(None, channel.lost_before))
@@ -83,7 +86,7 @@ class UnknownPast:
         if not (query.newest_first and query.limit == 1 and query.after is None):
             return False
         found = held.last_time_up_to(last)
-        return found is not None and found >= within.start and (found >= self._since or found == held.newest)
+        return found is not None and found >= max(within.start, self._since)
 
     def listed(self, stop: CleanStop | None) -> None:
         """Note that the store has told which items it has. `stop`: the clean stop of the last owner."""
@@ -96,7 +99,7 @@ class UnknownPast:
             return self._is_listed
         edge = span_of(tuple(one for one in recorder.segments if one.end_seq <= self._first_seq)).newest
         stop = self._stop
-        loss = (edge, self._since) if stop is None else (stop.lost_from, stop.lost_before)
+        loss = (edge, self._begun) if stop is None else (stop.lost_from, stop.lost_before)
         if edge is None:
             if stop is not None:
                 self._channel.take_losses(self._channel.losses._replace(before=loss[1], since=loss[0]))
