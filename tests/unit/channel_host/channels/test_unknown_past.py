@@ -253,10 +253,11 @@ async def test_a_host_that_starts_again_before_the_store_is_back_keeps_the_items
         assert await owner.times(ALL) == whole
 
 
+@pytest.mark.parametrize("is_restarted", [False, True])
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.asyncio
 async def test_each_read_without_the_store_has_all_items_or_says_that_it_does_not_know_them(
-    tmp_path: Path, seed: int
+    tmp_path: Path, seed: int, is_restarted: bool
 ) -> None:
     random, store, ahead = Random(seed), FakeStore(), 40
     former = Host(tmp_path / "a", store)
@@ -269,34 +270,70 @@ async def test_each_read_without_the_store_has_all_items_or_says_that_it_does_no
         first.hosted.changed(former.clock)
     await first.recordings.close(0)
     store.failure = "away"
-    async with host(tmp_path / "b", store) as one:
-        one.clock = SINCE
-        owner = await Owner(one).serve(max_future_nanos=ahead, max_items=4)
-        for _ in range(6):
-            one.clock += random.randint(1, 25)
-            whole.append(one.clock + random.randint(-10, ahead))
-            owner.hosted.core.put(*offer(whole[-1], one.clock))
-            owner.hosted.changed(one.clock)
-        await one.archive.write_all()
-        known = 0
-        for start in range(SINCE - 60, SINCE + 200, 3):
-            for end in (start, start + 30, start + 400):
-                interval = Interval(Bound(None, start), Bound(None, end))
-                wanted = sorted(time for time in whole if start <= time <= end)
-                latest = max((time for time in whole if start <= time <= end), default=None)
-                for query, times in (
-                    (Query(interval=interval, match=Match.START), wanted),
-                    (Query(interval=interval, match=Match.START, limit=1, newest_first=True), [latest] * bool(wanted)),
-                ):
-                    with suppress(Unavailable):
-                        assert await owner.times(query) == times, (query, whole)
-                        known += 1
-        assert known
+    one = Host(tmp_path / "b", store)
+    one.clock = SINCE
+    owner = await Owner(one).serve(max_future_nanos=ahead, max_items=4)
+    for _ in range(6):
+        one.clock += random.randint(1, 25)
+        whole.append(one.clock + random.randint(-10, ahead))
+        owner.hosted.core.put(*offer(whole[-1], one.clock))
+        owner.hosted.changed(one.clock)
+    await one.archive.write_all()
+    if is_restarted:
+        await owner.recordings.close(0)
+        one = Host(tmp_path / "b", store)
+        one.clock = 2 * SINCE
+        owner = await Owner(one, 3).serve(max_future_nanos=ahead, max_items=4)
+    known = 0
+    for start in range(SINCE - 60, SINCE + 200, 3):
+        for end in (start, start + 30, start + 400):
+            interval = Interval(Bound(None, start), Bound(None, end))
+            wanted = sorted(time for time in whole if start <= time <= end)
+            latest = max((time for time in whole if start <= time <= end), default=None)
+            for query, times in (
+                (Query(interval=interval, match=Match.START), wanted),
+                (Query(interval=interval, match=Match.START, limit=1, newest_first=True), [latest] * bool(wanted)),
+            ):
+                with suppress(Unavailable):
+                    assert await owner.times(query) == times, (query, whole)
+                    known += 1
+    assert known
+    await owner.recordings.close(0)
 
 
 def offer(time: int, now: int) -> tuple[Offer, int, Any]:
     made = Offer(times=[time], durations=None, lengths=[7])
     return made, now, lambda seq, kept, stamped: b"%d:%d" % (seq, time)
+
+
+@pytest.mark.asyncio
+async def test_after_a_clean_stop_without_the_store_the_host_serves_the_items_on_its_disk(tmp_path: Path) -> None:
+    store = FakeStore()
+    await left(tmp_path / "a", store)
+    store.failure = "away"
+    first = Host(tmp_path / "b", store)
+    first.clock = SINCE
+    owner = await Owner(first).serve()
+    await owner.put(SINCE + 1, SINCE + 2, SINCE + 3)
+    await owner.recordings.close(0)
+    async with host(tmp_path / "b", store) as one:
+        one.clock = 2 * SINCE
+        owner = await Owner(one, 3).serve()
+        own = Query(interval=Interval(Bound(None, SINCE + 1), NOW))
+        assert await owner.times(LATEST) == [SINCE + 3]
+        answer = await owner.read(own)
+        assert (answer.reason, await owner.times(own)) == (None, [SINCE + 1, SINCE + 2, SINCE + 3])
+        assert await owner.subscribed(Bound(None, SINCE + 2)) == ([SINCE + 2, SINCE + 3], 0)
+        with pytest.raises(Unavailable):
+            await owner.read(ALL)
+        await owner.put(2 * SINCE + 1)
+        assert await owner.times(own) == [SINCE + 1, SINCE + 2, SINCE + 3, 2 * SINCE + 1]
+        assert await owner.times(LATEST) == [2 * SINCE + 1]
+        store.failure = ""
+        await owner.find()
+        whole = [1, 2, 3, SINCE + 1, SINCE + 2, SINCE + 3, 2 * SINCE + 1]
+        assert await owner.times(ALL) == whole
+        assert await owner.subscribed(OLDEST) == (whole, 0)
 
 
 @pytest.mark.asyncio

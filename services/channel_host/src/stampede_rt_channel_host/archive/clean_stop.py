@@ -50,6 +50,15 @@ class CleanStop(NamedTuple):
         return self.incarnation == incarnation or self.epoch in (epoch - 1, epoch)
 
 
+class OwnPart(NamedTuple):
+    """The last items of an archive, which this host has accepted and still has on its disk: from the seq `first_seq`
+    on, accepted from the instant `accepted` on.
+    """
+
+    first_seq: int
+    accepted: int
+
+
 def name_of_stop(stop: CleanStop) -> str:
     """The name of an object that tells the next owner of the channel about a clean stop.
 

@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from stampede_rt_channel_host.archive.clean_stop import CleanStop, read_stop, remove_stop, write_stop
+from stampede_rt_channel_host.archive.clean_stop import CleanStop, OwnPart, read_stop, remove_stop, write_stop
 from stampede_rt_channel_host.archive.kept_blocks import FoundBlocks, KeptBlocks
 from stampede_rt_channel_host.archive.segment_folder import SegmentFolder, reads_of
 from stampede_rt_channel_host.archive.segment_reads import SegmentReads
@@ -68,16 +68,15 @@ class ArchiveLimits(NamedTuple):
 
 
 class OpenedArchive(NamedTuple):
-    """The archive that a host finds in the folder of a channel.
-
-    `stop`: the note that the last host process had archived all accepted items, or None. `torn_bytes` were cut off the
-    end.
+    """The archive in the folder of a channel. `stop`: the note that the last host process had archived all accepted
+    items, or None. `torn_bytes` were cut off the end. `own`: the end of the archive, if the host knows only this.
     """
 
     segments: tuple[Segment, ...]
     stop: CleanStop | None
     torn_bytes: int
     damaged_blocks: int
+    own: OwnPart | None = None
 
 
 class SegmentFiles(SegmentReads):

@@ -128,7 +128,7 @@ class Recording:
         self._channel = channel
         self._on_archived = on_archived
         # while the host does not know which items the object store has
-        self._unknown = None if opened.files.is_known else UnknownPast(channel, opened.files.epoch, opened.found.stop)
+        self._unknown = None if opened.files.is_known else UnknownPast(channel, opened.files.epoch, opened.found)
         if channel.next_seq == 1 and (opened.found.segments or opened.found.stop is not None):
             restore_channel(channel, opened.found, opened.newest, cut)
         self.recorder = ChannelRecorder(

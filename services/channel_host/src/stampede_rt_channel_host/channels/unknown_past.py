@@ -6,6 +6,7 @@ from stampede_rt.errors import Unavailable
 from stampede_rt.values.timeline import Match, MetaTime, ResolvedInterval
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
+from stampede_rt_channel_host.archive.segment_files import OpenedArchive
 from stampede_rt_channel_host.core.archive import reaches, resolved_now
 from stampede_rt_channel_host.core.archive.recorded_items import earliest
 from stampede_rt_channel_host.core.archive.seq_starts import start_of
@@ -24,15 +25,27 @@ class UnknownPast:
     items have left its memory.
     """
 
-    def __init__(self, channel: ChannelCore, epoch: int, stop: CleanStop | None) -> None:
-        """`stop`: the note of the former process of this host, if it had all items."""
+    def __init__(self, channel: ChannelCore, epoch: int, found: OpenedArchive) -> None:
+        """`found`: on the disk. If it has the note of a clean stop, the last items there are known."""
         self.is_fresh = channel.next_seq == 1
-        self._channel, self._first_seq, self._stop = channel, start_of(epoch), stop
+        self._channel, self._first_seq, self._stop = channel, start_of(epoch), found.stop
         self._begun = channel.lost_before or 0
-        self._since = self._begun + ChannelLimits.of(channel.policy).max_future_nanos
+        self._since = self._begun
+        self._newest: int | None = None  # of the known items on the disk
         self._is_listed = False
         if self.is_fresh:
-            channel.restore((), after=None, next_seq=self._first_seq, loss=(None, channel.lost_before))
+            self._begin(found)
+        self._since += ChannelLimits.of(channel.policy).max_future_nanos
+
+    def _begin(self, found: OpenedArchive) -> None:
+        """Let the channel begin without items in memory."""
+        stop, next_seq, advance = found.stop, self._first_seq, None
+        loss: tuple[int | None, int | None] = (None, self._channel.lost_before)
+        if stop is not None and found.own is not None:
+            self._newest, self._first_seq, self._since = stop.newest, found.own.first_seq, found.own.accepted
+            loss = (stop.lost_from, stop.lost_before)
+            advance = stop.advance if stop.incarnation == self._channel.incarnation else None
+        self._channel.restore((), after=self._newest, next_seq=next_seq, loss=loss, advance=advance)
 
     def check(self, recorder: ChannelRecorder, query: Query, now: int, horizon: Horizon | None = None) -> None:
         """Raise Unavailable if the answer of a read may have items that only the store has.
@@ -82,10 +95,12 @@ class UnknownPast:
         return not self._has_latest(held, query, within, last)
 
     def _has_latest(self, held: Holdings, query: Query, within: ResolvedInterval, last: int) -> bool:
-        """Whether a read of the latest item up to `last` finds it in memory."""
+        """Whether a read of the latest item up to `last` finds it in memory, or is sure to find it on the disk."""
         if not (query.newest_first and query.limit == 1 and query.after is None):
             return False
         found = held.last_time_up_to(last)
+        if found is None and self._newest is not None and self._newest <= last:
+            found = self._newest
         return found is not None and found >= max(within.start, self._since)
 
     def listed(self, stop: CleanStop | None) -> None:
@@ -100,6 +115,8 @@ class UnknownPast:
         edge = span_of(tuple(one for one in recorder.segments if one.end_seq <= self._first_seq)).newest
         stop = self._stop
         loss = (edge, self._begun) if stop is None else (stop.lost_from, stop.lost_before)
+        if edge is not None and self._newest is not None:
+            edge = max(edge, self._newest)
         if edge is None:
             if stop is not None:
                 self._channel.take_losses(self._channel.losses._replace(before=loss[1], since=loss[0]))

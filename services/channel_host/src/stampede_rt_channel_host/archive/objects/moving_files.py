@@ -8,7 +8,7 @@ from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
-from stampede_rt_channel_host.archive.clean_stop import CleanStop, read_stop
+from stampede_rt_channel_host.archive.clean_stop import CleanStop, OwnPart, read_stop
 from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
 from stampede_rt_channel_host.archive.objects.stored_segments import Packed, StoredSegments
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
@@ -64,7 +64,19 @@ class MovingFiles(SegmentFiles):
         opened = self.open(epoch, incarnation)
         self.stored.forget_known()
         self.is_known = self.is_listed = False
-        return opened._replace(stop=opened.stop and opened.stop._replace(end_seq=0))
+        own = None if opened.stop is None else self._own_part(opened.stop.end_seq)
+        return opened._replace(stop=opened.stop and opened.stop._replace(end_seq=0), own=own)
+
+    def _own_part(self, end_seq: int) -> OwnPart | None:
+        """The segments in the folder that end at the seq `end_seq`, without a hole between them."""
+        found = None
+        for segment in reversed(self._segments):
+            if segment.end_seq != end_seq:
+                break
+            accepted = [one.head.first_accepted for one in self._files.blocks(segment) if one.head.items]
+            found = OwnPart(segment.first_seq, accepted[0]) if accepted else found
+            end_seq = segment.first_seq
+        return found
 
     def look(self, now: int, seal_nanos: int, limits: ArchiveLimits | None) -> None:
         """Close the open segment if its first item is older than `seal_nanos`. Drop outdated segments; `limits` None:
