@@ -229,3 +229,28 @@ def test_a_read_of_too_many_items_of_one_time_fails_instead_of_taking_all_memory
         wanted = narrow._replace(start=5, high=(6, 0), down=down)
         with pytest.raises(Overloaded, match="have one time"):
             files.load(segments, WantedWindow(wanted, FIRST_KEY, (6, 0)), decode, lambda: None)
+
+
+@pytest.mark.parametrize("which", ["before another segment", "last, after a clean stop"])
+def test_a_file_whose_only_block_is_damaged_stays_and_its_items_are_a_loss(tmp_path: Path, which: str) -> None:
+    files, _ = opened(tmp_path)
+    write(files, 1, 1)
+    files.close(CleanStop(7))
+    [path] = tmp_path.glob("*.segment")
+    raw = bytearray(path.read_bytes())
+    raw[raw.index(b"1 ") - ROW_BYTES - 20] ^= 1  # in the head of the block
+    if which == "before another segment":
+        files, _ = opened(tmp_path)
+        write(files, 3, 1)
+        files.close(CleanStop(7))
+    path.write_bytes(raw)
+    files = SegmentFiles(tmp_path, {})
+    found = files.open(2)
+    assert found.damaged_blocks == 1
+    [kept] = tmp_path.glob("*.damaged")
+    assert kept.read_bytes() == raw
+    segments = found.segments or write(files, 3, 1)
+    assert seqs(files, segments) == [3, 4]
+    files.close(CleanStop(7))
+    assert seqs(*opened(tmp_path)) == [3, 4]
+    assert kept.read_bytes() == raw

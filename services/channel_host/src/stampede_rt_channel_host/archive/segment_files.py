@@ -158,7 +158,7 @@ class SegmentFiles(SegmentReads):
             return segment
         blocks = below(self._files.blocks(segment), segment.length, following)
         short = summary(segment.number, blocks[-1].end if blocks else 0, blocks)
-        if short is None:
+        if short is None and segment.first_seq >= following:  # otherwise a damaged block, which stays
             self._files.remove(segment.number)
         return short
 
@@ -166,7 +166,8 @@ class SegmentFiles(SegmentReads):
         self, number: int, following: int | None, *, is_last: bool, may_be_torn: bool
     ) -> tuple[Segment | None, int, int]:
         """Open a segment of the folder. `following`: the first seq of the next segment, or None. Blocks from this seq
-        on do not count: a write that failed left them behind, and their items were written again.
+        on do not count: a write that failed left them behind, and their items were written again. A file without a
+        block that counts leaves the archive. It keeps its bytes if it is damaged.
         """
         path = self._files.file_of(number)
         file = os.open(path, os.O_RDWR if is_last else os.O_RDONLY)
@@ -181,7 +182,7 @@ class SegmentFiles(SegmentReads):
         blocks = scanned.blocks if following is None else below(scanned.blocks, length, following)
         segment = summary(number, blocks[-1].end if blocks else 0, blocks)
         if segment is None:
-            path.unlink()
+            self._files.set_aside(number) if scanned.damaged else path.unlink()
         else:
             self._kept.keep(self, number, FoundBlocks(segment.length, SegmentBlocks(blocks)))
         return segment, length - scanned.end, len(scanned.damaged)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
@@ -84,6 +85,14 @@ class SegmentFolder:
     def remove(self, number: int) -> None:
         """Delete a segment, because it leaves the archive. Raises OSError."""
         self.file_of(number).unlink(missing_ok=True)
+
+    def set_aside(self, number: int) -> None:
+        """Give the file of a damaged segment a name that the archive does not use. A person may repair it.
+
+        It stays until the channel is deleted. Raises OSError.
+        """
+        path = self.file_of(number)
+        path.rename(path.with_name(f"{path.name}.{time.time_ns()}.damaged"))
 
     def remove_all(self, numbers: Sequence[int]) -> int:
         """Delete segments, the first one first, up to one that cannot be deleted now. Returns how many have left."""
