@@ -20,6 +20,7 @@ from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.copies.copy_feed import RUNS_PER_TURN, CopyFeed
 from stampede_rt_channel_host.copies.fed_responses import FedResponse, read_response
+from stampede_rt_channel_host.copies.feed_stream import FeedStream
 from stampede_rt_channel_host.core.replication import KnownReplica
 from stampede_rt_runtime import pacing
 from tests.support.channel_host.held_transport import HeldStream, held_stream
@@ -113,6 +114,21 @@ async def test_the_items_that_come_while_the_replica_lacks_one_go_out_together()
         count = len(one.feed.written())
         [part] = parts_in((await one.feed.until_written(count + 1))[count:])
         assert (part.fields.state.first_seq, part.fields.state.next_seq) == (2, 4)
+
+
+async def test_an_error_while_a_part_is_sent_ends_the_feed_and_not_the_put(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with fed() as one:
+        replication = one.hosted.replication
+        assert replication is not None
+
+        def fail(*_: object) -> bytes:
+            raise RuntimeError("no message")
+
+        monkeypatch.setattr(FeedStream, "_encoded", fail)
+        assert one.put() == []
+        assert one.hosted.core.next_seq == 2, "the host has accepted the item"
+        await pauses()
+        assert replication._feeds == {}, "the feed is over"
 
 
 async def test_a_replica_without_credit_gets_nothing_at_once() -> None:

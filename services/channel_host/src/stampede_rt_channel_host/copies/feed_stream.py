@@ -61,6 +61,7 @@ class FeedStream:
         self._heard_s = time.monotonic()  # when this host got the last request
         self._held_next_seq = 0  # the copy has reported the items before this seq
         self._send_at_once: Callable[[], bool] | None = None  # while the feed waits for news, and no move is under way
+        self._failure: Exception | None = None  # of `_send_at_once`; ends the feed
         self._source: ChannelCore  # the channel that is fed; set when the feed begins
         self._replication: Replication | None = None  # of the channel, if the copy is a replica
         self._host_id = b""
@@ -74,8 +75,13 @@ class FeedStream:
         """Note that the channel has changed. Sends the change in this turn of the event loop if the copy has all else.
 
         The puts wait for this. If the copy lacks something, the items that come until the next turn go out together.
+        Raises nothing, because the host has accepted the change: an error ends the feed.
         """
-        if self._send_at_once is None or not self._send_at_once():
+        try:
+            is_sent = self._send_at_once is not None and self._send_at_once()
+        except Exception as error:  # noqa: BLE001 - the task of the feed raises it
+            self._failure, self._send_at_once, is_sent = error, None, False
+        if not is_sent:
             self._news.set()
 
     def end(self, error: StampedeError) -> None:
@@ -257,6 +263,8 @@ class FeedStream:
                 await self._news.wait()
             finally:
                 self._send_at_once = None
+            if self._failure is not None:
+                raise self._failure
             return
         with suppress(TimeoutError):
             async with asyncio.timeout(SILENT_SECONDS_MAX):
