@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from stampede_rt.values.model import Policy, Reason
+from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Bound, ResolvedInterval
 from stampede_rt_channel_host.core import archive
 from stampede_rt_channel_host.core.archive import (
@@ -289,7 +289,8 @@ class ArchivedChannel:
             return self.channel.since(cursor, self.now, limit_bytes)
         part = self._load_part(missing, limit_bytes)
         held, _ = self.channel.look(self.now)
-        return archive.deliver(cursor, missing, part, held.next_time, Reason("COLLECTED", "gone"), limit_bytes)
+        kept_from = self.segments[0].first_seq if self.segments else self.channel.next_seq
+        return archive.deliver(cursor, missing, part, held.next_time, kept_from, limit_bytes)
 
     def _blocks_of(self, segment: Segment) -> SegmentBlocks:
         return self._read_blocks(segment)

@@ -143,7 +143,9 @@ def segment_with(folder: Path, payload: bytes) -> Path:
     return next(path for path in folder.rglob("*.segment") if payload in path.read_bytes())
 
 
-def test_a_get_says_which_items_are_in_a_damaged_block(rt: st.Connection, folder: Path) -> None:
+def test_a_get_and_a_subscription_say_that_the_items_of_a_damaged_block_are_lost(
+    rt: st.Connection, folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     channel, began = rt.channel("rig/flipped", max_items=2, archive="7d"), time.time_ns() - 10**9
     for number in range(6):
         channel.put(b"flipped-%d" % number + b"." * 2**18, time=began + number * MS)  # each in a block of its own
@@ -163,7 +165,8 @@ def test_a_get_says_which_items_are_in_a_damaged_block(rt: st.Connection, folder
     assert channel.get(st.OLDEST, st.NEWEST, limit=2).reason is None
     with channel.subscribe(start=began) as events:
         assert [next(events).payload[8:9] for _ in range(5)] == [b"0", b"1", b"3", b"4", b"5"]
-        assert events.dropped == 1
+        assert (events.dropped, events.losses) == (1, 1)
+        assert "their block is damaged" in caplog.text
 
 
 def test_every_example_of_the_guide_prints_the_stated_output(

@@ -69,7 +69,8 @@ def item_printer(arguments: argparse.Namespace) -> Callable[..., str]:
 def tell_losses(losses: int) -> None:
     """Say on standard error how often items may have been lost with a host."""
     if losses:
-        print(f"stampede: {losses} times a host was lost, perhaps with items; a replica went on", file=sys.stderr)
+        why = "a replica replaced a lost host and may have lacked items, or the archive lacks items"
+        print(f"stampede: {losses} gaps of lost items: {why}", file=sys.stderr)
 
 
 def tell_dropped(dropped: int) -> None:

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from stampede_rt.errors import Unavailable
-from stampede_rt.values.model import Policy, Reason
+from stampede_rt.values.model import Policy
 from stampede_rt.values.policy import FOREVER_NANOS
 from stampede_rt.values.timeline import Bound, Interval, Match, ResolvedInterval
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
@@ -49,11 +49,6 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 
 RESTORED_BYTES = 2**20
 ENTRIES_PER_LOOK = 1024
-_NOT_ARCHIVED = Reason(
-    "COLLECTED",
-    "the archive does not have the items: its limits have removed them, max_bytes collected them before they were "
-    "archived, or their block is damaged",
-)
 
 
 class OpenedChannelArchive:
@@ -265,7 +260,9 @@ class Recording:
             return None
         part = await self._load_part(missing, limit_bytes)
         held, _ = self._channel.look(now())
-        return deliver(cursor, missing, part, held.next_time, _NOT_ARCHIVED, limit_bytes)
+        segments = self.recorder.segments
+        kept_from = segments[0].first_seq if segments else self.recorder.archived_to
+        return deliver(cursor, missing, part, held.next_time, kept_from, limit_bytes)
 
     async def items_from(
         self, seqs: tuple[int, int], bytes_max: int, now: Callable[[], int]

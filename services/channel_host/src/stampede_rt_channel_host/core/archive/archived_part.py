@@ -16,6 +16,11 @@ from stampede_rt_channel_host.core.channel.run import Run, Slice
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor, Range
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Gap, SubscriptionBatch
 
+REMOVED = Reason("COLLECTED", "the limits of the channel or of its archive have removed the items")
+LACKED = Reason(
+    "LOST",
+    "the archive lacks the items: max_bytes collected them before they were archived, or their block is damaged",
+)
 STRADDLING_MAX = 16
 """The most additional blocks that a part loads, for items whose times lie between those of its own blocks."""
 
@@ -90,13 +95,13 @@ def deliver(
     missing: Range,
     part: ArchivedPart,
     next_held: Callable[[int], int | None],
-    lost: Reason,
+    kept_from: int,
     limit_bytes: int,
 ) -> SubscriptionBatch:
     """Take the next items of a subscription from a part, and move the cursor.
 
     `missing` are the first seqs that the cursor wants and memory does not have. `next_held` tells the next time of an
-    item in memory. `lost` is the reason for seqs that the archive does not have either.
+    item in memory. `kept_from` is the first seq of the archive's segments.
     """
     first, end = missing[0], min(missing[1], part.end_seq)
     slices: list[DeliveredSlice] = []
@@ -115,10 +120,13 @@ def deliver(
         cursor.mark_done(first)
         return SubscriptionBatch(slices=slices, more=not slices)
     found = next(part.items.slices_by_seq(first, end, FIRST_KEY), None)
-    return _gap(cursor, first, end if found is None else found.first_seq, lost)
+    return _gap(cursor, first, end if found is None else found.first_seq, kept_from)
 
 
-def _gap(cursor: AllCursor, first: int, end: int, reason: Reason) -> SubscriptionBatch:
+def _gap(cursor: AllCursor, first: int, end: int, kept_from: int) -> SubscriptionBatch:
+    """The gap of seqs that the archive does not have. A later call gives the part from `kept_from` on."""
+    reason = REMOVED if first < kept_from else LACKED
+    end = min(end, kept_from) if first < kept_from else end
     cursor.mark_done(end)
     lacks = given_between(first, end)
     if not lacks:  # an owner has begun here without the seqs of the former owners
