@@ -15,7 +15,7 @@ from stampede_rt_channel_host.channels.recordings import Recordings
 from stampede_rt_channel_host.core.channel import Offer, make_run
 from stampede_rt_channel_host.core.records import RecordedChannel
 from tests.support.channel_host.object_stores import FakeStore
-from tests.unit.channel_host.archive.objects.test_segment_mover import Host, host, record
+from tests.support.channel_host.recorded_hosts import Host, host, record
 
 
 def test_a_host_without_an_archive_refuses_a_recorded_channel_with_its_name_and_advice() -> None:

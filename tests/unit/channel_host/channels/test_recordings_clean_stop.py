@@ -9,23 +9,18 @@ import pytest
 
 from stampede_rt.values.timeline import NOW, OLDEST, Bound, Interval
 from stampede_rt_channel_host.archive.clean_stop import CleanStop, name_of_stop, stop_named
-from stampede_rt_channel_host.archive.objects import former_owners, guarded_store
 from stampede_rt_channel_host.archive.objects.opened_store import OpenedStore
 from stampede_rt_channel_host.archive.objects.segment_store import LaterOwner, SegmentStore
 from stampede_rt_channel_host.core.channel import Query
 from tests.support.channel_host.object_stores import PREFIX, FakeStore, moving_files
-from tests.unit.channel_host.archive.objects.test_segment_mover import Host
-from tests.unit.channel_host.channels.test_unknown_past import Owner
+from tests.support.channel_host.recorded_hosts import Host, Owner, quick_looks  # noqa: F401
 
 ALL = Query(interval=Interval(OLDEST, NOW))
 SINCE = 1000
 """The instant of the first take-over."""
 
 
-@pytest.fixture(autouse=True)
-def quick_retries(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guarded_store, "PAUSE_SECONDS", 0.0)
-    monkeypatch.setattr(former_owners, "WAIT_SECONDS_MIN", 0.0)
+pytestmark = pytest.mark.usefixtures("quick_looks")
 
 
 def all_up_to(time: int) -> Query:
@@ -38,7 +33,7 @@ def stops(store: FakeStore) -> list[str]:
 
 async def owner(path: Path, store: SegmentStore, epoch: int) -> Owner:
     """The owner of the channel in this epoch. Call `stop` or `kill`."""
-    one = Host(path, store)  # type: ignore[arg-type]
+    one = Host(path, store)
     one.clock = (epoch - 1) * SINCE
     return await Owner(one, epoch).serve()
 

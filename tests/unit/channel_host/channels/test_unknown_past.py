@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from random import Random
 from types import SimpleNamespace
@@ -13,33 +12,20 @@ import pytest
 
 from stampede_rt.errors import Unavailable
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, Interval, Match
-from stampede_rt_channel_host.archive.objects import former_owners, guarded_store
-from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.recordings import Recordings
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
 from stampede_rt_channel_host.core.archive.seq_starts import start_of
-from stampede_rt_channel_host.core.channel import Offer, Query, ReadAnswer, Run, make_run, run_to_end
+from stampede_rt_channel_host.core.channel import Offer, Query
 from stampede_rt_channel_host.core.group import Horizon
 from tests.support.channel_host.object_stores import FakeStore
-from tests.unit.channel_host.archive.objects.test_segment_mover import Host, host, record
+from tests.support.channel_host.recorded_hosts import Host, Owner, host, quick_looks, record  # noqa: F401
 
 ALL = Query(interval=Interval(OLDEST, NOW))
 LATEST = Query(interval=Interval(Bound(None, 0), NOW), limit=1, newest_first=True)
 SINCE = 1000
 """The instant of the take-over."""
-
-
-@pytest.fixture(autouse=True)
-def quick_retries(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guarded_store, "PAUSE_SECONDS", 0.0)
-    monkeypatch.setattr(former_owners, "WAIT_SECONDS_MIN", 0.0)
-
-
-def decode(body: bytes) -> Run:
-    seq, _, time = body.partition(b":")
-    return make_run(int(seq), [int(time or seq)], None, [7], body)
+pytestmark = pytest.mark.usefixtures("quick_looks")
 
 
 async def left(path: Path, store: FakeStore) -> None:
@@ -53,59 +39,11 @@ async def left(path: Path, store: FakeStore) -> None:
     former.archive.folder.close()
 
 
-class Owner:
-    """The next owner of the channel."""
-
-    def __init__(self, one: Host, epoch: int = 2) -> None:
-        self.host, self.epoch = one, epoch
-        one.archive._decode = decode
-        self.recordings = Recordings()
-        self.recordings.archive = one.archive
-
-    async def serve(self, **policy: Any) -> Owner:
-        found = record(self.epoch)
-        found = replace(found, policy=replace(found.policy, **{"max_future_nanos": 0, **policy}))
-        self.hosted = await self.recordings.adopt(
-            found, None, lambda one: HostedChannel(one, MemoryBudget(2**30), self.now)
-        )
-        assert self.hosted.recording is not None
-        self.recording = self.hosted.recording
-        self.host.recorder = self.recording.recorder
-        return self
-
-    def now(self) -> int:
-        return self.host.clock
-
-    async def put(self, *times: int) -> None:
-        for time in times:
-            self.host.clock = max(self.host.clock + 1, time)
-            offer = Offer(times=[time], durations=None, lengths=[7])
-            self.hosted.core.put(offer, self.now(), lambda seq, kept, stamped, time=time: b"%d:%d" % (seq, time))
-            self.hosted.changed(self.now())
-        await self.host.archive.write_all()
-
-    async def find(self) -> None:
-        """The store is back, and the host looks at it."""
-        assert not await self.host.mover.move_all()
-
-    async def read(self, query: Query) -> ReadAnswer:
-        if self.recording.reaches(query, self.now()):
-            return (await self.recording.read(query, None, PieceScheduler(), self.now)).answer()
-        return self.hosted.channel.read(query, self.now())
-
-    async def times(self, query: Query) -> list[int]:
-        return [time for one in (await self.read(query)).slices for time in one.run.times[one.lo : one.hi]]
-
-    async def subscribed(self, start: Bound) -> tuple[list[int], int]:
-        """The times of the items that a subscription gets, and how many it dropped."""
-        where = self.recording.beginning({"start": start}, self.now())
-        cursor = run_to_end(self.hosted.channel.subscribing_all(self.now(), **where))
-        times: list[int] = []
-        for _ in range(20):
-            batch = await self.recording.since(cursor, 2**20, self.now)
-            batch = self.hosted.channel.since(cursor, self.now(), 2**20) if batch is None else batch
-            times += [time for one in batch.slices for time in one.slice.run.times[one.slice.lo : one.slice.hi]]
-        return times, cursor.dropped
+async def taken_over(path: Path, store: FakeStore) -> Owner:
+    """A host has taken the channel over. The caller stops it, or kills it."""
+    one = Host(path, store)
+    one.clock = SINCE
+    return await Owner(one).serve()
 
 
 @pytest.mark.asyncio
@@ -227,12 +165,10 @@ async def test_a_host_that_starts_again_before_the_store_is_back_keeps_the_items
     store = FakeStore()
     await left(tmp_path / "a", store)
     store.failure = "away"
-    first = Host(tmp_path / "b", store)
-    first.clock = SINCE
-    owner = await Owner(first).serve()
+    owner = await taken_over(tmp_path / "b", store)
     await owner.put(SINCE + 1)
-    first.recorder.files.close(None)
-    first.archive.folder.close()  # it is killed
+    owner.host.recorder.files.close(None)
+    owner.host.archive.folder.close()  # it is killed
     async with host(tmp_path / "b", store) as one:
         one.clock = 2 * SINCE
         owner = await Owner(one, 3).serve()
@@ -311,9 +247,7 @@ async def test_after_a_clean_stop_without_the_store_the_host_serves_the_items_on
     store = FakeStore()
     await left(tmp_path / "a", store)
     store.failure = "away"
-    first = Host(tmp_path / "b", store)
-    first.clock = SINCE
-    owner = await Owner(first).serve()
+    owner = await taken_over(tmp_path / "b", store)
     await owner.put(SINCE + 1, SINCE + 2, SINCE + 3)
     await owner.recordings.close(0)
     async with host(tmp_path / "b", store) as one:

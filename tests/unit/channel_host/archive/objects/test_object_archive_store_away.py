@@ -17,8 +17,8 @@ from stampede_rt_channel_host.channels.recording import open_archive
 from stampede_rt_channel_host.core.channel import FIRST_KEY
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 from tests.support.channel_host.object_stores import CHANNEL, PREFIX, FakeStore
+from tests.support.channel_host.recorded_hosts import Host, host, record
 from tests.support.waiting import until
-from tests.unit.channel_host.archive.objects.test_segment_mover import Host, host, record
 
 
 @pytest.fixture(autouse=True)

@@ -5,104 +5,25 @@ that moved to another host.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
 
 from stampede_rt.errors import Overloaded
-from stampede_rt.values.model import Policy
-from stampede_rt.wire.run_slices import slice_run
-from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
-from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, DiskUse
-from stampede_rt_channel_host.archive.host_archive import HostArchive
+from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES
 from stampede_rt_channel_host.archive.objects import segment_mover
-from stampede_rt_channel_host.archive.objects.object_archive import ObjectArchive, ObjectSettings
-from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
-from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Offer, Run, make_run
-from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
-from stampede_rt_channel_host.core.records import RecordedChannel
 from tests.support.channel_host.object_stores import CHANNEL, PREFIX, FakeStore
+from tests.support.channel_host.recorded_hosts import Host, host, record
 from tests.support.waiting import until
-from tests.unit.channel_host.archive.test_archive_files import ALL
 
 SECONDS_MAX = 10
-
-
-def record(epoch: int) -> RecordedChannel:
-    return RecordedChannel(
-        channel_id=CHANNEL, name="cam", policy=Policy(archive_nanos=10**18), host_id=b"h" * 16, epoch=epoch,
-        incarnation=epoch, spec_version=1, message=b"",
-    )  # fmt: skip
-
-
-def decode(body: bytes) -> Run:
-    seq = int(body)
-    return make_run(seq, [seq], None, [7], body)
-
-
-class Host:
-    """One host with its archive, which writes items of one payload byte. `seal_seconds`: see ObjectSettings."""
-
-    def __init__(self, path: Path, store: FakeStore, bytes_max: int = 2**30) -> None:
-        folder = ArchiveFolder(path)
-        folder.open(b"h" * 16)
-        self.path, self.clock = path, 0
-        objects = ObjectArchive(ObjectSettings(store, 2**20, 60), folder, slice_run, lambda: self.clock)
-        self.disk = DiskUse(bytes_max)
-        self.archive = HostArchive(folder, decode, self.disk, lambda: self.clock, objects)
-        self.mover = objects.mover
-
-    async def serve(self, epoch: int, next_seq: int = 1) -> ChannelRecorder:
-        """Record the channel here. `next_seq`: the next seq of a channel that has moved here without items."""
-        files, found = await self.archive.open(record(epoch))
-        channel = ChannelCore(Policy(max_items=4), incarnation=epoch)
-        next_seq = max(next_seq, *(one.end_seq for one in found.segments), 1)
-        channel.restore((), after=None, next_seq=next_seq, loss=(0, 0))
-        disk = self.disk.of_channel(CHANNEL, "")
-        recorder = ChannelRecorder(channel, files, found.segments, disk)
-        self.archive.record(recorder)
-        self.channel, self.recorder = channel, recorder
-        return recorder
-
-    async def write(self, count: int = 1) -> None:
-        """Accept items, write them, and let time pass until the host closes the file."""
-        for _ in range(count):
-            self.clock += 1
-            self.recorder.check_room(7)
-            offer = Offer(times=[self.channel.next_seq], durations=None, lengths=[7])
-            self.channel.put(offer, self.clock, lambda first_seq, kept, stamped: b"%d" % first_seq)
-            self.recorder.note(self.clock)
-        self.archive.touch(self.recorder, lambda: None)
-        await self.archive.write_all()
-        self.clock += 61 * 10**9
-
-    def read(self) -> list[int]:
-        window = self.recorder.files.load(self.recorder.segments, ALL, decode, lambda: None)
-        return [one.first_seq for one in window.items.slices(FIRST_KEY, LAST_KEY)]
-
-    def local(self) -> list[str]:
-        return [path.name for path in (self.path / "channels").rglob("*.segment")]
-
-    async def close(self) -> None:
-        await self.archive.close([self.recorder] if hasattr(self, "recorder") else [], 0)
 
 
 @pytest.fixture(autouse=True)
 def quick_retries(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(segment_mover, "BACK_OFF_SECONDS_MIN", 0.01)
     monkeypatch.setattr(segment_mover, "BACK_OFF_SECONDS_MAX", 0.05)
-
-
-@asynccontextmanager
-async def host(path: Path, store: FakeStore, bytes_max: int = 2**30) -> AsyncIterator[Host]:
-    one = Host(path, store, bytes_max)
-    try:
-        yield one
-    finally:
-        await one.close()
 
 
 async def fill(one: Host) -> None:
