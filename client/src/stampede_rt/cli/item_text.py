@@ -67,7 +67,7 @@ def item_printer(arguments: argparse.Namespace) -> Callable[..., str]:
 
 
 def tell_losses(losses: int) -> None:
-    """Say on standard error how often items may have been lost with a host."""
+    """Print on standard error how many gaps of lost items the reader got."""
     if losses:
         why = "a replica replaced a lost host and may have lacked items, or the archive lacks items"
         print(f"stampede: {losses} gaps of lost items: {why}", file=sys.stderr)

@@ -165,9 +165,8 @@ class SegmentFiles(SegmentReads):
     def _open_one(
         self, number: int, following: int | None, *, is_last: bool, may_be_torn: bool
     ) -> tuple[Segment | None, int, int]:
-        """Open a segment of the folder. `following`: the first seq of the next segment, or None. Blocks from this seq
-        on do not count: a write that failed left them behind, and their items were written again. A file without a
-        block that counts leaves the archive. It keeps its bytes if it is damaged.
+        """Open a segment of the folder. `following`: the first seq of the next segment, or None. A failed write left
+        the blocks from this seq on; their items were written again. A file without other blocks leaves the archive.
         """
         path = self._files.file_of(number)
         file = os.open(path, os.O_RDWR if is_last else os.O_RDONLY)
@@ -181,15 +180,15 @@ class SegmentFiles(SegmentReads):
             os.close(file)
         blocks = scanned.blocks if following is None else below(scanned.blocks, length, following)
         segment = summary(number, blocks[-1].end if blocks else 0, blocks)
-        if segment is None:
-            self._files.set_aside(number) if scanned.damaged else path.unlink()
+        if segment is None and scanned.damaged:
+            self._files.set_aside(number)
+        elif segment is None:
+            path.unlink()
         else:
             self._kept.keep(self, number, FoundBlocks(segment.length, SegmentBlocks(blocks)))
         return segment, length - scanned.end, len(scanned.damaged)
 
-    def write(
-        self, parts: Sequence[Sequence[ArchivedRun] | SeqGap | Advances], limits: ArchiveLimits
-    ) -> tuple[Segment, ...]:
+    def write(self, parts: Sequence[WrittenPart], limits: ArchiveLimits) -> tuple[Segment, ...]:
         """Append runs and gaps, in seq order, and bring them to stable storage. Returns all segments.
 
         Drops whole segments that the limits do not keep. Raises OSError if nothing was written: the caller tries the

@@ -11,7 +11,7 @@ from stampede_rt_channel_host.archive.objects import stored_segments
 from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.objects.segment_store import StoreError
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
-from stampede_rt_channel_host.core.archive import ArchivedRun, Hole, Segment
+from stampede_rt_channel_host.core.archive import ROW_BYTES, ArchivedRun, Hole, Segment
 from tests.support.channel_host.object_stores import PREFIX, FakeStore, move, moving_files, opened_files
 from tests.unit.channel_host.archive.test_archive_files import ALL, decode, seqs, write
 
@@ -173,6 +173,28 @@ async def test_a_flipped_bit_in_a_block_loses_this_block_and_one_in_the_index_lo
         other = host(tmp_path, "b", store, 2)
         assert found_by(other) == expected
         assert other.damaged_blocks == (1 if len(expected) == 4 else 0)
+
+
+@pytest.mark.asyncio
+async def test_an_object_stays_in_the_store_if_no_block_before_those_of_the_next_owner_can_be_read(
+    tmp_path: Path,
+) -> None:
+    store = FakeStore()
+    files = host(tmp_path, "a", store, 1)
+    segments = write_closed(files, 1, 3)
+    await move(files, store)
+    [name] = store.objects
+    later = host(tmp_path, "b", store, 2)
+    write_closed(later, 3, 2)  # the same seqs again, after the first block
+    await move(later, store)
+    damaged = bytearray(store.objects[name])
+    damaged[damaged.index(b"1 ") - ROW_BYTES - 20] ^= 1  # in the head of the first block
+    damaged[segments[0].length + 3] ^= 1  # in the index
+    store.objects[name] = bytes(damaged)
+    next_owner = host(tmp_path, "c", store, 3)
+    assert found_by(next_owner) == [3, 4, 5, 6]
+    assert name not in next_owner.stored.outdated
+    assert store.objects[name] == damaged
 
 
 @pytest.mark.asyncio
