@@ -208,14 +208,26 @@ STEPS: tuple[Step, ...] = (
 )  # fmt: skip
 
 
-def play(surface: Surface, host: SteeredHost, numbers: Sequence[int], tell: Callable[[str], None]) -> None:
-    """Run the steps that `numbers` choose. `tell` gets the names of the steps."""
+STEPS_NEAR_THE_FRONT: tuple[Step, ...] = (
+    rest, put_in_order, subscribe, put_in_order, read_near_the_front, tick, put_in_order, subscribe,
+)  # fmt: skip
+"""The newest items change and are read. Rings in shared memory answer most of these reads."""
+
+
+def play(
+    surface: Surface,
+    host: SteeredHost,
+    numbers: Sequence[int],
+    tell: Callable[[str], None],
+    steps: Sequence[Step] = STEPS,
+) -> None:
+    """Run the steps that `numbers` choose among `steps`. `tell` gets their names."""
     pair = PathPair(surface, host, RandomSource(numbers[0]).pick(POLICIES))
     try:
         for number in numbers[1:]:
             rng = RandomSource(number)
             counts = pair.oracle.consumers is not None
-            step = consume if counts and rng.one_in(4) else rng.pick(STEPS)
+            step = consume if counts and rng.one_in(4) else rng.pick(steps)
             tell(step.__name__)
             step(rng, pair)
     finally:
