@@ -24,8 +24,9 @@ class ArchiveFolder:
     """
 
     def __init__(self, path: Path, bytes_max: int = 0) -> None:
-        """`bytes_max`: the most bytes that the archive may have; 0: nine tenths of its own and the free bytes of its
-        disk.
+        """`bytes_max`: the most bytes that the archive may have.
+
+        0: nine tenths of the sum of its own bytes and the free bytes of its disk.
         """
         self.path = path
         self._bytes_max = bytes_max

@@ -23,7 +23,8 @@ class CleanStop(NamedTuple):
 
     `epoch` and `incarnation` are those of the channel then. `lost_from` and `lost_before` are the bounds of an earlier
     loss, or None. `retries` is the encoded retry window of the producers. The archive had all seqs below `end_seq`, and
-    no item later than `newest`; 0 and None: it is not known. A host that starts thus notices a damaged last block.
+    no item later than `newest`; 0 and None: it is not known. A starting host compares them with the files, and so
+    notices a damaged last block.
     """
 
     incarnation: int
@@ -42,9 +43,10 @@ class CleanStop(NamedTuple):
         return self._replace(epoch=epoch, end_seq=end_seq, newest=newest)
 
     def is_of(self, incarnation: int, epoch: int) -> bool:
-        """Whether the note is still true: since then, no other host and no process without a clean stop has served it.
+        """Whether the note is still true.
 
-        The directory keeps the incarnation over clean stops. If it has changed the incarnation, it may have raised the
+        Since that stop, no other host has served the channel, and each process that served it has stopped cleanly. The
+        directory keeps the incarnation over clean stops. If it has changed the incarnation, it may have raised the
         epoch by one.
         """
         return self.incarnation == incarnation or self.epoch in (epoch - 1, epoch)
@@ -70,7 +72,7 @@ def name_of_stop(stop: CleanStop) -> str:
 
 
 def stop_named(name: str) -> CleanStop | None:
-    """The clean stop that an object with this name tells about, or None if it is not such a name."""
+    """The clean stop that the name of an object tells about, or None if the object tells about no clean stop."""
     found = _NAME.fullmatch(name)
     if found is None:
         return None

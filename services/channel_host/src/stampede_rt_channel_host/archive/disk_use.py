@@ -39,7 +39,7 @@ class DiskUse:
         self.used_bytes = 0
         self.bytes_max = bytes_max
         self.on_full: Callable[[], None] = _ignore
-        """Called when the limit refuses something: there may be files to delete."""
+        """Called when the limit refuses a write, because the archive may have files to delete."""
         self._account_of = account_of
         self._channels: dict[bytes, ChannelDiskUse] = {}
 
@@ -49,7 +49,7 @@ class DiskUse:
         return found or ChannelDiskUse(self, channel_id, created_by, self._account_of(created_by))
 
     def update(self, folders: Iterable[FoundFolder], besides: Set[bytes] = frozenset()) -> None:
-        """Take over the folders as they are on the disk now, except those of the channels `besides`."""
+        """Count the folders as they are on the disk now, except the folders of the channels `besides`."""
         gone = self._channels.keys() - besides
         for one in folders:
             if one.channel_id not in besides:

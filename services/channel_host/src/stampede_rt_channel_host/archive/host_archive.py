@@ -155,7 +155,10 @@ class HostArchive:
         self._news.set()
 
     def hurry(self) -> None:
-        """Write at once, because a put waits for stable storage. Items that come during a write share the next one."""
+        """Write at once, because a put waits for stable storage.
+
+        Items that come during a write share the next write.
+        """
         self._hurry.set()
 
     def forget(self, recorder: ChannelRecorder) -> None:
@@ -240,7 +243,7 @@ class HostArchive:
             )
 
     def _make_room(self) -> None:
-        """Delete outdated files, because the limit of the disk has refused something. At most once in RETRY_SECONDS."""
+        """Delete outdated files, because the limit of the disk has refused a write. At most once in RETRY_SECONDS."""
         if self._making_room is None or self._making_room.done():
             self._making_room = asyncio.create_task(self._delete_outdated(), name="archive-room")
             self._making_room.add_done_callback(_log_defect)

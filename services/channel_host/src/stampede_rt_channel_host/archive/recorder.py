@@ -20,7 +20,7 @@ BYTES_PER_WRITE = 16 * 2**20
 SLICES_PER_NOTE = 2048  # a look at this many takes about 1 ms
 GAPS_KEPT = 64
 ADVANCES_MAX = 4096  # that wait for the archive; if there are more, the recorder keeps only the latest one
-PUTS_LEAST = 4096  # if more puts wait for the archive, the recorder joins those without items in memory
+PUTS_LEAST = 4096  # if more puts wait for the archive, the recorder joins the puts whose items have left memory
 Part = list[ArchivedRun] | SeqGap | Advances
 
 
@@ -276,7 +276,8 @@ def _lacks_from(channel: ChannelCore, segments: tuple[Segment, ...], *, is_share
     """The first seq that an archive lacks: the seq after its last item, or the seq of the first held item.
 
     In a shared archive it is the later of the two, because the former owner adds the items before it. There the held
-    items before a hole are the former owner's, too: memory has lost the items of the hole, so that archive had them.
+    items before a hole are the former owner's, too: the items of the hole have left memory, so the former owner's
+    archive had them.
     """
     archived = max((one.end_seq for one in segments), default=0)
     if archived and not is_shared:

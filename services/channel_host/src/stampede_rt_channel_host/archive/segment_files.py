@@ -37,7 +37,8 @@ BLOCK_BYTES = 2**18
 GATHERED_BYTES = 2 * 2**20
 """Blocks are written together up to this length.
 
-Each write waits for the interpreter again, which the event loop uses. A longer write leaves the disk without work.
+After each write the thread waits for the interpreter lock, which the event loop holds. While the thread prepares a
+longer write, the disk has no work.
 """
 SEGMENT_BYTES = 64 * 2**20
 SEGMENTS_PER_AGE = 16  # a segment ends after 1/16 of the archive's age, because the archive drops only whole segments

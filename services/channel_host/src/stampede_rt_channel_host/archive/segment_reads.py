@@ -186,4 +186,4 @@ class SegmentReads:
 
 
 def _go_on() -> None:
-    """Does nothing, because a short read gives no turn to other threads."""
+    """Does nothing, because a short read lets no other thread run in between."""

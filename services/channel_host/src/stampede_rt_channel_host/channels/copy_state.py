@@ -73,7 +73,10 @@ class CopyState:
         return self.caught_up and not self.is_replica and self.staleness_nanos <= SERVED_STALENESS_NANOS_MAX
 
     def merge_floors(self, floors: Iterable[CutFloor]) -> None:
-        """Take in the cuts of groups that the source has told. A cut falls only if its group has begun anew."""
+        """Take in the cuts of groups that the source has reported.
+
+        A cut moves back only if its group has begun anew.
+        """
         for floor in floors:
             known = self.floors.get(floor.group_id)
             if known is None or known.incarnation != floor.incarnation or known.cut <= floor.cut:

@@ -83,7 +83,7 @@ class Rings:
         making = self._making.get(hosted.ring_making)
         if making is None:
             making = self._begin_making(hosted)
-        ring = await asyncio.shield(making)  # the other readers still want it if this one goes
+        ring = await asyncio.shield(making)  # the other readers still want the ring if this reader goes
         if not ring.is_open:
             raise _changed(hosted)
         return ring
@@ -97,7 +97,7 @@ class Rings:
             if hosted.ring_making is mark:
                 hosted.ring_making = None
             if not done.cancelled():
-                done.exception()  # perhaps no reader waits for it any more
+                done.exception()  # perhaps no reader waits for the ring any more
 
         making.add_done_callback(made)
         return making

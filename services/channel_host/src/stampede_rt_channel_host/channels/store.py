@@ -108,9 +108,10 @@ class ChannelStore:
         return self._channels.get(hosted.record.channel_id) is hosted
 
     def find_readable(self, channel_id: bytes, epoch: int, demand: Freshness | None) -> HostedChannel:
-        """The channel, or a copy of it that meets `demand`, for one read. None: only the owner will do.
+        """The channel, or a copy of it that meets `demand`, for one read.
 
-        Raises the errors of `find`, and StaleBinding (MOVED) if the copy does not meet the demand.
+        `demand` None: only the owner may serve the read. Raises the errors of `find`, and StaleBinding (MOVED) if the
+        copy does not meet the demand.
         """
         copy = None if demand is None else self.copies.find(channel_id, epoch, demand)
         if copy is None:

@@ -48,9 +48,9 @@ class ChannelTotals:
         self.counts.update(dict(_counts_of_readers(hosted)))
 
     def not_below(self, former: ChannelTotals) -> None:
-        """Raise each counter to its former value, at least.
+        """Raise each counter to at least its former value.
 
-        The sums are made in pieces, and so may lack a channel that left meanwhile.
+        The sums are made in pieces, so they may lack a channel that left meanwhile.
         """
         self.counts |= former.counts
 

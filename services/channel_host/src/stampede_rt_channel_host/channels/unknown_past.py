@@ -19,14 +19,17 @@ from stampede_rt_channel_host.core.group import Horizon
 class UnknownPast:
     """Says which reads have to wait until the store tells which items it has.
 
-    The former owners accepted all their items before the instant of the take-over, so that the times of these lie less
-    than `max_future` after it. The host has all items from there on. With `is_fresh` the channel began here without
-    items, at the first seq of its epoch. Otherwise the host had the channel before it was recorded, and knows which
-    items have left its memory.
+    The former owners accepted all their items before the instant of the take-over. The times of these items are
+    therefore less than `max_future` after that instant. The host has all items with later times. With `is_fresh` the
+    channel began here without items, at the first seq of its epoch. Otherwise the host had the channel before it was
+    recorded, and knows which items have left its memory.
     """
 
     def __init__(self, channel: ChannelCore, epoch: int, found: OpenedArchive) -> None:
-        """`found`: on the disk. If it has the note of a clean stop, the last items there are known."""
+        """`found`: the files on the disk.
+
+        If they include the note of a clean stop, the last items on the disk are known.
+        """
         self.is_fresh = channel.next_seq == 1
         self._channel, self._first_seq, self._stop = channel, start_of(epoch), found.stop
         self._begun = channel.lost_before or 0

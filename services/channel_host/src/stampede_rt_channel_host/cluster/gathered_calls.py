@@ -29,7 +29,10 @@ class GatheredCalls(Generic[Question, Answer]):
         most: int,
         interval_s: float = 0.0,
     ) -> None:
-        """`interval_s`: the least time between two calls. Questions that come before it is over wait for each other."""
+        """`interval_s`: the least time between two calls.
+
+        Questions that come earlier wait, and go together into the next call.
+        """
         self._ask = ask
         self._most = most
         self._interval_s = interval_s
@@ -51,7 +54,7 @@ class GatheredCalls(Generic[Question, Answer]):
             while self._waiting:
                 await self._pause()
                 asked = [self._waiting.popleft() for _ in range(min(self._most, len(self._waiting)))]
-                if asked := [one for one in asked if not one[1].done()]:  # the caller of a done one was cancelled
+                if asked := [one for one in asked if not one[1].done()]:  # the caller of a done question was cancelled
                     _deal([answer for _, answer in asked], await self._answers([question for question, _ in asked]))
         finally:
             self._calls = None
@@ -72,7 +75,7 @@ class GatheredCalls(Generic[Question, Answer]):
             logger.exception(
                 "a call for several moves failed", extra={"event": "task_defect", "task": "gathered calls"}
             )
-            # The directory may have done what the call asks for. So this is an error of a call that can be repeated.
+            # The directory may have performed the call. So this is an error after which the caller may repeat the call.
             return [Unavailable(f"the host failed ({error!r}); please report it")] * len(questions)
 
 

@@ -23,7 +23,7 @@ class HostLease:
     def granted(self, *, sent_nanos: int, ttl_nanos: int) -> None:
         """Note that the directory acknowledged the renewal sent at `sent_nanos`.
 
-        If the answer to a later renewal came before, this one changes nothing.
+        If the answer to a later renewal came before, this answer changes nothing.
         """
         if self._fence_nanos is not None and sent_nanos <= self._sent_nanos:
             return

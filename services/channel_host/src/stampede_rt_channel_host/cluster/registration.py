@@ -105,7 +105,7 @@ class Registration:
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
         """Register for the first time, with a gatekeeper at `target`.
 
-        Tries for `timeout_s`, even while another live host has the name: that host may be the predecessor of this one,
+        Tries for `timeout_s`, even while another live host has the name: that host may be the predecessor of this host,
         and its lease ends by itself. Raises the last failure. If a retry cannot help, raises the failure without
         another try.
         """

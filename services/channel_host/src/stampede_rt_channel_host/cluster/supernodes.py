@@ -127,7 +127,7 @@ class Supernodes:
                 raise
             raise closed(target) from None
         except grpc.RpcError as error:
-            self._prefer(target)  # so that the next call goes to another one
+            self._prefer(target)  # so that the next call goes to another supernode
             raise from_rpc_error(error, target) from error
         finally:
             call.cancel()

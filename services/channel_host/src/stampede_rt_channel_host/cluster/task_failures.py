@@ -7,10 +7,10 @@ from typing import Any
 
 
 def first_failure(group: BaseExceptionGroup[Any]) -> BaseException:
-    """The first failure in what a TaskGroup has raised.
+    """The first failure of the tasks of a TaskGroup. Raises CancelledError if the present task was cancelled.
 
-    Raises CancelledError if the present task was cancelled: a TaskGroup of Python 3.11 and 3.12 raises only the
-    failures if one of its tasks fails in the turn of the cancellation. Then the task would continue.
+    A TaskGroup of Python 3.11 and 3.12 raises only the failures if one of its tasks fails in the same turn as the
+    cancellation. Without this check the cancelled task would continue.
     """
     present = asyncio.current_task()
     if present is not None and present.cancelling():

@@ -1,7 +1,7 @@
 """The moves that permitted callers have asked this host for, as the owner of the channels and queues.
 
-The request of another host is not enough. Before, a caller with the right to configure the channel, or this host
-itself, must have named that host (decision 0222).
+The request of another host is not enough. Before that request, a caller with the right to configure the channel, or
+this host itself, must have named the other host (decision 0222).
 """
 
 from __future__ import annotations

@@ -136,7 +136,7 @@ class CopyFeed:
         return self._sent_nanos
 
     async def _write_all(self, write: Write) -> None:
-        """Send requests when time has come, and for news that do not come from the source.
+        """Send the requests that are due after some time, and those about news that do not come from the source.
 
         Raises TimeoutError if the source is silent, or takes nothing: this task watches the task that reads, too.
         """

@@ -161,7 +161,10 @@ class Draining:
             logger.info("all channels have moved to other hosts", extra=extra)
 
     async def _move_all(self, own: dict[bytes, _Own], left: dict[bytes, str]) -> None:
-        """Move the channels. Removes each moved one from `left`, and notes there the reason for each other one."""
+        """Move the channels.
+
+        Removes each moved channel from `left`, and notes there the reason for each other channel.
+        """
         hosts = await self._directory.other_hosts()
         if not hosts:
             left.update(dict.fromkeys(left, "there is no other live host"))

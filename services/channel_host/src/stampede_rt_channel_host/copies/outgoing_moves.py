@@ -94,7 +94,10 @@ class OutgoingMove:
 
     @property
     def _is_under_way(self) -> bool:
-        """Whether this host still has the channel as this move knows it. It may have moved away and back since."""
+        """Whether this host still has the channel as this move knows it.
+
+        The channel may have moved away and back since.
+        """
         return self._hosted.moving is self._moving and self._moves.store.serves(self._hosted)
 
     @property

@@ -1,4 +1,4 @@
-"""An object store that is not asked by everybody while it fails."""
+"""Guards an object store: while the store fails, one call at a time tries it."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ PAUSE_SECONDS = 1.0
 class GuardedStore:
     """Passes calls on to a store. While the store fails, one call at a time tries it, and the others fail at once.
 
-    So a store that answers nothing does not hold all threads of the archive. A store that refuses a call has answered:
-    it may refuse to delete objects, and still give them. Any thread may use it.
+    So a store that does not answer blocks one thread of the archive, and not all of them. A store that refuses a call
+    has answered: it may refuse to delete objects, and still give them. Any thread may use it.
     """
 
     def __init__(self, store: SegmentStore, clock: Callable[[], float] = time.monotonic) -> None:
         """`clock`: in seconds."""
         self.url = store.url
         self.failure = ""
-        """Why the last call failed; empty: it did not."""
+        """Why the last call failed; empty: it succeeded."""
         self._store, self._clock = store, clock
         self._lock = Lock()
         self._failed_at = 0.0

@@ -33,7 +33,7 @@ class KnownObjects:
         """`url`: of the object store. A list of another store does not count."""
         self._path, self._url = folder / _FILE, url
         self.changes = 0
-        """The changes since `replace`: so many lines the list may be longer than the objects need."""
+        """The number of changes since `replace`. The list has at most this many lines more than it has objects."""
 
     def read(self) -> Known | None:
         """The list, or None if there is none, it is damaged, or it is of another store. Raises OSError."""

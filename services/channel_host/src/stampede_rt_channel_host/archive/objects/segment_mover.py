@@ -31,7 +31,7 @@ LOOKS_PER_DROP = 12  # after this many looks, outdated segments of idle channels
 class MovedCounts(NamedTuple):
     """The objects of the channels that this host records, and the events since the start.
 
-    `waiting_bytes` are in closed segments that have not moved yet. `moved_bytes` and `failures` count since the start.
+    `waiting_bytes`: in closed segments that have not moved yet. `moved_bytes` and `failures` count since the start.
     """
 
     objects: int

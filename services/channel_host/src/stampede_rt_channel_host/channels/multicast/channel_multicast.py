@@ -103,9 +103,9 @@ class ChannelMulticast:
             self._hosted.group_observers.pop(self, None)
 
     def _in_time(self, cursor: AllCursor) -> AllCursor:
-        """The cursor, or one at the end of the channel if this one has been behind for too long.
+        """The cursor, or a new cursor at the end of the channel if the cursor has been behind for too long.
 
-        Readers ask the host for the items between, or continue without datagrams.
+        Readers ask the host for the items between the two, or continue without datagrams.
         """
         next_seq, now_s = self._hosted.channel.next_seq, asyncio.get_running_loop().time()
         if cursor.next_seq < self._goal_seq and now_s - self._goal_s > LATE_S_MAX:

@@ -43,7 +43,7 @@ class AckOfDisk:
 
     @property
     def is_due(self) -> bool:
-        """Whether `due` returns at once. Nobody knows."""
+        """Whether `due` returns at once. False, because the ack cannot know."""
         return False
 
     async def due(self) -> pb.PutAck:

@@ -130,7 +130,7 @@ class ChannelPuts:
         is_held = self._overdue is not None
         has_to_wait = is_held or bool(self._waiting_runs)
         may_not_wait = run.wait_nanos is not None and run.wait_nanos <= 0 and not is_held
-        # a run that is accepted in part, and refused otherwise, is announced once its outcome is known, see `_offer`
+        # a run that the channel accepts only in part is announced when its outcome is known, see `_offer`
         with self.announced_together() if may_not_wait and self._channel.may_block else nullcontext():
             if self._recognise(run, now) or (not has_to_wait and self._claim_and_offer(run, now)):
                 assert run.ack is not None, "a run that does not wait has an ack"

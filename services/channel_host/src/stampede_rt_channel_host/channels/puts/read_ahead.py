@@ -71,7 +71,7 @@ class ReadAhead:
 
     @property
     def is_ahead(self) -> bool:
-        """Whether requests are read ahead, or were and are left."""
+        """Whether the stream reads ahead, or requests that it has read ahead are left."""
         return self._task is not None or bool(self._received)
 
     def release(self) -> None:
