@@ -56,7 +56,7 @@ test-acl: setup  ## the tests with a whole cluster, as a client whom rules of ac
 contract: setup  ## the contract over every transport with both clients, also where the suite leaves a transport out: about 12 minutes
 	STAMPEDE_EVERY_TRANSPORT=1 $(RUN)/pytest -n 3 --dist loadfile tests/contract
 
-explore: setup  ## stories that the suite does not play, drawn anew each time, against the oracles
+explore: setup  ## new random scenarios, other than those of the suite, against the oracles
 	STAMPEDE_PROPERTY_EXAMPLES=5000 $(RUN)/pytest -n 2 --hypothesis-profile=explore --timeout=0 $(PROPERTY_TESTS)
 	STAMPEDE_HOSTILE_SEEDS=400 $(RUN)/pytest -n 2 --timeout=0 tests/robustness/replication/test_hostile_peers.py
 

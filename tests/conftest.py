@@ -19,17 +19,19 @@ from stampede_rt_local.process import ServiceProcess
 from tests.support.forking.forked_popen import ForkedPopen
 from tests.support.sharing.shares import at_end_of_share, share_of
 
-# The suite plays the same scenarios each time: it fails by a change, not by a draw. `make explore` plays others.
+# Each run of the suite plays the same scenarios. So a new failure comes from a change of the code, and not from other
+# random choices. `make explore` plays other scenarios.
 settings.register_profile("suite", derandomize=True, database=None, deadline=None)
 settings.register_profile("explore", database=None, deadline=None, print_blob=True)
 settings.load_profile("suite")
 
-# A job that a shell started in the background ignores Ctrl-C, and all its children inherit that; tests that interrupt a
-# child would then wait for ever. A handler of one's own is not inherited: children begin with the default again.
+# A job that a shell started in the background ignores Ctrl-C, and so do all its children. Tests that interrupt a child
+# would then wait for ever. With a handler of its own here, the children of this process begin with the default handler
+# again.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Files that start processes come first: one of them that began last would run on while the other workers are idle.
+# Files that start processes come first. If such a file began last, it would still run while the other workers are idle.
 FIRST_OF_ALL = (
     "polyglot",
     "robustness",
@@ -44,9 +46,10 @@ FIRST_OF_ALL = (
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, None, None]:
-    """Collect the tests without looking for garbage meanwhile, and keep the collected tests out of later searches.
+    """Collect the tests while the garbage collector is off, and keep the collected tests out of its later searches.
 
-    Each worker collects all tests, and a quarter of the time would go into looks at objects that stay.
+    Each worker collects all tests. With the garbage collector a quarter of the time would go into looks at objects that
+    stay.
     """
     gc.disable()
     try:

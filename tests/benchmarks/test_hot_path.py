@@ -5,7 +5,7 @@ from tests.benchmarks import bare_server, hot_path
 
 
 def test_items_on_their_way_to_a_subscriber_fit_into_the_channel() -> None:
-    """Else the benchmark waits for items that were collected before it began to read."""
+    """Otherwise the benchmark would wait for items that retention collected before the benchmark began to read."""
     most = max(hot_path.RUNS * max(hot_path.RUN_ITEMS.values()), *hot_path.INTERVAL_ITEMS.values())
     assert most < hot_path.CHANNEL_ITEMS
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tests.benchmarks.wide_groups import measure
 
 
-def test_two_hosts_feed_themselves_and_tell_each_other_of_it() -> None:
+def test_two_hosts_feed_their_channels_and_report_them_to_each_other() -> None:
     alone, grouped = measure(2, seconds=0.3, warm_seconds=0.1)
     assert alone.messages_per_second == 0
     assert grouped.messages_per_second > 0

@@ -27,7 +27,9 @@ def secret(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 OVER_PUBLIC_STREAMS = ("puts", "reads", "resumed_streams", "subscriptions", "waiting")
-"""The test modules that also run over the public streams of gRPC, which the blocking client uses with some grpcio."""
+"""The test modules that also run over the public streams of gRPC, which the blocking client uses with some versions of
+grpcio.
+"""
 
 
 OVER_SHARED_MEMORY = (

@@ -263,7 +263,7 @@ async def test_an_open_stream_ends_when_the_rule_that_allows_it_is_removed(scene
 
 
 async def test_a_right_that_is_lost_for_one_channel_ends_the_waiting_get_of_that_channel_only(scene: Scene) -> None:
-    """All gets of a client share one stream. A fixed fault: the lost right ended the whole stream."""
+    """All gets of a client share one stream. In an earlier version, the lost right ended the whole stream."""
     for thing in ("a", "b"):
         await scene.allow("read", "channel", thing)
     await scene.allow("read", "group", "pair")
@@ -301,7 +301,7 @@ async def test_the_loss_of_the_right_to_a_group_ends_no_gets_of_its_channels(sce
 
 
 async def test_a_right_that_is_lost_for_one_channel_fails_the_puts_of_that_channel_only(scene: Scene) -> None:
-    """All channels of a thread share one stream of puts. A fixed fault: the lost right ended the whole stream."""
+    """All channels of a thread share one stream of puts. In an earlier version, a lost right ended all of it."""
     for thing in ("a", "b"):
         await scene.allow("put", "channel", thing)
     lost, kept = await scene.channel("a"), await scene.channel("b")

@@ -173,7 +173,8 @@ def _timed(*times: int, durations: tuple[int, ...] | None = None) -> Offer:
 
 
 def test_a_consumer_whose_position_was_lost_starts_at_the_newest_item_of_a_half_consumed_bucket() -> None:
-    """A fixed fault: a late item reversed the rest of the bucket, so that an older item counted as the newest one.
+    """In an earlier version, a late item reversed the rest of the bucket, so that an older item counted as the newest
+    one.
 
     The next consumer of the place then owed the older item, too. 3 of 49,549 scenarios found the fault.
     """
@@ -253,8 +254,9 @@ def test_an_old_consumed_item_that_max_bytes_made_the_oldest_is_collected_by_age
 
 
 def test_the_rest_of_a_bucket_is_collected_by_age_if_it_ends_before_the_consumed_part() -> None:
-    """A fixed fault: the next read returned the rest, and the read after that collected it. 1 of 20,000 scenarios found
-    the fault.
+    """In an earlier version, the next read returned the rest, and the read after that collected it.
+
+    1 of 20,000 scenarios found the fault.
     """
     policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
     pair = ChannelPair(policy, FIRST_CLOCK)
@@ -269,8 +271,9 @@ def test_the_rest_of_a_bucket_is_collected_by_age_if_it_ends_before_the_consumed
 
 
 def test_a_waiting_put_is_tried_again_when_age_makes_room() -> None:
-    """A fixed fault: the core told the put to try again at the end of the last lease. 1 of 4,000 scenarios found the
-    fault.
+    """In an earlier version, the core told the put to try again at the end of the last lease.
+
+    1 of 4,000 scenarios found the fault.
     """
     policy = Policy(max_age_nanos=8, max_age_unconsumed_nanos=25, max_items=2, max_future_nanos=8, on_full="block")
     pair = ChannelPair(policy, FIRST_CLOCK)

@@ -1,7 +1,7 @@
 """A copy of a queue that repeats its owner's steps equals the owner at each step, and goes on as the owner did.
 
-The stories are those of `test_queue_against_oracle`. Copies begin at any moment, get steps in parts, get them twice,
-and begin anew. A copy that has all steps takes the queue over, and the rest of the story is compared with the oracle.
+The scenarios are those of `test_queue_against_oracle`. Copies begin at any moment, get steps in parts, get them twice,
+and begin anew. A copy that has all steps takes the queue over, and the oracle checks the rest of the scenario.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.copies.queue_messages import parts_of
 from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue, step_parts, whole_parts
 from stampede_rt_channel_host.core.queue import QueueCore, QueueJournal, QueueStep, handoff
-from tests.property import test_queue_against_oracle as stories
+from tests.property import test_queue_against_oracle as scenarios
 from tests.property.queue_pair import QueuePair, limits_of
 from tests.property.random_source import RandomSource
 
@@ -114,14 +114,14 @@ def lose(rng: RandomSource, pair: ReplicatedPair) -> None:
         pair.copies.pop(rng.below(len(pair.copies)))
 
 
-STEPS = (*stories.STEPS, begin, feed, feed, feed, feed, lose, stories.hand_over)
+STEPS = (*scenarios.STEPS, begin, feed, feed, feed, feed, lose, scenarios.hand_over)
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**96), min_size=10, max_size=50))
 def test_a_copy_of_a_queue_equals_its_owner_after_each_step_and_can_replace_it(numbers: list[int]) -> None:
-    pair = ReplicatedPair(RandomSource(numbers[0]).pick(stories.SETUPS), stories.FIRST_CLOCK)
+    pair = ReplicatedPair(RandomSource(numbers[0]).pick(scenarios.SETUPS), scenarios.FIRST_CLOCK)
     for number in numbers[1:]:
         rng = RandomSource(number)
         step = rng.pick(STEPS)
@@ -130,7 +130,7 @@ def test_a_copy_of_a_queue_equals_its_owner_after_each_step_and_can_replace_it(n
 
 
 def test_a_copy_refuses_a_step_after_a_missing_one() -> None:
-    pair = ReplicatedPair(stories.SETUPS[1], stories.FIRST_CLOCK)
+    pair = ReplicatedPair(scenarios.SETUPS[1], scenarios.FIRST_CLOCK)
     copy = Copy(pair)
     pair.enqueue([8], 5, 1, None, "")
     pair.enqueue([8], 5, 2, None, "")
@@ -141,7 +141,7 @@ def test_a_copy_refuses_a_step_after_a_missing_one() -> None:
 
 
 def test_the_journal_drops_its_oldest_steps_above_its_limit() -> None:
-    pair = ReplicatedPair(stories.SETUPS[1], stories.FIRST_CLOCK)
+    pair = ReplicatedPair(scenarios.SETUPS[1], scenarios.FIRST_CLOCK)
     pair.journal.bytes_max = 3000
     for number in range(1, 20):
         pair.enqueue([8], 5, number, None, "")

@@ -20,7 +20,7 @@ from tests.property.test_channel_against_oracle import FIRST_CLOCK, SET_UPS, STE
 EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "500"))
 
 
-class Story:
+class Scenario:
     """A channel, what readers see of it, and the states that they have still to see."""
 
     def __init__(self, policy: Policy) -> None:
@@ -52,8 +52,8 @@ class Story:
 
 def play(numbers: list[int]) -> None:
     first = RandomSource(numbers[0])
-    story = Story(first.pick(SET_UPS))
-    counts, begins = story.pair.oracle.consumers is not None, first.below(len(numbers))
+    scenario = Scenario(first.pick(SET_UPS))
+    counts, begins = scenario.pair.oracle.consumers is not None, first.below(len(numbers))
     with (
         mock.patch.object(item_blocks, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))),
         mock.patch.object(pieces, "STEPS_PER_PIECE", first.pick((1, 2, 512))),
@@ -61,14 +61,14 @@ def play(numbers: list[int]) -> None:
         for at, number in enumerate(numbers[1:]):
             rng = RandomSource(number)
             if at == begins:
-                story.begin()
+                scenario.begin()
             step = consume if counts and rng.one_in(3) else rng.pick(STEPS)
             note(step.__name__)
-            step(rng, story.pair)
-            if story.view is not None:
-                story.note()
+            step(rng, scenario.pair)
+            if scenario.view is not None:
+                scenario.note()
                 if rng.one_in(2):
-                    story.show(rng)
+                    scenario.show(rng)
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)

@@ -67,7 +67,7 @@ class Reader:
         return not part.is_empty
 
 
-class Story:
+class Scenario:
     """An owner, a copy that is fed now and then, readers, and the items that the present owner has."""
 
     def __init__(self) -> None:
@@ -159,27 +159,27 @@ class Story:
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**64), min_size=4, max_size=60))
 def test_each_reader_gets_every_item_once_and_each_loss_at_its_position(numbers: list[int]) -> None:
-    story = Story()
+    scenario = Scenario()
     for number in numbers:
-        story.step(RandomSource(number))
-    for reader in story.readers:
-        while reader.read(story.core, story.clock, 10**6):
+        scenario.step(RandomSource(number))
+    for reader in scenario.readers:
+        while reader.read(scenario.core, scenario.clock, 10**6):
             pass
         assert reader.seen == reader.expected
 
 
 def test_a_read_reports_the_loss_from_the_newest_inherited_item_on() -> None:
-    story = Story()
-    story.put(3)
-    story.feed_copy(10**6)
-    story.put(2)
-    kept, began = story.items[2][1], story.clock
-    story.take_over()
-    answer = story.core.read(Query(interval=Interval(OLDEST, Bound(None, began))), story.clock)
+    scenario = Scenario()
+    scenario.put(3)
+    scenario.feed_copy(10**6)
+    scenario.put(2)
+    kept, began = scenario.items[2][1], scenario.clock
+    scenario.take_over()
+    answer = scenario.core.read(Query(interval=Interval(OLDEST, Bound(None, began))), scenario.clock)
     assert (answer.truncated, answer.reason) == (True, "LOST")
-    answer = story.core.read(Query(interval=Interval(OLDEST, Bound(None, kept - 1))), story.clock)
+    answer = scenario.core.read(Query(interval=Interval(OLDEST, Bound(None, kept - 1))), scenario.clock)
     assert (answer.truncated, answer.reason) == (False, None)
-    assert story.core.losses.inherited_next_seq == 4
+    assert scenario.core.losses.inherited_next_seq == 4
 
 
 def test_two_losses_at_one_position_are_reported_once() -> None:

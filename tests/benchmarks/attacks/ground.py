@@ -92,7 +92,7 @@ class Ground:
         return known
 
     def to_line(self) -> str:
-        """For the attacker's standard input: a secret is not an argument."""
+        """The line for the attacker's standard input. It has the secret, which must not be an argument of a process."""
         return json.dumps(asdict(self))
 
     @classmethod

@@ -134,7 +134,7 @@ class Field:
 
     @property
     def ground(self) -> Ground:
-        """For the attacker."""
+        """The addresses and the credential that the attacker gets."""
         host = self.cluster.hosts[0].address
         return Ground(
             frontend=self.cluster.address,
@@ -167,7 +167,7 @@ class Field:
         return st.aio.connect(address, secret=token, transport=transport)
 
     def memory_mib(self) -> float:
-        """Resident now, of the watched process."""
+        """The resident memory of the watched process now, in MiB."""
         parts = self.cluster.hosts if CASES[self.found.name].watched == "host" else self.cluster.supernodes
         pages = int(Path(f"/proc/{parts[0].pid}/statm").read_text().split()[1])
         return pages * resource.getpagesize() / 2**20
@@ -274,7 +274,10 @@ async def _watch(one: Field, attacker: int) -> None:
 
 
 async def _still(one: Field) -> None:
-    """Until its memory has not changed by a MiB for 3 s, 15 s at most: services give memory back each second."""
+    """Wait until the memory of the process has changed by less than a MiB for 3 s, 15 s at most.
+
+    Services give memory back each second.
+    """
     last, since_s, until_s = one.memory_mib(), time.monotonic(), time.monotonic() + 15.0
     while time.monotonic() < min(since_s + 3.0, until_s):
         await asyncio.sleep(SLOT_SECONDS)

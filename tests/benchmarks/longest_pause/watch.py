@@ -19,7 +19,7 @@ class Watch:
         self.longest_ms = 0.0
 
     async def over(self, work: Work) -> float:
-        """Do `work`; the CPU time of all, in milliseconds."""
+        """Do `work`. Returns the CPU time of all of it, in milliseconds."""
         gc.collect()
         gc.freeze()
         task, begun = asyncio.ensure_future(work()), time.thread_time()
@@ -34,6 +34,6 @@ class Watch:
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    """Wait until the condition holds. Does nothing meanwhile but let other work run."""
+    """Wait until the condition holds. Meanwhile only other work runs."""
     while not condition():  # noqa: ASYNC110  (there is no event for it)
         await asyncio.sleep(0)

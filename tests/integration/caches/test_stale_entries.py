@@ -140,7 +140,7 @@ async def test_a_thread_without_an_endpoint_asks_the_gatekeeper(clients: list[Cl
     await has(channel, b"0", b"1")
 
 
-async def test_a_channel_that_has_moved(clients: list[Client], other: Any) -> None:
+async def test_both_clients_find_a_channel_that_has_moved(clients: list[Client], other: Any) -> None:
     for client in clients:
         channel, unused = await client.channel(host="h1"), await client.surface.channel(host="h1")
         client.trace.clear()
@@ -153,7 +153,7 @@ async def test_a_channel_that_has_moved(clients: list[Client], other: Any) -> No
         client.check("another entry of this host was dropped")
 
 
-async def test_a_channel_that_was_deleted_and_made_again(clients: list[Client], other: Any) -> None:
+async def test_both_clients_find_a_channel_that_was_deleted_and_made_again(clients: list[Client], other: Any) -> None:
     for client in clients:
         channel = await client.channel(host="h1")
         client.trace.clear()
@@ -164,7 +164,7 @@ async def test_a_channel_that_was_deleted_and_made_again(clients: list[Client], 
         await has(channel, b"1")
 
 
-async def test_a_channel_that_was_deleted_and_made_again_before_its_first_use(
+async def test_both_clients_find_a_channel_that_was_made_again_before_its_first_use(
     clients: list[Client], other: Any
 ) -> None:
     for client in clients:
@@ -177,7 +177,7 @@ async def test_a_channel_that_was_deleted_and_made_again_before_its_first_use(
         await has(channel, b"1")
 
 
-async def test_a_queue_that_has_moved(clients: list[Client], other: Any) -> None:
+async def test_both_clients_find_a_queue_that_has_moved(clients: list[Client], other: Any) -> None:
     for client in clients:
         queue = await client.call("queue", name := f"stale/{next(_numbers)}", host="h1")
         await queue.put(b"0")
@@ -188,7 +188,7 @@ async def test_a_queue_that_has_moved(clients: list[Client], other: Any) -> None
         assert [(await queue.get(timeout=LONG_S)).payload for _ in range(2)] == [b"0", b"1"]
 
 
-async def test_a_queue_that_was_deleted_and_made_again(clients: list[Client], other: Any) -> None:
+async def test_both_clients_find_a_queue_that_was_deleted_and_made_again(clients: list[Client], other: Any) -> None:
     for client in clients:
         queue = await client.call("queue", name := f"stale/{next(_numbers)}", host="h1")
         await queue.put(b"0")
@@ -200,7 +200,7 @@ async def test_a_queue_that_was_deleted_and_made_again(clients: list[Client], ot
         assert (await queue.get(timeout=LONG_S)).payload == b"1"
 
 
-async def test_a_peer_that_registered_again(cluster: LocalCluster, clients: list[Client]) -> None:
+async def test_both_clients_find_a_peer_that_registered_again(cluster: LocalCluster, clients: list[Client]) -> None:
     for client in clients:
         name = f"stale-{next(_numbers)}"
         async with aio.connect(cluster.address, name=name) as peer:
@@ -213,7 +213,9 @@ async def test_a_peer_that_registered_again(cluster: LocalCluster, clients: list
             assert (await peer.mailbox.get(timeout=LONG_S)).payload == b"1"
 
 
-async def test_a_host_that_runs_again_at_another_port(cluster: LocalCluster, clients: list[Client]) -> None:
+async def test_both_clients_find_a_host_that_runs_again_at_another_port(
+    cluster: LocalCluster, clients: list[Client]
+) -> None:
     channels = await of_all(clients, lambda client: client.channel(host="h1", **ARCHIVED))
     before = cluster.hosts[0].address
     assert await asyncio.to_thread(cluster.hosts[0].restart) != before
@@ -224,8 +226,10 @@ async def test_a_host_that_runs_again_at_another_port(cluster: LocalCluster, cli
         await has(channel, b"0", b"1")
 
 
-async def test_a_host_that_is_gone(cluster: LocalCluster, clients: list[Client], other: Any) -> None:
-    """Its channels come to other hosts: empty, from a replica, or from the owner instead of the proxy."""
+async def test_both_clients_find_the_channels_of_a_host_that_is_gone(
+    cluster: LocalCluster, clients: list[Client], other: Any
+) -> None:
+    """The channels come to other hosts: empty, from a replica, or from the owner instead of the proxy."""
     lost = await of_all(clients, lambda client: client.channel(host="h3"))
     kept = await of_all(clients, lambda client: client.channel(host="h3", **REPLICATED))
     read = await of_all(clients, lambda client: client.channel(host="h1"))
@@ -273,7 +277,9 @@ async def until_async(holds: Callable[[], Awaitable[bool]], what: str) -> None:
             await asyncio.wait([asyncio.get_running_loop().create_future()], timeout=0.05)
 
 
-async def test_a_supernode_that_is_gone(cluster: LocalCluster, clients: list[Client], other: Any) -> None:
+async def test_both_clients_ask_another_supernode_when_one_is_gone(
+    cluster: LocalCluster, clients: list[Client], other: Any
+) -> None:
     for client in clients:
         killed = first_supernode(cluster, client)
         killed.kill()
@@ -299,7 +305,9 @@ async def has_leader(rt: Any) -> bool:
         return False
 
 
-async def test_all_supernodes_are_gone(cluster: LocalCluster, clients: list[Client]) -> None:
+async def test_both_clients_ask_a_front_end_when_all_supernodes_are_gone(
+    cluster: LocalCluster, clients: list[Client]
+) -> None:
     channels = await of_all(clients, lambda client: client.channel(host="h1"))
     for supernode in cluster.supernodes:
         supernode.kill()

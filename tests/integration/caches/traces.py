@@ -24,7 +24,7 @@ PAGE = Path(__file__).parents[3] / "docs/connections.md"
 HEADER = "| a kept entry | is stale after | its use fails with | the client then asks |"
 UNREACHABLE = "no connection"
 NOTHING = "nothing"
-# Those who answer a request, by the type of the request.
+# The parties that answer a request, by the type of the request.
 ANSWERERS = {
     "BindChannelRequest": "gatekeeper",
     "ResolveChannelRequest": "supernode",

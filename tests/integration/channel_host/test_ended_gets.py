@@ -11,8 +11,9 @@ from tests.support.channel_host.rig import FOREVER, running_host
 
 
 async def test_a_get_that_ends_with_an_error_is_not_counted_as_waiting() -> None:
-    """A fixed fault: the host counted failed gets as open for ever. After 1024 of them it refused every get on the
-    stream.
+    """In an earlier version, the host counted failed gets as open for ever.
+
+    After 1024 of them it refused every get on the stream.
     """
     async with running_host() as rig:
         opened = await rig.open()

@@ -1,6 +1,7 @@
-"""A host frees what a stream used as soon as the stream ends, also if its caller reads nothing and goes.
+"""A host frees the memory of a stream as soon as the stream ends, even if its caller leaves and has read nothing.
 
-Each stream that a reader of 1 MiB items left so kept 1 MiB until the collection of all garbage, every ten minutes.
+In an earlier version, each stream that a reader of 1 MiB items left in this way kept 1 MiB until the garbage collector
+ran, every ten minutes.
 """
 
 from __future__ import annotations
@@ -139,7 +140,7 @@ async def at_its_socket(rig: Any, kind: str) -> AsyncIterator[str]:
 
 
 async def left_by(rig: Any, target: str, leave: Callable[[Any, RawStream], Awaitable[None]]) -> Counter[str]:
-    """The objects that streams leave whose caller goes without a word."""
+    """The objects that remain of streams whose callers have left without closing them."""
 
     async def stream() -> None:
         async with raw_stream(target) as stream:

@@ -90,7 +90,7 @@ async def test_a_part_of_a_run_keeps_its_seqs(rig: Rig) -> None:
     assert [delivered.run.first_seq for delivered in got.runs] == [2]
 
 
-async def test_limits_directions_and_pages(rig: Rig) -> None:
+async def test_a_get_obeys_its_limit_its_direction_and_its_page(rig: Rig) -> None:
     channel, t = await filled(rig)
     first = await channel.get(limit=2)
     assert (first.payloads, first.summary.more) == ([b"a", b"b"], True)
@@ -200,7 +200,7 @@ async def test_a_blocked_get_is_released_by_the_first_matching_item(rig: Rig) ->
     exchange.call.cancel()
 
 
-async def test_a_get_whose_search_takes_pieces_searches_again_only_if_the_channel_changes(rig: Rig) -> None:
+async def test_a_get_that_searches_in_pieces_searches_again_only_if_the_channel_changes(rig: Rig) -> None:
     retention = channel_pb2.RetentionPolicy(max_age_nanos=3600 * S)  # all items stay for as long as the test takes
     channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=retention))
     now = rig.now()
@@ -398,7 +398,7 @@ async def test_the_status_counts_the_items_and_bytes_of_a_channel(rig: Rig) -> N
 async def test_unread_answers_keep_a_bounded_amount_of_collected_items(rig: Rig) -> None:
     """200 gets wait, each for its own item of 1 MiB, and the reader reads no answer. The channel holds one item.
 
-    The host once kept all 200 answers in memory.
+    In an earlier version, the host kept all 200 answers in memory.
     """
     spec = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=1))
     channel = await rig.open(spec=spec)

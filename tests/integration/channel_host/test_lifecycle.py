@@ -1,4 +1,4 @@
-"""A channel host's door, its epochs and fences, and its end, over gRPC with the generated stubs."""
+"""A channel host's gatekeeper, its epochs and fences, and its shutdown, over gRPC with the generated stubs."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ async def test_binding_gives_the_data_endpoint_and_asks_the_directory_once(rig: 
     assert rig.directory.calls["ResolveChannel"] == 1
 
 
-async def test_twenty_first_binds_at_once_ask_the_directory_once(rig: Rig) -> None:
+async def test_twenty_simultaneous_first_binds_ask_the_directory_once(rig: Rig) -> None:
     record = rig.directory.add_channel("fresh", HOST_ID)
     await asyncio.gather(*(bind(Opened(rig, record)) for _ in range(20)))
     assert rig.directory.calls["ResolveChannel"] == 1

@@ -256,7 +256,7 @@ async def test_a_put_without_a_timeout_fails_at_once_and_a_later_one_waits(rig: 
 
 
 async def test_a_retried_put_is_recognised_while_others_wait_for_room(rig: Rig) -> None:
-    """A fixed fault: the retry failed with CHANNEL_FULL, as if the host had not accepted the first put."""
+    """In an earlier version, the retry failed with CHANNEL_FULL, as if the host had not accepted the first put."""
     channel = await rig.open(spec=blocking(600 * S))
     (first,) = await channel.put(run_of(b"x", wait_nanos=0), producer_id=77)
     waiting = rig.channels.Put()
@@ -271,8 +271,8 @@ async def test_a_retried_put_is_recognised_while_others_wait_for_room(rig: Rig) 
 
 
 async def test_a_retry_of_a_partly_accepted_run_continues_at_its_position(rig: Rig) -> None:
-    """A fixed fault: the host kept the refusal of the rest, and refused the retry, too, though the channel had room by
-    then.
+    """In an earlier version, the host kept the refusal of the rest, and refused the retry, too, though the channel had
+    room by then.
     """
     channel = await rig.open(spec=blocking(600 * S))
     waiting = rig.channels.Put()
@@ -291,7 +291,7 @@ async def test_a_retry_of_a_partly_accepted_run_continues_at_its_position(rig: R
 
 
 async def test_a_retry_of_a_partly_accepted_run_continues_after_a_lost_lease(rig: Rig) -> None:
-    """A fixed fault: the host answered "resolve the channel again" for the rest, and again for the retry."""
+    """In an earlier version, the host answered "resolve the channel again" for the rest, and again for the retry."""
     channel = await rig.open(spec=blocking(600 * S))
     waiting = rig.channels.Put()
     head = {"channel_id": channel.channel_id, "epoch": channel.epoch, "producer_id": 77}
@@ -317,7 +317,7 @@ async def make_room(rig: Rig, channel: Opened) -> None:
 
 
 async def test_the_rest_of_a_partly_accepted_run_is_refused_when_its_channel_is_dropped(rig: Rig) -> None:
-    """A fixed fault: the ack said that the host had accepted none of the items."""
+    """In an earlier version, the ack said that the host had accepted none of the items."""
     channel = await rig.open(spec=blocking(600 * S))
     waiting = rig.channels.Put()
     await waiting.write(pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"x", b"y")]))

@@ -1,5 +1,7 @@
-"""A host's callers that come to their quotas, over gRPC with the generated stubs. All of them go by this machine's
-address, since the host asks for no credential."""
+"""A host's callers that reach their quotas, over gRPC with the generated stubs.
+
+The host names all of them by this machine's address, because it asks for no credential.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,10 @@ SENDING_STILL = "Internal error from Core"  # grpc.aio's own text
 
 
 async def refusal_of(begin: Callable[[], Any]) -> Overloaded:
-    """The error that a stream ends with. It is begun again if grpc.aio was still sending then: the answer is lost."""
+    """The error with which a stream ends.
+
+    Begins the stream again if grpc.aio was still sending at its end, because grpc.aio then loses the answer.
+    """
     details: str | None = SENDING_STILL
     while details == SENDING_STILL:
         with pytest.raises(grpc.aio.AioRpcError) as caught:

@@ -85,7 +85,9 @@ def is_of_the_host(found: object) -> bool:
 
 @pytest.mark.parametrize("puts", [puts_over_grpc, puts_over_a_socket])
 async def test_a_stream_of_puts_makes_no_garbage_in_cycles(puts: Callable[[Opened, str], Awaitable[None]]) -> None:
-    """A fixed fault: objects of a stream's rights and answers referred to each other, and stayed for 10 minutes."""
+    """In an earlier version, objects of a stream's rights and answers referred to each other, and stayed for 10
+    minutes.
+    """
     async with running_host() as rig:
         channel, target = await rig.open(), await socket_target(rig.connection, ())
         await puts(channel, target)

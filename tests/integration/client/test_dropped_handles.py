@@ -170,7 +170,7 @@ def test_a_connection_that_was_closed_leaves_no_thread_although_its_handles_are_
     assert len(channels) == 3
 
 
-def test_of_many_handles_that_are_kept_the_longest_unused_streams_are_closed(
+def test_the_client_closes_the_longest_unused_streams_of_many_kept_handles(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(put_streams_sync, "STREAMS_MAX", 8)
@@ -184,8 +184,9 @@ def test_of_many_handles_that_are_kept_the_longest_unused_streams_are_closed(
 
 
 async def test_a_put_is_not_delayed_by_a_put_with_a_longer_timeout(cluster: LocalCluster) -> None:
-    """A fixed fault: the ack of the short put came after the ack of the long one. The short put failed as if the host
-    were overloaded.
+    """In an earlier version, the ack of the short put came after the ack of the long one.
+
+    The short put failed as if the host were overloaded.
     """
     async with await aio.connect(cluster.address) as rt:
         full = await rt.channel("dropped/longer", max_items=1, max_age="60s", on_full="block")
@@ -203,7 +204,7 @@ async def test_a_put_is_not_delayed_by_a_put_with_a_longer_timeout(cluster: Loca
 
 
 async def test_each_of_many_waiting_puts_has_its_own_timeout(cluster: LocalCluster) -> None:
-    """A fixed fault: each put waited for the puts before it, then waited again, and failed as if the host were
+    """In an earlier version, each put waited for the puts before it, then waited again, and failed as if the host were
     overloaded.
     """
     async with await aio.connect(cluster.address) as rt:

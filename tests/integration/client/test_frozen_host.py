@@ -23,7 +23,7 @@ def owner(cluster: LocalCluster, channel: st.Channel | aio.Channel) -> ServicePr
 
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A live host gives a sign of life only every 5 s, but these are stopped before that."""
+    """A live host gives a sign of life only every 5 s. These tests stop hosts before that."""
     monkeypatch.setattr(streams_sync, "SILENCE_S_MAX", 3.0)
     monkeypatch.setattr(streams_async, "SILENCE_S_MAX", 3.0)
 

@@ -68,7 +68,9 @@ async def test_closing_the_connection_ends_a_task_that_reads_with_an_error_and_n
 
 
 async def test_a_connection_opens_a_further_stream_for_more_waiting_gets(cluster: LocalCluster) -> None:
-    """A fixed fault: the host refused gets beyond 1024, the client repeated them, and some failed in the end."""
+    """In an earlier version, the host refused gets beyond 1024, the client repeated them, and some failed in the
+    end.
+    """
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/crowd", max_age="60s")
         await channel.newest()
@@ -82,7 +84,9 @@ async def test_a_connection_opens_a_further_stream_for_more_waiting_gets(cluster
 async def test_many_simultaneous_lookups_of_a_channel_make_one_request(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A fixed fault: before the first get waited, all gets on a new handle had sent a request to the gatekeeper."""
+    """In an earlier version, before the first get waited, all gets on a new handle had sent a request to the
+    gatekeeper.
+    """
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/herd", max_age="60s")
         asked, bind_at = [], rt._session._bind_at
@@ -165,7 +169,7 @@ async def test_puts_on_a_broken_stream_end(cluster: LocalCluster) -> None:
 
 
 async def test_a_put_cancelled_while_its_stream_opens_delays_no_other_put(cluster: LocalCluster) -> None:
-    """A fixed fault: the second put waited for ever for the stream that the cancelled put had been opening."""
+    """In an earlier version, the second put waited for ever for the stream that the cancelled put had been opening."""
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/opening", max_age="60s")
         await channel.stats()

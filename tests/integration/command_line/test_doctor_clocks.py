@@ -178,7 +178,7 @@ async def test_every_peer_is_shown_with_its_clock_and_one_that_is_off_is_named(
         assert re.search(r"ok +- +unknown +- +3\.1$", row(said, f"peer {unknown}")), said
 
 
-async def test_clocks_that_all_agree_against_this_machine_are_those_of_peers_too(
+async def test_doctor_names_this_machine_if_all_clocks_also_of_peers_disagree_with_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     everything = Everything()

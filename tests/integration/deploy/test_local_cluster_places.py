@@ -41,7 +41,10 @@ def test_hosts_in_namespaces_cannot_have_certificates_of_one_address() -> None:
 
 @pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
 def test_two_networks_have_names_and_addresses_of_their_own() -> None:
-    """A fixed fault: both came from the process id modulo 4096, so two processes could get the same network."""
+    """In an earlier version, the name and the address came from the process id modulo 4096.
+
+    Two processes could therefore get the same network.
+    """
     with NamespaceNetwork(1) as one, NamespaceNetwork(1) as other:
         assert one.address != other.address
         assert one.namespaces[0].name != other.namespaces[0].name

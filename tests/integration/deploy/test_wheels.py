@@ -65,7 +65,7 @@ def install(wheels: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[
 
 
 def environment(installed: Path, home: Path) -> dict[str, str]:
-    """The environment of a user who has only what was installed."""
+    """The environment of a user who has only the installed packages."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("STAMPEDE_", "PYTHON", "XDG_"))}
     return kept | {"HOME": str(home), "PATH": f"{installed}/bin:/usr/bin:/bin"}
 

@@ -51,7 +51,10 @@ with st.host(sys.argv[1], name="signalled", drain="0s") as rt:
 
 
 def test_a_signal_handler_reads_and_puts_while_its_thread_is_in_a_put(cluster: LocalCluster) -> None:
-    """A fixed fault: the program hung. It held the producer's lock, for which the host waited, for which it waited."""
+    """In an earlier version, the program hung.
+
+    The interrupted put held the producer's lock, the host waited for this lock, and the handler waited for the host.
+    """
     run = subprocess.run(
         [sys.executable, "-c", PROGRAM, cluster.address], stdout=subprocess.PIPE, timeout=LIMIT_S, check=True
     )

@@ -80,8 +80,9 @@ async def resolve_host(process: Any) -> Any:
 async def test_late_requests_of_a_killed_process_change_nothing_once_its_successor_is_registered(
     enter: Ask, find: Callable[[Any], Awaitable[Any]]
 ) -> None:
-    """A fixed fault: the directory performed the late request. It took the name and the mailbox, or all channels, from
-    the live process.
+    """In an earlier version, the directory performed the late request.
+
+    It took the name and the mailbox, or all channels, from the live process.
     """
     address = f"127.0.0.1:{free_ports(1)[0]}"
     one = Supernode("s1", address, ["--listen", address])

@@ -90,7 +90,7 @@ def test_a_killed_peer_that_returns_with_its_proof_keeps_its_mailbox(cluster: Lo
 def test_the_later_of_two_live_processes_with_one_proof_gets_the_name_and_the_other_an_error(
     cluster: LocalCluster, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A fixed fault: the two processes took the name and the messages from each other again and again.
+    """In an earlier version, the two processes took the name and the messages from each other again and again.
 
     When one of them ended, the name was free although the other process still lived.
     """

@@ -23,7 +23,7 @@ cluster = cluster_fixture(hosts=3, supernodes=1, scope="function")
 
 @contextmanager
 def frozen(process: ServiceProcess) -> Iterator[None]:
-    """The process is stopped meanwhile."""
+    """Stop the process during the block."""
     os.kill(process.pid, signal.SIGSTOP)
     try:
         yield

@@ -159,7 +159,9 @@ def test_puts_and_changes_go_to_the_owner_also_after_reads_from_a_proxy(rt: Any,
 
 
 def test_ended_proxies_keep_no_connections(rt: Any, cluster: LocalCluster) -> None:
-    """The error of each cancelled feed once kept its stream, and so a connection, until the collector came by."""
+    """In an earlier version, the error of each cancelled feed kept its stream, and so a connection, until the garbage
+    collector ran.
+    """
 
     def connections() -> list[int]:
         return [len(os.listdir(f"/proc/{host.pid}/fd")) for host in cluster.hosts[:2]]

@@ -26,7 +26,7 @@ def cluster(three_hosts: LocalCluster) -> LocalCluster:
 
 @contextmanager
 def frozen(process: ServiceProcess) -> Iterator[None]:
-    """The process is stopped meanwhile."""
+    """Stop the process during the block."""
     os.kill(process.pid, signal.SIGSTOP)
     try:
         yield

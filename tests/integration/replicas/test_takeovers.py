@@ -109,7 +109,7 @@ async def test_channels_queues_groups_and_mailboxes_with_replicas_survive_the_lo
 
 
 async def _channel_went_on(things: Things, reader: Any, kept: st.Item, incarnation: int) -> None:
-    """With all items, because the replica had them; its reader hears that some might be lost."""
+    """The channel continues with all items, because the replica had them. Its reader hears that some might be lost."""
     item = await things.channel.put(b"after")
     assert (item.seq, item.incarnation != incarnation) == (ITEMS + 1, True)
     assert await read(reader, 1) == [ITEMS + 1]
@@ -143,7 +143,10 @@ async def _queue_went_on(things: Things, incarnation: int) -> None:
 
 
 async def _group_began_anew(things: Things, incarnation: int) -> None:
-    """All of its members were at the lost host, so nobody knows how far it was shown. Their items are there."""
+    """All members of the group were at the lost host, so no host knows up to which cut readers saw the group.
+
+    The items of the members are there.
+    """
     for member in (things.left, things.right):
         await member.put(b"after")
     group = await things.rt.group("pair")

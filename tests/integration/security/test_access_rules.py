@@ -110,8 +110,8 @@ def test_no_caller_finds_the_host_of_a_hidden_channel_by_an_open_beside_it(
 def test_no_error_shows_a_hidden_name_to_a_caller_that_gave_only_an_id(
     cluster: LocalCluster, operator: Operator
 ) -> None:
-    """A fixed fault: errors told the name of a channel, queue, group or peer, and the owner of a peer, to every caller
-    with its id.
+    """In an earlier version, errors told the name of a channel, queue, group or peer, and the owner of a peer, to every
+    caller with its id.
     """
     with st.connect(cluster.address, name="unseen/peer") as rt:
         things(cluster)
@@ -216,8 +216,8 @@ def test_only_peers_own_their_mailboxes(cluster: LocalCluster, operator: Operato
 def test_listings_and_watches_hide_things_that_the_caller_may_not_list(
     cluster: LocalCluster, operator: Operator
 ) -> None:
-    """A fixed fault: a page token held the name of a hidden thing, and the change of a hidden thing made an empty
-    response.
+    """In an earlier version, a page token held the name of a hidden thing, and the change of a hidden thing made an
+    empty response.
     """
     with (
         st.connect(cluster.address, name="hidden/peer") as rt,
@@ -323,7 +323,9 @@ def test_doctor_says_that_rules_hide_things_from_its_caller(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """A fixed fault: doctor printed "0, none lost" and "Everything is well" although hidden channels were lost."""
+    """In an earlier version, doctor printed "0, none lost" and "Everything is well" although hidden channels were
+    lost.
+    """
     things(cluster)
     operator.add("cam", "put", "video/*")
     secret = tmp_path / "token"
@@ -338,7 +340,9 @@ def test_doctor_says_that_rules_hide_things_from_its_caller(
 
 
 def test_a_serial_number_with_leading_zeros_revokes_the_certificate_that_has_it(cluster: LocalCluster) -> None:
-    """A fixed fault: the supernode kept the serial number with its zeros, so the number matched no certificate."""
+    """In an earlier version, the supernode kept the serial number with its zeros, so the number matched no
+    certificate.
+    """
     metadata = call_metadata(cluster.secret.text)
     with grpc.insecure_channel(cluster.supernodes[0].address) as connection:
         stub: Any = access_grpc.AccessServiceStub(connection)

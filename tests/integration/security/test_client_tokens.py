@@ -77,7 +77,7 @@ async def test_a_stream_ends_with_its_token(cluster: LocalCluster, tmp_path: Pat
 def test_a_token_is_revoked_by_its_file_or_its_serial_number_and_other_texts_are_refused(
     cluster: LocalCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A fixed fault: `token issue` printed no serial number, and `token revoke` accepted every number."""
+    """In an earlier version, `token issue` printed no serial number, and `token revoke` accepted every number."""
     token = issued(cluster, tmp_path, "leaked")
     assert run(["token", "revoke", str(tmp_path / "leaked.token"), "--url", cluster.address]) == 0
     with pytest.raises(PermissionDenied, match="of client leaked was revoked"):

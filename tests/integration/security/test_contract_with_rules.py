@@ -1,4 +1,4 @@
-"""A part of the contract's tests as a client whom rules of access judge. `make test-acl` plays all of them so.
+"""A part of the contract's tests as a client whom rules of access judge. `make test-acl` runs all of them in this way.
 
 tests/integration/security/test_secured_contract.py plays others with certificates and rules.
 """

@@ -60,7 +60,7 @@ async def without_quotas(*supernodes: Supernode) -> None:
 
 @contextlib.asynccontextmanager
 async def filled(one: Supernode) -> AsyncIterator[list[Any]]:
-    """All streams of its port are taken by watches, which are open while this lasts."""
+    """Take all streams of its port with watches, which stay open during the block."""
     channel = dial(one.address, secret=None)
     stub: Any = directory_service_pb2_grpc.DirectoryServiceStub(channel)
     watches: list[Any] = []
@@ -78,7 +78,7 @@ async def filled(one: Supernode) -> AsyncIterator[list[Any]]:
                 return
 
     async def replace_ended() -> None:
-        """A busy machine may have ended some of the first ones."""
+        """Open watches in place of those that a busy machine has ended."""
         for _ in range(AT_ONCE):
             await watch()
 

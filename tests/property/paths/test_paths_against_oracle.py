@@ -50,7 +50,7 @@ def surface(request: pytest.FixtureRequest, host: LoopbackHost, ring_answers: Co
         yield connected
 
 
-def play_stories(
+def play_scenarios(
     surface: Surface, host: SteeredHost, examples: int, first: int = 0, steps: Sequence[Step] = STEPS
 ) -> None:
     @seed(first)
@@ -62,14 +62,16 @@ def play_stories(
     every_scenario()
 
 
-def test_a_retry_creates_no_channel_again_that_the_story_has_deleted(surface: Surface) -> None:
-    """A fixed fault of these tests: a get that had to look for its channel waited in a new one for ever."""
+def test_a_retry_creates_no_channel_again_that_the_scenario_has_deleted(surface: Surface) -> None:
+    """In an earlier version of these tests, a get that had to look for its channel created a new one, and waited there
+    for ever.
+    """
     for connection in surface.connections:
         with pytest.raises(ChannelNotFound):
             surface.do(lambda connection=connection: connection.channel("deleted", create=False))
 
 
-def test_each_client_of_the_stories_uses_its_own_transport(surface: Surface) -> None:
+def test_each_client_of_the_scenarios_uses_its_own_transport(surface: Surface) -> None:
     used: list[str | None] = []
     for connection in surface.connections:
         channel = surface.do(lambda connection=connection: connection.channel("transports", max_items=1))
@@ -83,16 +85,16 @@ def test_a_client_agrees_with_the_oracle_in_every_scenario(
     surface: Surface, host: LoopbackHost, ring_answers: Counter[str]
 ) -> None:
     ring_answers.clear()
-    play_stories(surface, host, EXAMPLES)
+    play_scenarios(surface, host, EXAMPLES)
     for turn in range(ROUNDS_MAX):
-        play_stories(surface, host, EXAMPLES, first=turn, steps=STEPS_NEAR_THE_FRONT)
+        play_scenarios(surface, host, EXAMPLES, first=turn, steps=STEPS_NEAR_THE_FRONT)
         if not futexes.is_supported() or all(ring_answers[kind] for kind in RING_ANSWERS):
             return
-    raise AssertionError(f"no story read everything from shared memory: {ring_answers}")
+    raise AssertionError(f"no scenario read everything from shared memory: {ring_answers}")
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
 @pytest.mark.parametrize("items_per_block", [2, 1024])
 def test_an_embedded_host_agrees_with_the_oracle_in_every_scenario(items_per_block: int) -> None:
     with core_surface(items_per_block) as (surface, host):
-        play_stories(surface, host, 2 * EXAMPLES)
+        play_scenarios(surface, host, 2 * EXAMPLES)

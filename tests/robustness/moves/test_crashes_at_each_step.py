@@ -41,14 +41,14 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(incoming_moves, "RELEASED_SECONDS_MAX", 0.05)
 
 
-class Story:
+class Scenario:
     """A channel with acknowledged items at the source, a move, and puts that go on."""
 
     def __init__(
         self, crash_at: str = "", happens: Callable[[World], None] = lambda world: None, replica_at: int = 0, *,
         third: bool = False, world: World | None = None, channel_id: bytes = b"",
     ) -> None:  # fmt: skip
-        """`world`, `channel_id`: those of a story with several channels."""
+        """`world`, `channel_id`: those of a scenario with several channels."""
         self.world = world or World(crash_at, happens, replica_at, third=third)
         self.channel_id = channel_id or self.world.channel_id
         self.source, self.destination = self.world.hosts[SOURCE], self.world.hosts[DESTINATION]
@@ -131,33 +131,33 @@ class Story:
 
 
 async def test_a_move_goes_through_all_steps_and_loses_nothing() -> None:
-    story = Story()
-    assert await story.move() is None
-    assert set(story.world.reached) == set(STEPS)
-    story.check(await story.settle())
-    assert story.world.owner is story.destination
-    await story.until(lambda: story.source.store.known(story.world.channel_id) is None)
+    scenario = Scenario()
+    assert await scenario.move() is None
+    assert set(scenario.world.reached) == set(STEPS)
+    scenario.check(await scenario.settle())
+    assert scenario.world.owner is scenario.destination
+    await scenario.until(lambda: scenario.source.store.known(scenario.world.channel_id) is None)
 
 
 @pytest.mark.parametrize("step", STEPS)
 async def test_the_destination_dies(step: str) -> None:
-    story = Story(step, lambda world: world.kill(DESTINATION))
-    await story.move()
-    story.world.expire(DESTINATION)
+    scenario = Scenario(step, lambda world: world.kill(DESTINATION))
+    await scenario.move()
+    scenario.world.expire(DESTINATION)
     if STEPS.index(step) >= AFTER_THE_REMOVAL:  # from then on only this host has the items, as any owner
-        assert story.world.owner is story.destination
+        assert scenario.world.owner is scenario.destination
         return
-    assert story.world.owner is story.source
-    story.check(await story.settle())
+    assert scenario.world.owner is scenario.source
+    scenario.check(await scenario.settle())
 
 
 @pytest.mark.parametrize("step", STEPS)
 async def test_the_source_dies(step: str) -> None:
-    story = Story(step, lambda world: world.kill(SOURCE))
-    await story.move()
-    story.world.expire(SOURCE)
-    if story.world.owner is story.destination:
-        story.check(await story.settle())
+    scenario = Scenario(step, lambda world: world.kill(SOURCE))
+    await scenario.move()
+    scenario.world.expire(SOURCE)
+    if scenario.world.owner is scenario.destination:
+        scenario.check(await scenario.settle())
         assert STEPS.index(step) >= STEPS.index("handed over")
     else:
         assert STEPS.index(step) < AFTER_THE_COMMIT
@@ -165,12 +165,12 @@ async def test_the_source_dies(step: str) -> None:
 
 @pytest.mark.parametrize("step", STEPS)
 async def test_the_link_between_the_hosts_breaks(step: str) -> None:
-    story = Story(step, lambda world: world.cut_links())
-    await story.move()
-    items = await story.settle()
-    story.check(items)
-    story.put()
-    story.check(await story.settle())
+    scenario = Scenario(step, lambda world: world.cut_links())
+    await scenario.move()
+    items = await scenario.settle()
+    scenario.check(items)
+    scenario.put()
+    scenario.check(await scenario.settle())
 
 
 @pytest.mark.parametrize("step", STEPS)
@@ -183,9 +183,9 @@ async def test_the_directory_cannot_be_reached_for_a_while(step: str, monkeypatc
         world.is_cut_off = True
         asyncio.get_running_loop().call_later(0.15, setattr, world, "is_cut_off", False)
 
-    story = Story(step, cut_off)
-    await story.move()
-    story.check(await story.settle())
+    scenario = Scenario(step, cut_off)
+    await scenario.move()
+    scenario.check(await scenario.settle())
 
 
 @pytest.mark.parametrize("step", ["handed over", "removal is asked for"])
@@ -195,22 +195,22 @@ async def test_every_put_gets_an_answer_while_the_directory_is_away_for_long(
     """At the source before the commit, and at the destination after it; also puts that come after the first answers."""
     for module in (moving, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.02)
-    story = Story(step, lambda world: setattr(world, "is_cut_off", True))
-    await story.source.store.bind(story.world.channel_id, 1)
-    story.world.allow(DESTINATION)
-    move = asyncio.create_task(story.destination.incoming.move_here(*story.world.placed()))
-    await story.until(lambda: step in story.world.reached)
+    scenario = Scenario(step, lambda world: setattr(world, "is_cut_off", True))
+    await scenario.source.store.bind(scenario.world.channel_id, 1)
+    scenario.world.allow(DESTINATION)
+    move = asyncio.create_task(scenario.destination.incoming.move_here(*scenario.world.placed()))
+    await scenario.until(lambda: step in scenario.world.reached)
     for _ in range(3):
         await asyncio.sleep(0)
-        story.put()
-        assert story.waiting, "the put waits"
-        await story.until(lambda: all(run.ack is not None for _, run, _ in story.waiting))
-        story.note_acks()
-    assert story.acknowledged == []
-    story.world.is_cut_off = False
+        scenario.put()
+        assert scenario.waiting, "the put waits"
+        await scenario.until(lambda: all(run.ack is not None for _, run, _ in scenario.waiting))
+        scenario.note_acks()
+    assert scenario.acknowledged == []
+    scenario.world.is_cut_off = False
     await asyncio.gather(move, return_exceptions=True)
-    story.put()
-    story.check(await story.settle())
+    scenario.put()
+    scenario.check(await scenario.settle())
 
 
 @pytest.mark.parametrize("step", STEPS[AFTER_THE_COMMIT:AFTER_THE_REMOVAL])
@@ -223,16 +223,16 @@ async def test_a_destination_that_was_stopped_for_longer_than_its_lease_makes_th
         world.hosts[DESTINATION].has_lease = False
         world.hosts[DESTINATION].store.fence()
 
-    story = Story(step, stop)
-    await story.move()
-    assert story.world.owner is story.source
-    story.check(await story.settle())
+    scenario = Scenario(step, stop)
+    await scenario.move()
+    assert scenario.world.owner is scenario.source
+    scenario.check(await scenario.settle())
 
 
 async def test_a_former_owner_that_learns_late_drops_nothing_of_a_channel_that_has_come_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    story = Story("source hears of the commit", lambda world: world.cut_links())
+    scenario = Scenario("source hears of the commit", lambda world: world.cut_links())
     asked, answer = asyncio.Event(), asyncio.Event()
 
     async def is_released(channel_id: bytes) -> bool:
@@ -240,41 +240,41 @@ async def test_a_former_owner_that_learns_late_drops_nothing_of_a_channel_that_h
         await answer.wait()
         return True
 
-    monkeypatch.setattr(story.source.directory, "is_released", is_released)
-    await story.move()
+    monkeypatch.setattr(scenario.source.directory, "is_released", is_released)
+    await scenario.move()
     await asked.wait()
-    story.source.store.copies.begin(story.world.record, NewCopy(CopyState(), Losses(), True))  # it moves back
+    scenario.source.store.copies.begin(scenario.world.record, NewCopy(CopyState(), Losses(), True))  # it moves back
     answer.set()
-    await story.until(lambda: not story.source.outgoing._tasks)
-    assert story.source.store.copies.of(story.world.channel_id) is not None
+    await scenario.until(lambda: not scenario.source.outgoing._tasks)
+    assert scenario.source.store.copies.of(scenario.world.channel_id) is not None
 
 
 async def test_a_destination_that_freezes_does_not_keep_the_channel_from_other_moves(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(feed_stream, "SILENT_SECONDS_MAX", 0.05)
-    story = Story("feeding", lambda world: setattr(world.links[0], "is_frozen", True))
-    hosted = await story.source.store.bind(story.world.channel_id, 1)
-    story.world.allow(DESTINATION)
-    move = asyncio.create_task(story.destination.incoming.move_here(*story.world.placed()))
-    await story.until(lambda: hosted.moving is not None)
-    await story.until(lambda: hosted.moving is None)
+    scenario = Scenario("feeding", lambda world: setattr(world.links[0], "is_frozen", True))
+    hosted = await scenario.source.store.bind(scenario.world.channel_id, 1)
+    scenario.world.allow(DESTINATION)
+    move = asyncio.create_task(scenario.destination.incoming.move_here(*scenario.world.placed()))
+    await scenario.until(lambda: hosted.moving is not None)
+    await scenario.until(lambda: hosted.moving is None)
     assert not move.done()
-    story.source.outgoing.check(hosted, id_of(DESTINATION))
-    story.world.kill(DESTINATION)
+    scenario.source.outgoing.check(hosted, id_of(DESTINATION))
+    scenario.world.kill(DESTINATION)
     await asyncio.gather(move, return_exceptions=True)
 
 
 async def test_the_counters_of_both_hosts_together_count_each_item_once() -> None:
-    story = Story()
-    await story.move()
-    items = await story.settle()
-    await story.until(lambda: story.source.store.known(story.world.channel_id) is None)
-    counted = [accepted_by(host) for host in (story.source, story.destination)]
+    scenario = Scenario()
+    await scenario.move()
+    items = await scenario.settle()
+    await scenario.until(lambda: scenario.source.store.known(scenario.world.channel_id) is None)
+    counted = [accepted_by(host) for host in (scenario.source, scenario.destination)]
     assert sum(counted) == len(items)
     assert counted[0] >= ITEMS
-    story.put()
-    assert accepted_by(story.destination) == counted[1] + 1
+    scenario.put()
+    assert accepted_by(scenario.destination) == counted[1] + 1
 
 
 def accepted_by(host: Host) -> float:
@@ -284,13 +284,13 @@ def accepted_by(host: Host) -> float:
 
 async def test_an_owner_that_lacks_the_last_facts_of_the_former_one_feeds_a_proxy_anew() -> None:
     """Otherwise the owner would always be behind the proxy, and refuse its feed each time."""
-    story = Story()
-    await story.source.store.bind(story.world.channel_id, 1)
-    story.put()
-    link = Link(story.world, story.source)
-    place = pb.FeedPlace(incarnation=story.world.incarnation, next_seq=2, floor_resets=1, owner_epoch=1)
+    scenario = Scenario()
+    await scenario.source.store.bind(scenario.world.channel_id, 1)
+    scenario.put()
+    link = Link(scenario.world, scenario.source)
+    place = pb.FeedPlace(incarnation=scenario.world.incarnation, next_seq=2, floor_resets=1, owner_epoch=1)
     opening = pb.FeedOpen(
-        channel_id=story.world.channel_id, epoch=1, host_id=id_of(DESTINATION), target="proxy:1", place=place
+        channel_id=scenario.world.channel_id, epoch=1, host_id=id_of(DESTINATION), target="proxy:1", place=place
     )
     await link.write(pb.FeedRequest(open=opening, credit_bytes=10**6))
     assert (await link.read()).fields.opened.begins_anew
@@ -299,48 +299,48 @@ async def test_an_owner_that_lacks_the_last_facts_of_the_former_one_feeds_a_prox
 
 
 async def test_a_second_move_is_refused_while_one_is_under_way() -> None:
-    story = Story()
-    hosted = await story.source.store.bind(story.world.channel_id, 1)
+    scenario = Scenario()
+    hosted = await scenario.source.store.bind(scenario.world.channel_id, 1)
     for number in (DESTINATION, THIRD):
-        story.world.allow(number)
-    story.source.outgoing.begin(hosted, id_of(DESTINATION), "other:1")
+        scenario.world.allow(number)
+    scenario.source.outgoing.begin(hosted, id_of(DESTINATION), "other:1")
     with pytest.raises(StampedeError) as refused:
-        story.source.outgoing.begin(hosted, id_of(THIRD), "third:1")
+        scenario.source.outgoing.begin(hosted, id_of(THIRD), "third:1")
     assert refused.value.reason == "MOVE_CONFLICT"
 
 
 async def test_a_host_gives_a_limited_number_of_channels_away_at_once() -> None:
-    story = Story()
-    hosted = await story.source.store.bind(story.world.channel_id, 1)
-    story.world.allow(DESTINATION)
+    scenario = Scenario()
+    hosted = await scenario.source.store.bind(scenario.world.channel_id, 1)
+    scenario.world.allow(DESTINATION)
     for _ in range(move_slots.MOVES_MAX):
-        story.source.outgoing.begin(hosted, id_of(DESTINATION), "other:1")
+        scenario.source.outgoing.begin(hosted, id_of(DESTINATION), "other:1")
         hosted.moving = None
     with pytest.raises(StampedeError, match="32 channels move away"):
-        story.source.outgoing.begin(hosted, id_of(DESTINATION), "other:1")
+        scenario.source.outgoing.begin(hosted, id_of(DESTINATION), "other:1")
 
 
 async def test_a_host_that_stops_takes_no_channels() -> None:
-    story = Story()
-    await story.source.store.bind(story.world.channel_id, 1)
-    story.destination.incoming.close()
-    story.world.allow(DESTINATION)
+    scenario = Scenario()
+    await scenario.source.store.bind(scenario.world.channel_id, 1)
+    scenario.destination.incoming.close()
+    scenario.world.allow(DESTINATION)
     with pytest.raises(StampedeError, match="shutting down"):
-        await story.destination.incoming.move_here(*story.world.placed())
+        await scenario.destination.incoming.move_here(*scenario.world.placed())
 
 
 @pytest.mark.parametrize("replica_at", [0, DESTINATION], ids=["plain", "with a replica at the destination"])
 async def test_a_client_that_asks_the_former_owner_before_it_knows_of_the_commit_makes_it_drop_nothing(
     replica_at: int,
 ) -> None:
-    story = Story(replica_at=replica_at)
-    hosted = await story.source.store.bind_for_feed(story.world.channel_id, 1)
-    story.put()
+    scenario = Scenario(replica_at=replica_at)
+    hosted = await scenario.source.store.bind_for_feed(scenario.world.channel_id, 1)
+    scenario.put()
     hosted.begin_move().hold()
-    permit = story.source.outgoing.allowed.permit(story.world.channel_id, 1, id_of(DESTINATION))
-    story.world.apply(CommitMove(channel_id=story.world.channel_id, epoch=1, to_host_id=id_of(DESTINATION),
+    permit = scenario.source.outgoing.allowed.permit(scenario.world.channel_id, 1, id_of(DESTINATION))
+    scenario.world.apply(CommitMove(channel_id=scenario.world.channel_id, epoch=1, to_host_id=id_of(DESTINATION),
                                  to_boot_incarnation=1, permit=permit))  # fmt: skip
     with pytest.raises(StampedeError):
-        await story.source.store.bind(story.world.channel_id, 2)
-    assert story.source.store.known(story.world.channel_id) is hosted
-    await story.world.aclose()
+        await scenario.source.store.bind(scenario.world.channel_id, 2)
+    assert scenario.source.store.known(scenario.world.channel_id) is hosted
+    await scenario.world.aclose()

@@ -26,7 +26,7 @@ from stampede_rt_channel_host.copies import (
 )
 from stampede_rt_supernode.core.records import ReplicaKind
 from tests.robustness.moves.links import Link
-from tests.robustness.moves.test_crashes_at_each_step import ITEMS, Story
+from tests.robustness.moves.test_crashes_at_each_step import ITEMS, Scenario
 from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, THIRD, World
 from tests.support.supernode.operations import id_of
 
@@ -51,7 +51,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replica_keeper, "LIST_SECONDS", 0.05)
 
 
-class ReplicatedStory(Story):
+class ReplicatedScenario(Scenario):
     """A put is acknowledged when its item is replicated. Readers look at each host between two puts."""
 
     def __init__(self, replica_at: int, crash_at: str = "", happens: Callable[[World], None] = lambda world: None):
@@ -131,8 +131,8 @@ class ReplicatedStory(Story):
 
 
 @pytest.fixture
-async def stories() -> AsyncIterator[list[ReplicatedStory]]:
-    made: list[ReplicatedStory] = []
+async def scenarios() -> AsyncIterator[list[ReplicatedScenario]]:
+    made: list[ReplicatedScenario] = []
     yield made
     for one in made:
         await one.world.aclose()
@@ -140,48 +140,50 @@ async def stories() -> AsyncIterator[list[ReplicatedStory]]:
 
 @pytest.mark.parametrize("replica_at", PLACES)
 async def test_a_move_keeps_the_replica_or_puts_the_former_owner_in_its_place(
-    stories: list[ReplicatedStory], replica_at: int
+    scenarios: list[ReplicatedScenario], replica_at: int
 ) -> None:
-    story = ReplicatedStory(replica_at)
-    stories.append(story)
-    assert await story.move() is None
-    assert story.world.owner is story.destination
+    scenario = ReplicatedScenario(replica_at)
+    scenarios.append(scenario)
+    assert await scenario.move() is None
+    assert scenario.world.owner is scenario.destination
     place = SOURCE if replica_at == DESTINATION else THIRD
-    assert story.in_sync() == {id_of(place): ReplicaKind.WARM}
-    await story.finish()
-    assert story.in_sync() == {id_of(place): ReplicaKind.WARM}
+    assert scenario.in_sync() == {id_of(place): ReplicaKind.WARM}
+    await scenario.finish()
+    assert scenario.in_sync() == {id_of(place): ReplicaKind.WARM}
     if place == SOURCE:
-        copy = story.source.store.copies.of(story.world.channel_id)
+        copy = scenario.source.store.copies.of(scenario.world.channel_id)
         assert copy is not None
         assert copy.channel.next_seq >= ITEMS
     else:
-        await story.until(lambda: story.source.store.known(story.world.channel_id) is None)
+        await scenario.until(lambda: scenario.source.store.known(scenario.world.channel_id) is None)
 
 
 @pytest.mark.parametrize("victim", [SOURCE, DESTINATION, THIRD])
 @pytest.mark.parametrize("replica_at", PLACES)
 @pytest.mark.parametrize("step", STEPS)
-async def test_a_host_dies(stories: list[ReplicatedStory], step: str, replica_at: int, victim: int) -> None:
-    story = ReplicatedStory(replica_at, step, lambda world: world.kill(victim))
-    stories.append(story)
-    await story.move()
-    story.world.expire(victim)
-    await story.finish()
+async def test_a_host_dies(scenarios: list[ReplicatedScenario], step: str, replica_at: int, victim: int) -> None:
+    scenario = ReplicatedScenario(replica_at, step, lambda world: world.kill(victim))
+    scenarios.append(scenario)
+    await scenario.move()
+    scenario.world.expire(victim)
+    await scenario.finish()
 
 
 @pytest.mark.parametrize("replica_at", PLACES)
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_link_between_the_hosts_breaks(stories: list[ReplicatedStory], step: str, replica_at: int) -> None:
-    story = ReplicatedStory(replica_at, step, lambda world: world.cut_links())
-    stories.append(story)
-    await story.move()
-    await story.finish()
+async def test_the_link_between_the_hosts_breaks(
+    scenarios: list[ReplicatedScenario], step: str, replica_at: int
+) -> None:
+    scenario = ReplicatedScenario(replica_at, step, lambda world: world.cut_links())
+    scenarios.append(scenario)
+    await scenario.move()
+    await scenario.finish()
 
 
 @pytest.mark.parametrize("replica_at", PLACES)
 @pytest.mark.parametrize("step", STEPS)
 async def test_the_directory_cannot_be_reached_for_a_while(
-    stories: list[ReplicatedStory], step: str, replica_at: int, monkeypatch: pytest.MonkeyPatch
+    scenarios: list[ReplicatedScenario], step: str, replica_at: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Longer than changes wait, so that the source ends the move when it reaches the directory again."""
     for module in (moving, outgoing_moves):
@@ -191,43 +193,43 @@ async def test_the_directory_cannot_be_reached_for_a_while(
         world.is_cut_off = True
         asyncio.get_running_loop().call_later(0.15, setattr, world, "is_cut_off", False)
 
-    story = ReplicatedStory(replica_at, step, cut_off)
-    stories.append(story)
-    await story.move()
-    await story.finish()
+    scenario = ReplicatedScenario(replica_at, step, cut_off)
+    scenarios.append(scenario)
+    await scenario.move()
+    await scenario.finish()
 
 
 async def test_an_owner_that_renews_its_lease_late_finds_another_replica_and_acknowledges_puts(
-    stories: list[ReplicatedStory],
+    scenarios: list[ReplicatedScenario],
 ) -> None:
     """Its lease has run out by its own clock only, so it is the owner all the time and does not register again."""
-    story = ReplicatedStory(DESTINATION)
-    stories.append(story)
-    await story.begin()
-    story.source.has_lease = False
-    story.source.store.fence()
-    story.put()
-    story.source.has_lease = True
-    story.world.kill(DESTINATION)
-    story.world.expire(DESTINATION)
-    await story.finish()
-    assert story.world.owner is story.source
-    assert story.in_sync() == {id_of(THIRD): ReplicaKind.WARM}
+    scenario = ReplicatedScenario(DESTINATION)
+    scenarios.append(scenario)
+    await scenario.begin()
+    scenario.source.has_lease = False
+    scenario.source.store.fence()
+    scenario.put()
+    scenario.source.has_lease = True
+    scenario.world.kill(DESTINATION)
+    scenario.world.expire(DESTINATION)
+    await scenario.finish()
+    assert scenario.world.owner is scenario.source
+    assert scenario.in_sync() == {id_of(THIRD): ReplicaKind.WARM}
 
 
 @pytest.mark.parametrize("replica_at", PLACES)
 async def test_the_new_owner_dies_at_once_and_the_channel_comes_back_to_the_former_one(
-    stories: list[ReplicatedStory], replica_at: int
+    scenarios: list[ReplicatedScenario], replica_at: int
 ) -> None:
     """Its items are those of the new owner, whose place it may have taken as a replica."""
-    story = ReplicatedStory(replica_at)
-    stories.append(story)
-    assert await story.move() is None
-    story.put()
-    story.world.kill(DESTINATION)
-    story.world.expire(DESTINATION)
-    assert story.world.owner is story.world.hosts[SOURCE if replica_at == DESTINATION else THIRD]
-    await story.finish()
+    scenario = ReplicatedScenario(replica_at)
+    scenarios.append(scenario)
+    assert await scenario.move() is None
+    scenario.put()
+    scenario.world.kill(DESTINATION)
+    scenario.world.expire(DESTINATION)
+    assert scenario.world.owner is scenario.world.hosts[SOURCE if replica_at == DESTINATION else THIRD]
+    await scenario.finish()
 
 
 @pytest.mark.parametrize(
@@ -236,28 +238,28 @@ async def test_the_new_owner_dies_at_once_and_the_channel_comes_back_to_the_form
     ids=["with nothing else", "with an item that the owner lacks", "from two owners ago", "with items of this owner"],
 )
 async def test_a_replica_begins_anew_if_it_may_have_items_of_a_former_owner_that_the_owner_lacks(
-    stories: list[ReplicatedStory], owner_epoch: int, ahead: int, begins_anew: bool
+    scenarios: list[ReplicatedScenario], owner_epoch: int, ahead: int, begins_anew: bool
 ) -> None:
     """The owner has accepted other items with these seqs meanwhile, so the seqs alone do not tell."""
-    story = ReplicatedStory(DESTINATION)
-    stories.append(story)
-    await story.begin()
+    scenario = ReplicatedScenario(DESTINATION)
+    scenarios.append(scenario)
+    await scenario.begin()
     for number in (SOURCE, THIRD):  # the test makes the requests of the third host
-        story.world.kill(number)
-    story.world.expire(SOURCE)
-    hosted = await story.destination.store.bind_for_feed(story.world.channel_id, 2)
+        scenario.world.kill(number)
+    scenario.world.expire(SOURCE)
+    hosted = await scenario.destination.store.bind_for_feed(scenario.world.channel_id, 2)
     replication = hosted.replication
     assert replication is not None
-    await story.until(lambda: replication.is_known and replication.is_ready)
+    await scenario.until(lambda: replication.is_known and replication.is_ready)
     for _ in range(3):
-        story.put()
+        scenario.put()
     assert hosted.core.next_seq > replication.start + 1
-    link = Link(story.world, story.destination)
+    link = Link(scenario.world, scenario.destination)
     place = pb.FeedPlace(
-        incarnation=story.world.incarnation, next_seq=replication.start + ahead, owner_epoch=owner_epoch
+        incarnation=scenario.world.incarnation, next_seq=replication.start + ahead, owner_epoch=owner_epoch
     )  # fmt: skip
     opening = pb.FeedOpen(
-        channel_id=story.world.channel_id, epoch=2, host_id=id_of(THIRD), target="third:1", place=place,
+        channel_id=scenario.world.channel_id, epoch=2, host_id=id_of(THIRD), target="third:1", place=place,
         owner_facts=True,
     )  # fmt: skip
     await link.write(pb.FeedRequest(open=opening, credit_bytes=10**6))

@@ -10,7 +10,7 @@ import pytest
 from stampede_rt.errors import PermissionDenied, StaleBinding, StampedeError
 from stampede_rt_runtime.access.move_permits import move_permit
 from stampede_rt_supernode.core.moves.commands import CommitMove
-from tests.robustness.moves.test_crashes_at_each_step import Story, quick
+from tests.robustness.moves.test_crashes_at_each_step import Scenario, quick
 from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, THIRD, World, key_of
 from tests.support.supernode.operations import id_of
 
@@ -36,36 +36,36 @@ def known_permits(world: World) -> list[bytes]:
 
 @pytest.mark.parametrize("thief", [DESTINATION, THIRD])
 async def test_a_host_that_no_move_names_neither_gets_the_channel_nor_stops_its_puts(thief: int) -> None:
-    story = Story(third=True)
-    hosted = await story.source.store.bind(story.world.channel_id, 1)
-    story.put()
+    scenario = Scenario(third=True)
+    hosted = await scenario.source.store.bind(scenario.world.channel_id, 1)
+    scenario.put()
     with pytest.raises(StampedeError, match="no caller has asked"):
-        await story.world.hosts[thief].incoming.move_here(*story.world.placed())
-    steal(story.world, thief, [])
-    story.put()
-    assert (hosted.moving, story.acknowledged, story.world.record.epoch) == (None, [1, 2], 1)
-    story.check(await story.settle())
-    await story.world.aclose()
+        await scenario.world.hosts[thief].incoming.move_here(*scenario.world.placed())
+    steal(scenario.world, thief, [])
+    scenario.put()
+    assert (hosted.moving, scenario.acknowledged, scenario.world.record.epoch) == (None, [1, 2], 1)
+    scenario.check(await scenario.settle())
+    await scenario.world.aclose()
 
 
 @pytest.mark.parametrize("step", STEPS)
 async def test_a_third_host_steals_nothing_at_any_step_of_a_move(step: str) -> None:
-    story = Story(step, lambda world: steal(world, THIRD, known_permits(world)), third=True)
-    assert await story.move() is None
-    assert step in story.world.reached
-    steal(story.world, THIRD, known_permits(story.world))
-    story.check(await story.settle())
-    assert story.world.owner is story.destination
-    await story.world.aclose()
+    scenario = Scenario(step, lambda world: steal(world, THIRD, known_permits(world)), third=True)
+    assert await scenario.move() is None
+    assert step in scenario.world.reached
+    steal(scenario.world, THIRD, known_permits(scenario.world))
+    scenario.check(await scenario.settle())
+    assert scenario.world.owner is scenario.destination
+    await scenario.world.aclose()
 
 
 @pytest.mark.parametrize("step", BEFORE_THE_HANDOFF)
 async def test_the_destination_does_not_get_the_channel_before_it_has_everything(step: str) -> None:
-    story = Story(step, lambda world: steal(world, DESTINATION, known_permits(world)))
-    assert await story.move() is None
-    assert step in story.world.reached
-    story.check(await story.settle())
-    await story.world.aclose()
+    scenario = Scenario(step, lambda world: steal(world, DESTINATION, known_permits(world)))
+    assert await scenario.move() is None
+    assert step in scenario.world.reached
+    scenario.check(await scenario.settle())
+    await scenario.world.aclose()
 
 
 async def test_the_permit_of_a_failed_move_is_refused() -> None:
@@ -75,29 +75,29 @@ async def test_the_permit_of_a_failed_move_is_refused() -> None:
         world.is_cut_off = True
         world.cut_links()
 
-    story = Story("commit is asked for", lose)
-    world = story.world
-    move = asyncio.create_task(story.move())
-    await story.until(lambda: world.is_cut_off)
+    scenario = Scenario("commit is asked for", lose)
+    world = scenario.world
+    move = asyncio.create_task(scenario.move())
+    await scenario.until(lambda: world.is_cut_off)
     world.hosts[DESTINATION].incoming._moves[world.channel_id].cancel()
     await asyncio.gather(move, return_exceptions=True)  # and no request of it is on its way any more
     world.is_cut_off = False
-    await story.until(lambda: world.record.epoch == 2)
+    await scenario.until(lambda: world.record.epoch == 2)
     permits = known_permits(world)
     assert permits, "the source has handed over"
     for epoch in (1, 2):
         steal(world, DESTINATION, permits, epoch)
     assert world.owner is world.hosts[SOURCE]
-    story.check(await story.settle())
+    scenario.check(await scenario.settle())
     await world.aclose()
 
 
 async def test_a_destination_that_is_the_owner_no_more_when_it_hears_of_its_commit_drops_the_channel() -> None:
     """Its lease ended at once. Otherwise it would be no replica either, and the directory would count it as one."""
-    story = Story("committed", lambda world: world.expire(DESTINATION))
+    scenario = Scenario("committed", lambda world: world.expire(DESTINATION))
     with suppress(StampedeError):
-        await story.move()
-    world = story.world
-    await story.until(lambda: world.owner is world.hosts[SOURCE])
+        await scenario.move()
+    world = scenario.world
+    await scenario.until(lambda: world.owner is world.hosts[SOURCE])
     assert world.hosts[DESTINATION].store.known(world.channel_id) is None
     await world.aclose()

@@ -128,7 +128,7 @@ def in_sync(replicas: Any) -> list[bytes]:
     return [one.host_id for one in replicas if one.in_sync]
 
 
-class Story:
+class Scenario:
     """A move, with a fault at one step. `copies` reads the replicas, `owner` the name of the owner."""
 
     def __init__(self, rt: Any, hosts: Hosts, copies: Callable[[], Any], owner: str) -> None:
@@ -174,9 +174,9 @@ def test_a_channel_with_a_replica_loses_nothing(cluster: LocalCluster, hosts: Ho
         wait_until(lambda: {one.name for one in rt.hosts()} >= {*hosts.processes}, "all hosts are there")
         channel = rt.channel("/".join(case).replace(" ", "-").replace(":", ""), max_items=100_000, replicas=1,
                              ack="replica")  # fmt: skip
-        story = Story(rt, hosts, lambda: channel.stats().copies, channel.host)
+        scenario = Scenario(rt, hosts, lambda: channel.stats().copies, channel.host)
         producer = Producer(channel)
-        story.play(case, lambda to: moved(rt, channel, to), producer)
+        scenario.play(case, lambda to: moved(rt, channel, to), producer)
         producer.end_of_reader()
         assert producer.reader_error is None
         incarnations = {incarnation for _, incarnation in producer.acknowledged}
@@ -195,8 +195,8 @@ def test_a_queue_with_a_replica_loses_nothing(cluster: LocalCluster, hosts: Host
         name = "/".join(case).replace(" ", "-").replace(":", "")
         queue = rt.queue(name, replicas=1, ack="replica", lease="3s")
         owner = next(one.host for one in rt.queues() if one.name == name)
-        story, incarnation = Story(rt, hosts, lambda: queue.stats().replicas, owner), queue.incarnation
-        story.play(case, lambda to: moved_queue(rt, name, to), QueueLoad(queue))
+        scenario, incarnation = Scenario(rt, hosts, lambda: queue.stats().replicas, owner), queue.incarnation
+        scenario.play(case, lambda to: moved_queue(rt, name, to), QueueLoad(queue))
         assert queue.incarnation == incarnation, "nothing was lost, and the incarnation has changed"
 
 

@@ -1,7 +1,7 @@
 """Several channels move at the same time, and their moves share entries of the log, while something breaks.
 
 As in `test_crashes_at_each_step`, the protocol's real code runs over the real state machine of the directory. The step
-of a story is reached when the first channel reaches it, while the others are at the same step or at earlier ones.
+of a scenario is reached when the first channel reaches it, while the others are at the same step or at earlier ones.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from stampede_rt_channel_host.copies import outgoing_moves
 from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_supernode.core.records import ReplicaKind
 from tests.robustness.moves.simulated_directory import SimulatedDirectory
-from tests.robustness.moves.test_crashes_at_each_step import Story, quick
+from tests.robustness.moves.test_crashes_at_each_step import Scenario, quick
 from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, World
 from tests.support.supernode.operations import id_of
 
@@ -28,25 +28,25 @@ __all__ = ["quick"]  # the fixture of short waits
 
 
 class Several:
-    """A story for each channel, in one world."""
+    """A scenario for each channel, in one world."""
 
     def __init__(self, crash_at: str = "", happens: Callable[[World], None] = lambda world: None) -> None:
         self.world = World(crash_at, happens, channels=CHANNELS)
-        self.stories = [Story(world=self.world, channel_id=one) for one in self.world.channel_ids]
+        self.scenarios = [Scenario(world=self.world, channel_id=one) for one in self.world.channel_ids]
 
     async def move(self) -> list[StampedeError | None]:
         """Move all channels. Returns the errors of the moves that failed."""
-        return await asyncio.gather(*(story.move() for story in self.stories))
+        return await asyncio.gather(*(scenario.move() for scenario in self.scenarios))
 
     async def check(self) -> None:
         """Nothing acknowledged is lost in any channel, and puts go on."""
-        for story in self.stories:
-            story.check(await story.settle())
-            story.put()
-            story.check(await story.settle())
+        for scenario in self.scenarios:
+            scenario.check(await scenario.settle())
+            scenario.put()
+            scenario.check(await scenario.settle())
 
-    def has_heir(self, story: Story) -> bool:
-        copies = self.world.log.directory.tables.replicas.of(story.channel_id)
+    def has_heir(self, scenario: Scenario) -> bool:
+        copies = self.world.log.directory.tables.replicas.of(scenario.channel_id)
         return any(one.kind is ReplicaKind.MOVE for one in copies)
 
 
@@ -55,8 +55,8 @@ async def test_moves_at_the_same_time_share_entries_and_lose_nothing() -> None:
     assert await several.move() == [None] * CHANNELS
     assert several.world.together > 1, "no entry has committed several moves"
     await several.check()
-    for story in several.stories:
-        await story.until(lambda one=story: several.world.hosts[SOURCE].store.known(one.channel_id) is None)  # type: ignore[misc]
+    for scenario in several.scenarios:
+        await scenario.until(lambda one=scenario: several.world.hosts[SOURCE].store.known(one.channel_id) is None)  # type: ignore[misc]
 
 
 @pytest.mark.parametrize("step", STEPS)
@@ -64,13 +64,13 @@ async def test_the_destination_dies(step: str) -> None:
     several = Several(step, lambda world: world.kill(DESTINATION))
     await several.move()
     alone = [
-        story
-        for story in several.stories
-        if several.world.owner_of(story.channel_id) is story.destination and not several.has_heir(story)
+        scenario
+        for scenario in several.scenarios
+        if several.world.owner_of(scenario.channel_id) is scenario.destination and not several.has_heir(scenario)
     ]
     several.world.expire(DESTINATION)
-    several.stories = [story for story in several.stories if story not in alone]
-    assert all(several.world.owner_of(story.channel_id) is story.source for story in several.stories)
+    several.scenarios = [scenario for scenario in several.scenarios if scenario not in alone]
+    assert all(several.world.owner_of(scenario.channel_id) is scenario.source for scenario in several.scenarios)
     assert not alone or STEPS.index(step) >= STEPS.index("removed")
     await several.check()
 
@@ -80,10 +80,12 @@ async def test_the_source_dies(step: str) -> None:
     several = Several(step, lambda world: world.kill(SOURCE))
     await several.move()
     several.world.expire(SOURCE)
-    several.stories = [
-        story for story in several.stories if several.world.owner_of(story.channel_id) is story.destination
+    several.scenarios = [
+        scenario
+        for scenario in several.scenarios
+        if several.world.owner_of(scenario.channel_id) is scenario.destination
     ]
-    assert several.stories or STEPS.index(step) < STEPS.index("committed")
+    assert several.scenarios or STEPS.index(step) < STEPS.index("committed")
     await several.check()
 
 
@@ -113,11 +115,11 @@ async def test_no_put_is_acknowledged_while_former_owners_are_heirs() -> None:
     """The directory is away when the heirs should be removed. Then the destination dies, and the heirs go on."""
     several = Several("removal is asked for", lambda world: setattr(world, "is_cut_off", True))
     moves = asyncio.create_task(several.move())
-    committed = [one for one in several.stories if several.world.owner_of(one.channel_id) is one.destination]
+    committed = [one for one in several.scenarios if several.world.owner_of(one.channel_id) is one.destination]
     async with asyncio.timeout(30):
         while not committed or not all(one.waiting and one.waiting[-1][2] is one.destination for one in committed):
             await asyncio.sleep(0)
-            committed = [one for one in several.stories if several.world.owner_of(one.channel_id) is one.destination]
+            committed = [one for one in several.scenarios if several.world.owner_of(one.channel_id) is one.destination]
     several.world.kill(DESTINATION)
     await asyncio.gather(moves, return_exceptions=True)
     several.world.expire(DESTINATION)

@@ -11,42 +11,42 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.copies import move_streams, replica_servicer
 from tests.robustness.moves.links import Link
-from tests.robustness.moves.test_crashes_at_each_step import Story, quick
+from tests.robustness.moves.test_crashes_at_each_step import Scenario, quick
 from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, World
 
 __all__ = ["quick"]  # the fixture of short waits
 
 
 class InTurn:
-    """Stories of channels that move one after the other, in one world."""
+    """Scenarios of channels that move one after the other, in one world."""
 
     def __init__(self, channels: int = 2) -> None:
         self.world = World("", lambda world: None, channels=channels)
-        self.stories = [Story(world=self.world, channel_id=one) for one in self.world.channel_ids]
+        self.scenarios = [Scenario(world=self.world, channel_id=one) for one in self.world.channel_ids]
 
     async def move_first(self) -> None:
         """Move the first channel. Its stream waits for the next move then."""
-        assert await self.stories[0].move() is None
+        assert await self.scenarios[0].move() is None
         assert len(self.world.links) == 1
 
     async def move_next(self, crash_at: str, happens: Callable[[World], None]) -> StampedeError | None:
         """Move the second channel. `happens` at this step."""
         self.world.reached.clear()
         self.world.crash_at, self.world.happens = crash_at, happens
-        return await self.stories[1].move()
+        return await self.scenarios[1].move()
 
-    async def check(self, *stories: Story) -> None:
+    async def check(self, *scenarios: Scenario) -> None:
         """Nothing acknowledged is lost, and puts go on."""
-        for story in stories or self.stories:
-            story.check(await story.settle())
-            story.put()
-            story.check(await story.settle())
+        for scenario in scenarios or self.scenarios:
+            scenario.check(await scenario.settle())
+            scenario.put()
+            scenario.check(await scenario.settle())
 
 
 async def test_moves_that_follow_each_other_share_a_stream() -> None:
     moves = InTurn(channels=4)
-    for story in moves.stories:
-        assert await story.move() is None
+    for scenario in moves.scenarios:
+        assert await scenario.move() is None
     assert len(moves.world.links) == 1
     await moves.check()
 
@@ -65,7 +65,7 @@ async def test_the_source_dies_in_the_second_move_of_a_stream(step: str) -> None
     await moves.move_first()
     await moves.move_next(step, lambda world: world.kill(SOURCE))
     moves.world.expire(SOURCE)
-    first, second = moves.stories
+    first, second = moves.scenarios
     moved = moves.world.owner_of(second.channel_id) is second.destination
     assert moved or STEPS.index(step) < STEPS.index("committed")
     await moves.check(first, *[second] * moved)
@@ -77,7 +77,7 @@ async def test_the_destination_dies_in_the_second_move_of_a_stream(step: str) ->
     await moves.move_first()
     await moves.move_next(step, lambda world: world.kill(DESTINATION))
     moves.world.expire(DESTINATION)
-    second = moves.stories[1]
+    second = moves.scenarios[1]
     if STEPS.index(step) < STEPS.index("removed"):  # from then on only the destination has the items, as any owner
         assert moves.world.owner_of(second.channel_id) is second.source
         await moves.check(second)
@@ -96,21 +96,21 @@ async def test_a_failed_move_ends_its_stream() -> None:
     moves = InTurn(channels=3)
     await moves.move_first()
     assert await moves.move_next("held", lambda world: world.cut_links()) is not None
-    await moves.check(*moves.stories[:2])
-    assert await moves.stories[2].move() is None
+    await moves.check(*moves.scenarios[:2])
+    assert await moves.scenarios[2].move() is None
     assert len(moves.world.links) == 2
-    await moves.check(moves.stories[2])
+    await moves.check(moves.scenarios[2])
 
 
 async def test_a_refused_move_ends_its_stream_and_keeps_the_reason() -> None:
     moves = InTurn(channels=3)
     await moves.move_first()
-    second = moves.stories[1]
+    second = moves.scenarios[1]
     await second.source.store.bind(second.channel_id, 1)
     with pytest.raises(StampedeError, match="no caller has asked this host"):
         await second.destination.incoming.move_here(*moves.world.placed(second.channel_id))
-    assert await moves.stories[2].move() is None
-    await moves.check(moves.stories[0], moves.stories[2])
+    assert await moves.scenarios[2].move() is None
+    await moves.check(moves.scenarios[0], moves.scenarios[2])
 
 
 async def test_a_source_of_an_older_release_ends_the_stream_after_each_move(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,8 +123,8 @@ async def test_a_source_of_an_older_release_ends_the_stream_after_each_move(monk
 
     monkeypatch.setattr(Link, "write", as_older)
     moves = InTurn()
-    for story in moves.stories:
-        assert await story.move() is None
+    for scenario in moves.scenarios:
+        assert await scenario.move() is None
     assert len(moves.world.links) == 2
     await moves.check()
 
@@ -146,7 +146,7 @@ async def test_a_stream_without_a_next_move_ends(module: object, name: str, monk
 async def test_a_host_that_ends_also_ends_the_streams_that_wait_for_a_move() -> None:
     moves = InTurn()
     await moves.move_first()
-    await moves.stories[0].destination.incoming.aclose()
+    await moves.scenarios[0].destination.incoming.aclose()
     serving = moves.world.links[0].serving
     assert serving is not None
     async with asyncio.timeout(30):

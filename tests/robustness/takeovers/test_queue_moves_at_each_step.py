@@ -27,7 +27,7 @@ VICTIMS = ["source", "destination", "third"] if EVERY_FAULT else ["source", "des
 WAIT_SECONDS = 20.0
 
 
-class Story:
+class Scenario:
     """A move of `jobs`, and a fault at one of its steps."""
 
     def __init__(self, trial: QueueTrial, victim: str, fault: str, to_replica: bool) -> None:
@@ -68,12 +68,14 @@ class Story:
         return int.from_bytes(host_id, "big")
 
 
-def played(monkeypatch: pytest.MonkeyPatch, step: Step, story_of: Callable[[QueueTrial], Story], seed: int) -> None:
+def played(
+    monkeypatch: pytest.MonkeyPatch, step: Step, scenario_of: Callable[[QueueTrial], Scenario], seed: int
+) -> None:
     async def main(clock: VirtualClock) -> None:
         trial = QueueTrial(clock, seed, replicas=1)
-        story = story_of(trial)
-        monkeypatch.setattr(step.owner, step.method, told(step, story.reached))
-        found = await play(trial, story.disturb)
+        scenario = scenario_of(trial)
+        monkeypatch.setattr(step.owner, step.method, told(step, scenario.reached))
+        found = await play(trial, scenario.disturb)
         assert found.lost == 0
         assert [len(one) for one in trial.cluster.incarnations.values()] == [1, 1]
 
@@ -88,4 +90,4 @@ def test_nothing_is_lost_and_nothing_comes_back(
     monkeypatch: pytest.MonkeyPatch, step: str, to_replica: bool, victim: str, fault: str
 ) -> None:
     seed = [*STEPS].index(step)
-    played(monkeypatch, STEPS[step], lambda trial: Story(trial, victim, fault, to_replica), seed)
+    played(monkeypatch, STEPS[step], lambda trial: Scenario(trial, victim, fault, to_replica), seed)

@@ -93,7 +93,7 @@ def test_a_wrong_limit_is_refused(limit: object) -> None:
 
 @pytest.mark.parametrize("flag", ["newest_first", "payloads", "complete"])
 def test_a_value_that_is_no_flag_is_refused(flag: str) -> None:
-    """A fixed fault: the text "no" counted as yes, or failed inside protobuf."""
+    """In an earlier version, the text "no" counted as yes, or failed inside protobuf."""
     with pytest.raises(InvalidArgument, match=f"{flag} is 'no'; write True or False"):
         ReadQuery(parse_interval(1, 2), **{flag: "no"})  # type: ignore[arg-type]
 

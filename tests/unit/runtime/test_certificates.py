@@ -248,7 +248,7 @@ def test_a_reader_returns_new_files_and_waits_until_broken_ones_are_whole(
 def test_a_reader_retries_if_a_replacement_of_the_files_ends_while_it_reads(
     made: ClusterCertificates, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A fixed fault: the reader noted the second file as refused, too, and never read the whole pair."""
+    """In an earlier version, the reader noted the second file as refused, too, and never read the whole pair."""
     monkeypatch.setattr("stampede_rt.security.tls.LOOK_EVERY_S", 0.0)
     files = made.issue(Role.CLIENT, "cam")
     reader = TlsReader(files)

@@ -206,8 +206,8 @@ async def test_responses_that_are_yielded_wait_for_the_turn_of_their_caller(monk
 
 
 async def test_a_stream_that_is_cancelled_again_while_it_waits_to_end_also_ends() -> None:
-    """A fixed fault: if a caller left at the moment of its revocation, the stream went on without a caller and without
-    a quota.
+    """In an earlier version, if a caller left at the moment of its revocation, the stream went on without a caller and
+    without a quota.
     """
     ended = 0
 

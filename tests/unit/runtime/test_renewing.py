@@ -73,8 +73,8 @@ async def test_calls_after_a_renewal_use_a_new_connection_and_earlier_calls_keep
 
 
 async def test_a_former_connection_is_closed_when_its_last_call_has_ended() -> None:
-    """A fixed fault: no code closed it. The connection was opened again and again with certificates that no server
-    accepts.
+    """In an earlier version, no code closed the former connection. gRPC opened it again and again with certificates
+    that no server accepts.
     """
     renewals = Renewals()
     call = renewals.channel().unary_unary("/test.Probe/Echo")

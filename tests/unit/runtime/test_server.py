@@ -227,8 +227,9 @@ async def test_a_caller_that_pings_as_often_as_grpc_lets_it_keeps_an_idle_stream
 
 
 def test_no_caller_of_ours_pings_more_often_than_servers_allow() -> None:
-    """A fixed fault: clients pinged every 10 s, and servers allowed a ping every 10 s. Half of the pings came a moment
-    too early.
+    """In an earlier version, clients pinged every 10 s, and servers allowed a ping every 10 s.
+
+    Half of the pings came a moment too early.
     """
     allowed = dict(Limits().server_options())["grpc.http2.min_ping_interval_without_data_ms"]
     for options in (Limits().channel_options(), grpc_options.CHANNEL_OPTIONS):

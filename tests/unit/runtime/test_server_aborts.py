@@ -94,7 +94,8 @@ async def test_the_memory_of_a_refused_call_is_freed_without_the_collector(metho
 
 @pytest.mark.parametrize("method", [RESOLVE, LIST, WATCH, UPDATE])
 async def test_the_task_of_a_call_is_freed_without_the_collector(method: str) -> None:
-    """A fixed fault: after each call its task, its context and the objects that gRPC kept for it stayed in memory.
+    """In an earlier version, after each call its task, its context and the objects that gRPC kept for it stayed in
+    memory.
 
     These were 14 objects, 77 if the call was refused, and 89 if its caller cancelled it.
     """

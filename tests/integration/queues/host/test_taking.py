@@ -136,8 +136,9 @@ async def test_hundreds_of_waiting_takers_are_served_in_turn(rig: QueueRig) -> N
 
 
 async def test_a_frozen_taker_keeps_an_item_from_live_ones_for_one_lease_only() -> None:
-    """The frozen taker has an open stream and credit. A fixed fault: the host leased every message to the frozen taker
-    again and again.
+    """The frozen taker has an open stream and credit.
+
+    In an earlier version, the host leased every message to the frozen taker again and again.
     """
     clock = ManualClock()
     async with running_queue_host(clock=clock) as rig:

@@ -59,8 +59,8 @@ def test_a_consumer_that_consumes_in_order_is_accepted_although_the_memory_is_us
 
 
 def test_the_consumption_of_one_caller_does_not_use_up_the_memory_of_others() -> None:
-    """A fixed fault: one caller that consumed every second item could use up the spare memory of the host for all
-    channels.
+    """In an earlier version, one caller that consumed every second item could use up the spare memory of the host for
+    all channels.
     """
     channel, memory, clock = full_channel(4096, bytes_max=2**22, consumers=2)
     memory.bytes_max = 2**40  # only shares refuse

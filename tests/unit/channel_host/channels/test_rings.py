@@ -251,7 +251,7 @@ async def test_a_short_share_gives_a_shorter_ring_and_a_longer_one_when_there_is
 
 
 async def test_a_longer_ring_takes_the_runs_for_which_the_short_one_ended() -> None:
-    """A fixed fault: it was for the newest runs only, and the next large item ended it again."""
+    """In an earlier version, the longer ring had room for the newest runs only. The next large item ended it again."""
     host = Host(bytes_max=8 * MIB * MEMORY_SHARE)
     host.put(bytes(300_000))
     reader = Reader(host)
@@ -315,7 +315,7 @@ async def test_one_item_that_is_too_large_for_every_ring_bars_its_channel_only_w
 
 
 async def test_a_worker_thread_frees_the_memory_of_a_ring(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fixed fault: the event loop stood for milliseconds when a large ring ended, for instance in a put."""
+    """In an earlier version, the event loop stopped for milliseconds when a large ring ended, for instance in a put."""
     close, threads = RingMemory.close, list[threading.Thread]()
 
     def noted(memory: RingMemory) -> None:

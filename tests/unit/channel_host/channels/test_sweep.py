@@ -68,7 +68,7 @@ def _overhead(payload: bytes) -> int:
 
 
 async def test_a_sweep_does_not_look_at_unchanged_channels() -> None:
-    """A fixed fault: 20,000 idle channels took 43 % of a core."""
+    """In an earlier version, 20,000 idle channels took 43 % of a core."""
     host = Host()
     idle = [host.open(Policy(max_age_nanos=S)) for _ in range(2000)]
     for channel in idle:
@@ -188,7 +188,9 @@ async def test_a_step_of_the_sweep_looks_at_a_bounded_number_of_changed_channels
 
 
 async def test_a_put_that_needs_memory_looks_at_few_channels_and_at_the_due_ones_first() -> None:
-    """A fixed fault: such a put looked at 2048 channels in one step, the just changed ones first."""
+    """In an earlier version, such a put looked at 2048 channels in one step, and began with those that had just
+    changed.
+    """
     host = Host(bytes_max=200_000)
     old = [host.open(Policy(max_age_nanos=S)) for _ in range(4)]
     for channel in old:

@@ -284,7 +284,7 @@ async def test_a_move_waits_for_the_store_because_the_new_owner_must_not_repeat_
 
 @pytest.mark.asyncio
 async def test_the_new_owner_gives_the_channel_away_only_once_it_knows_the_former_items(tmp_path: Path) -> None:
-    """A fixed fault: the third owner had the store, but its memory said that no earlier items existed."""
+    """In an earlier version, the third owner had the store, but its memory said that no earlier items existed."""
     store, other = FakeStore(), b"c" * 16
     await left(tmp_path / "a", store)
     store.failure = "away"

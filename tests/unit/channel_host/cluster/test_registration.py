@@ -263,7 +263,7 @@ async def test_a_restarted_host_replaces_its_former_process_with_the_next_regist
 
 
 async def test_an_older_process_of_a_host_does_not_register_again_while_the_newer_one_lives() -> None:
-    """A fixed fault: the two processes took the channels from each other again and again."""
+    """In an earlier version, the two processes took the channels from each other again and again."""
     async with directory(lease_ttl_nanos=200 * MS) as fake:
         former, newer = Host(fake.target), Host(fake.target, boot=8)
         await former.registration.enter("localhost:1")

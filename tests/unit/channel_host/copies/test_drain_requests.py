@@ -44,7 +44,10 @@ class Channel:
 
 
 async def test_no_message_names_a_channel_twice_or_one_that_was_given_up_or_too_many() -> None:
-    """Fixed fault: the names of repeated requests gathered, and the host refused the message and all of its moves."""
+    """In an earlier version, one message gathered the names of repeated requests.
+
+    The host refused the message, and so all of its moves.
+    """
     channel: Any = Channel()
     requests = DrainRequests("host", channel)
     for _ in range(3):

@@ -93,8 +93,9 @@ def test_only_the_last_runs_of_a_producer_are_kept() -> None:
 
 
 def test_each_run_in_flight_of_a_producer_is_recognised_however_long_its_runs_are() -> None:
-    """A producer whose connection broke sends up to 64 runs of 256 items again. A fixed fault: the window counted
-    numbers, so only the last four runs were recognised.
+    """A producer whose connection broke sends up to 64 runs of 256 items again.
+
+    In an earlier version, the window counted numbers, so only the last four runs were recognised.
     """
     window = RetryWindow()
     for run in range(64):
@@ -152,7 +153,7 @@ def test_the_memory_of_one_producer_has_a_bound_for_any_number_of_refusals() -> 
 
 
 def test_a_thousand_puts_of_one_item_cost_tens_of_bytes_each_and_the_window_knows_it() -> None:
-    """A fixed fault: the thousand puts took 607 kB, which no budget counted."""
+    """In an earlier version, the thousand puts took 607 kB, which no budget counted."""
     window = RetryWindow()
     tracemalloc.start()
     try:

@@ -96,7 +96,7 @@ class Shown:
 
 
 async def test_a_put_looks_only_at_the_groups_that_it_can_move() -> None:
-    """A fixed fault: each put looked at all groups of the channel. 500 groups made a put four times as long."""
+    """In an earlier version, each put looked at all groups of the channel. 500 groups made a put four times as long."""
     shown = Shown()
     groups = [shown.group(number, 1, 2) for number in range(GROUPS)]
     groups += [shown.group(GROUPS + number, 1, 2, reference=channel(2)) for number in range(GROUPS)]

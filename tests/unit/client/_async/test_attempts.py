@@ -96,7 +96,9 @@ async def test_a_host_that_never_answers_ends_the_call_with_deadline_exceeded(cl
 
 @pytest.mark.parametrize("taken_s", [0.7, 3.0, 9.99])
 async def test_no_try_may_take_longer_than_the_call(taken_s: float, clock: Clock) -> None:
-    """A fixed fault: the last try began within the time of the call, and could then take the full time of a call."""
+    """In an earlier version, the last try began within the time of the call, and could then take the full time of a
+    call.
+    """
     allowed: list[tuple[float, float]] = []
 
     async def fail_slowly(binding: Binding, timeout_s: float) -> str:

@@ -163,7 +163,7 @@ def interrupted_put(situation: Situation, producer: Producer) -> Callable[[], No
 def test_a_put_that_raises_at_any_bytecode_loses_and_repeats_no_other_item(
     situation: Situation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Fixed faults: a run was lost between its end and the note that it is unacknowledged, and while it was noted."""
+    """In an earlier version, an error lost a run that was complete, but not yet noted as unacknowledged."""
 
     def raise_interrupted() -> None:
         raise Interrupted

@@ -166,7 +166,9 @@ async def _streams(place: Place, count: int) -> None:
 async def test_a_put_that_is_cancelled_while_its_stream_opens_sends_nothing_and_disturbs_no_other_put(
     unacked: int,
 ) -> None:
-    """A fixed fault: the host rejected all later puts on the stream, because it had not received the first message."""
+    """In an earlier version, the host rejected all later puts on the stream, because it had not received the first
+    message.
+    """
     place = Place()
     producer = producer_at(place)
     for _ in range(unacked):
@@ -188,7 +190,9 @@ async def test_a_put_that_is_cancelled_while_its_stream_opens_sends_nothing_and_
 
 
 async def test_after_a_final_failure_the_next_call_sends_the_unacknowledged_runs() -> None:
-    """A fixed fault: every later call reported the failure, and the client never sent runs without an ack again."""
+    """In an earlier version, every later call reported the failure, and the client never sent runs without an ack
+    again.
+    """
     place = Place()
     producer = await three_in_flight(place)
     await place.streams[0].on_end(st.StampedeError("the host failed with a defect"))

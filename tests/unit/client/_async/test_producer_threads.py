@@ -84,7 +84,7 @@ def refused() -> pb.PutAck:
 def test_a_flush_raises_the_refusal_that_another_thread_counts_while_the_flush_looks(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A fixed fault: the flush returned between the end of the last run and the count of its refusals."""
+    """In an earlier version, the flush returned between the end of the last run and the count of its refusals."""
     place = Place()
     producer = producer_at(place)
     unacked = producer._unacked = LookedAt()
@@ -112,7 +112,7 @@ def test_a_flush_raises_the_refusal_that_another_thread_counts_while_the_flush_l
 
 
 def test_a_run_whose_sending_a_signal_has_ended_is_sent_again() -> None:
-    """A fixed fault: after Ctrl-C in a put, the next flush waited for an ack of a run that was not sent."""
+    """In an earlier version, after Ctrl-C in a put, the next flush waited for an ack of a run that was not sent."""
     place = Place()
     producer = producer_at(place)
     place.errors.append(KeyboardInterrupt())
@@ -123,7 +123,7 @@ def test_a_run_whose_sending_a_signal_has_ended_is_sent_again() -> None:
 
 
 def test_an_item_keeps_the_attributes_that_its_put_had() -> None:
-    """A fixed fault: a program that changed its mapping after a put changed the items that still waited."""
+    """In an earlier version, a program that changed its mapping after a put changed the items that still waited."""
     place = Place()
     producer = producer_at(place)
     labels = {"n": "1"}
@@ -137,7 +137,7 @@ def test_an_item_keeps_the_attributes_that_its_put_had() -> None:
 
 
 def test_a_time_beyond_64_bits_is_refused_and_hinders_no_later_put() -> None:
-    """A fixed fault: the item stayed in the run under construction, and all later puts failed."""
+    """In an earlier version, the item stayed in the run under construction, and all later puts failed."""
     place = Place()
     producer = producer_at(place)
     for _ in range(2):

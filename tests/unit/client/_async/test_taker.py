@@ -177,8 +177,9 @@ async def test_a_taker_asks_for_one_message_for_each_waiting_caller() -> None:
 
 
 async def test_callers_beyond_the_credit_limit_are_served_after_the_others() -> None:
-    """A fixed fault: the client asked for no message for the 1025th waiting caller, which waited for ever beside
-    available messages.
+    """In an earlier version, the client asked the host for no message for the 1025th waiting caller.
+
+    This caller waited for ever, although messages were available.
     """
     host = Host()
     taker = taker_at(host)
@@ -249,8 +250,9 @@ async def test_a_message_for_a_cancelled_getter_goes_to_the_next_getter_of_the_c
 
 
 async def test_a_getter_that_is_cancelled_in_its_first_step_takes_nothing() -> None:
-    """A fixed fault: the getter stayed in line. The next message was leased to it, and no caller got the message before
-    that lease ended.
+    """In an earlier version, the getter stayed in line.
+
+    The next message was leased to it, and no caller got the message before that lease ended.
     """
     host = Host()
     taker = taker_at(host)
@@ -267,7 +269,9 @@ async def test_a_getter_that_is_cancelled_in_its_first_step_takes_nothing() -> N
 
 
 async def test_a_poll_returns_a_message_at_once_that_another_caller_had_asked_for() -> None:
-    """A fixed fault: the poll already had its message, but waited 12 s for a stream on which to ask for another one."""
+    """In an earlier version, the poll already had its message, but waited 12 s for a stream on which to ask for another
+    one.
+    """
     host = Host()
     taker = taker_at(host)
     cancelled = asyncio.ensure_future(taker.get(FOR_EVER))
@@ -281,7 +285,9 @@ async def test_a_poll_returns_a_message_at_once_that_another_caller_had_asked_fo
 
 
 async def test_prefetched_messages_are_extended_while_the_program_takes_messages_and_given_back_otherwise() -> None:
-    """A fixed fault: the leases of prefetched messages ended while their taker worked on the messages before them."""
+    """In an earlier version, the leases of prefetched messages ended while their taker worked on the messages before
+    them.
+    """
     host = Host()
     taker = taker_at(host, prefetch=3)
     get = asyncio.ensure_future(taker.get(FOR_EVER))
@@ -315,8 +321,8 @@ async def until_at_rest(taker: Taker) -> None:
 
 
 async def test_no_stream_is_opened_for_callers_that_left_meanwhile() -> None:
-    """A fixed fault: after the loss of a host, each cancelled get of a handle left a stream and a task behind at the
-    new host.
+    """In an earlier version, after the loss of a host, each cancelled get of a handle left a stream and a task behind
+    at the new host.
     """
     host = Host()
     host.error = st.Unavailable("connection refused")

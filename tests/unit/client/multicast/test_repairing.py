@@ -76,7 +76,9 @@ def test_requests_for_a_key_do_not_make_a_reader_leave_multicast() -> None:
 
 
 def test_a_paused_reader_does_not_mistake_its_pause_for_silence() -> None:
-    """A fixed fault: a program that read nothing for 3.5 s lost multicast for a minute, although datagrams came."""
+    """In an earlier version, a program that read nothing for 3.5 s lost multicast for a minute, although datagrams
+    came.
+    """
     pace = RepairPace(0.0)
     pace.looks(0.0)
     now_s = 10 * SILENT_S

@@ -158,7 +158,7 @@ class Interrupting(deque[Callable[[], None]]):
 
 
 def test_a_handler_that_runs_all_waiting_steps_leaves_none_to_the_interrupted_call() -> None:
-    """A fixed fault: the interrupted call raised IndexError."""
+    """In an earlier version, the interrupted call raised IndexError."""
     steps, seen, waiting = Steps(), list[str](), Interrupting()
     steps._waiting = waiting
     waiting.handle = lambda: steps.run(seen.append, "of the handler")
@@ -197,7 +197,9 @@ def test_a_signal_wakes_all_waiting_threads_and_each_later_wait_until_it_is_clea
 
 
 def test_a_step_whose_caller_a_signal_ends_before_its_turn_never_runs() -> None:
-    """A fixed fault: behind an offered step it was left to another thread, though the put had raised."""
+    """In an earlier version, another thread ran such a step if an offered step was before it, although the put had
+    raised.
+    """
     steps, seen = Steps(), list[str]()
     inside, may_end = threading.Event(), threading.Event()
 
@@ -221,7 +223,7 @@ def test_a_step_whose_caller_a_signal_ends_before_its_turn_never_runs() -> None:
 
 
 def test_a_call_returns_after_its_step_though_another_thread_runs_steps_meanwhile() -> None:
-    """A fixed fault: that thread took the step over, and the call returned during the step."""
+    """In an earlier version, the other thread took the step over, and the call returned before the end of the step."""
     steps, seen = Steps(), list[str]()
     inside, may_end, begun, returned = (threading.Event() for _ in range(4))
 
@@ -254,7 +256,7 @@ def test_a_call_returns_after_its_step_though_another_thread_runs_steps_meanwhil
 
 
 def test_a_signal_that_is_cleared_at_once_wakes_all_that_wait() -> None:
-    """A fixed fault: it woke one of them."""
+    """In an earlier version, such a signal woke only one of the waiting callers."""
     signals, woken = Signal(), list[bool]()
     waiting = [threading.Thread(target=lambda: woken.append(signals.wait(10))) for _ in range(5)]
     for one in waiting:
@@ -270,7 +272,9 @@ def test_a_signal_that_is_cleared_at_once_wakes_all_that_wait() -> None:
 
 
 def test_a_waiting_caller_wakes_although_a_signal_handler_has_cleared_the_flag_again() -> None:
-    """A fixed fault: a flush waited for its whole timeout if a signal handler flushed the same producer meanwhile."""
+    """In an earlier version, a flush waited for its whole timeout if a signal handler flushed the same producer
+    meanwhile.
+    """
     signals = Signal()
 
     def handle(number: int, frame: FrameType | None) -> None:

@@ -126,8 +126,8 @@ def waits(monkeypatch: pytest.MonkeyPatch) -> asyncio.Event:
 
 
 async def test_a_port_that_still_lacks_the_rules_lets_a_client_wait_but_not_a_member(waits: asyncio.Event) -> None:
-    """A fixed fault: a client that connected just after the start of a front-end was told that the front-end cannot
-    serve.
+    """In an earlier version, a client that connected just after the start of a front-end was told that the front-end
+    cannot serve.
     """
     async with port() as (server, begin):
         assert await said(begin(CLUSTER), "x") == b"1"
@@ -231,7 +231,7 @@ async def open_calls(control: AccessControl, count: int, reads: int, **caller: A
 async def test_new_rules_are_applied_to_a_few_rights_in_each_turn(
     monkeypatch: pytest.MonkeyPatch, calls: int, reads: int
 ) -> None:
-    """A fixed fault: one step checked all rights of a call again. 1000 rights and 1000 rules took 120 ms."""
+    """In an earlier version, one step checked all rights of a call again. 1000 rights and 1000 rules took 120 ms."""
     control, judged, judge = AccessControl(), 0, AccessRules.judge
     allow = AccessRule("@clients", (AccessVerb.READ,), None, "*")
     control.set_state(state(1, allow))
@@ -254,7 +254,7 @@ async def test_new_rules_are_applied_to_a_few_rights_in_each_turn(
 
 
 async def test_the_calls_of_an_expired_token_end_a_few_at_a_time() -> None:
-    """A fixed fault: 4096 calls ended together within two turns of the event loop, which took 40 ms."""
+    """In an earlier version, 4096 calls ended together within two turns of the event loop, which took 40 ms."""
     now = 1
     control = AccessControl(time_unix_nano=lambda: now)
     control.set_state(state(1))
@@ -270,7 +270,7 @@ async def test_the_calls_of_an_expired_token_end_a_few_at_a_time() -> None:
 
 
 async def test_each_turn_checks_the_credentials_of_a_few_open_calls_and_the_rounds_repeat() -> None:
-    """A fixed fault: each second, one turn looked at all open calls. 3000 calls took 1.8 ms."""
+    """In an earlier version, each second, one turn looked at all open calls. 3000 calls took 1.8 ms."""
     control, turns = AccessControl(time_unix_nano=lambda: 2), 1
     control.set_state(state(1))
     async with open_calls(control, 4 * CALLS_LOOKED_AT_PER_TURN - 1, 0, ends_unix_nano=5):
@@ -282,7 +282,7 @@ async def test_each_turn_checks_the_credentials_of_a_few_open_calls_and_the_roun
 
 
 async def test_the_requests_of_a_stream_end_one_by_one_and_a_few_at_a_time() -> None:
-    """A fixed fault: a lost right ended the whole stream, with the requests that needed other rights."""
+    """In an earlier version, a lost right ended the whole stream, with the requests that needed other rights."""
     control, lost = AccessControl(), []
     keep, take = (AccessRule("@clients", (AccessVerb.READ,), None, name) for name in ("kept", "lost"))
     control.set_state(state(1, keep, take))

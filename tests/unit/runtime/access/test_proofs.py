@@ -70,7 +70,7 @@ def test_a_malformed_proof_is_refused_with_the_reason(
 
 
 def test_a_token_is_valid_only_as_long_as_the_certificate_of_its_connection() -> None:
-    """A fixed fault: a client went on with a revoked or expired certificate if it also brought a token."""
+    """In an earlier version, a client went on with a revoked or expired certificate if it also brought a token."""
     certificate = CallerCertificate(Identity("lab", Role.CLIENT, "shared"), serial="ce", ends_unix_nano=50)
     caller = identify(CERTIFIED, b"Bearer token", certificate)
     assert (caller.name, caller.kind, caller.first_end_unix_nano) == ("cam", CallerKind.TOKEN, 50)

@@ -172,7 +172,7 @@ def test_a_caller_does_not_wait_for_a_few_messages_at_once() -> None:
 
 
 def test_a_step_of_a_caller_within_its_share_reads_the_clock_once() -> None:
-    """Reading the clock takes a quarter of a microsecond. A fixed fault: a put read the clock five times."""
+    """Reading the clock takes a quarter of a microsecond. In an earlier version, a put read the clock five times."""
     loop, looks = Loop(), [0]
     busy, light = loop.caller(), loop.caller()
     loop.works(busy, MS)

@@ -276,8 +276,8 @@ async def test_a_stop_waits_for_streams_and_then_ends_them(port: Open) -> None:
 async def test_a_stream_over_a_socket_counts_with_the_costs_of_sockets(
     plain: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A fixed fault: streams over sockets counted with the costs of gRPC, 250 us for a message, and got too small a
-    share.
+    """In an earlier version, streams over sockets counted with the costs of gRPC, 250 us for a message, and got too
+    small a share.
     """
     found: list[object] = []
 

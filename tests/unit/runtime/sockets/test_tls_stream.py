@@ -168,7 +168,7 @@ async def test_the_tls_of_an_ended_connection_is_freed_without_the_garbage_colle
 async def test_an_unfinished_handshake_does_not_stop_the_heartbeats_of_others(
     port: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A fixed fault: one connection without a handshake ended all signs of life of the host."""
+    """In an earlier version, one connection without a handshake ended all signs of life of the host."""
     monkeypatch.setattr(server, "ALIVE_SECONDS", 0.01)
     async with port() as one:
         _, unfinished = await asyncio.open_connection("localhost", int(one.target.rpartition(":")[2]))

@@ -2,8 +2,8 @@
 
 The scenario: a caller opens `cam`, gets no answer, and tries again at another supernode. `cam` exists by then, so the
 supernode answers the second attempt at once, without an entry in the log. Another caller deletes `cam`. Then the
-directory applies the first attempt, which was under way all the time. A fixed fault: the directory kept no record of
-the request, so the first attempt created the channel again.
+directory applies the first attempt, which was under way all the time. In an earlier version, the directory kept no
+record of the request, so the first attempt created the channel again.
 """
 
 from __future__ import annotations
@@ -95,7 +95,10 @@ async def test_a_request_that_a_supernode_delayed_does_not_create_a_deleted_chan
 async def test_a_request_that_the_network_delayed_has_no_effect_after_its_repetition_was_answered(
     node: Node, kind: str
 ) -> None:
-    """A fixed fault: the log had no entry for the repetition. The held request then opened the deleted thing again."""
+    """In an earlier version, the log had no entry for the repetition.
+
+    The held request then opened the deleted thing again.
+    """
     member = (await node.open("member")).channel.channel_id
     spec = group_pb2.GroupSpec(channel_ids=[member])
     held: dict[str, tuple[Any, Any]] = {
@@ -174,8 +177,8 @@ def test_an_open_is_late_if_its_channel_was_deleted_after_the_request(log: Log, 
 
 @pytest.mark.parametrize("kind", ["channel", "group", "queue"])
 def test_the_deletion_of_another_name_does_not_make_an_open_late(log: Log, kind: str) -> None:
-    """A fixed fault: a client that made and deleted groups without a pause prevented all other clients from making
-    groups.
+    """In an earlier version, a client that made and deleted groups without a pause prevented all other clients from
+    making groups.
     """
     log.directory.feature_level = FREED_GROUPS_LEVEL
     members = {name: log.apply(open_channel(name)) for name in ("kept", "gone")}

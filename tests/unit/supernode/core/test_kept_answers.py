@@ -174,7 +174,7 @@ def test_a_snapshot_keeps_the_time_marks() -> None:
 
 
 def test_one_caller_cannot_use_up_the_room_for_kept_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fixed fault: one caller with very many changes in a minute made the directory refuse the updates of all
+    """In an earlier version, one caller with very many changes in a minute made the directory refuse the updates of all
     callers.
     """
     monkeypatch.setattr(kept_answers, "CALLER_BYTES_MAX", 3 * kept_answers.ANSWER_BYTES)

@@ -1,8 +1,8 @@
 """A request of an older process of a peer or host is not performed after its newer process has registered.
 
 The scenario: a peer's process asks to register, and the network holds the request. The process is killed and started
-again, and the new process registers. Then the held request arrives. A fixed fault: the held request took the name from
-the live process.
+again, and the new process registers. Then the held request arrives. In an earlier version, the held request took the
+name from the live process.
 """
 
 from __future__ import annotations

@@ -75,7 +75,10 @@ def calls_of(log: Log, *, known: Directory | None = None) -> tuple[DirectoryCall
 
 
 async def test_a_lagging_supernode_checks_the_rights_to_things_that_it_does_not_know_yet(log: Log) -> None:
-    """A fixed fault: the supernode took the thing for missing and checked no right. The log then deleted the thing."""
+    """In an earlier version, the supernode behaved as if the thing did not exist, and checked no right.
+
+    The log then deleted the thing.
+    """
     calls, behind = calls_of(log, known=Log().directory)
     channel_id = log.directory.tables.channel_ids["secret/plan"]
     async with called_by("thief", AccessRule("*", (AccessVerb.READ,), None, "*")):
@@ -101,8 +104,9 @@ async def test_a_known_thing_is_checked_without_a_confirmed_read_and_an_unknown_
 
 
 async def test_under_any_rules_only_its_owner_can_change_a_mailbox(log: Log) -> None:
-    """A mailbox has no name. A fixed fault: every rule for "*" granted rights to all mailboxes, and no rule could deny
-    them.
+    """A mailbox has no name.
+
+    In an earlier version, every rule for "*" granted rights to all mailboxes, and no rule could deny them.
     """
     calls, _ = calls_of(log)
     mailbox_id = log.directory.tables.peers.by_id[id_of(7)].mailbox_queue_id
@@ -125,8 +129,8 @@ async def test_the_rights_to_several_unknown_things_take_one_confirmed_read(log:
 
 
 async def test_a_change_of_a_group_that_names_too_many_channels_is_refused_without_a_confirmed_read(log: Log) -> None:
-    """A fixed fault: one request needed a confirmed read for each unknown channel, and kept the supernode busy for
-    long.
+    """In an earlier version, one request needed a confirmed read for each unknown channel, and kept the supernode busy
+    for long.
     """
     calls, behind = calls_of(log)
     codes: list[grpc.StatusCode] = []

@@ -40,8 +40,9 @@ async def listed(after: str, size: int, calls: Any = None, seconds: float = 5.0)
 
 @pytest.mark.parametrize("size", [1, 99, 250, 499, 500, 0])
 async def test_pages_of_every_size_have_each_visible_thing_once_and_tokens_name_only_visible_things(size: int) -> None:
-    """A fixed fault: the token held the last name that the listing had read, so that pages of one thing told all hidden
-    names.
+    """In an earlier version, the token held the last name that the listing had read.
+
+    A caller that asked for pages of one thing learned all hidden names.
     """
     got: list[str] = []
     after: str | None = ""

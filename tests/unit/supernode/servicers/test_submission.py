@@ -30,7 +30,9 @@ class SlowLog(MemoryLog):
 
 
 async def test_one_caller_cannot_fill_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fixed fault: one caller with very many parallel calls filled the line of commands that wait for the log."""
+    """In an earlier version, one caller with very many parallel calls filled the line of commands that wait for the
+    log.
+    """
     monkeypatch.setattr(module, "UNDER_WAY_OF_ONE_MAX", 3)
     replica = DirectoryReplica()
     log = SlowLog(replica)

@@ -207,7 +207,7 @@ async def until_idle(counted: list[int]) -> list[int]:
 
 
 async def test_a_change_is_reported_to_a_few_watches_in_each_turn_and_to_all_of_them(node: Node) -> None:
-    """A fixed fault: one turn of the event loop woke all watches. 4096 watches took 52 ms."""
+    """In an earlier version, one turn of the event loop woke all watches. 4096 watches took 52 ms."""
     heard: list[int] = []
 
     async def follow(number: int) -> None:

@@ -211,5 +211,5 @@ async def test_the_list_on_the_disk_follows_the_epoch_of_the_channel(tmp_path: P
 
 
 def test_a_host_without_a_list_decides_while_the_call_of_a_client_still_waits() -> None:
-    """A fixed fault: each call ended before the wait, and the next call began the wait again."""
+    """In an earlier version, each call ended before the wait, and the next call began the wait again."""
     assert object_archive.LISTING_SECONDS_MAX + object_archive.UNKNOWN_SECONDS_MAX <= CALL_TIMEOUT_S - 2

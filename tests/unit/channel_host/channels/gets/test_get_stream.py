@@ -23,7 +23,7 @@ class Get:
 
 
 async def test_the_waiting_gets_of_a_vanished_caller_are_cancelled_a_few_at_a_time() -> None:
-    """A fixed fault: one turn of the event loop cancelled all of them. 10,000 blocked gets took 57 ms."""
+    """In an earlier version, one turn of the event loop cancelled all waiting gets. 10,000 blocked gets took 57 ms."""
     cancelled: list[int] = []
     nothing: Any = None
     store: Any = SimpleNamespace(scheduler=PieceScheduler())
@@ -37,7 +37,7 @@ async def test_the_waiting_gets_of_a_vanished_caller_are_cancelled_a_few_at_a_ti
 
 
 async def test_gets_that_waited_for_room_are_looked_at_a_few_at_a_time_in_order() -> None:
-    """A fixed fault: when room for 256 answers came, one step made all of them."""
+    """In an earlier version, when room for 256 answers came, one step made all of them."""
     polled: list[int] = []
     in_one_step: list[int] = []
     nothing: Any = None

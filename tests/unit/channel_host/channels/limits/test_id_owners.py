@@ -77,8 +77,9 @@ def test_the_sum_of_all_numbers_is_bounded(caller: list[str], monkeypatch: pytes
 
 
 def test_a_caller_that_may_not_act_owns_no_number(caller: list[str]) -> None:
-    """A fixed fault: a caller that had lost its right kept its number. A caller whose first call was refused kept one,
-    too.
+    """In an earlier version, a caller that had lost its right kept its number.
+
+    A caller whose first call was refused kept one, too.
     """
     owners = IdOwners()
     use(owners, QUEUE, 7, "consumer")

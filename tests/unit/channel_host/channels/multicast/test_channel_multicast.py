@@ -127,7 +127,7 @@ async def test_the_key_changes_after_a_reader_has_left(monkeypatch: pytest.Monke
 
 
 async def test_the_key_can_change_within_a_long_message(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fixed fault: at a rate of 1 KB/s a reader that had left could open datagrams for minutes."""
+    """In an earlier version, at a rate of 1 KB/s a reader that had left could open datagrams for minutes."""
     monkeypatch.setattr(channel_multicast, "KEY_SECONDS_MIN", 0.0)
     rig = Rig()
     one = rig.multicasts._begin(rig.hosted)
@@ -152,7 +152,9 @@ async def test_the_key_can_change_within_a_long_message(monkeypatch: pytest.Monk
 async def test_a_reader_after_a_defect_begins_another_multicast(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A fixed fault: the host offered the dead stream to each later reader, and each heard nothing for 3.5 s."""
+    """In an earlier version, the host offered the dead stream to each later reader, and each heard nothing for 3.5
+    s.
+    """
     rig = Rig()
     async with rig.reader() as first:
         one = rig.multicasts.find(rig.hosted)
@@ -216,7 +218,7 @@ async def test_an_item_that_is_too_large_is_only_announced() -> None:
 
 
 async def test_short_items_with_long_attributes_go_in_several_messages(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fixed fault: 64 such items made a message of more than 1 MiB, which the host did not send."""
+    """In an earlier version, 64 such items made a message of more than 1 MiB, which the host did not send."""
     monkeypatch.setattr(channel_multicast, "MESSAGE_BYTES_MAX", 2500)
     rig = Rig()
     async with rig.reader() as opener:

@@ -72,7 +72,9 @@ async def test_after_a_move_a_full_channel_refuses_a_put_whose_wait_is_over() ->
 
 
 def test_the_retry_window_has_a_run_without_a_wait_before_its_first_items_are_announced() -> None:
-    """A fixed fault: a replica got the first items of such a run, and learned of the run only with the next change."""
+    """In an earlier version, a replica got the first items of such a run, and learned of the run only with the next
+    change.
+    """
     known = list[RunOutcome | None]()
 
     def announced(now: int) -> None:

@@ -28,8 +28,8 @@ def test_a_run_without_times_is_stamped_with_the_later_of_clock_and_newest_item(
 
 
 def test_the_stamped_time_of_a_run_without_times_is_never_too_old() -> None:
-    """A fixed fault: after an advance by a machine whose clock was 20 ms ahead, the puts of the next 20 ms were too
-    old.
+    """In an earlier version, after an advance by a machine whose clock was 20 ms ahead, the puts of the next 20 ms were
+    too old.
     """
     channel = a_channel(max_bytes=100)
     unstamped = Offer(times=None, durations=None, lengths=[1])
@@ -138,8 +138,9 @@ def wait_untimed(channel: ChannelCore, since: int, now: int) -> PutOutcome:
 
 
 def test_a_put_without_a_time_waits_for_an_item_from_the_future() -> None:
-    """A fixed fault: such a put counted into the newest bucket, which never becomes too old, so the put waited for
-    ever.
+    """In an earlier version, such a put counted as a part of the newest bucket, which never becomes too old.
+
+    So the put waited for ever.
     """
     channel = a_channel(max_items=1, max_age_nanos=100, on_full="block")
     put(channel, CLOCK + 50)
@@ -153,7 +154,7 @@ def test_a_put_without_a_time_waits_for_an_item_from_the_future() -> None:
 def test_of_two_waiting_puts_the_second_waits_until_max_age_collects_the_first() -> None:
     """Both puts began to wait at the same instant.
 
-    A fixed fault: when the first put had been accepted and had got its time, the second put waited for ever.
+    In an earlier version, when the first put had been accepted and had got its time, the second put waited for ever.
     """
     channel = a_channel(max_items=1, max_age_nanos=100, on_full="block")
     put(channel, CLOCK)
@@ -187,8 +188,8 @@ def test_without_consumers_a_waiting_put_is_accepted_once_the_clock_has_passed_t
 
 
 def test_a_put_beside_the_newest_item_of_a_full_channel_is_refused_at_once_if_nothing_can_make_room() -> None:
-    """A fixed fault: the put waited until its timeout and blocked all later puts, because the newest bucket never
-    becomes too old.
+    """In an earlier version, the put waited until its timeout and blocked all later puts, because the newest bucket
+    never becomes too old.
     """
     channel = a_channel(max_items=2, max_age_nanos=100, on_full="block")
     put(channel, CLOCK, CLOCK)

@@ -30,7 +30,7 @@ def looked(monkeypatch: pytest.MonkeyPatch) -> SliceCounter:
 
 
 def test_items_that_many_consumers_consumed_out_of_order_leave_after_a_bounded_number_of_steps() -> None:
-    """A fixed fault: the core looked at all 1024 consumers for each of 64 slices."""
+    """In an earlier version, the core looked at all 1024 consumers for each of 64 slices."""
     consumers, items = 300, 40
     channel = a_channel(consumers=consumers)
     for time in reversed(range(items)):
@@ -214,7 +214,7 @@ def test_a_late_item_before_many_outdated_items_frees_a_bounded_number_of_entrie
 
 
 def test_a_late_item_during_a_long_read_copies_only_the_entries_of_the_consumed_items(looked: SliceCounter) -> None:
-    """A fixed fault: the put copied all entries. 1,000,000 entries took 1.9 s."""
+    """In an earlier version, the put copied all entries. 1,000,000 entries took 1.9 s."""
     channel = a_channel(consumers=1, max_age_nanos=10**12)
     channel.consume(1, [], CLOCK)
     for time in range(ITEMS):
@@ -235,8 +235,8 @@ def test_a_late_item_during_a_long_read_copies_only_the_entries_of_the_consumed_
 def test_a_late_item_after_much_was_consumed_during_a_long_read_frees_a_bounded_number_of_entries(
     looked: SliceCounter,
 ) -> None:
-    """A fixed fault: the read kept all consumed entries, and the put of the late item copied and freed all of them in
-    one step.
+    """In an earlier version, the read kept all consumed entries, and the put of the late item copied and freed all of
+    them in one step.
     """
     channel = a_channel(consumers=1, max_age_nanos=10**12)
     channel.consume(1, [], CLOCK)

@@ -147,7 +147,7 @@ def permuted(items: int = 5000) -> ChannelCore:
 def test_a_subscription_merges_the_seqs_of_items_in_any_order_a_few_at_a_time(
     monkeypatch: pytest.MonkeyPatch, resumed: bool
 ) -> None:
-    """The seqs of 5000 items make one range. A fixed fault: they filled 20 lists of 256 ranges each."""
+    """The seqs of 5000 items make one range. In an earlier version, the seqs filled 20 lists of 256 ranges each."""
     yielded, ranges_of = 0, subscribing._Ranges.__iter__
 
     def counting(self: subscribing._Ranges) -> Iterator[subscribing.Range]:

@@ -139,8 +139,8 @@ def test_a_late_item_is_accepted_below_consumed_items() -> None:
 
 
 def test_the_rest_of_a_bucket_keeps_the_order_of_seqs_when_a_late_item_arrives_before_it() -> None:
-    """A fixed fault: a trimmed first entry of the bucket came after the others, and reads returned 7 to 12 before 3 to
-    6.
+    """In an earlier version, a trimmed first entry of the bucket came after the others, and reads returned 7 to 12
+    before 3 to 6.
     """
     channel = a_channel(consumers=1)
     put(channel, *[100] * 6)
@@ -300,7 +300,7 @@ def test_a_future_interval_is_not_called_collected_once_the_last_item_was_consum
 
 
 def test_with_a_thousand_consumers_a_put_or_consume_looks_at_few_of_them() -> None:
-    """A fixed fault: with 1000 consumers a put took 1 ms, and a consume 1.6 ms."""
+    """In an earlier version, with 1000 consumers a put took 1 ms, and a consume 1.6 ms."""
     channel = a_channel(consumers=1000)
     _, retention = channel.look(CLOCK)
     assert retention.consumers is not None
@@ -368,8 +368,9 @@ def test_consumers_learn_of_collected_items_in_bounded_parts_and_of_all_before_t
 
 
 def test_seqs_consumed_out_of_order_count_as_memory_of_the_channel_as_long_as_it_keeps_them() -> None:
-    """A fixed fault: no budget counted them. 30,000 separate seqs of each of 1024 consumers took 4 GB for 60,000 empty
-    items.
+    """In an earlier version, no budget counted these seqs.
+
+    30,000 separate seqs of each of 1024 consumers took 4 GB for 60,000 empty items.
     """
     channel = a_channel(consumers=2)
     put(channel, *range(10, 2010, 10))

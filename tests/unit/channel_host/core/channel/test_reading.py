@@ -271,7 +271,7 @@ def test_newest_after_an_instant_waits_for_a_later_one() -> None:
 
 
 def test_items_of_an_earlier_incarnation_are_lost_and_not_never_or_not_yet() -> None:
-    """A fixed fault: the answer said that nobody had put an item there."""
+    """In an earlier version, the answer said that nobody had put an item there."""
     channel = ChannelCore(Policy(max_items=9), incarnation=0xABC, lost_before=CLOCK)
     before = get(channel, CLOCK - 20, CLOCK - 10)
     assert (before.reason, before.complete, before.truncated) == ("LOST", False, True)

@@ -63,8 +63,9 @@ def test_items_that_were_collected_before_they_were_sent_are_a_gap_with_its_coun
 
 
 def test_a_reader_that_lags_far_gets_adjoining_gaps() -> None:
-    """A fixed fault: one call looked at all collected items. A million items took half a second and delayed all
-    callers.
+    """In an earlier version, one call looked at all collected items.
+
+    A million items took half a second and delayed all callers.
     """
     channel = a_channel(max_items=9999)
     for time in range(2500):

@@ -38,7 +38,7 @@ def test_the_oldest_message_ids_are_forgotten_when_they_take_too_much(monkeypatc
 def test_a_caller_of_many_message_ids_makes_the_queue_forget_its_own_and_no_others(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A fixed fault: one caller with many ids made the queue forget the ids of others."""
+    """In an earlier version, one caller with many ids made the queue forget the ids of others."""
     monkeypatch.setattr(message_ids, "KNOWN_BYTES_MAX", 100 * (4 + message_ids.OVERHEAD_BYTES))
     core = Core()
     good = [f"g{number}" for number in range(20)]

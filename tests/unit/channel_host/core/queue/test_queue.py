@@ -214,7 +214,9 @@ def test_a_put_whose_wait_is_over_refuses_the_rest_of_its_run() -> None:
 
 
 def test_a_retry_of_a_partly_accepted_run_continues_at_its_position() -> None:
-    """A fixed fault: the queue kept the refusal of the rest, and refused the retry, too, though it had room by then."""
+    """In an earlier version, the queue kept the refusal of the rest, and refused the retry, too, though it had room by
+    then.
+    """
     core = Core(max_items=1)
     run = core.put(1, 1, 1, producer_id=5, first_number=1)
     core.queue.withdraw(run, core.now)
@@ -399,8 +401,8 @@ def test_the_line_of_runs_that_wait_is_bounded_by_number_and_bytes(monkeypatch: 
 
 
 def test_the_waiting_runs_of_one_caller_leave_room_for_those_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fixed fault: a few large runs of one caller made the queue refuse the runs of all others, which could have
-    waited.
+    """In an earlier version, a few large runs of one caller made the queue refuse the runs of all others, which could
+    have waited.
     """
     monkeypatch.setattr(enqueuing, "WAITING_BYTES_MAX", 4000)
     monkeypatch.setattr(enqueuing, "WAITING_BYTES_OF_ONE_MAX", 3000)

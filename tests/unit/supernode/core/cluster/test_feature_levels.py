@@ -109,8 +109,8 @@ def test_the_level_never_falls_and_a_founding_cluster_begins_at_its_own() -> Non
 
 @pytest.mark.parametrize(("tenure", "raised"), [(1, False), (2, True), (3, False), (0, False)])
 def test_only_the_leader_of_the_present_tenure_raises_the_level(tenure: int, raised: bool) -> None:
-    """A fixed fault: a late command of a former leader raised the level, though a member of a lower level had just
-    joined.
+    """In an earlier version, a late command of a former leader raised the level, though a member of a lower level had
+    just joined.
     """
     newer = NewerReplica()
     founded = BeginTenure(

@@ -220,8 +220,9 @@ def test_a_snapshot_without_groups_and_copies_has_the_bytes_of_earlier_releases(
 
 
 def test_a_group_does_not_copy_the_ids_of_its_channels(log: Log) -> None:
-    """A fixed fault: each group kept copies. A caller that made and deleted groups filled the memory of the supernode
-    with copies.
+    """In an earlier version, each group kept copies.
+
+    A caller that made and deleted groups filled the memory of the supernode with copies.
     """
     left, right = channel(log, "left"), channel(log, "right")
     made = group(log, "pair", bytes(bytearray(left)))
