@@ -44,6 +44,16 @@ def test_each_read_returns_the_object_that_was_put(rt: st.Connection) -> None:
     assert [one.payload for one in channel.get(0, 300, payloads=False, newest_first=True)] == [None, None]
 
 
+def test_the_newest_item_of_a_run_is_its_last_item(rt: st.Connection) -> None:
+    channel = rt.channel("reference/newest-of-a-run", max_items=100)
+    with channel.producer() as producer:
+        for place in range(50):
+            producer.put(bytes([place]), time=1000 + place)
+    newest = channel.newest()
+    assert newest is not None
+    assert (newest.payload, newest.time, newest.seq) == (bytes([49]), 1049, 50)
+
+
 def test_a_waiting_get_returns_the_object_of_a_later_put(rt: st.Connection) -> None:
     channel = rt.channel("reference/waits", max_items=10)
     found: list[st.Item | None] = []

@@ -26,6 +26,7 @@ from stampede_rt_channel_host.core.channel import (
     Query,
     ReadAnswer,
     ReferencedBody,
+    Slice,
     Unfinished,
     WakeAt,
     first_of,
@@ -84,11 +85,11 @@ def at_now(store: ChannelStore, channel_id: bytes, epoch: int, time: int) -> Ans
     if hosted is None or (hosted.due is not None and hosted.due <= now):
         return None
     found = hosted.channel.at(time, now)
-    return None if found is None else _told(hosted, found)
+    return None if found is None else _one_told(hosted, found)
 
 
 def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> AnswerHere | None:
-    """The answer to a read of the newest item, if a program of this process has put that item. Changes nothing.
+    """The answer to a read of the newest item. Changes nothing.
 
     None: take `read_now`, which also finds the reason of a failure. The caller holds the turn of the loop.
     """
@@ -98,10 +99,11 @@ def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> AnswerHere
         return None
     is_due = hosted is None or (hosted.due is not None and hosted.due <= store.now())
     part = None if hosted is None or is_due else next(iter(hosted.channel.newest_slices()), None)
-    if hosted is None or part is None or not isinstance(part.run.body, ReferencedBody):
+    if hosted is None or part is None:
         return None
-    hosted.count_delivered(1, part.payload_bytes)
-    run = _run(DeliveredSlice(part, None), payloads=True)
+    newest = Slice(part.run, part.hi - 1, part.hi)
+    hosted.count_delivered(1, newest.payload_bytes)
+    run = _run(DeliveredSlice(newest, None), payloads=True)
     return AnswerHere((run,), None, False, False, False, None, hosted.channel.incarnation)
 
 
@@ -170,6 +172,16 @@ def _told(hosted: HostedChannel, answer: ReadAnswer, *, payloads: bool = True) -
         runs=runs, interval=answer.interval, complete=answer.complete, truncated=answer.truncated, more=answer.more,
         reason=answer.reason, incarnation=answer.incarnation,
     )  # fmt: skip
+
+
+def _one_told(hosted: HostedChannel, answer: ReadAnswer) -> AnswerHere:
+    """As `_told`, for an answer that is one slice."""
+    part = answer.slices[0]
+    hosted.count_delivered(part.items, part.payload_bytes)
+    run = _run(DeliveredSlice(part, answer.next_time), payloads=True)
+    return AnswerHere(
+        (run,), answer.interval, answer.complete, answer.truncated, answer.more, answer.reason, answer.incarnation
+    )
 
 
 def _run(delivered: DeliveredSlice, *, payloads: bool) -> RunHere:
