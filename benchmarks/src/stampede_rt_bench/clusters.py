@@ -54,6 +54,6 @@ def cluster_of(hosts: int, network: NamespaceNetwork | None) -> LocalCluster:
 
 @contextmanager
 def connected(*, hosts: int = 1) -> Iterator[st.Connection]:
-    """Yield a connection to a new cluster of one supernode and `hosts` hosts. Both end with the context."""
-    with running(hosts=hosts) as address, st.connect(address) as rt:
+    """Yield a connection over gRPC to a new cluster of one supernode and `hosts` hosts. Both end with the context."""
+    with running(hosts=hosts) as address, st.connect(address, transport="grpc") as rt:
         yield rt

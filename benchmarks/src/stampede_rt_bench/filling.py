@@ -45,6 +45,25 @@ def filled_remote_channel(rt: st.Connection, items: int) -> st.Channel:
     return channel
 
 
+def filled_embedded_channel(rt: st.Connection, items: int) -> tuple[st.Channel, st.Item]:
+    """Return a channel at the host in this process, filled as in `filled_remote_channel`, and its item in the middle.
+
+    A producer puts all other items in runs. The item in the middle is a put of its own, so reads return its payload by
+    reference.
+    """
+    channel = rt.channel(f"bench/embedded/{items}", max_items=items, max_bytes=REMOTE_BYTES_MAX)
+    first = st.now() - items * REMOTE_PERIOD_NANOS
+    payload, half = bytes(PAYLOAD_BYTES), items // 2
+    with channel.producer() as producer:
+        for place in range(half):
+            producer.put(payload, time=first + place * REMOTE_PERIOD_NANOS)
+    middle = channel.put(payload, time=first + half * REMOTE_PERIOD_NANOS)
+    with channel.producer() as producer:
+        for place in range(half + 1, items):
+            producer.put(payload, time=first + place * REMOTE_PERIOD_NANOS)
+    return channel, middle
+
+
 def put_run(channel: ChannelCore, places: range) -> None:
     """Put one run with the items at these places. Raises AssertionError if the channel does not accept all of them."""
     times = [time_of(place) for place in places]

@@ -1,9 +1,10 @@
 """Figure 4 of the paper: the cost of one get by time, by the number of held items and the position of the item.
 
 Like the paper's figure, it measures the core of the host: a get by reference. Another line measures the same get of a
-client over gRPC, from a host in another process. For comparison there is the code that a user would write: a search in
-a SortedDict from time to payload for the newest time that is not later. It knows no spans, seqs or reasons, and shows
-the cost of the search alone in Python.
+client over gRPC, from a host in another process. A third line measures `Channel.at` of a program that hosts the channel
+itself: it returns the very payload that the program has put. For comparison there is the code that a user would write:
+a search in a SortedDict from time to payload for the newest time that is not later. It knows no spans, seqs or reasons,
+and shows the cost of the search alone in Python.
 """
 
 from __future__ import annotations
@@ -14,13 +15,15 @@ from pathlib import Path
 
 from sortedcontainers import SortedDict
 
+import stampede_rt as st
 from stampede_rt.values.timeline import parse_interval
 from stampede_rt_bench.charts import Axes, draw_lines
-from stampede_rt_bench.clusters import connected
+from stampede_rt_bench.clusters import connected, running
 from stampede_rt_bench.filling import (
     PERIOD_NANOS,
     REMOTE_PERIOD_NANOS,
     filled_channel,
+    filled_embedded_channel,
     filled_remote_channel,
     time_of,
 )
@@ -32,7 +35,10 @@ GETS_PER_RUN = 20_000
 POSITIONS = {"early": 0.01, "middle": 0.5, "late": 0.99}
 BY_HAND = "by hand, middle"
 OVER_GRPC = "over gRPC, middle"
+EMBEDDED = "embedded host, middle"
 REMOTE_GETS = 500
+EMBEDDED_GETS = 5_000
+EMBEDDED_MEMORY = "16GiB"
 FEWEST, JUDGED_FROM = 10, 1000
 
 
@@ -44,6 +50,7 @@ def measure(effort: Effort, chart: Path) -> Table:
             lines[name].append((items, value))
         lines[BY_HAND].append((items, _of_sorted_dict(items, effort.runs)))
     lines[OVER_GRPC] = _over_grpc(effort)
+    lines[EMBEDDED] = _embedded(effort)
     title = f"One get by time, items of {PAYLOAD_BYTES} B, put one by one"
     draw_lines(chart, Axes(title=title, x="items in the channel", y="microseconds"), lines)
     return _table(lines)
@@ -92,6 +99,19 @@ def _over_grpc(effort: Effort) -> list[tuple[float, Spread]]:
     return points
 
 
+def _embedded(effort: Effort) -> list[tuple[float, Spread]]:
+    points: list[tuple[float, Spread]] = []
+    with running(hosts=0) as address, st.host(address, max_memory=EMBEDDED_MEMORY) as rt:
+        for items in effort.sizes(FEWEST):
+            channel, middle = filled_embedded_channel(rt, items)
+            instant = middle.time + REMOTE_PERIOD_NANOS // 2
+            if channel.at(instant)[0].payload is not middle.payload:
+                raise AssertionError(f"the item in the middle of {items} is not returned by reference")
+            points.append((items, microseconds(partial(channel.at, instant), times=EMBEDDED_GETS, runs=effort.runs)))
+            channel.delete()
+    return points
+
+
 def _table(lines: dict[str, list[tuple[float, Spread]]]) -> Table:
     table = Table(["items", *(f"{name}, us" for name in lines)])
     for place, (items, _) in enumerate(lines["early"]):
@@ -101,12 +121,14 @@ def _table(lines: dict[str, list[tuple[float, Spread]]]) -> Table:
         for place, (items, _) in enumerate(lines["early"])
         if items >= JUDGED_FROM
     ]
+    embedded = [points.median for items, points in lines[EMBEDDED] if items >= JUDGED_FROM]
     growth = max(last / first for first, last in zip(means[0], means[-1], strict=True))
     between = max(max(row) / min(row) for row in means)
     table.notes = [
         "early, middle, late: the host's core alone, as in the paper; over gRPC: from a client to a host process.",
         f"From {JUDGED_FROM:,} items to the largest channel the cost grows {growth:.2f} times at the most (goal: 3);",
         f"no position costs more than {between:.2f} times another (goal: 2). Medians (least to most) of the runs.",
+        f"Embedded host: a get by reference grows {max(embedded) / embedded[0]:.2f} times (goal: under 20 us, flat).",
         "Those of the paper (2.2 GHz dual-core Opteron, 5 runs of 10,000,000 gets) are in a graph that our copy lacks.",
     ]
     return table
