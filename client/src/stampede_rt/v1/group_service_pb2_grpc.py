@@ -93,10 +93,10 @@ class GroupServiceServicer(object):
     def SubscribeCuts(self, request_iterator, context):
         """Receive cut events: the items that the group makes visible together. Open one stream to each host that owns
         members. The caller chooses one host, which decides when an event is due. The caller passes each decision to the
-        others, and each answers with the items of its own channels. Each item comes in exactly one event. The host sends
-        an event when the caller grants credit for one. So a slow reader gets fewer and larger events. Errors:
-        GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED, NOT_HERE (a member
-        has left this host), UNAVAILABLE (a member has come to this host, or the group has other members).
+        other hosts, and each of these answers with the items of its own channels. Each item comes in exactly one event.
+        The host sends an event when the caller grants credit for one. So a slow reader gets fewer and larger events.
+        Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED, NOT_HERE
+        (a member has left this host), UNAVAILABLE (a member has come to this host, or the group has other members).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

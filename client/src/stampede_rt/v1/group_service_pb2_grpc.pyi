@@ -51,10 +51,10 @@ class GroupServiceStub:
     SubscribeCuts: _grpc.StreamStreamMultiCallable[_group_service_pb2.SubscribeCutsRequest, _group_service_pb2.SubscribeCutsResponse]
     """Receive cut events: the items that the group makes visible together. Open one stream to each host that owns
     members. The caller chooses one host, which decides when an event is due. The caller passes each decision to the
-    others, and each answers with the items of its own channels. Each item comes in exactly one event. The host sends
-    an event when the caller grants credit for one. So a slow reader gets fewer and larger events. Errors:
-    GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED, NOT_HERE (a member
-    has left this host), UNAVAILABLE (a member has come to this host, or the group has other members).
+    other hosts, and each of these answers with the items of its own channels. Each item comes in exactly one event.
+    The host sends an event when the caller grants credit for one. So a slow reader gets fewer and larger events.
+    Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED, NOT_HERE
+    (a member has left this host), UNAVAILABLE (a member has come to this host, or the group has other members).
     """
     SubscribeMatches: _grpc.StreamStreamMultiCallable[_group_service_pb2.SubscribeMatchesRequest, _group_service_pb2.SubscribeMatchesResponse]
     """Receive matches: each item of one channel, in time order, with the nearest item of every other member. The owner of
@@ -88,10 +88,10 @@ class GroupServiceAsyncStub(GroupServiceStub):
     SubscribeCuts: _aio.StreamStreamMultiCallable[_group_service_pb2.SubscribeCutsRequest, _group_service_pb2.SubscribeCutsResponse]  # type: ignore[assignment]
     """Receive cut events: the items that the group makes visible together. Open one stream to each host that owns
     members. The caller chooses one host, which decides when an event is due. The caller passes each decision to the
-    others, and each answers with the items of its own channels. Each item comes in exactly one event. The host sends
-    an event when the caller grants credit for one. So a slow reader gets fewer and larger events. Errors:
-    GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED, NOT_HERE (a member
-    has left this host), UNAVAILABLE (a member has come to this host, or the group has other members).
+    other hosts, and each of these answers with the items of its own channels. Each item comes in exactly one event.
+    The host sends an event when the caller grants credit for one. So a slow reader gets fewer and larger events.
+    Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED, NOT_HERE
+    (a member has left this host), UNAVAILABLE (a member has come to this host, or the group has other members).
     """
     SubscribeMatches: _aio.StreamStreamMultiCallable[_group_service_pb2.SubscribeMatchesRequest, _group_service_pb2.SubscribeMatchesResponse]  # type: ignore[assignment]
     """Receive matches: each item of one channel, in time order, with the nearest item of every other member. The owner of
@@ -140,10 +140,10 @@ class GroupServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_abc.Iterator[_group_service_pb2.SubscribeCutsResponse], _abc.AsyncIterator[_group_service_pb2.SubscribeCutsResponse]]:
         """Receive cut events: the items that the group makes visible together. Open one stream to each host that owns
         members. The caller chooses one host, which decides when an event is due. The caller passes each decision to the
-        others, and each answers with the items of its own channels. Each item comes in exactly one event. The host sends
-        an event when the caller grants credit for one. So a slow reader gets fewer and larger events. Errors:
-        GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED, NOT_HERE (a member
-        has left this host), UNAVAILABLE (a member has come to this host, or the group has other members).
+        other hosts, and each of these answers with the items of its own channels. Each item comes in exactly one event.
+        The host sends an event when the caller grants credit for one. So a slow reader gets fewer and larger events.
+        Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED, NOT_HERE
+        (a member has left this host), UNAVAILABLE (a member has come to this host, or the group has other members).
         """
 
     @_abc_1.abstractmethod

@@ -75,8 +75,8 @@ class MembershipServiceServicer(object):
     def AddSupernode(self, request, context):
         """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
         call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
-        ended, or is of another cluster), INVALID_ARGUMENT (the id was that of a former member), OVERLOADED (another change
-        is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
+        ended, or is of another cluster), INVALID_ARGUMENT (a former member had the id), OVERLOADED (another change is
+        under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -43,8 +43,8 @@ class MembershipServiceStub:
     AddSupernode: _grpc.UnaryUnaryMultiCallable[_membership_service_pb2.AddSupernodeRequest, _membership_service_pb2.AddSupernodeResponse]
     """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
     call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
-    ended, or is of another cluster), INVALID_ARGUMENT (the id was that of a former member), OVERLOADED (another change
-    is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
+    ended, or is of another cluster), INVALID_ARGUMENT (a former member had the id), OVERLOADED (another change is
+    under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
     """
     RemoveSupernode: _grpc.UnaryUnaryMultiCallable[_membership_service_pb2.RemoveSupernodeRequest, _membership_service_pb2.RemoveSupernodeResponse]
     """Remove a member for ever; its id never comes back. Idempotent: an absent member is not an error. If the member to
@@ -75,8 +75,8 @@ class MembershipServiceAsyncStub(MembershipServiceStub):
     AddSupernode: _aio.UnaryUnaryMultiCallable[_membership_service_pb2.AddSupernodeRequest, _membership_service_pb2.AddSupernodeResponse]  # type: ignore[assignment]
     """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
     call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
-    ended, or is of another cluster), INVALID_ARGUMENT (the id was that of a former member), OVERLOADED (another change
-    is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
+    ended, or is of another cluster), INVALID_ARGUMENT (a former member had the id), OVERLOADED (another change is
+    under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
     """
     RemoveSupernode: _aio.UnaryUnaryMultiCallable[_membership_service_pb2.RemoveSupernodeRequest, _membership_service_pb2.RemoveSupernodeResponse]  # type: ignore[assignment]
     """Remove a member for ever; its id never comes back. Idempotent: an absent member is not an error. If the member to
@@ -116,8 +116,8 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_membership_service_pb2.AddSupernodeResponse, _abc.Awaitable[_membership_service_pb2.AddSupernodeResponse]]:
         """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
         call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
-        ended, or is of another cluster), INVALID_ARGUMENT (the id was that of a former member), OVERLOADED (another change
-        is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
+        ended, or is of another cluster), INVALID_ARGUMENT (a former member had the id), OVERLOADED (another change is
+        under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
         """
 
     @_abc_1.abstractmethod

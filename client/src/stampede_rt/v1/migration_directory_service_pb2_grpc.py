@@ -73,15 +73,15 @@ class MigrationDirectoryServiceServicer(object):
 
     def CommitMove(self, request, context):
         """Between hosts and supernodes only: make the host `to_host_id` the owner of a channel, with the next epoch and the
-        same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-        owner accepts no puts meanwhile. It proves this with the permit that the present owner gave it with the last facts
-        (FeedHandoff.permit). A permit is for one channel, one epoch and one new owner. The former owner then keeps its items as a copy of kind MOVE, which becomes the
-        owner again if the new owner's lease ends. The new owner acknowledges puts only after it has removed that copy
-        (ReplicaDirectoryService.RemoveReplica). If the new owner held a replica, the former owner takes its place instead: it
-        becomes a replica in sync, for which the new owner waits. The present owner itself may call this to end a move: it stays the owner,
-        and its new epoch makes any other CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors:
-        WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also
-        without the owner's permit).
+        same incarnation. The caller is that host, and holds everything that the present owner has accepted. The present
+        owner accepts no puts meanwhile. The caller proves this with the permit that came from the present owner with the
+        last facts (FeedHandoff.permit). A permit is for one channel, one epoch and one new owner. The former owner then
+        keeps its items as a copy of kind MOVE, which becomes the owner again if the new owner's lease ends. The new owner
+        acknowledges puts only after it has removed that copy (ReplicaDirectoryService.RemoveReplica). If the new owner
+        held a replica, the former owner takes its place instead: it becomes a replica in sync, for which the new owner
+        waits. The present owner itself may call this to end a move: it stays the owner, and its new epoch makes any other
+        CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors: WRONG_EPOCH, CHANNEL_NOT_FOUND,
+        HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also without the owner's permit).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -97,17 +97,17 @@ class MigrationDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ReleaseMoves(self, request, context):
-        """Between hosts and supernodes only: the new owner of channels has no more need of their former owners, which are their
-        heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays one.
-        Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
+        """Between hosts and supernodes only: the new owner of channels no longer needs their former owners, which are their
+        heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays a
+        replica. Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ListReleasedMoves(self, request, context):
-        """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that it
-        can drop their items. It reads no more than that. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
+        """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that
+        this host can drop their items. The call reads nothing else. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -122,12 +122,12 @@ class MigrationDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def CommitQueueMove(self, request, context):
-        """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
-        the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-        owner changes nothing meanwhile. Its permit came with the last part of the queue (HandOverQueueResponse.permit), see
-        CommitMove. The present owner itself may call this to end a move, as with CommitMove. There is no
-        heir: from this entry on the messages are at the new owner only. Idempotent. Errors: WRONG_EPOCH, QUEUE_NOT_FOUND,
-        HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+        """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch
+        and the same incarnation. The caller is that host, and holds everything that the present owner has accepted. The
+        present owner changes nothing meanwhile. The present owner's permit came with the last part of the queue
+        (HandOverQueueResponse.permit), see CommitMove. The present owner itself may call this to end a move, as with
+        CommitMove. A queue has no heir: from this entry on, only the new owner has the messages. Idempotent. Errors:
+        WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -35,15 +35,15 @@ class MigrationDirectoryServiceStub:
     def __new__(cls, channel: _aio.Channel) -> MigrationDirectoryServiceAsyncStub: ...
     CommitMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMoveRequest, _migration_directory_service_pb2.CommitMoveResponse]
     """Between hosts and supernodes only: make the host `to_host_id` the owner of a channel, with the next epoch and the
-    same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-    owner accepts no puts meanwhile. It proves this with the permit that the present owner gave it with the last facts
-    (FeedHandoff.permit). A permit is for one channel, one epoch and one new owner. The former owner then keeps its items as a copy of kind MOVE, which becomes the
-    owner again if the new owner's lease ends. The new owner acknowledges puts only after it has removed that copy
-    (ReplicaDirectoryService.RemoveReplica). If the new owner held a replica, the former owner takes its place instead: it
-    becomes a replica in sync, for which the new owner waits. The present owner itself may call this to end a move: it stays the owner,
-    and its new epoch makes any other CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors:
-    WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also
-    without the owner's permit).
+    same incarnation. The caller is that host, and holds everything that the present owner has accepted. The present
+    owner accepts no puts meanwhile. The caller proves this with the permit that came from the present owner with the
+    last facts (FeedHandoff.permit). A permit is for one channel, one epoch and one new owner. The former owner then
+    keeps its items as a copy of kind MOVE, which becomes the owner again if the new owner's lease ends. The new owner
+    acknowledges puts only after it has removed that copy (ReplicaDirectoryService.RemoveReplica). If the new owner
+    held a replica, the former owner takes its place instead: it becomes a replica in sync, for which the new owner
+    waits. The present owner itself may call this to end a move: it stays the owner, and its new epoch makes any other
+    CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors: WRONG_EPOCH, CHANNEL_NOT_FOUND,
+    HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also without the owner's permit).
     """
     CommitMoves: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMovesRequest, _migration_directory_service_pb2.CommitMovesResponse]
     """Between hosts and supernodes only: as CommitMove, for several channels that move to one host, with one entry of the
@@ -51,25 +51,25 @@ class MigrationDirectoryServiceStub:
     Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED (another host's certificate), VERSION_MISMATCH.
     """
     ReleaseMoves: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ReleaseMovesRequest, _migration_directory_service_pb2.ReleaseMovesResponse]
-    """Between hosts and supernodes only: the new owner of channels has no more need of their former owners, which are their
-    heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays one.
-    Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
+    """Between hosts and supernodes only: the new owner of channels no longer needs their former owners, which are their
+    heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays a
+    replica. Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
     """
     ListReleasedMoves: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListReleasedMovesRequest, _migration_directory_service_pb2.ListReleasedMovesResponse]
-    """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that it
-    can drop their items. It reads no more than that. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
+    """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that
+    this host can drop their items. The call reads nothing else. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
     """
     ListOwners: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListOwnersRequest, _migration_directory_service_pb2.ListOwnersResponse]
     """Between hosts and supernodes only: as DirectoryService.ResolveChannel, for several channels that are to move. Channels
     that do not exist are not in the answer. Errors: INVALID_ARGUMENT.
     """
     CommitQueueMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitQueueMoveRequest, _migration_directory_service_pb2.CommitQueueMoveResponse]
-    """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
-    the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-    owner changes nothing meanwhile. Its permit came with the last part of the queue (HandOverQueueResponse.permit), see
-    CommitMove. The present owner itself may call this to end a move, as with CommitMove. There is no
-    heir: from this entry on the messages are at the new owner only. Idempotent. Errors: WRONG_EPOCH, QUEUE_NOT_FOUND,
-    HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+    """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch
+    and the same incarnation. The caller is that host, and holds everything that the present owner has accepted. The
+    present owner changes nothing meanwhile. The present owner's permit came with the last part of the queue
+    (HandOverQueueResponse.permit), see CommitMove. The present owner itself may call this to end a move, as with
+    CommitMove. A queue has no heir: from this entry on, only the new owner has the messages. Idempotent. Errors:
+    WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
     """
 
 @_typing.type_check_only
@@ -79,15 +79,15 @@ class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
     def __init__(self, channel: _aio.Channel) -> None: ...
     CommitMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMoveRequest, _migration_directory_service_pb2.CommitMoveResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: make the host `to_host_id` the owner of a channel, with the next epoch and the
-    same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-    owner accepts no puts meanwhile. It proves this with the permit that the present owner gave it with the last facts
-    (FeedHandoff.permit). A permit is for one channel, one epoch and one new owner. The former owner then keeps its items as a copy of kind MOVE, which becomes the
-    owner again if the new owner's lease ends. The new owner acknowledges puts only after it has removed that copy
-    (ReplicaDirectoryService.RemoveReplica). If the new owner held a replica, the former owner takes its place instead: it
-    becomes a replica in sync, for which the new owner waits. The present owner itself may call this to end a move: it stays the owner,
-    and its new epoch makes any other CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors:
-    WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also
-    without the owner's permit).
+    same incarnation. The caller is that host, and holds everything that the present owner has accepted. The present
+    owner accepts no puts meanwhile. The caller proves this with the permit that came from the present owner with the
+    last facts (FeedHandoff.permit). A permit is for one channel, one epoch and one new owner. The former owner then
+    keeps its items as a copy of kind MOVE, which becomes the owner again if the new owner's lease ends. The new owner
+    acknowledges puts only after it has removed that copy (ReplicaDirectoryService.RemoveReplica). If the new owner
+    held a replica, the former owner takes its place instead: it becomes a replica in sync, for which the new owner
+    waits. The present owner itself may call this to end a move: it stays the owner, and its new epoch makes any other
+    CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors: WRONG_EPOCH, CHANNEL_NOT_FOUND,
+    HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also without the owner's permit).
     """
     CommitMoves: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMovesRequest, _migration_directory_service_pb2.CommitMovesResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: as CommitMove, for several channels that move to one host, with one entry of the
@@ -95,25 +95,25 @@ class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
     Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED (another host's certificate), VERSION_MISMATCH.
     """
     ReleaseMoves: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ReleaseMovesRequest, _migration_directory_service_pb2.ReleaseMovesResponse]  # type: ignore[assignment]
-    """Between hosts and supernodes only: the new owner of channels has no more need of their former owners, which are their
-    heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays one.
-    Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
+    """Between hosts and supernodes only: the new owner of channels no longer needs their former owners, which are their
+    heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays a
+    replica. Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
     """
     ListReleasedMoves: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListReleasedMovesRequest, _migration_directory_service_pb2.ListReleasedMovesResponse]  # type: ignore[assignment]
-    """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that it
-    can drop their items. It reads no more than that. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
+    """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that
+    this host can drop their items. The call reads nothing else. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
     """
     ListOwners: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListOwnersRequest, _migration_directory_service_pb2.ListOwnersResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: as DirectoryService.ResolveChannel, for several channels that are to move. Channels
     that do not exist are not in the answer. Errors: INVALID_ARGUMENT.
     """
     CommitQueueMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitQueueMoveRequest, _migration_directory_service_pb2.CommitQueueMoveResponse]  # type: ignore[assignment]
-    """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
-    the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-    owner changes nothing meanwhile. Its permit came with the last part of the queue (HandOverQueueResponse.permit), see
-    CommitMove. The present owner itself may call this to end a move, as with CommitMove. There is no
-    heir: from this entry on the messages are at the new owner only. Idempotent. Errors: WRONG_EPOCH, QUEUE_NOT_FOUND,
-    HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+    """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch
+    and the same incarnation. The caller is that host, and holds everything that the present owner has accepted. The
+    present owner changes nothing meanwhile. The present owner's permit came with the last part of the queue
+    (HandOverQueueResponse.permit), see CommitMove. The present owner itself may call this to end a move, as with
+    CommitMove. A queue has no heir: from this entry on, only the new owner has the messages. Idempotent. Errors:
+    WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
     """
 
 class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -126,15 +126,15 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_migration_directory_service_pb2.CommitMoveResponse, _abc.Awaitable[_migration_directory_service_pb2.CommitMoveResponse]]:
         """Between hosts and supernodes only: make the host `to_host_id` the owner of a channel, with the next epoch and the
-        same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-        owner accepts no puts meanwhile. It proves this with the permit that the present owner gave it with the last facts
-        (FeedHandoff.permit). A permit is for one channel, one epoch and one new owner. The former owner then keeps its items as a copy of kind MOVE, which becomes the
-        owner again if the new owner's lease ends. The new owner acknowledges puts only after it has removed that copy
-        (ReplicaDirectoryService.RemoveReplica). If the new owner held a replica, the former owner takes its place instead: it
-        becomes a replica in sync, for which the new owner waits. The present owner itself may call this to end a move: it stays the owner,
-        and its new epoch makes any other CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors:
-        WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also
-        without the owner's permit).
+        same incarnation. The caller is that host, and holds everything that the present owner has accepted. The present
+        owner accepts no puts meanwhile. The caller proves this with the permit that came from the present owner with the
+        last facts (FeedHandoff.permit). A permit is for one channel, one epoch and one new owner. The former owner then
+        keeps its items as a copy of kind MOVE, which becomes the owner again if the new owner's lease ends. The new owner
+        acknowledges puts only after it has removed that copy (ReplicaDirectoryService.RemoveReplica). If the new owner
+        held a replica, the former owner takes its place instead: it becomes a replica in sync, for which the new owner
+        waits. The present owner itself may call this to end a move: it stays the owner, and its new epoch makes any other
+        CommitMove of the former epoch fail. It needs no permit. Idempotent. Errors: WRONG_EPOCH, CHANNEL_NOT_FOUND,
+        HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED (also without the owner's permit).
         """
 
     @_abc_1.abstractmethod
@@ -154,9 +154,9 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_directory_service_pb2.ReleaseMovesRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_directory_service_pb2.ReleaseMovesResponse, _abc.Awaitable[_migration_directory_service_pb2.ReleaseMovesResponse]]:
-        """Between hosts and supernodes only: the new owner of channels has no more need of their former owners, which are their
-        heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays one.
-        Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
+        """Between hosts and supernodes only: the new owner of channels no longer needs their former owners, which are their
+        heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays a
+        replica. Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
         """
 
     @_abc_1.abstractmethod
@@ -165,8 +165,8 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_directory_service_pb2.ListReleasedMovesRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_directory_service_pb2.ListReleasedMovesResponse, _abc.Awaitable[_migration_directory_service_pb2.ListReleasedMovesResponse]]:
-        """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that it
-        can drop their items. It reads no more than that. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
+        """Between hosts and supernodes only: list the channels of which the directory has nothing at a former owner, so that
+        this host can drop their items. The call reads nothing else. Errors: INVALID_ARGUMENT, PERMISSION_DENIED.
         """
 
     @_abc_1.abstractmethod
@@ -185,12 +185,12 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_directory_service_pb2.CommitQueueMoveRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_directory_service_pb2.CommitQueueMoveResponse, _abc.Awaitable[_migration_directory_service_pb2.CommitQueueMoveResponse]]:
-        """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch and
-        the same incarnation. The caller is that host, and holds everything that the present owner has accepted; the present
-        owner changes nothing meanwhile. Its permit came with the last part of the queue (HandOverQueueResponse.permit), see
-        CommitMove. The present owner itself may call this to end a move, as with CommitMove. There is no
-        heir: from this entry on the messages are at the new owner only. Idempotent. Errors: WRONG_EPOCH, QUEUE_NOT_FOUND,
-        HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
+        """Between hosts and supernodes only: make the host `to_host_id` the owner of a queue or mailbox, with the next epoch
+        and the same incarnation. The caller is that host, and holds everything that the present owner has accepted. The
+        present owner changes nothing meanwhile. The present owner's permit came with the last part of the queue
+        (HandOverQueueResponse.permit), see CommitMove. The present owner itself may call this to end a move, as with
+        CommitMove. A queue has no heir: from this entry on, only the new owner has the messages. Idempotent. Errors:
+        WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
         """
 
 def add_MigrationDirectoryServiceServicer_to_server(servicer: MigrationDirectoryServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

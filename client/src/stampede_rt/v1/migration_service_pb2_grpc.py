@@ -27,8 +27,8 @@ if _version_not_supported:
 
 class MigrationServiceStub(object):
     """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
-    owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
-    the rest, and commits the move in the directory.
+    owner. It gets the items from the present owner (ReplicaService.Feed with `move_id`). It then makes the present owner
+    hold all changes, gets the rest, and commits the move in the directory.
     """
 
     def __init__(self, channel):
@@ -71,47 +71,48 @@ class MigrationServiceStub(object):
 
 class MigrationServiceServicer(object):
     """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
-    owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
-    the rest, and commits the move in the directory.
+    owner. It gets the items from the present owner (ReplicaService.Feed with `move_id`). It then makes the present owner
+    hold all changes, gets the rest, and commits the move in the directory.
     """
 
     def AllowMove(self, request, context):
-        """Let another host become the owner of a channel, a queue or a mailbox of this host: it hands the channel over only to
-        a host that was named here within the last minute. A caller calls this at the owner, and then MoveHere at the other
-        host. A host that drains allows its own moves. A caller needs the right to configure the channel or queue; a host may
-        do this only for itself. Idempotent. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, NOT_HERE, INVALID_ARGUMENT,
-        PERMISSION_DENIED.
+        """Let another host become the owner of a channel, a queue or a mailbox of this host: this host hands the channel over
+        only to a host that an AllowMove named within the last minute. A caller calls this at the owner, and then MoveHere
+        at the other host. A host that drains allows its own moves. A caller needs the right to configure the channel or
+        queue; a host may name only itself. Idempotent. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, NOT_HERE,
+        INVALID_ARGUMENT, PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def MoveHere(self, request, context):
-        """Make this host the owner of a channel, a queue or a mailbox. The present owner must have been told so before
-        (AllowMove). The host answers when it is the owner and acknowledges
-        puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
-        Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
-        OVERLOADED (32 moves of channels, or 8 of queues, to or from one host are under way; the copy cannot catch up),
-        WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+        """Make this host the owner of a channel, a queue or a mailbox. Call AllowMove at the present owner first. The called
+        host answers when it is the owner and acknowledges puts. If it is the owner already, it answers at once. A caller
+        needs the right to configure the channel or queue. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT
+        (another move of the channel is under way), OVERLOADED (32 moves of channels, or 8 of queues, to or from one host
+        are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS,
+        UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def MoveEachHere(self, request_iterator, context):
-        """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels, and the host answers
-        each once, in any order. It reads no further request while 64 channels have no answer. Errors that end the
-        stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
+        """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels. The host answers
+        each of them one time, in any order. It reads no further request while 64 channels have no answer. Errors that end
+        the stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def HandOverQueue(self, request_iterator, context):
-        """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers, lets
-        all calls wait, and sends the whole queue in parts. It waits for `committed_epoch` then. If the stream ends without it,
-        this host asks the directory who owns the queue, and serves it again if it is the owner. Errors: WRONG_EPOCH,
-        NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end), SHUTTING_DOWN.
+        """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers,
+        makes all calls wait, and sends the whole queue in parts. It then waits for `committed_epoch`. If the stream ends
+        without it, this host asks the directory who owns the queue, and serves it again if it is the owner. Errors:
+        WRONG_EPOCH, NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end),
+        SHUTTING_DOWN.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -129,9 +130,9 @@ class MigrationServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def DrainHost(self, request, context):
-        """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
-        group go to the same host. The host continues to serve, and may get other channels. Errors: PERMISSION_DENIED,
-        SHUTTING_DOWN. What could not be moved is in the answer.
+        """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of
+        one group go to the same host. The called host continues to serve, and may get other channels. The answer names the
+        channels, queues and mailboxes that could not be moved. Errors: PERMISSION_DENIED, SHUTTING_DOWN.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -180,8 +181,8 @@ def add_MigrationServiceServicer_to_server(servicer, server):
  # This class is part of an EXPERIMENTAL API.
 class MigrationService(object):
     """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
-    owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
-    the rest, and commits the move in the directory.
+    owner. It gets the items from the present owner (ReplicaService.Feed with `move_id`). It then makes the present owner
+    hold all changes, gets the rest, and commits the move in the directory.
     """
 
     @staticmethod

@@ -28,8 +28,8 @@ GRPC_VERSION: str
 
 class MigrationServiceStub:
     """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
-    owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
-    the rest, and commits the move in the directory.
+    owner. It gets the items from the present owner (ReplicaService.Feed with `move_id`). It then makes the present owner
+    hold all changes, gets the rest, and commits the move in the directory.
     """
 
     @_typing.overload
@@ -37,30 +37,31 @@ class MigrationServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> MigrationServiceAsyncStub: ...
     AllowMove: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.AllowMoveRequest, _migration_service_pb2.AllowMoveResponse]
-    """Let another host become the owner of a channel, a queue or a mailbox of this host: it hands the channel over only to
-    a host that was named here within the last minute. A caller calls this at the owner, and then MoveHere at the other
-    host. A host that drains allows its own moves. A caller needs the right to configure the channel or queue; a host may
-    do this only for itself. Idempotent. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, NOT_HERE, INVALID_ARGUMENT,
-    PERMISSION_DENIED.
+    """Let another host become the owner of a channel, a queue or a mailbox of this host: this host hands the channel over
+    only to a host that an AllowMove named within the last minute. A caller calls this at the owner, and then MoveHere
+    at the other host. A host that drains allows its own moves. A caller needs the right to configure the channel or
+    queue; a host may name only itself. Idempotent. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, NOT_HERE,
+    INVALID_ARGUMENT, PERMISSION_DENIED.
     """
     MoveHere: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.MoveHereRequest, _migration_service_pb2.MoveHereResponse]
-    """Make this host the owner of a channel, a queue or a mailbox. The present owner must have been told so before
-    (AllowMove). The host answers when it is the owner and acknowledges
-    puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
-    Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
-    OVERLOADED (32 moves of channels, or 8 of queues, to or from one host are under way; the copy cannot catch up),
-    WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+    """Make this host the owner of a channel, a queue or a mailbox. Call AllowMove at the present owner first. The called
+    host answers when it is the owner and acknowledges puts. If it is the owner already, it answers at once. A caller
+    needs the right to configure the channel or queue. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT
+    (another move of the channel is under way), OVERLOADED (32 moves of channels, or 8 of queues, to or from one host
+    are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS,
+    UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     MoveEachHere: _grpc.StreamStreamMultiCallable[_migration_service_pb2.MoveEachHereRequest, _migration_service_pb2.MoveEachHereResponse]
-    """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels, and the host answers
-    each once, in any order. It reads no further request while 64 channels have no answer. Errors that end the
-    stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
+    """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels. The host answers
+    each of them one time, in any order. It reads no further request while 64 channels have no answer. Errors that end
+    the stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     HandOverQueue: _grpc.StreamStreamMultiCallable[_migration_service_pb2.HandOverQueueRequest, _migration_service_pb2.HandOverQueueResponse]
-    """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers, lets
-    all calls wait, and sends the whole queue in parts. It waits for `committed_epoch` then. If the stream ends without it,
-    this host asks the directory who owns the queue, and serves it again if it is the owner. Errors: WRONG_EPOCH,
-    NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end), SHUTTING_DOWN.
+    """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers,
+    makes all calls wait, and sends the whole queue in parts. It then waits for `committed_epoch`. If the stream ends
+    without it, this host asks the directory who owns the queue, and serves it again if it is the owner. Errors:
+    WRONG_EPOCH, NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end),
+    SHUTTING_DOWN.
     """
     FeedQueue: _grpc.StreamStreamMultiCallable[_migration_service_pb2.FeedQueueRequest, _migration_service_pb2.FeedQueueResponse]
     """Between hosts only: the owner of a queue or mailbox feeds its replica at this host. This host first answers with the
@@ -70,44 +71,45 @@ class MigrationServiceStub:
     SHUTTING_DOWN.
     """
     DrainHost: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.DrainHostRequest, _migration_service_pb2.DrainHostResponse]
-    """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
-    group go to the same host. The host continues to serve, and may get other channels. Errors: PERMISSION_DENIED,
-    SHUTTING_DOWN. What could not be moved is in the answer.
+    """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of
+    one group go to the same host. The called host continues to serve, and may get other channels. The answer names the
+    channels, queues and mailboxes that could not be moved. Errors: PERMISSION_DENIED, SHUTTING_DOWN.
     """
 
 @_typing.type_check_only
 class MigrationServiceAsyncStub(MigrationServiceStub):
     """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
-    owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
-    the rest, and commits the move in the directory.
+    owner. It gets the items from the present owner (ReplicaService.Feed with `move_id`). It then makes the present owner
+    hold all changes, gets the rest, and commits the move in the directory.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     AllowMove: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.AllowMoveRequest, _migration_service_pb2.AllowMoveResponse]  # type: ignore[assignment]
-    """Let another host become the owner of a channel, a queue or a mailbox of this host: it hands the channel over only to
-    a host that was named here within the last minute. A caller calls this at the owner, and then MoveHere at the other
-    host. A host that drains allows its own moves. A caller needs the right to configure the channel or queue; a host may
-    do this only for itself. Idempotent. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, NOT_HERE, INVALID_ARGUMENT,
-    PERMISSION_DENIED.
+    """Let another host become the owner of a channel, a queue or a mailbox of this host: this host hands the channel over
+    only to a host that an AllowMove named within the last minute. A caller calls this at the owner, and then MoveHere
+    at the other host. A host that drains allows its own moves. A caller needs the right to configure the channel or
+    queue; a host may name only itself. Idempotent. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, NOT_HERE,
+    INVALID_ARGUMENT, PERMISSION_DENIED.
     """
     MoveHere: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.MoveHereRequest, _migration_service_pb2.MoveHereResponse]  # type: ignore[assignment]
-    """Make this host the owner of a channel, a queue or a mailbox. The present owner must have been told so before
-    (AllowMove). The host answers when it is the owner and acknowledges
-    puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
-    Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
-    OVERLOADED (32 moves of channels, or 8 of queues, to or from one host are under way; the copy cannot catch up),
-    WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+    """Make this host the owner of a channel, a queue or a mailbox. Call AllowMove at the present owner first. The called
+    host answers when it is the owner and acknowledges puts. If it is the owner already, it answers at once. A caller
+    needs the right to configure the channel or queue. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT
+    (another move of the channel is under way), OVERLOADED (32 moves of channels, or 8 of queues, to or from one host
+    are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS,
+    UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     MoveEachHere: _aio.StreamStreamMultiCallable[_migration_service_pb2.MoveEachHereRequest, _migration_service_pb2.MoveEachHereResponse]  # type: ignore[assignment]
-    """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels, and the host answers
-    each once, in any order. It reads no further request while 64 channels have no answer. Errors that end the
-    stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
+    """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels. The host answers
+    each of them one time, in any order. It reads no further request while 64 channels have no answer. Errors that end
+    the stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     HandOverQueue: _aio.StreamStreamMultiCallable[_migration_service_pb2.HandOverQueueRequest, _migration_service_pb2.HandOverQueueResponse]  # type: ignore[assignment]
-    """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers, lets
-    all calls wait, and sends the whole queue in parts. It waits for `committed_epoch` then. If the stream ends without it,
-    this host asks the directory who owns the queue, and serves it again if it is the owner. Errors: WRONG_EPOCH,
-    NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end), SHUTTING_DOWN.
+    """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers,
+    makes all calls wait, and sends the whole queue in parts. It then waits for `committed_epoch`. If the stream ends
+    without it, this host asks the directory who owns the queue, and serves it again if it is the owner. Errors:
+    WRONG_EPOCH, NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end),
+    SHUTTING_DOWN.
     """
     FeedQueue: _aio.StreamStreamMultiCallable[_migration_service_pb2.FeedQueueRequest, _migration_service_pb2.FeedQueueResponse]  # type: ignore[assignment]
     """Between hosts only: the owner of a queue or mailbox feeds its replica at this host. This host first answers with the
@@ -117,15 +119,15 @@ class MigrationServiceAsyncStub(MigrationServiceStub):
     SHUTTING_DOWN.
     """
     DrainHost: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.DrainHostRequest, _migration_service_pb2.DrainHostResponse]  # type: ignore[assignment]
-    """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
-    group go to the same host. The host continues to serve, and may get other channels. Errors: PERMISSION_DENIED,
-    SHUTTING_DOWN. What could not be moved is in the answer.
+    """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of
+    one group go to the same host. The called host continues to serve, and may get other channels. The answer names the
+    channels, queues and mailboxes that could not be moved. Errors: PERMISSION_DENIED, SHUTTING_DOWN.
     """
 
 class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
     """Moves on the hosts, on the gatekeeper's port (paper, sections 4.1 and 4.2). The host that a client calls becomes the
-    owner. It feeds itself from the present owner (ReplicaService.Feed with `move_id`), has that host hold all changes, gets
-    the rest, and commits the move in the directory.
+    owner. It gets the items from the present owner (ReplicaService.Feed with `move_id`). It then makes the present owner
+    hold all changes, gets the rest, and commits the move in the directory.
     """
 
     @_abc_1.abstractmethod
@@ -134,11 +136,11 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_service_pb2.AllowMoveRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_service_pb2.AllowMoveResponse, _abc.Awaitable[_migration_service_pb2.AllowMoveResponse]]:
-        """Let another host become the owner of a channel, a queue or a mailbox of this host: it hands the channel over only to
-        a host that was named here within the last minute. A caller calls this at the owner, and then MoveHere at the other
-        host. A host that drains allows its own moves. A caller needs the right to configure the channel or queue; a host may
-        do this only for itself. Idempotent. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, NOT_HERE, INVALID_ARGUMENT,
-        PERMISSION_DENIED.
+        """Let another host become the owner of a channel, a queue or a mailbox of this host: this host hands the channel over
+        only to a host that an AllowMove named within the last minute. A caller calls this at the owner, and then MoveHere
+        at the other host. A host that drains allows its own moves. A caller needs the right to configure the channel or
+        queue; a host may name only itself. Idempotent. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, NOT_HERE,
+        INVALID_ARGUMENT, PERMISSION_DENIED.
         """
 
     @_abc_1.abstractmethod
@@ -147,12 +149,12 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_service_pb2.MoveHereRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_service_pb2.MoveHereResponse, _abc.Awaitable[_migration_service_pb2.MoveHereResponse]]:
-        """Make this host the owner of a channel, a queue or a mailbox. The present owner must have been told so before
-        (AllowMove). The host answers when it is the owner and acknowledges
-        puts. If it is the owner already, it answers at once. A caller needs the right to configure the channel or queue.
-        Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT (another move of the channel is under way),
-        OVERLOADED (32 moves of channels, or 8 of queues, to or from one host are under way; the copy cannot catch up),
-        WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS, UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
+        """Make this host the owner of a channel, a queue or a mailbox. Call AllowMove at the present owner first. The called
+        host answers when it is the owner and acknowledges puts. If it is the owner already, it answers at once. A caller
+        needs the right to configure the channel or queue. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, MOVE_CONFLICT
+        (another move of the channel is under way), OVERLOADED (32 moves of channels, or 8 of queues, to or from one host
+        are under way; the copy cannot catch up), WRONG_EPOCH (the present owner has ended the move), AMBIGUOUS,
+        UNAVAILABLE, SHUTTING_DOWN, PERMISSION_DENIED.
         """
 
     @_abc_1.abstractmethod
@@ -161,9 +163,9 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_migration_service_pb2.MoveEachHereRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_migration_service_pb2.MoveEachHereResponse], _abc.AsyncIterator[_migration_service_pb2.MoveEachHereResponse]]:
-        """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels, and the host answers
-        each once, in any order. It reads no further request while 64 channels have no answer. Errors that end the
-        stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
+        """Between hosts only: as MoveHere for channels, for a host that drains. A request names channels. The host answers
+        each of them one time, in any order. It reads no further request while 64 channels have no answer. Errors that end
+        the stream: INVALID_ARGUMENT, SHUTTING_DOWN, PERMISSION_DENIED.
         """
 
     @_abc_1.abstractmethod
@@ -172,10 +174,11 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_migration_service_pb2.HandOverQueueRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_migration_service_pb2.HandOverQueueResponse], _abc.AsyncIterator[_migration_service_pb2.HandOverQueueResponse]]:
-        """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers, lets
-        all calls wait, and sends the whole queue in parts. It waits for `committed_epoch` then. If the stream ends without it,
-        this host asks the directory who owns the queue, and serves it again if it is the owner. Errors: WRONG_EPOCH,
-        NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end), SHUTTING_DOWN.
+        """Between hosts only: hand a queue or mailbox over to the calling host. This host ends the streams of all callers,
+        makes all calls wait, and sends the whole queue in parts. It then waits for `committed_epoch`. If the stream ends
+        without it, this host asks the directory who owns the queue, and serves it again if it is the owner. Errors:
+        WRONG_EPOCH, NOT_HERE, MOVE_CONFLICT, OVERLOADED (8 moves from this host are under way; the streams did not end),
+        SHUTTING_DOWN.
         """
 
     @_abc_1.abstractmethod
@@ -197,9 +200,9 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_service_pb2.DrainHostRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_service_pb2.DrainHostResponse, _abc.Awaitable[_migration_service_pb2.DrainHostResponse]]:
-        """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of one
-        group go to the same host. The host continues to serve, and may get other channels. Errors: PERMISSION_DENIED,
-        SHUTTING_DOWN. What could not be moved is in the answer.
+        """For operators: move all channels, queues and mailboxes of this host to other hosts, several at a time. Channels of
+        one group go to the same host. The called host continues to serve, and may get other channels. The answer names the
+        channels, queues and mailboxes that could not be moved. Errors: PERMISSION_DENIED, SHUTTING_DOWN.
         """
 
 def add_MigrationServiceServicer_to_server(servicer: MigrationServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

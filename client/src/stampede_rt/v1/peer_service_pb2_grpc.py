@@ -92,7 +92,7 @@ class PeerServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def DeregisterPeer(self, request, context):
-        """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
+        """Deregister a peer. The name is free at once, and the mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
         process of the same peer is registered).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

@@ -44,7 +44,7 @@ class PeerServiceStub:
     RenewPeerLease: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.RenewPeerLeaseRequest, _peer_service_pb2.RenewPeerLeaseResponse]
     """Renew a lease. Only the leader can renew it. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
     DeregisterPeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.DeregisterPeerRequest, _peer_service_pb2.DeregisterPeerResponse]
-    """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
+    """Deregister a peer. The name is free at once, and the mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
     process of the same peer is registered).
     """
     ResolvePeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]
@@ -74,7 +74,7 @@ class PeerServiceAsyncStub(PeerServiceStub):
     RenewPeerLease: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.RenewPeerLeaseRequest, _peer_service_pb2.RenewPeerLeaseResponse]  # type: ignore[assignment]
     """Renew a lease. Only the leader can renew it. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
     DeregisterPeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.DeregisterPeerRequest, _peer_service_pb2.DeregisterPeerResponse]  # type: ignore[assignment]
-    """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
+    """Deregister a peer. The name is free at once, and the mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
     process of the same peer is registered).
     """
     ResolvePeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]  # type: ignore[assignment]
@@ -119,7 +119,7 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.DeregisterPeerRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.DeregisterPeerResponse, _abc.Awaitable[_peer_service_pb2.DeregisterPeerResponse]]:
-        """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
+        """Deregister a peer. The name is free at once, and the mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
         process of the same peer is registered).
         """
 

@@ -40,11 +40,10 @@ class ReplicaServiceStub:
     """Between hosts only: send a channel to a copy. The copy's host calls the source: the owner, or the host of another
     copy. The first response has `opened`. Then the host sends all held items in seq order, and every later accepted
     item once, together with the present state of the channel. The host keeps no queue for the copy: a slow copy misses
-    the items that left the source meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
-    stream the copy continues with `place`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED, UNAVAILABLE
-    (the source is itself a copy, and has less than the caller), OVERLOADED (see also FeedOpen.owner_facts),
-    SHUTTING_DOWN, PERMISSION_DENIED,
-    INVALID_ARGUMENT.
+    the items that left the source meanwhile. If nothing has changed, the host answers each request with a response, as
+    a sign of life. After a broken stream the copy continues with `place`. Errors that end the stream: NOT_HERE,
+    WRONG_EPOCH, MOVED, UNAVAILABLE (the source is itself a copy, and has less than the caller), OVERLOADED (see also
+    FeedOpen.owner_facts), SHUTTING_DOWN, PERMISSION_DENIED, INVALID_ARGUMENT.
     """
 
 @_typing.type_check_only
@@ -59,11 +58,10 @@ class ReplicaServiceAsyncStub(ReplicaServiceStub):
     """Between hosts only: send a channel to a copy. The copy's host calls the source: the owner, or the host of another
     copy. The first response has `opened`. Then the host sends all held items in seq order, and every later accepted
     item once, together with the present state of the channel. The host keeps no queue for the copy: a slow copy misses
-    the items that left the source meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
-    stream the copy continues with `place`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED, UNAVAILABLE
-    (the source is itself a copy, and has less than the caller), OVERLOADED (see also FeedOpen.owner_facts),
-    SHUTTING_DOWN, PERMISSION_DENIED,
-    INVALID_ARGUMENT.
+    the items that left the source meanwhile. If nothing has changed, the host answers each request with a response, as
+    a sign of life. After a broken stream the copy continues with `place`. Errors that end the stream: NOT_HERE,
+    WRONG_EPOCH, MOVED, UNAVAILABLE (the source is itself a copy, and has less than the caller), OVERLOADED (see also
+    FeedOpen.owner_facts), SHUTTING_DOWN, PERMISSION_DENIED, INVALID_ARGUMENT.
     """
 
 class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -81,11 +79,10 @@ class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
         """Between hosts only: send a channel to a copy. The copy's host calls the source: the owner, or the host of another
         copy. The first response has `opened`. Then the host sends all held items in seq order, and every later accepted
         item once, together with the present state of the channel. The host keeps no queue for the copy: a slow copy misses
-        the items that left the source meanwhile. If nothing has changed, the host sends a response after each request, as a sign of life. After a broken
-        stream the copy continues with `place`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED, UNAVAILABLE
-        (the source is itself a copy, and has less than the caller), OVERLOADED (see also FeedOpen.owner_facts),
-        SHUTTING_DOWN, PERMISSION_DENIED,
-        INVALID_ARGUMENT.
+        the items that left the source meanwhile. If nothing has changed, the host answers each request with a response, as
+        a sign of life. After a broken stream the copy continues with `place`. Errors that end the stream: NOT_HERE,
+        WRONG_EPOCH, MOVED, UNAVAILABLE (the source is itself a copy, and has less than the caller), OVERLOADED (see also
+        FeedOpen.owner_facts), SHUTTING_DOWN, PERMISSION_DENIED, INVALID_ARGUMENT.
         """
 
 def add_ReplicaServiceServicer_to_server(servicer: ReplicaServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -79,7 +79,7 @@ STORE_MOVED = counter(
 )
 STORE_FETCHED = counter("stampede_archive_store_fetched_bytes_total", "Bytes that reads fetched from the object store.")
 STORE_FAILURES = counter(
-    "stampede_archive_store_failures_total", "Attempts of the host to move its closed files in which the object store failed."
+    "stampede_archive_store_failures_total", "Attempts to move closed files in which the object store failed."
 )
 STORE_CACHE = gauge("stampede_archive_cache_bytes", "Bytes of objects that the host keeps on its disk for reads.")
 OF_OBJECT_STORES = (
