@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import grpc
 
+from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
+from stampede_rt_channel_host.archive.objects.object_archive import ObjectSettings
+from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_runtime.clock import HostClock, SystemClock
@@ -50,9 +54,17 @@ async def started_host(
     clock: HostClock | None = None,
     memory_bytes_max: int = 2**30,
     listen: str = "localhost:0",
+    archive: Path | None = None,
+    store: SegmentStore | None = None,
 ) -> InProcessHost:
-    """Return a host once it has registered. The same id with another `boot` is a restarted host."""
+    """Return a host once it has registered. The same id with another `boot` is a restarted host.
+
+    `archive`: the folder of its archive, if it has one, whose closed files move to `store`.
+    """
     server = ServiceServer(secret=None)
+    folder = None if archive is None else ArchiveFolder(archive)
+    if folder is not None:
+        folder.open(host_id)
     host = ChannelHost(
         HostIdentity(host_id=host_id, name=name, boot_incarnation=boot),
         frontends=[frontend],
@@ -64,6 +76,8 @@ async def started_host(
         on_defect=_fail,
         refused_calls=server.refused_calls,
         access=server.access,
+        archive=folder,
+        objects=None if store is None else ObjectSettings(store, 2**20, 600),
     )
     server.bind(listen)
     host.add_to(server.grpc)

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 import grpc
 
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2_grpc, migration_service_pb2_grpc
-from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
-from stampede_rt_channel_host.archive.disk_use import DiskUse
-from stampede_rt_channel_host.archive.host_archive import HostArchive
-from stampede_rt_channel_host.archive.objects.object_archive import ObjectArchive, ObjectSettings
+from stampede_rt_channel_host.archive.host_archive import CLOSE_SECONDS_MAX
+from stampede_rt_channel_host.archive.objects.object_archive import ObjectSettings
+from stampede_rt_channel_host.archive_setup import set_up_archive
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.channel_changes import ChannelChanges
 from stampede_rt_channel_host.channels.channel_servicer import ChannelServicer
@@ -39,11 +39,9 @@ from stampede_rt_channel_host.copies.draining import Draining
 from stampede_rt_channel_host.copies.feed_callers import FeedCallers
 from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
-from stampede_rt_channel_host.copies.messages import run_of
 from stampede_rt_channel_host.copies.migration_servicer import MigrationServicer
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
-from stampede_rt_channel_host.copies.owner_messages import retries_of, retries_to
 from stampede_rt_channel_host.copies.queue_arrivals import QueueArrivals
 from stampede_rt_channel_host.copies.queue_feed_servicer import QueueFeeds
 from stampede_rt_channel_host.copies.queue_handover import QueueHandovers
@@ -65,12 +63,12 @@ from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.dial import Dial, naming_cluster
 from stampede_rt_runtime.overload import RefusedCalls
-from stampede_rt_runtime.quotas.accounts import Accounts
 from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.sockets.tickets import SocketTickets
 
 logger = logging.getLogger(__name__)
 
+FINISH_SECONDS_MAX = 1.0  # how much longer a host that stops keeps its lease for its archive; `leave` has 2 s
 CHANNELS_LISTED_MAX = QUEUES_LISTED_MAX = 1000  # the most of each in the answer to a registration
 
 
@@ -79,19 +77,6 @@ def _of_a_host(access: AccessControl, memory_bytes_max: int) -> AccessControl:
     access.takes_ids = True
     access.accounts.set_default(Quota.BYTES_HELD, memory_bytes_max * 7 // 8)
     return access
-
-
-def _archive(
-    folder: ArchiveFolder, objects: ObjectSettings | None, accounts: Accounts, now: Callable[[], int]
-) -> HostArchive:
-    """The archive in a folder, and perhaps in an object store. Blocks."""
-    found = [*folder.of_channels()]
-    cached = 0 if objects is None else objects.cache_bytes_max
-    disk = DiskUse(folder.limit_bytes(sum(one.bytes for one in found), cached), accounts.of)
-    accounts.set_default(Quota.BYTES_ARCHIVED, disk.bytes_max * 7 // 8)
-    disk.update(found)
-    stored = None if objects is None else ObjectArchive(objects, folder, slice_run, now)
-    return HostArchive(folder, run_of, disk, now, stored)
 
 
 class ChannelHost:
@@ -108,6 +93,7 @@ class ChannelHost:
     """
 
     _entering: asyncio.Future[None] | None = None
+    _keeping: asyncio.Task[None] | None = None  # the task that keeps the lease
 
     def __init__(
         self,
@@ -142,7 +128,7 @@ class ChannelHost:
         queries = DirectoryQueries(self._supernodes)
         held = self._lease.lease_held
         self.store = ChannelStore(identity, queries, clock, lease_held=held, memory=memory, refused_calls=refused_calls)
-        self._set_up_archive(archive, access.accounts, objects)
+        set_up_archive(self.store.recordings, archive, objects, access.accounts, self.store.now)
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         self.groups = GroupStore(
             identity, self.store, GroupDirectory(self._supernodes), self._dial, lambda: self._of_lease.cluster_id
@@ -157,14 +143,6 @@ class ChannelHost:
     def _naming(self, dial: Dial) -> Dial:
         """A `Dial` whose calls name the cluster of this host."""
         return naming_cluster(dial, lambda: self._home.cluster_id or self._of_lease.cluster_id)
-
-    def _set_up_archive(
-        self, folder: ArchiveFolder | None, accounts: Accounts, objects: ObjectSettings | None = None
-    ) -> None:
-        recordings, now = self.store.recordings, self.store.now
-        recordings.archive = None if folder is None else _archive(folder, objects, accounts, now)
-        recordings.write_retries = lambda window: retries_to(window, now())
-        recordings.read_retries = lambda encoded: retries_of(encoded, now())
 
     def _make_registration(self, supernodes: Supernodes, clock: HostClock, serving: ServingLoop) -> Registration:
         """Make the registration. It passes changes of the lease to the serving loop, which handles them in order."""
@@ -269,7 +247,7 @@ class ChannelHost:
         self._entering = asyncio.ensure_future(self._lease.enter(target, timeout_s))
         await self._entering
         self._supernodes.learn(self._of_lease.known())  # the front-ends may be gone before the next request needs them
-        self._start(self._lease.keep(), "lease")
+        self._keeping = self._start(self._lease.keep(), "lease")
         self.store.recordings.start()
         self._start(self.store.sweep.run_forever(), "sweep")
         self._start(self.groups.keep(), "groups")
@@ -286,21 +264,44 @@ class ChannelHost:
 
     async def give_away(self, seconds: float) -> None:
         """Move the channels to other hosts, for `seconds` at most, and accept no channels from them, because this host
-        stops.
+        stops. In the rest of this time brings the archive to its object store.
         """
+        ends_s = time.monotonic() + seconds
         self.moves_here.close()
         self._queues_here.close()
         await self.draining.run(seconds)
+        await self._finish_archive(ends_s - time.monotonic())
+
+    async def _finish_archive(self, seconds_max: float) -> None:
+        """Bring the archive to its object store while this host has its lease, so that the next owners find all of it.
+
+        Refuses all requests for channels from then on, if there is an object store.
+        """
+        if self.store.recordings.has_object_store and seconds_max > 0:
+            self.store.close()
+            await self.store.recordings.finish(self._boot_if_entered, min(seconds_max, CLOSE_SECONDS_MAX))
+
+    @property
+    def _boot_if_entered(self) -> int:
+        """The boot incarnation of this process; 0: it has never registered."""
+        return self.identity.boot_incarnation if self._tasks else 0
 
     async def leave(self) -> None:
-        """Refuse new requests, and deregister the host. Then end all waits and streams. Cancels a running `enter`."""
+        """Refuse new requests, and deregister the host. Then end all waits and streams. Cancels a running `enter`.
+
+        With an object store, brings the archive there first, for FINISH_SECONDS_MAX at most.
+        """
         for task in self._tasks:
-            task.cancel()
+            if task is not self._keeping:
+                task.cancel()
         if self._entering is not None and not self._entering.done():
             self._entering.cancel()
         self.store.close()
         self.queues.close()
         self._dead_letters.close()
+        await self._finish_archive(FINISH_SECONDS_MAX)
+        if self._keeping is not None:
+            self._keeping.cancel()
         await self._lease.leave()
         self.groups.end_all(refusals.SHUTTING_DOWN)
         self.store.end_all(refusals.SHUTTING_DOWN)
@@ -311,13 +312,14 @@ class ChannelHost:
         await self._streams.end_all(refusals.SHUTTING_DOWN)
         if self.store.multicasts is not None:
             self.store.multicasts.close()
-        await self.store.recordings.close(self.identity.boot_incarnation if self._tasks else 0)
+        await self.store.recordings.close(self._boot_if_entered)
         await self._supernodes.aclose()
 
-    def _start(self, work: Coroutine[Any, Any, None], name: str) -> None:
+    def _start(self, work: Coroutine[Any, Any, None], name: str) -> asyncio.Task[None]:
         task = asyncio.create_task(work, name=name)
         task.add_done_callback(self._check)
         self._tasks.append(task)
+        return task
 
     def _check(self, task: asyncio.Task[None]) -> None:
         if not task.cancelled() and (failure := task.exception()) is not None:

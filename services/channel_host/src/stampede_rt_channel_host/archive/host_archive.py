@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import TypeVar
 
+from stampede_rt_channel_host.archive.archive_end import ArchiveEnd
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.disk_use import DiskUse, FoundFolder
 from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
@@ -26,7 +27,7 @@ logger = logging.getLogger(__name__)
 READERS, READERS_OF_STORE = 2, 8  # threads; those of an object store mostly wait for the network
 WRITE_AFTER_SECONDS = 0.2  # how long the archive gathers small writes
 RETRY_SECONDS = 1.0
-CLOSE_SECONDS_MAX = 5.0  # the limit for the last writes of a host that stops
+CLOSE_SECONDS_MAX = 5.0  # the limit for the last work of a host that stops, unless its process ends it earlier
 _REST_SECONDS = 0.0002  # a reader gives the other threads their turn after each block
 
 
@@ -68,6 +69,8 @@ class HostArchive:
         self._hurry = asyncio.Event()  # a put waits for stable storage
         self._is_closing = False
         self._failing: dict[ChannelRecorder, str] = {}  # the channels whose last write failed, and why
+        mover = None if objects is None else objects.mover
+        self._end = ArchiveEnd(folder, self._in_writer, self._write_rest, self._note_failure, mover)
 
     @property
     def failure(self) -> str:
@@ -289,54 +292,39 @@ class HostArchive:
         arguments = (segments, missing, bytes_max, self._decode, _rest)
         return await loop.run_in_executor(self._readers, files.load_part, *arguments)
 
-    async def close(self, recorders: list[ChannelRecorder], boot_incarnation: int = 0) -> None:
-        """Write the remaining items, and note in the folder of each channel if it has all items.
-
-        If the folders of all channels have all items, also notes the host's `boot_incarnation`, unless it is 0. A write
-        that is under way ends first, so that its items are not written twice. Waits up to CLOSE_SECONDS_MAX for the
-        writes, and as long again for the notes.
+    async def finish(
+        self, recorders: Sequence[ChannelRecorder], boot_incarnation: int = 0, seconds_max: float = CLOSE_SECONDS_MAX
+    ) -> None:
+        """Write the remaining items, note in the folder of each channel if it has all items, and move the files to the
+        object store. See `ArchiveEnd.finish`.
         """
         self._is_closing = True
         if self._making_room is not None:
             self._making_room.cancel()
+        await self._end.finish(recorders, boot_incarnation, seconds_max)
+
+    async def close(self, recorders: Sequence[ChannelRecorder], boot_incarnation: int = 0) -> None:
+        """As `finish`. After CLOSE_SECONDS_MAX, or a cancellation, ends the work, and lets others use the folder."""
+        ends_s = time.monotonic() + CLOSE_SECONDS_MAX
+        try:
+            await self._end.waited(CLOSE_SECONDS_MAX)
+            await self.finish(recorders, boot_incarnation, ends_s - time.monotonic())
+        finally:
+            if self._task is not None:
+                self._task.cancel()
+            self._end.cut()
+            self._writer.shutdown(wait=False)
+            self._readers.shutdown(wait=False)
+            self.folder.close()
+
+    async def _write_rest(self, recorders: Sequence[ChannelRecorder]) -> None:
+        """Write the remaining items. A write that is under way ends first, so that its items are not written twice."""
         for recorder in recorders:
             if recorder.backlog_items and recorder not in self._due:
                 self.touch(recorder, lambda: None)
         self._news.set()
-        late: set[asyncio.Task[None]] = set()
         if self._task is not None:
-            _, late = await asyncio.wait([self._task], timeout=CLOSE_SECONDS_MAX)
-        if not late:
-            closing = asyncio.create_task(self._close_files(recorders, boot_incarnation), name="archive-close")
-            closing.add_done_callback(_log_defect)
-            _, late = await asyncio.wait([closing], timeout=CLOSE_SECONDS_MAX)
-        for task in late:
-            task.cancel()
-            logger.error("the host stops before its archive is written", extra={"event": "archive_cut_short"})
-        if self.objects is not None:
-            await self.objects.mover.close(0 if late else CLOSE_SECONDS_MAX)
-        self._writer.shutdown(wait=False)
-        self._readers.shutdown(wait=False)
-        self.folder.close()
-
-    async def _close_files(self, recorders: list[ChannelRecorder], boot_incarnation: int) -> None:
-        loop = asyncio.get_running_loop()
-        for recorder in recorders:
-            try:
-                await loop.run_in_executor(self._writer, recorder.files.close, recorder.clean_stop())
-            except OSError as error:
-                self._note_failure(recorder, error)
-        if boot_incarnation and all(one.clean_stop() is not None for one in recorders):
-            await self._note_stop(boot_incarnation)
-
-    async def _note_stop(self, boot_incarnation: int) -> None:
-        try:
-            await asyncio.get_running_loop().run_in_executor(self._writer, self.folder.note_stop, boot_incarnation)
-        except OSError as error:
-            logger.error(
-                "the host cannot note that its archive has all items; its recorded channels get new incarnations",
-                extra={"event": "archive_stop_unnoted", "folder": str(self.folder.path), "why": error.strerror},
-            )
+            await asyncio.wait([self._task])
 
 
 def _log_defect(task: asyncio.Task[None]) -> None:

@@ -163,14 +163,20 @@ class ChannelRecorder:
         """The accepted items that are not archived."""
         return self._channel.next_seq - self.archived_to
 
-    def clean_stop(self) -> CleanStop | None:
-        """The note for the folder; None unless the archive has all items that the channel holds and will accept."""
+    @property
+    def has_all_items(self) -> bool:
+        """Whether the archive has all items that the channel holds."""
         channel = self._channel
         first = next(iter(channel.accepted_from(0)), None)
         archived_from = self.segments[0].first_seq if self.segments else channel.next_seq
         is_whole = first is None or first.run.first_seq >= archived_from
-        if self.backlog_items or self.failure or not is_whole:
+        return is_whole and not self.backlog_items and not self.failure
+
+    def clean_stop(self) -> CleanStop | None:
+        """The note for the folder; None unless the archive has all items that the channel holds and will accept."""
+        if not self.has_all_items:
             return None
+        channel = self._channel
         return CleanStop(
             channel.incarnation, channel.advanced_to, channel.lost_from, channel.lost_before, self.encoded_retries()
         )

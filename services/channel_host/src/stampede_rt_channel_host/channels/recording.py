@@ -119,6 +119,8 @@ class Recording:
     ) -> None:
         """`from_memory`: also write the items that the channel holds already, if the archive lacks them."""
         self.is_stopped = False
+        self.is_settled: Callable[[], bool] = lambda: True
+        """Whether readers see all items that the channel has accepted: no further ones will come to the archive."""
         self._archive = archive
         self._channel = channel
         self._on_archived = on_archived

@@ -133,6 +133,7 @@ class Recordings:
                 self.archive, opened, hosted.channel, slice_run, hosted.archived, from_memory=has_moved
             )
             self._keep_retries(hosted, opened, recording)
+            recording.is_settled = lambda: hosted.core.next_seq == hosted.channel.next_seq
             hosted.record_with(recording)
             self._drop_stopped()
             self._recorded[hosted.record.channel_id] = recording
@@ -169,13 +170,34 @@ class Recordings:
                 counts = _counts(self._recorded.pop(channel_id))._replace(backlog_items=0)
                 self._departed = ArchiveCounts(*map(sum, zip(self._departed, counts, strict=True)))
 
+    @property
+    def has_object_store(self) -> bool:
+        """Whether the closed files of the archives move to an object store."""
+        return self.archive is not None and self.archive.objects is not None
+
+    async def finish(self, boot_incarnation: int, seconds_max: float) -> None:
+        """Bring the archives to the object store, while no other host can own the channels. Without an object store it
+        does nothing.
+
+        The store must refuse all requests. After `seconds_max` the work goes on, and `close` waits for it. The channels
+        whose replicas have still to show items wait for `close`, too.
+        """
+        if self.archive is not None and self.archive.objects is not None:
+            present = self._present()
+            settled = [one for one in present if one.is_settled()]
+            is_all = len(settled) == len(present)
+            recorders = [one.recorder for one in settled]
+            await self.archive.finish(recorders, boot_incarnation if is_all else 0, seconds_max)
+
     async def close(self, boot_incarnation: int = 0) -> None:
         """Write the remaining items of all channels, because the host stops. `boot_incarnation`: see
         `HostArchive.close`.
         """
         if self.archive is not None:
-            recorders = [one.recorder for one in self._recorded.values() if not one.is_stopped]
-            await self.archive.close(recorders, boot_incarnation)
+            await self.archive.close([one.recorder for one in self._present()], boot_incarnation)
+
+    def _present(self) -> list[Recording]:
+        return [one for one in self._recorded.values() if not one.is_stopped]
 
 
 def _nothing(_: RetryWindow) -> bytes:

@@ -13,6 +13,7 @@ from stampede_rt.values.policy import parse_policy
 from stampede_rt.wire.records import policy_to_spec
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.segment_files import SegmentFiles
+from stampede_rt_channel_host.archive_setup import set_up_archive
 from tests.support.channel_host.rig import HOST_ID, Opened, run_of, running_host
 
 PRODUCER = 7
@@ -35,7 +36,7 @@ async def test_the_error_of_a_put_repeated_while_the_disk_fails_says_that_the_ch
     folder.open(HOST_ID)
     monkeypatch.setattr(SegmentFiles, "write", refuse)
     async with running_host() as rig:
-        rig.host._set_up_archive(folder, rig.accounts)
+        set_up_archive(rig.host.store.recordings, folder, None, rig.accounts, rig.now)
         channel = await rig.open(spec=policy_to_spec(parse_policy(max_items=10, archive="1h")))
         first = await put(channel, number=1)
         again, other = await put(channel, number=1), await put(channel, number=2)

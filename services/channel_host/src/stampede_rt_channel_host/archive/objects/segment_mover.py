@@ -70,6 +70,7 @@ class SegmentMover:
         """The thread of the archive's writes, the only thread that changes files."""
         self._task: asyncio.Task[None] | None = None
         self._wake = asyncio.Event()
+        self._moving = asyncio.Lock()  # held during the moves
 
     def start(self) -> None:
         """Begin to move segments. Idempotent."""
@@ -132,7 +133,8 @@ class SegmentMover:
     async def _run(self) -> None:
         back_off = BACK_OFF_SECONDS_MIN
         while True:
-            failure = await self.move_all()
+            async with self._moving:
+                failure = await self.move_all()
             self._note(failure)
             wait_s, back_off = self._pause(failure, back_off)
             try:
@@ -278,16 +280,22 @@ class SegmentMover:
         """Have the thread of writes do something with the files."""
         return await asyncio.get_running_loop().run_in_executor(self.writer, call)
 
-    async def close(self, seconds_max: float) -> None:
-        """Move the closed segments, tell the next owners about a clean stop, for `seconds_max` at most, and end."""
+    async def finish(self) -> None:
+        """Move the closed segments, and tell the next owners about clean stops, because the host stops.
+
+        A move that is under way ends first. From now on nothing moves but by another call.
+        """
+        async with self._moving:
+            if self._task is not None:
+                self._task.cancel()
+            await self.move_all()
+            await self._tried(self._note_stops())
+
+    def close(self) -> None:
+        """End the moves. Logs if closed files have not moved."""
         if self._task is not None:
             self._task.cancel()
-            await asyncio.wait([self._task])
-        try:
-            async with asyncio.timeout(seconds_max):
-                await self.move_all()
-                await self._tried(self._note_stops())
-        except TimeoutError:
+        if any(files.waiting and not files.is_left for files in (*self._recorders, *self._leaving)):
             logger.warning("closed files of the archive stay on the disk", extra={"event": "archive_store_unfinished"})
         self._threads.shutdown(wait=False)
 
