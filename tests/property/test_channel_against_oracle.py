@@ -226,9 +226,9 @@ def test_the_stamp_of_a_put_ignores_a_consumed_item_after_max_bytes_removed_earl
 
 
 def test_consumed_items_are_collected_by_consumption_after_max_bytes_removed_earlier_items() -> None:
-    """Such items did not leave by age later, even if nothing read the channel meanwhile.
+    """max_age must not collect such items later, even if nothing read the channel in between.
 
-    2 of 36,000 scenarios; the oracle was wrong.
+    The oracle was wrong in 2 of 36,000 random scenarios.
     """
     policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
     pair = ChannelPair(policy, FIRST_CLOCK)

@@ -1,4 +1,6 @@
-"""A host keeps nothing of a refused request: an error in a circle with its traceback keeps the locals of all frames."""
+"""A host keeps nothing of a refused request: an error in a reference cycle with its traceback keeps the locals of all
+frames.
+"""
 
 from __future__ import annotations
 

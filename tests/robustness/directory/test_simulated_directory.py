@@ -47,7 +47,10 @@ def test_histories_are_linearizable_and_nothing_has_two_owners_under_faults(bloc
 
 
 def test_a_seed_gives_the_same_run_in_every_process() -> None:
-    """Python orders a set of texts by PYTHONHASHSEED. Such a set once decided which of two leaders drew first."""
+    """Python orders a set of texts by PYTHONHASHSEED.
+
+    In an earlier version, such an order decided which of two leaders took the first random number.
+    """
     first, second = (digests_of(*TWO_LEADERS_AT_ONCE, hash_seed=seed) for seed in (0, 5))
     assert len(first) == len(TWO_LEADERS_AT_ONCE)
     assert first == second

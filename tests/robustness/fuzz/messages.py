@@ -1,4 +1,4 @@
-"""Protobuf messages drawn from their descriptors, and then damaged as only bytes on the wire can be."""
+"""Random protobuf messages, made from their descriptors. Some are then damaged in ways in which only bytes can be."""
 
 from __future__ import annotations
 

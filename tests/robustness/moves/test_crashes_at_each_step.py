@@ -140,7 +140,7 @@ async def test_a_move_goes_through_all_steps_and_loses_nothing() -> None:
 
 
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_destination_dies(step: str) -> None:
+async def test_a_move_loses_nothing_if_the_destination_dies(step: str) -> None:
     scenario = Scenario(step, lambda world: world.kill(DESTINATION))
     await scenario.move()
     scenario.world.expire(DESTINATION)
@@ -152,7 +152,7 @@ async def test_the_destination_dies(step: str) -> None:
 
 
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_source_dies(step: str) -> None:
+async def test_a_move_loses_nothing_if_the_source_dies(step: str) -> None:
     scenario = Scenario(step, lambda world: world.kill(SOURCE))
     await scenario.move()
     scenario.world.expire(SOURCE)
@@ -164,7 +164,7 @@ async def test_the_source_dies(step: str) -> None:
 
 
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_link_between_the_hosts_breaks(step: str) -> None:
+async def test_a_move_loses_nothing_if_the_link_between_the_hosts_breaks(step: str) -> None:
     scenario = Scenario(step, lambda world: world.cut_links())
     await scenario.move()
     items = await scenario.settle()
@@ -174,7 +174,9 @@ async def test_the_link_between_the_hosts_breaks(step: str) -> None:
 
 
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_directory_cannot_be_reached_for_a_while(step: str, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_while(
+    step: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Longer than changes wait, so that the source ends the move when it reaches the directory again."""
     for module in (moving, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)
@@ -218,7 +220,7 @@ async def test_a_destination_that_was_stopped_for_longer_than_its_lease_makes_th
     step: str,
 ) -> None:
     def stop(world: World) -> None:
-        """Afterwards the host goes on without a lease, and says that it has everything that it needs."""
+        """Stop the host. Afterwards it continues without a lease, and says that it has everything that it needs."""
         world.expire(DESTINATION)
         world.hosts[DESTINATION].has_lease = False
         world.hosts[DESTINATION].store.fence()

@@ -161,7 +161,9 @@ async def test_a_move_keeps_the_replica_or_puts_the_former_owner_in_its_place(
 @pytest.mark.parametrize("victim", [SOURCE, DESTINATION, THIRD])
 @pytest.mark.parametrize("replica_at", PLACES)
 @pytest.mark.parametrize("step", STEPS)
-async def test_a_host_dies(scenarios: list[ReplicatedScenario], step: str, replica_at: int, victim: int) -> None:
+async def test_a_move_with_replicas_loses_nothing_if_a_host_dies(
+    scenarios: list[ReplicatedScenario], step: str, replica_at: int, victim: int
+) -> None:
     scenario = ReplicatedScenario(replica_at, step, lambda world: world.kill(victim))
     scenarios.append(scenario)
     await scenario.move()
@@ -171,7 +173,7 @@ async def test_a_host_dies(scenarios: list[ReplicatedScenario], step: str, repli
 
 @pytest.mark.parametrize("replica_at", PLACES)
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_link_between_the_hosts_breaks(
+async def test_a_move_loses_nothing_if_the_link_between_the_hosts_breaks(
     scenarios: list[ReplicatedScenario], step: str, replica_at: int
 ) -> None:
     scenario = ReplicatedScenario(replica_at, step, lambda world: world.cut_links())
@@ -182,7 +184,7 @@ async def test_the_link_between_the_hosts_breaks(
 
 @pytest.mark.parametrize("replica_at", PLACES)
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_directory_cannot_be_reached_for_a_while(
+async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_while(
     scenarios: list[ReplicatedScenario], step: str, replica_at: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Longer than changes wait, so that the source ends the move when it reaches the directory again."""
@@ -202,7 +204,9 @@ async def test_the_directory_cannot_be_reached_for_a_while(
 async def test_an_owner_that_renews_its_lease_late_finds_another_replica_and_acknowledges_puts(
     scenarios: list[ReplicatedScenario],
 ) -> None:
-    """Its lease has run out by its own clock only, so it is the owner all the time and does not register again."""
+    """The lease has run out only by the owner's own clock, so the host is the owner all the time, and does not register
+    again.
+    """
     scenario = ReplicatedScenario(DESTINATION)
     scenarios.append(scenario)
     await scenario.begin()
@@ -221,7 +225,7 @@ async def test_an_owner_that_renews_its_lease_late_finds_another_replica_and_ack
 async def test_the_new_owner_dies_at_once_and_the_channel_comes_back_to_the_former_one(
     scenarios: list[ReplicatedScenario], replica_at: int
 ) -> None:
-    """Its items are those of the new owner, whose place it may have taken as a replica."""
+    """The former owner has the items of the new owner, whose place it may have taken as a replica."""
     scenario = ReplicatedScenario(replica_at)
     scenarios.append(scenario)
     assert await scenario.move() is None

@@ -151,7 +151,9 @@ def may_lose(victim: str, step: str) -> bool:
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(("victim", "fault", "step"), ALL if EVERY_STEP else SHORT)
-def test_one_owner_and_nothing_lost(cluster: LocalCluster, hosts: Hosts, victim: str, fault: str, step: str) -> None:
+def test_a_move_leaves_one_owner_and_loses_nothing_if_a_process_dies_or_freezes(
+    cluster: LocalCluster, hosts: Hosts, victim: str, fault: str, step: str
+) -> None:
     hosts.ready()
     with st.connect(cluster.address, transport="grpc") as rt, ThreadPoolExecutor(1) as pool:
         wait_until(lambda: {one.name for one in rt.hosts()} >= {*hosts.processes}, "both hosts are there")

@@ -60,7 +60,7 @@ async def test_moves_at_the_same_time_share_entries_and_lose_nothing() -> None:
 
 
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_destination_dies(step: str) -> None:
+async def test_a_move_loses_nothing_if_the_destination_dies(step: str) -> None:
     several = Several(step, lambda world: world.kill(DESTINATION))
     await several.move()
     alone = [
@@ -76,7 +76,7 @@ async def test_the_destination_dies(step: str) -> None:
 
 
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_source_dies(step: str) -> None:
+async def test_a_move_loses_nothing_if_the_source_dies(step: str) -> None:
     several = Several(step, lambda world: world.kill(SOURCE))
     await several.move()
     several.world.expire(SOURCE)
@@ -90,14 +90,16 @@ async def test_the_source_dies(step: str) -> None:
 
 
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_link_between_the_hosts_breaks(step: str) -> None:
+async def test_a_move_loses_nothing_if_the_link_between_the_hosts_breaks(step: str) -> None:
     several = Several(step, lambda world: world.cut_links())
     await several.move()
     await several.check()
 
 
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_directory_cannot_be_reached_for_a_while(step: str, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_while(
+    step: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Longer than changes wait, so that the source ends moves when it reaches the directory again."""
     for module in (moving, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)

@@ -52,7 +52,7 @@ async def test_moves_that_follow_each_other_share_a_stream() -> None:
 
 
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_link_breaks_in_the_second_move_of_a_stream(step: str) -> None:
+async def test_the_second_move_of_a_stream_loses_nothing_if_the_link_breaks(step: str) -> None:
     moves = InTurn()
     await moves.move_first()
     await moves.move_next(step, lambda world: world.cut_links())
@@ -60,7 +60,7 @@ async def test_the_link_breaks_in_the_second_move_of_a_stream(step: str) -> None
 
 
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_source_dies_in_the_second_move_of_a_stream(step: str) -> None:
+async def test_the_second_move_of_a_stream_loses_nothing_if_the_source_dies(step: str) -> None:
     moves = InTurn()
     await moves.move_first()
     await moves.move_next(step, lambda world: world.kill(SOURCE))
@@ -72,7 +72,7 @@ async def test_the_source_dies_in_the_second_move_of_a_stream(step: str) -> None
 
 
 @pytest.mark.parametrize("step", STEPS)
-async def test_the_destination_dies_in_the_second_move_of_a_stream(step: str) -> None:
+async def test_the_second_move_of_a_stream_loses_nothing_if_the_destination_dies(step: str) -> None:
     moves = InTurn()
     await moves.move_first()
     await moves.move_next(step, lambda world: world.kill(DESTINATION))

@@ -167,7 +167,7 @@ class HostActor:
         self.registrations = self.renewals = self.fenced = 0
 
     def hear(self, record: channel_pb2.ChannelRecord, asked: float) -> None:
-        """Take in a record that a caller got from the directory. `asked`: the begin of the call.
+        """Take in a record that a caller got from the directory. `asked`: the beginning of the call.
 
         Raises TwoOwners if another host acts as the owner at this moment. The host uses only answers to calls that
         began after its registration, because earlier answers may be out of date.

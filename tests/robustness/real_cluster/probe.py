@@ -98,7 +98,9 @@ class Probe:
             self._news.notify_all()
 
     def longest_gap_s(self, began: float, ended: float) -> float:
-        """The longest time between two acknowledged writes, or between one and the begin or end of the period."""
+        """The longest time between two acknowledged writes, or between one of them and the beginning or end of the
+        period.
+        """
         answered = sorted(moment for _, moment in self.served if began <= moment <= ended)
         return max(later - earlier for earlier, later in itertools.pairwise([began, *answered, ended]))
 

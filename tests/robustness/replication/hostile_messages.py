@@ -1,6 +1,7 @@
-"""Well-formed messages with false contents, as a hostile holder of valid credentials may send them, drawn by a seed.
+"""Well-formed messages with false contents, as a hostile holder of valid credentials may send them.
 
-Half of the numbers are close to the victim's own numbers, where a rule is easily missed. The others are anywhere.
+A seed decides the messages. Half of the numbers are close to the victim's own numbers, where a rule is easily missed.
+The others are anywhere.
 """
 
 from __future__ import annotations

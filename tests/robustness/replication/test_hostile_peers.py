@@ -1,4 +1,5 @@
-"""Hostile peers with valid credentials, drawn by seeds: outsiders that claim to be members, and members that lie.
+"""Hostile peers with valid credentials, whose actions a seed decides: outsiders that claim to be members, and members
+that lie.
 
 An outsider does the cluster no harm. A lying member may break the rules on which Raft rests, so its victim's state may
 become wrong. But the lies end no process, and leave no store behind that cannot be opened.

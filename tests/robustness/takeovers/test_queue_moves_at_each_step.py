@@ -86,7 +86,7 @@ def played(
 @pytest.mark.parametrize("victim", VICTIMS)
 @pytest.mark.parametrize("to_replica", [True, False], ids=["to the replica", "to a stranger"])
 @pytest.mark.parametrize("step", STEPS)
-def test_nothing_is_lost_and_nothing_comes_back(
+def test_a_move_of_a_queue_loses_nothing_and_no_acked_message_comes_back(
     monkeypatch: pytest.MonkeyPatch, step: str, to_replica: bool, victim: str, fault: str
 ) -> None:
     seed = [*STEPS].index(step)

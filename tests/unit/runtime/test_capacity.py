@@ -130,7 +130,7 @@ def test_single_calls_that_fill_all_slots_leave_none_for_a_stream() -> None:
 
 
 def test_single_calls_of_one_caller_leave_slots_for_others() -> None:
-    """One client with unfinished requests once took all slots of a port for ten seconds."""
+    """In an earlier version, one client with unfinished requests took all slots of a port for ten seconds."""
     slots = Slots(Limits(concurrent_rpcs_max=8, streams_max=4, reserved_rpcs_max=2))
     given = [slots.take(is_stream=number < 2, for_members=False, subject="greedy") for number in range(6)]
     for is_stream in (False, True):

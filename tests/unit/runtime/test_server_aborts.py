@@ -155,7 +155,9 @@ async def code_of(behavior: Callable[[Any, Any], Any]) -> grpc.StatusCode:
 
 @pytest.mark.parametrize("earlier_writes", [0, 1])
 async def test_a_stream_that_is_ended_during_a_write_gets_its_status(earlier_writes: int) -> None:
-    """A stream that ended during its first write once had no status, and its caller waited for ever."""
+    """In an earlier version, a stream that ended during its first write had no status, and its caller waited for
+    ever.
+    """
 
     async def behavior(request: Any, context: Any) -> None:
         for _ in range(earlier_writes):

@@ -27,7 +27,7 @@ def test_a_nested_function_has_the_name_of_its_outer_one_in_front() -> None:
     assert sizes.measure([("a.py", source)]).functions == {"a.py::outer": 5, "a.py::outer.inner": 2}
 
 
-def test_of_two_functions_with_one_name_the_longer_one_counts() -> None:
+def test_the_longer_of_two_functions_with_one_name_counts() -> None:
     assert sizes.measure([("a.py", of(9) + of(4))]).functions == {"a.py::long": 9}
 
 

@@ -67,7 +67,7 @@ def _stream_of(behavior: Callable[..., AsyncIterator[Any]]) -> Callable[..., Asy
 def _without_frames(error: AbortError) -> AbortError:
     """Remove the frames of the error, and those of the errors that led to it.
 
-    An error that a local variable refers to is in a circle with the frame of that variable.
+    An error that a local variable refers to is in a reference cycle with the frame of that variable.
     """
     drop_frames(error)
     error.__cause__ = error.__context__ = None

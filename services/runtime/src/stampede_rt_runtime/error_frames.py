@@ -2,7 +2,7 @@
 
 An error's traceback refers to the frames of all functions that the error passed, and each frame to its variables. A
 task keeps its error. The object that started the task often keeps the task, and a frame of the task refers to this
-object. Such a circle keeps everything that the functions used, such as a message of a megabyte, until a run of Python's
+object. Such a cycle keeps everything that the functions used, such as a message of a megabyte, until a run of Python's
 garbage collector, which looks at older objects seldom.
 """
 

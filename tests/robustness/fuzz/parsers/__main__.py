@@ -1,6 +1,6 @@
 """`python -m tests.robustness.fuzz.parsers [TARGET...] [--inputs N] [--seconds S] [--guided]`.
 
-Without --guided each target gets drawn inputs, in this process. With it each target runs in a process of its own, from
+Without --guided each target gets random inputs, in this process. With it each target runs in a process of its own, from
 the corpus in `out/fuzz/TARGET`, which grows. Exit code 1 if something was found; its input is printed.
 """
 

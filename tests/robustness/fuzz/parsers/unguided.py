@@ -1,4 +1,4 @@
-"""Drawn inputs for one target, the same for the same seed, without coverage guidance."""
+"""Random inputs for one target, the same for the same seed, without coverage guidance."""
 
 from __future__ import annotations
 

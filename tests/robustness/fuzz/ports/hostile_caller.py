@@ -1,4 +1,4 @@
-"""Calls RPCs of one port with drawn requests, with and without a credential, and looks at each answer."""
+"""Calls RPCs of one port with random requests, with and without a credential, and looks at each answer."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ async def test_a_dropped_channel_frees_its_memory() -> None:
 
 @pytest.mark.parametrize("max_items", [1, 3])
 async def test_the_last_item_of_a_large_run_does_not_keep_the_whole_run_in_memory(max_items: int) -> None:
-    """Such an item once counted as its length and 64 bytes, and kept 64 kB in memory."""
+    """In an earlier version, such an item counted as its length and 64 bytes, but kept 64 kB in memory."""
     host = Host()
     channel = host.open(Policy(max_items=max_items))
     payloads = [b"%03d" % place + bytes(250) for place in range(256)]

@@ -40,7 +40,10 @@ def test_a_large_step_is_sent_in_several_parts(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_no_part_is_longer_than_the_limit_of_a_host() -> None:
-    """Parts of 1 MiB never arrived over gRPC. So a queue with large messages had no replica in sync."""
+    """In an earlier version, a part could have 1 MiB, and gRPC refused it.
+
+    So a queue with large messages had no replica in sync.
+    """
     core = Core()
     journal = core.queue.journal()
     for _ in range(9_000):

@@ -90,7 +90,9 @@ class EndingOnce(channel_service_pb2_grpc.ChannelServiceServicer):
 
 
 async def test_a_member_whose_stream_ended_gets_its_credit_on_the_next_stream(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The requests of the ended stream went on waiting, and took the credit of the next one."""
+    """In an earlier version, the requests of the ended stream went on waiting, and took the credit of the next
+    stream.
+    """
     monkeypatch.setattr(remote_member, "PAUSE_SECONDS", 0.0)
     server, host = grpc.aio.server(), EndingOnce()
     channel_service_pb2_grpc.add_ChannelServiceServicer_to_server(host, server)

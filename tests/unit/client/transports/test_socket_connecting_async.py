@@ -15,7 +15,7 @@ from stampede_rt.transports.tcp_route import SocketConnection
 async def test_a_connection_is_closed_if_its_caller_gives_up_in_any_turn_of_the_loop(
     monkeypatch: pytest.MonkeyPatch, turns: int
 ) -> None:
-    """The connection stayed open if it was reached in the turn in which the caller was cancelled."""
+    """In an earlier version, a connection stayed open if it was made in the turn in which its caller was cancelled."""
     ours, theirs = socket.socketpair()
 
     async def reach(*_: object) -> SocketConnection:

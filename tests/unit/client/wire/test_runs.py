@@ -150,12 +150,12 @@ def test_bytes_that_are_no_run_are_refused() -> None:
     "twice",
     [item_pb2.ItemRun(payloads=bytes(200)), item_pb2.ItemRun(content_type="x" * 200)],
 )
-def test_a_field_that_comes_twice_is_refused_since_the_bytes_of_both_would_be_kept(twice: item_pb2.ItemRun) -> None:
+def test_a_field_that_comes_twice_is_refused_because_the_bytes_of_both_would_be_kept(twice: item_pb2.ItemRun) -> None:
     with pytest.raises(MalformedRun, match="more than its fields take"):
         parse_run(twice.SerializeToString() + encode_run([b"one"], times=[1], content_type="text/plain"))
 
 
-def test_of_a_long_run_only_the_fields_before_its_payloads_are_copied_and_parsed(
+def test_the_client_copies_and_parses_only_the_fields_before_the_payloads_of_a_long_run(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     parsed_bytes: list[int] = []

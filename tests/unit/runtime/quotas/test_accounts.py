@@ -88,7 +88,7 @@ def test_quotas_do_not_apply_to_members() -> None:
     accounts.of(None).check(Quota.STREAMS)
 
 
-def test_of_very_many_callers_only_the_accounts_of_idle_ones_are_deleted() -> None:
+def test_only_idle_callers_lose_their_accounts_if_there_are_very_many_callers() -> None:
     accounts = Accounts()
     busy = accounts.of("busy")
     held = accounts.of("holding").charge_for(Quota.BYTES_HELD)

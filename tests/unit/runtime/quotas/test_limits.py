@@ -24,7 +24,7 @@ def test_without_a_setting_the_defaults_hold() -> None:
     assert QuotaTable().limits_of("cam-1") == dict(DEFAULTS)
 
 
-def test_of_several_matching_settings_the_one_with_the_longest_pattern_holds() -> None:
+def test_the_matching_setting_with_the_longest_pattern_applies() -> None:
     settings = table(("*", 1), ("cam-*", 2), ("cam-1*", 3), ("cam-1", 4))
     limits = {who: settings.limits_of(who)[Quota.STREAMS] for who in ("x", "cam-2", "cam-12", "cam-1")}
     assert limits == {"x": 1, "cam-2": 2, "cam-12": 3, "cam-1": 4}
@@ -39,7 +39,7 @@ def test_a_setting_for_a_whole_name_holds_before_one_with_a_longer_pattern() -> 
     assert settings.limits_of("cam-1")[Quota.STREAMS] == 1
 
 
-def test_of_two_equally_specific_patterns_the_lower_limit_holds_in_any_order() -> None:
+def test_the_lower_limit_of_two_equally_specific_patterns_applies_in_any_order() -> None:
     for settings in (table(("cam*", 5), ("*cam", 3)), table(("*cam", 3), ("cam*", 5))):
         assert settings.limits_of("cam")[Quota.STREAMS] == 3
 

@@ -57,7 +57,7 @@ def test_a_single_caller_never_waits_and_schedules_nothing() -> None:
     assert loop.is_quiet
 
 
-def test_of_two_callers_only_the_one_that_has_used_more_than_its_share_waits() -> None:
+def test_the_caller_that_has_used_more_than_its_share_waits_and_the_other_does_not() -> None:
     loop = Loop()
     heavy, light = loop.caller(), loop.caller()
     loop.works(heavy, MS)

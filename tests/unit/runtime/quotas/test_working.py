@@ -241,7 +241,7 @@ def test_the_system_reports_how_long_a_thread_has_waited(monkeypatch: pytest.Mon
 
 
 def test_the_statistics_of_a_thread_are_opened_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At a few calls per second, each call once opened them."""
+    """In an earlier version, each call opened the statistics if a port had only a few calls per second."""
     opened: list[object] = []
     real_open = os.open
 
@@ -258,7 +258,9 @@ def test_the_statistics_of_a_thread_are_opened_once(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_fork_of_the_importing_process_opens_its_own_statistics(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The import once opened those of the importing thread, and the fork then read about its parent."""
+    """In an earlier version, the import opened the statistics of the importing thread, and the fork then read its
+    parent's.
+    """
     opened: list[object] = []
 
     def noted(path: Any, *_: Any) -> int:

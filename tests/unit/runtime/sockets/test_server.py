@@ -295,7 +295,9 @@ async def test_a_stream_over_a_socket_counts_with_the_costs_of_sockets(
 
 
 async def test_a_connection_that_was_accepted_as_the_service_ends_is_closed() -> None:
-    """Its task was cancelled before its first step, and nobody closed the socket."""
+    """In an earlier version, the service cancelled the connection's task before its first step, and nothing closed the
+    socket.
+    """
     ours, theirs = socket.socketpair()
     with ours:
         ending = server.SocketServer([], Limits(), RefusedCalls())

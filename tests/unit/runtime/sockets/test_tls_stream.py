@@ -147,7 +147,10 @@ async def malformed_handshake(one: Port) -> None:
 async def test_the_tls_of_an_ended_connection_is_freed_without_the_garbage_collector(
     port: Open, connect: Callable[[Port], Awaitable[None]]
 ) -> None:
-    """Each connection kept 30 KB until a collection of all garbage, and any caller could open thousands."""
+    """In an earlier version, each ended connection kept 30 KB until a collection of all garbage.
+
+    Any caller could open thousands of connections.
+    """
 
     def kept() -> int:
         return sum(isinstance(one, TlsStream | TlsLayer) for one in gc.get_objects())

@@ -179,7 +179,7 @@ async def test_a_founder_that_lost_its_disk_is_refused_and_acknowledged_commands
         # The two that lack the channel are a majority: with the old id back, they would lead without it.
         await away.start()
         await wiped.start()
-        # One member's word delays it; the word of most others ends it.
+        # A refusal by one member only delays the join. Refusals by most other members end the process.
         await status_has(away.address, f"{wiped.name} is refused: '{wiped.name}' has come with another store before")
         await leader.start()
         assert await wiped.ended() == 1

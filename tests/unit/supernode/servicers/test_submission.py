@@ -88,7 +88,7 @@ class TimedLog(MemoryLog):
 async def test_the_time_in_which_the_feature_level_is_confirmed_counts_against_the_wait_of_the_command(
     monkeypatch: pytest.MonkeyPatch, read_seconds: float, waits: list[float]
 ) -> None:
-    """Before, the command could wait for as long again after the read."""
+    """In an earlier version, the command could wait for its full time again after the read."""
     replica = LaggingReplica()
     log = TimedLog(replica, read_seconds)
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: log.seconds))

@@ -110,7 +110,7 @@ class GatheredMoves(ABC):
         return [committed.get(one.channel_id) or why[one] for one in moves]
 
     async def _outcome(self, move: Commit) -> RecordedChannel | StampedeError:
-        """Learn why a move was not committed with others. At the same time as for the others: all moves wait for it."""
+        """Learn why the common entry has not committed a move. The caller asks for all such moves at the same time."""
         try:
             return await self.commit_one(move)
         except StampedeError as error:

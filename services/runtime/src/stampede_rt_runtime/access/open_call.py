@@ -70,7 +70,7 @@ class OpenCall:
     def over(self) -> None:
         """Drop the references to the task and to the rights of the requests, at the end of the call.
 
-        Both refer to this object. Without this step, the references form a circle, and only Python's collector frees
+        Both refer to this object. Without this step, the references form a cycle, and only Python's collector frees
         these objects and everything that gRPC keeps of the call.
         """
         self._task = self.requests = None

@@ -198,7 +198,7 @@ async def test_an_object_stays_in_the_store_if_no_block_before_those_of_the_next
 
 
 @pytest.mark.asyncio
-async def test_of_an_object_cut_at_any_byte_the_host_reads_all_complete_blocks_without_an_error(tmp_path: Path) -> None:
+async def test_the_host_reads_all_complete_blocks_of_an_object_that_is_cut_at_any_byte(tmp_path: Path) -> None:
     store = FakeStore()
     files = host(tmp_path, "a", store, 1)
     write_closed(files, 1, 3)

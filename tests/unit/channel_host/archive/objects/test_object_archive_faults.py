@@ -1,4 +1,4 @@
-"""An archive with an object store on a bad day: a clock that steps, another store, and a disk that takes nothing."""
+"""An archive with an object store under faults: a clock that steps, a wrong store, and a disk that takes no writes."""
 
 from __future__ import annotations
 

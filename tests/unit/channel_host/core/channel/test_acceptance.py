@@ -151,7 +151,7 @@ def test_a_put_without_a_time_waits_for_an_item_from_the_future() -> None:
     assert times_of(get(channel, now=CLOCK + 151).slices) == [CLOCK + 151]
 
 
-def test_of_two_waiting_puts_the_second_waits_until_max_age_collects_the_first() -> None:
+def test_the_second_of_two_waiting_puts_waits_until_max_age_collects_the_first() -> None:
     """Both puts began to wait at the same instant.
 
     In an earlier version, when the first put had been accepted and had got its time, the second put waited for ever.

@@ -289,7 +289,9 @@ def test_a_late_item_within_the_prolonged_window_is_accepted_and_an_older_one_is
 
 
 def test_a_future_interval_is_not_called_collected_once_the_last_item_was_consumed() -> None:
-    """An item of long duration, collected beside others of its time, once put the frontier years ahead."""
+    """In an earlier version, the frontier moved years ahead if max_items collected an item of long duration and another
+    item had the same time.
+    """
     channel = a_channel(consumers=1, max_items=1)
     put(channel, 10, 10, durations=[10**15, 0])
     assert channel.frontier == 10

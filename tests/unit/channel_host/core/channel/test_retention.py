@@ -87,7 +87,9 @@ def test_an_outdated_item_is_never_returned_though_its_memory_is_freed_in_small_
 
 
 def test_collection_by_age_looks_at_a_bounded_number_of_items_in_each_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A million items that went together once stalled the host for most of a second."""
+    """In an earlier version, the host stood still for most of a second if max_age collected a million items
+    together.
+    """
     channel = a_channel(max_age_nanos=1_000_000)
     for time in range(CLOCK, CLOCK + 9000):
         put(channel, time, now=time)

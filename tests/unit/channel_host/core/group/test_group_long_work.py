@@ -80,7 +80,7 @@ def test_many_late_items_are_sent_in_order_in_bounded_parts(looked: Counter) -> 
 
 
 def test_the_merge_of_late_items_begins_with_one_list_in_each_part(monkeypatch: pytest.MonkeyPatch) -> None:
-    """To begin the merge of 1200 lists was once one step of 6 ms."""
+    """In an earlier version, the merge of 1200 lists began with one step of 6 ms."""
     monkeypatch.setattr(pieces, "STEPS_PER_PIECE", 16)
     keys, order = 0, following._order
 

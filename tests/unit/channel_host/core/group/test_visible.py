@@ -133,7 +133,10 @@ def test_a_subscription_resumed_within_a_step_skips_no_late_item() -> None:
 
 
 def test_a_subscription_resumed_within_a_run_keeps_all_granted_items() -> None:
-    """The items after the key in the same run once counted twice, and were then reported as lost."""
+    """In an earlier version, the items after the key in the same run counted twice.
+
+    The subscription then reported them as lost.
+    """
     made = channel(policy=Policy(max_items=3))
     made.put(Offer(times=[10, 20, 30], durations=None, lengths=[8] * 3), CLOCK, lambda first_seq, kept, stamped: b"")
     reader = VisibleAll(made, horizon(15), CLOCK, after=Position(10, 1, INCARNATION))

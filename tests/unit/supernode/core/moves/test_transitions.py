@@ -66,7 +66,7 @@ def test_a_move_that_is_committed_twice_happens_once(log: Log) -> None:
     assert cam(log).epoch == 2
 
 
-def test_of_two_moves_from_one_epoch_the_first_one_counts(log: Log) -> None:
+def test_the_first_of_two_moves_from_one_epoch_counts(log: Log) -> None:
     move(log, 2, 1)
     assert reason(move(log, 3, 1)) == "WRONG_EPOCH"
     assert cam(log).host_id == id_of(2)

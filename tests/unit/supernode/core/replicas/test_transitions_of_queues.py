@@ -120,7 +120,7 @@ def test_a_new_owner_numbers_its_changes_of_the_in_sync_flags_from_1(log: Log) -
     assert copies(log) == [(id_of(3), False)]
 
 
-def test_of_two_moves_of_a_queue_from_one_epoch_the_first_one_counts(log: Log) -> None:
+def test_the_first_of_two_moves_of_a_queue_from_one_epoch_counts(log: Log) -> None:
     first = CommitQueueMove(queue_id=jobs(log).queue_id, epoch=1, to_host_id=id_of(2), to_boot_incarnation=1)
     log.apply(first)
     log.apply(first)

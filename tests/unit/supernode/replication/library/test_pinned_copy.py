@@ -40,7 +40,7 @@ def test_a_changed_file_of_the_library_is_refused() -> None:
 
 
 def test_python_s_cache_serves_the_pinned_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each supernode once compiled the library at its start."""
+    """In an earlier version, each supernode compiled the library at its start."""
     import pysyncobj.syncobj  # noqa: F401  # writes the cache
 
     pinned_copy._pinned_code.cache_clear()
