@@ -45,8 +45,8 @@ from stampede_rt_runtime.values import parse_address_text, parse_target
 logger = logging.getLogger(__name__)
 Found = TypeVar("Found")
 
-ANSWER_SECONDS = 2.0  # `start` waits longer than the host tries to enter, so that it gets the host's own error
-LEAVE_SECONDS_MAX = 10.0  # for the end of a host, beside the time of its drain
+ANSWER_SECONDS = 2.0  # `start` waits this much longer than `enter` of the host, so that it gets the host's error
+LEAVE_SECONDS_MAX = 10.0  # the most that the end of a host takes, after its drain
 _MISUSES = (CannotListen, NotAllowed, SettingsError, ValueError)
 
 

@@ -100,7 +100,7 @@ async def serve(settings: SupernodeSettings) -> None:
             serving_metrics(settings.metrics_address(), "supernode", server, metrics.collect),
             background(server, *work),
         ):
-            # Printed once `run` handles stop signals, because a process that waits for this line may then send one.
+            # Printed after `run` has begun to handle stop signals, because its reader may send one at once.
             ready = f"stampede supernode {parts.members.self_id} ready on {address}"
             asyncio.get_running_loop().call_soon(announce, ready)
             await server.run(parts.end_streams)

@@ -40,7 +40,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         self._changes = changes
         self._identity = identity
         self._access = access
-        # the addresses of the data services; set once the server listens, before the host gets a lease
+        # the addresses of the data services; set as soon as the server listens, before the host gets a lease
         self.target = ""
         self.local_target = self.tcp_target = ""
 

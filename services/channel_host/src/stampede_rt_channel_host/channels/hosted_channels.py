@@ -330,7 +330,7 @@ class HostedChannel:
         self._on_touched(self)
 
     def _accepted(self, now: int) -> None:
-        """Wake the readers after a change of `core`; if the channel has replicas, once the change is shown."""
+        """Wake the readers after a change of `core`; if the channel has replicas, as soon as the change is shown."""
         if self.replication is None:
             self._announce(now)
         else:

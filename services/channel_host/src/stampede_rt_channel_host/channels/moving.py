@@ -26,7 +26,7 @@ class HeldPuts(Protocol):
 
 
 class Moving:
-    """A move under way. `elsewhere`: the error that sends callers to the new owner, once there is one."""
+    """A move under way. `elsewhere`: the error that sends callers to the new owner, as soon as there is one."""
 
     def __init__(self, name: str, puts: HeldPuts, begin: Callable[[Pieces[None]], None]) -> None:
         """`name` is that of the channel. `begin` does work in pieces."""

@@ -124,7 +124,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         self.news.set()
 
     def accepted(self, now: int) -> None:
-        """Send a change of the channel to the replicas, and show the change once it is replicated."""
+        """Send a change of the channel to the replicas, and show the change as soon as it is replicated."""
         if not self._is_filled:
             return
         for feed in self._feeds.values():  # first: the replicas work while this host goes on
@@ -145,7 +145,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
 
     @property
     def _unseen_bytes(self) -> int:
-        """The memory of the items that have left `core`, and that readers will see once they are replicated."""
+        """The memory of the items that have left `core`, and that readers will see as soon as they are replicated."""
         return 0 if self._view is None else max(0, self._view.staged_bytes - self._core.footprint_bytes)
 
     def check_room(self, _: int = 0) -> None:

@@ -72,7 +72,7 @@ class ChannelStore:
         """The host's clock: nanoseconds since the Unix epoch, slewed, never stepping."""
         self._channels = ChannelTable(identity.name)
         self._single_flight = SingleFlight()
-        self._closing: StampedeError | None = None  # the error for all requests once the host shuts down
+        self._closing: StampedeError | None = None  # the error for all requests as soon as the host shuts down
         self.registrations = 0
         """The number of registrations whose answers have come."""
         self.memory = memory

@@ -25,7 +25,7 @@ class ChangeFollower(Protocol):
     """A part of the host that follows changes of the directory: its groups, its queues, or its access state."""
 
     in_use: asyncio.Event
-    """Set once this part needs the watch."""
+    """Set as soon as this part needs the watch."""
 
     async def missed(self) -> None:
         """Ask the directory for the present state, because the watch may have missed changes. Raises Unavailable."""
@@ -37,7 +37,10 @@ class ChangeFollower(Protocol):
 async def watch_forever(
     supernodes: Supernodes, request: directory_service_pb2.WatchRequest, watched: ChangeFollower
 ) -> NoReturn:
-    """Watch without end. Begins once `watched.in_use` is set. When the watch breaks, begins again after a pause."""
+    """Watch without end. Begins as soon as `watched.in_use` is set.
+
+    When the watch breaks, begins again after a pause.
+    """
     await watched.in_use.wait()
     pause_s = _PAUSE_SECONDS_MIN
     while True:  # paced by the sleep at the end

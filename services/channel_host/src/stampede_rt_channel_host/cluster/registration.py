@@ -168,7 +168,7 @@ class Registration:
     async def leave(self) -> None:
         """Deregister, so that other hosts may get the channels without a wait for the end of the lease.
 
-        If the directory cannot be reached, other hosts may get them once the lease has ended by itself.
+        If the directory cannot be reached, other hosts may get them as soon as the lease has ended by itself.
         """
         self._has_left = True
         if self._fence is not None:

@@ -83,8 +83,8 @@ class Supernodes:
         """Make one call of `service`. Tries all known supernodes. If all fail, asks the front-ends, and tries again.
 
         Updates carry a request id and the age of the request, so it is safe to repeat them. The age counts from now, or
-        from `since_s` by `age_clock_s`. Raises the error with which the directory answers, or the last failure once
-        `timeout_s` is over. Does not wait until an error with the reason `final_reason` passes.
+        from `since_s` by `age_clock_s`. Raises the error with which the directory answers, or the last failure as soon
+        as `timeout_s` is over. Does not wait until an error with the reason `final_reason` passes.
         """
         backoff = Backoff(time.monotonic() + timeout_s)
         call = _Call(method, request, service, age_clock_s() if since_s is None else since_s, final_reason)

@@ -45,5 +45,8 @@ class AllowedMoves:
             )
 
     def permit(self, subject_id: bytes, epoch: int, to_host_id: bytes) -> bytes:
-        """The permit for the directory. Give it to that host once it has everything, and nothing changes any more."""
+        """The permit for the directory.
+
+        Give it to that host as soon as it has everything, and nothing changes any more.
+        """
         return move_permit(self._key, subject_id, epoch, to_host_id) if self._key else b""

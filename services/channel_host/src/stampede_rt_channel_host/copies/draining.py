@@ -194,7 +194,7 @@ class _Others:
         self._requests: dict[str, DrainRequests] = {}
 
     async def move(self, own: _Own, host: OtherHost) -> OtherHost:
-        """Have a host take a channel or queue over, once there is room for the move.
+        """Have a host take a channel or queue over, as soon as there is room for the move.
 
         Returns another host to try instead, if this one has turned out to be silent meanwhile; otherwise `host`. Raises
         the errors of MigrationService.MoveHere, Unavailable, and DeadlineExceeded if the host has not begun the move

@@ -18,7 +18,8 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 class MoveFeed(CopyFeed):
     """One stream from the owner of a channel to its next owner.
 
-    `handoff` is done once this host has all items and facts. Then `permit` is the owner's permit for the directory.
+    `handoff` is done as soon as this host has all items and facts. Then `permit` is the owner's permit for the
+    directory.
     """
 
     def __init__(

@@ -18,13 +18,19 @@ RUNS_OF_SHORT_RING = 4  # a reader needs time to copy a run
 
 
 class RingFit(NamedTuple):
-    """How much data a ring has, and the longest run that it takes. A longer one needs a larger ring, or none."""
+    """How much data a ring has, and the longest run that it takes.
+
+    A longer run needs a larger ring, or goes without a ring.
+    """
 
     data_bytes: int
     longest_run: int
 
     def suits(self, best: RingFit) -> bool:
-        """Whether a ring of this size may stay where a new one would be `best`. Sizes of less than twice suit."""
+        """Whether a ring of this size may stay although a new ring would have the size `best`.
+
+        It may if neither size is twice the other.
+        """
         return best.data_bytes < 2 * self.data_bytes and self.data_bytes < 2 * best.data_bytes
 
 
@@ -55,7 +61,7 @@ class RecentRuns:
         self._present = max(self._present, run_bytes)
 
     def turn(self) -> int:
-        """Begin a new period. Returns the longest run of the former two."""
+        """Begin a new period. Returns the longest run of the last two periods."""
         longest = max(self._present, self._former)
         self._present, self._former = 0, self._present
         return longest

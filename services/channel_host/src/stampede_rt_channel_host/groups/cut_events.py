@@ -60,7 +60,7 @@ class CutEvents:
         self._incarnation = 0  # of the group, at the beginning of the subscription
         self._spec_version = 0  # of the group, at the beginning of the subscription
         self._followed: dict[bytes, _Followed] = {}
-        # the reader's cursors at the opening; None once the subscription has begun
+        # the reader's cursors at the opening; None after the subscription has begun
         self._kept: dict[bytes, pb.ChannelCursor] | None = {}
         self._boundaries: deque[Boundary] = deque()  # received and not answered yet
         self._credit = Credit(self._waiter.wake)  # in events; not used if another host decides
@@ -165,7 +165,10 @@ class CutEvents:
         self._followed[channel_id] = _Followed(hosted, follower)
 
     def _kept_cursor(self, hosted: HostedChannel) -> pb.ChannelCursor | None:
-        """The reader's cursor of a channel, None if it has none. Raises Unavailable once the subscription has begun."""
+        """The reader's cursor of a channel, None if it has none.
+
+        Raises Unavailable after the subscription has begun.
+        """
         if self._kept is None:
             raise Unavailable(
                 f"channel {hosted.record.name} has come to this host; subscribe again at the hosts of all members, "
@@ -229,7 +232,10 @@ class CutEvents:
         return decider.due(group.members(), now)
 
     def _next_boundary(self, group: HostedGroup) -> Boundary | None:
-        """The next boundary from the reader, once this host's cut has reached it. The boundary itself raises no cut."""
+        """The next boundary from the reader, as soon as this host's cut has reached it.
+
+        The boundary itself raises no cut.
+        """
         if not self._boundaries or not group.has_reached(self._boundaries[0].cut):
             return None
         self._room.set()

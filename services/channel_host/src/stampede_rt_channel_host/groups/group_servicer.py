@@ -75,7 +75,7 @@ class GroupServicer:
 
     @errors_as_status
     async def get_cut(self, request: pb.GetCutRequest, context: Context) -> pb.GetCutResponse:
-        """GroupService.GetCut: the cut, once it has reached `cut_floor_unix_nano` of the request.
+        """GroupService.GetCut: the cut, as soon as it has reached `cut_floor_unix_nano` of the request.
 
         If the caller's wait ends first, the answer says `stalled`, and gives the cut that this host has.
         """

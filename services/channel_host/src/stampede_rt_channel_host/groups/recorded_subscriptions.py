@@ -19,7 +19,7 @@ class RecordedSteps:
     """Takes the steps of one subscription that memory does not have."""
 
     def __init__(self, channels: ChannelStore, place: VisibleAll) -> None:
-        """`place`: of the reader."""
+        """`place`: the position of the reader."""
         self._channels, self._place = channels, place
         self._step: RecordedStep | None = None
 

@@ -30,8 +30,8 @@ class RemoteMember:
     """One member at another host.
 
     `track` holds the keys of the member's items. `epoch` is the member's epoch, and `target` the address of its host,
-    as the directory last returned them. `incarnation` is that of the member, 0 while it is unknown. Once `is_followed`
-    is True, `track` gets the key of every item that producers put.
+    as the directory last returned them. `incarnation` is that of the member, 0 while it is unknown. As soon as
+    `is_followed` is True, `track` gets the key of every item that producers put.
     """
 
     def __init__(self, channel_id: bytes, since: int) -> None:
@@ -55,8 +55,8 @@ class RemoteMember:
         """Whether the member has passed the instant, judged only by the messages of this subscription.
 
         So the track already has all items that the member got before it passed the instant. If the member has not
-        passed it, its host may send more. An idle member (`is_idle`) has passed each instant once the track has had all
-        of its items, which may come from an archive.
+        passed it, its host may send more. An idle member (`is_idle`) has passed each instant as soon as the track has
+        had all of its items, which may come from an archive.
         """
         passed = self._times.has_passed(instant, lateness_nanos) or (is_idle and not self._owes_items)
         if self._credit <= 0 or not passed:
@@ -65,7 +65,10 @@ class RemoteMember:
 
     @property
     def _owes_items(self) -> bool:
-        """Whether earlier items of the member may still come. Not if its host has not answered for a while."""
+        """Whether earlier items of the member may still come.
+
+        False if the member's host has not answered for a while.
+        """
         waited_s = asyncio.get_running_loop().time() - self._begun_s
         return not self._had_all and (self.is_followed or waited_s < UNANSWERED_SECONDS_MAX)
 

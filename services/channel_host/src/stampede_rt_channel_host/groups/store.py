@@ -32,7 +32,7 @@ GROUPS_PER_PIECE = 16
 GROUPS_PER_LOOK = 256
 ROUND_SECONDS = 0.5
 LOOK_UP_SECONDS = 30.0  # from one lookup of a group in use to the next; finds changes that the watch has missed
-LOOK_UP_SECONDS_IN_TROUBLE = 0.5  # the same, if the group may have changed or one of its hosts is silent
+LOOK_UP_SECONDS_IN_TROUBLE = 0.5  # as above, if the group may have changed or a host is silent
 IN_USE_SECONDS = 60.0  # a group without readers counts as in use for this time after the last request that named it
 
 
@@ -60,7 +60,7 @@ class GroupStore:
             self._table.refresh, channels.scheduler.begin, GROUPS_PER_PIECE
         )
         self._to_learn: set[bytes] = set()  # channels that other hosts ask for and that no group known here has
-        self.in_use = asyncio.Event()  # set once this host has learned a group
+        self.in_use = asyncio.Event()  # set as soon as this host has learned a group
 
     def known(self, group_id: bytes) -> HostedGroup | None:
         """The group, if this host knows it; otherwise None. Notes that a request has named the group."""

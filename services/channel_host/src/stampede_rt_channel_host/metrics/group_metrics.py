@@ -14,7 +14,7 @@ from stampede_rt_runtime.metrics.families import Family
 
 GROUPS_PER_PIECE = 64
 HOLDERS_PER_PIECE = 4
-"""Fewer, because a group looks at all its members."""
+"""One piece has fewer groups with metrics of their own, because such a group looks at all its members."""
 
 
 class GroupMetrics:

@@ -140,7 +140,7 @@ class HostedQueue(ReplicatedQueue):
         self.moving.is_held = True
 
     async def exported(self) -> QueueHandoff:
-        """The whole queue, which is held. A thread does this work, because it takes a microsecond for each message."""
+        """The whole queue; call `hold` before. A thread does this work, because it takes a microsecond a message."""
         assert self.moving is not None, "the queue is held"
         self.moving.is_exporting = True
         try:

@@ -22,8 +22,9 @@ class QueueContent(NamedTuple):
 
 
 class KeptQueue(NamedTuple):
-    """The replica that the former owner of a queue becomes. `made_nanos`: when its leases were as at the hold, by a
-    steady clock.
+    """The replica that the former owner of a queue becomes. `made_nanos`: the time of the hold, by a steady clock.
+
+    The leases of `core` are as of that time.
     """
 
     core: QueueCore
@@ -32,7 +33,7 @@ class KeptQueue(NamedTuple):
 
 
 class QueueMove:
-    """A move of a queue to another host. `elsewhere`: the error that sends callers there, once the move is over.
+    """A move of a queue to another host. `elsewhere`: the error that sends callers there, as soon as the move is over.
 
     `kept`: the copy that stays here if the queue moves; None: the queue has no replicas, or has not been handed over.
     """

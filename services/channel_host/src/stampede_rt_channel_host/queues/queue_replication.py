@@ -74,7 +74,7 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
             self.go_on()
 
     def once_replicated(self, about: object, action: Action) -> None:
-        """Perform `action` once the present state of the queue is replicated. `forget` drops it."""
+        """Perform `action` as soon as the present state of the queue is replicated. `forget` drops it."""
         if self.is_level and not self._waiting:
             action()
         else:

@@ -72,10 +72,10 @@ class QueueStore:
         self._on_dead_letters = on_dead_letters
         self._queues: dict[bytes, HostedQueue] = SortedDict()
         self._single_flight = SingleFlight()
-        self._closing: StampedeError | None = None  # the error for all requests once the host shuts down
+        self._closing: StampedeError | None = None  # the error for all requests as soon as the host shuts down
         self._registrations = 0  # the number of registrations whose answers have come
         self.deadlines: Deadlines[HostedQueue] = Deadlines()
-        self.in_use = asyncio.Event()  # set once a queue is used here
+        self.in_use = asyncio.Event()  # set when a queue is first used here
         self._creation_shares = CreationShares(identity.name, "queues", QUEUES_MAX)
         self.takers = IdOwners()  # which caller uses which taker id
         self._arriving: dict[bytes, tuple[int, QueueContent]] = {}  # with the epoch of this host as the owner
@@ -244,7 +244,7 @@ class QueueStore:
         self._creation_shares.check(record.created_by)
 
     def expect(self, record: RecordedQueue, content: QueueContent) -> None:
-        """Serve a queue with this content once the directory names this host as its owner in the next epoch."""
+        """Serve a queue with this content as soon as the directory names this host as its owner in the next epoch."""
         self._arriving[record.queue_id] = record.epoch + 1, content
 
     def give_up(self, queue_id: bytes) -> None:

@@ -26,7 +26,10 @@ async def wait_for_replicas(hosted: HostedQueue) -> None:
 
 
 def ack_of_replicas(ack: pb.PutAck, hosted: HostedQueue, wait_nanos: int | None) -> pb.PutAck | HeldAck:
-    """The ack of a put, or the wait for the replicas that holds it back. `wait_nanos`: the longest; None: no limit."""
+    """The ack of a put, or the wait for the replicas that holds it back.
+
+    `wait_nanos`: the longest wait; None: no limit.
+    """
     replication = hosted.replication
     if replication is None or not ack.HasField("first_seq"):
         return ack

@@ -81,7 +81,9 @@ class ReplicatedQueue(ABC):
         return next_step
 
     def once_replicated(self, about: object, action: Callable[[], None]) -> None:
-        """Perform `action` once the replicas have the present state; at once if the queue waits for no replicas."""
+        """Perform `action` as soon as the replicas have the present state; at once if the queue waits for no
+        replicas.
+        """
         if self.replication is None:
             action()
         else:

@@ -40,7 +40,7 @@ class Answer:
     """The answer to an operation. `index`: the log position of its command.
 
     `subject`: see `command_table.subject_of`. `caller`: the caller whose share of the memory the answer takes up; empty
-    if no share holds for it.
+    if the answer counts for no share.
     """
 
     op_id: bytes

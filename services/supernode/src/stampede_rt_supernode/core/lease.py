@@ -55,7 +55,7 @@ class LeaseTable:
     """The leases as one leader keeps them. The table grants and ends leases only between `lead` and `resign`."""
 
     def __init__(self) -> None:
-        self.ttl_nanos = LEASE_TTL_NANOS  # the TTL of the cluster, once this supernode leads
+        self.ttl_nanos = LEASE_TTL_NANOS  # the TTL of the cluster, if this supernode leads
         self.tenure = 0  # 0 while this supernode does not lead, or its tenure is not committed yet
         self._leases: dict[bytes, _Lease] = {}
         # A heap of (time of the next look at a lease, its registered index, its holder's id). The time is never after
@@ -65,7 +65,7 @@ class LeaseTable:
         self._ending: dict[bytes, _Lease] = {}
         # The leases and looks of former tenures that are not freed yet.
         self._forgotten: list[tuple[dict[bytes, _Lease], list[tuple[int, int, bytes]]]] = []
-        self._granted_nanos = 0  # all leases that are not ending hold at least until then
+        self._granted_nanos = 0  # all leases that are not ending last at least until then
         self._walks = 0  # the number of the last walk over all live holders
         self._looked_nanos = 0  # when `due` was last called
 
@@ -181,7 +181,7 @@ class LeaseTable:
 
         From now on `renew` refuses to prolong them. Later calls return a lease again, because a proposal can fail. They
         stop when its holder is noted as gone, or registers again. If the last call was more than TTL / STALL_FRACTION
-        ago, every other lease holds for a full TTL from `now`. One call looks at LOOKS_MAX leases at most; see
+        ago, every other lease lasts for a full TTL from `now`. One call looks at LOOKS_MAX leases at most; see
         `is_behind`.
         """
         if now - self._looked_nanos > self.ttl_nanos // STALL_FRACTION:

@@ -60,7 +60,10 @@ def _without_channels(directory: Directory) -> Directory:
 
 
 def _with_copies(holder: T, *names: str) -> T:
-    """A copy of `holder` with copies of these dictionaries. A sorted one becomes a plain one in the same order."""
+    """A copy of `holder` with copies of these dictionaries.
+
+    A sorted dictionary becomes a plain dictionary in the same order.
+    """
     view = copy(holder)
     for name in names:
         table = getattr(holder, name)

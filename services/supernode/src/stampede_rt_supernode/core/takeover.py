@@ -36,10 +36,11 @@ def forget_channel(tables: Tables, channel: ChannelRecord) -> tuple[str, ...]:
 
 
 def end_registration(tables: Tables, host_id: bytes) -> None:
-    """Apply the loss of all items of a host. Its lease must have ended, or a new process of it must have registered.
+    """Apply the loss of all items of a host.
 
-    The directory removes the copies that the host held. Other hosts get those of its channels and queues of which they
-    hold a warm replica in sync. If the host is not alive, its other mailboxes move to other hosts.
+    The host's lease must have ended, or a new process of the host must have registered. The directory removes the
+    copies that the host held. If other hosts hold warm replicas in sync of its channels and queues, they become the
+    owners of these. If the host is not alive, its other mailboxes move to other hosts.
     """
     for channel_id in tables.replicas.channel_ids_at(host_id):
         drop_copy(tables, copied_with_id(tables, channel_id), host_id)

@@ -50,7 +50,7 @@ class Founding:
     takes_over: bool = False
     # Whether the member joins a running cluster, and founds none.
     joining: bool = False
-    # The join token, deleted once the supernode is a member. Never shown.
+    # The join token, deleted as soon as the supernode is a member. Never shown.
     token: str = field(default="", repr=False)
     # Whether the store was opened once. From then on it must exist.
     started: bool = False

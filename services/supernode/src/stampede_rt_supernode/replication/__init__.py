@@ -2,7 +2,7 @@
 
 `await open_replicated_log(settings, state_machine, dial, server)` gives a ReplicatedLog (see interface.py). The log
 runs PySyncObj on a thread of its own. This package corrects the faults of that library, and no other package imports
-it. Order of use:
+the library. Order of use:
 
 1. Bind a `grpc.aio` server, so that the address of this member is known. Do not start it yet.
 2. Open the log: it loads its state and registers its service with the server.

@@ -1,8 +1,9 @@
 """The configurations of the cluster: its members as the log states them. Pure.
 
 One member is added or removed at a time. Then any majority before the change and any majority after it share a member.
-So two leaders of one term cannot both have a majority (Ongaro's dissertation, section 4.1). A configuration holds from
-the moment it is in the log, committed or not. PySyncObj's own guard against two changes at once never takes effect.
+So two leaders of one term cannot both have a majority (Ongaro's dissertation, section 4.1). A configuration takes
+effect when it is added to the log, before it is committed. PySyncObj's own guard against two changes at once never
+takes effect.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class Configuration:
 
 
 class ConfigurationChange(NamedTuple):
-    """A configuration, and the log position from which it holds."""
+    """A configuration, and the log position from which it is in effect."""
 
     log_index: int
     configuration: Configuration
@@ -65,8 +66,8 @@ class ConfigurationChange(NamedTuple):
 class Configurations:
     """A base, and the configurations in the log's entries after it.
 
-    The base is the configuration that held before these entries. The entries up to its position are never cut off.
-    Invariant: the positions ascend.
+    The base is the configuration that was in effect before these entries. The entries up to its position are never cut
+    off. Invariant: the positions ascend.
     """
 
     def __init__(self, base: Configuration) -> None:
@@ -76,7 +77,7 @@ class Configurations:
 
     @property
     def current(self) -> Configuration:
-        """The configuration that holds now."""
+        """The configuration that is in effect now."""
         return self._changes[-1].configuration
 
     @property
@@ -85,7 +86,7 @@ class Configurations:
         return self._changes[-1].log_index
 
     def at(self, log_index: int) -> Configuration:
-        """The configuration that held at a position; the base for a position before the base."""
+        """The configuration that was in effect at a position; the base for a position before the base."""
         return next(change.configuration for change in reversed(self._changes) if self._is_at(change, log_index))
 
     def _is_at(self, change: ConfigurationChange, log_index: int) -> bool:
@@ -104,7 +105,7 @@ class Configurations:
             self.version += 1
 
     def rebase(self, log_index: int, configuration: Configuration) -> None:
-        """Set the base to the configuration that held at the end of a snapshot. Later configurations stay."""
+        """Set the base to the configuration that was in effect at the end of a snapshot. Later configurations stay."""
         later = [change for change in self._changes[1:] if change.log_index > log_index]
         self._changes = [ConfigurationChange(log_index, configuration), *later]
         self.version += 1

@@ -1,7 +1,7 @@
 """The interface between the directory and the log that replicates it.
 
 Commands, results and snapshots cross it as bytes. The directory knows nothing of the library that replicates them. So
-another library can replace that one (paper, section 4.3: "standard consensus techniques").
+another library can replace PySyncObj (paper, section 4.3: "standard consensus techniques").
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ class ReplicationStatus:
 
     @property
     def level_of_members(self) -> int:
-        """The highest feature level that all members know; 0 as long as a member has not reported its own."""
+        """The highest feature level that all members know; 0 as long as a member has not reported its level."""
         return min((self.highest_levels.get(member.member_id, 0) for member in self.members), default=0)
 
 
@@ -216,10 +216,10 @@ class ReplicatedLog(Protocol):
     async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:
         """Add a replica that runs at `member.address` and waits to join. Returns the log position of the change.
 
-        If it is a member already, returns the last applied position. The replica becomes a member once it has caught
-        up. Idempotent: a repeated call waits for the addition under way, which continues after `timeout`. A `ticket`
-        lets in one member. Raises NotLeading, ChangeUnderWay, ChangeRefused (TicketSpent if the ticket is used up,
-        ReleaseOutdated if the newcomer's release is too old), LogUnavailable or Ambiguous.
+        If it is a member already, returns the last applied position. The replica becomes a member as soon as it has
+        caught up. Idempotent: a repeated call waits for the addition under way, which continues after `timeout`. A
+        `ticket` lets in one member. Raises NotLeading, ChangeUnderWay, ChangeRefused (TicketSpent if the ticket is used
+        up, ReleaseOutdated if the newcomer's release is too old), LogUnavailable or Ambiguous.
         """
 
     async def remove_member(self, member_id: str, *, timeout: float) -> int:

@@ -98,7 +98,7 @@ class RaftReplica:
         self._snapshots = SnapshotRequests(self._node, self._log, self._completions.append)
         self._roster_version: tuple[object, ...] = ()
         self.roster = MemberRoster((), {}, frozenset())
-        # By this write the next process that opens the store sees that the store was used.
+        # This write shows the next process that opens the store that the store was used.
         self._log.sync()
         # (term, last log index) on stable storage, as this member states them in its hellos
         self.durable_end = self._log.end()

@@ -33,7 +33,7 @@ class RaftTiming:
 
     # The longest time between two steps of the log's thread.
     tick_seconds: float = 0.03
-    # The same for a leader without other members, while nothing waits.
+    # The longest time between two steps of a leader without other members, while nothing waits.
     idle_seconds: float = 0.5
     heartbeat_seconds: float = 0.1
     election_timeout_min_seconds: float = 1.0
@@ -64,10 +64,10 @@ class ReplicationSettings:
     """One replica of the log.
 
     `initial_members` holds every member, this one included. With `joining` it holds the present members without this
-    replica, which they will add. Once the log has a configuration, that configuration counts instead. `data_dir` is the
-    folder of this replica's store; None keeps everything in memory, for development. `create` allows a new store in a
-    folder without one. Use False if a store must exist, because a member that lost its disk must come back under a new
-    id. The members of one cluster have the same `cluster_id`, and refuse callers with another one. At most
+    replica, which they will add. As soon as the log has a configuration, that configuration counts instead. `data_dir`
+    is the folder of this replica's store; None keeps everything in memory, for development. `create` allows a new store
+    in a folder without one. Use False if a store must exist, because a member that lost its disk must come back under a
+    new id. The members of one cluster have the same `cluster_id`, and refuse callers with another one. At most
     `proposals_max` commands and `reads_max` reads wait. The log takes a snapshot when it has more than
     `snapshot_every_entries` entries, or when the last snapshot is more than `snapshot_every_seconds` old. A leader
     sends a snapshot in pieces of `snapshot_piece_bytes`. `inbox_items_max` messages and `inbox_bytes_max` bytes of each

@@ -1,4 +1,4 @@
-"""Raises the cluster's feature level, while this supernode leads, once all members know a higher level."""
+"""Raises the cluster's feature level as soon as all members know a higher level, while this supernode leads."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ class OwnCluster:
         self._known = cluster_id_of(log_cluster_id)
 
     def id(self) -> str:
-        """The id that this cluster has, or will have once its founder leads; empty if the id is not known yet."""
+        """The id that this cluster has, or will have as soon as its founder leads; empty if the id is not known yet."""
         return self._known or self._replica.read(_id_of)
 
     def judge(self, callers: str) -> StampedeError | None:

@@ -55,7 +55,7 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
 
     @errors_as_status
     async def RegisterPeer(self, request: pb.RegisterPeerRequest, context: Context) -> pb.RegisterPeerResponse:
-        """The lease begins when the leader sees the registration, so later than the peer has sent the request.
+        """The lease begins when the leader sees the registration, which is after the peer has sent the request.
 
         In a cluster with certificates only a host itself may register as the peer of that host.
         """

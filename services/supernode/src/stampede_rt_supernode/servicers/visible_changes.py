@@ -12,8 +12,8 @@ from stampede_rt_supernode.core.records import ChannelRecord, DirectoryChange, G
 def visible_to_caller() -> Callable[[DirectoryChange], bool]:
     """Returns a function that tells whether the caller gets a change.
 
-    The function judges each change by the rules that hold when it is called. Every caller gets the changes of hosts,
-    and every AccessChange.
+    The function judges each change by the rules that are in effect when it is called. Every caller gets the changes of
+    hosts, and every AccessChange.
     """
     may_list = {kind: allowed_to(AccessVerb.LIST, kind) for kind in AccessKind}
 

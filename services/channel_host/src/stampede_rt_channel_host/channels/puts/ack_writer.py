@@ -43,7 +43,7 @@ class AckWriter:
             self._holding().add(ack)
 
     def hold(self, acks: Iterable[pb.PutAck | HeldAck]) -> None:
-        """Write the acks of one request once they are due. The writer must be idle."""
+        """Write the acks of one request as soon as they are due. The writer must be idle."""
         for ack in acks:
             self._holding().add(ack)
 
@@ -66,7 +66,7 @@ class AckWriter:
             self._news.set()
 
     async def finish(self) -> None:
-        """Write all acks that were added, once they are due."""
+        """Write all acks that were added, as soon as they are due."""
         if self._held is not None:
             await self._held.all_passed()
         self._is_closed = True

@@ -31,7 +31,7 @@ class HeldAck(Protocol):
 
 
 class AckOfDisk:
-    """An ack that is due once the archive has its items on stable storage."""
+    """An ack that is due as soon as the archive has its items on stable storage."""
 
     def __init__(self, ack: pb.PutAck, channel: str, recording: Recording, wait_nanos: int | None) -> None:
         """`wait_nanos`: the longest wait; None: without a limit."""
@@ -85,7 +85,9 @@ def _left_s(ends_s: float | None) -> float | None:
 
 
 class AckOfReplicas:
-    """The ack of a put into a channel or queue, which is due once the replicas have everything before `next_place`."""
+    """The ack of a put into a channel or queue, which is due as soon as the replicas have everything before
+    `next_place`.
+    """
 
     def __init__(
         self, ack: pb.PutAck, replication: OwnedReplicas[Any], next_place: int, wait_nanos: int | None,
@@ -93,7 +95,7 @@ class AckOfReplicas:
     ) -> None:  # fmt: skip
         """`wait_nanos`: the longest wait; None: without a limit. After it, `explain` makes the error for the ack.
 
-        `is_enough`: the ack is due once this holds, even if some replicas do not have everything.
+        `is_enough`: the ack is due as soon as this holds, even if some replicas do not have everything.
         """
         self._is_replicated = is_enough or (lambda: replication.replicated_next >= next_place)
         self._ack = ack

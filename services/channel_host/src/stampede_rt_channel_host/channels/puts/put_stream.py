@@ -114,7 +114,8 @@ class PutStream:
         return _ReceivedRequest(request.puts, received_s, too_much, is_single)
 
     def _take_at_once(self, raw: bytes | memoryview, write: Callable[[bytes], None]) -> bool:
-        """Judge the few runs of a request, which surely need not wait for room, and write their acks once they are due.
+        """Judge the few runs of a request, which surely need not wait for room, and write their acks as soon as they
+        are due.
 
         Returns False for any other message.
         """

@@ -58,7 +58,7 @@ class ConsumerStanding(NamedTuple):
 class Place:
     """A place that a consumer has taken. Its lease ends at `until`.
 
-    `done` has the seqs that the consumer has consumed, and collected seqs next to them. It is None once the lease has
+    `done` has the seqs that the consumer has consumed, and collected seqs next to them. It is None after the lease has
     ended. All seqs lower than `below` are in `done`; the table sorts the places with a valid lease by `below`.
     `joined_to` is the seq at which `Consumers._join_collected` continues. `ranges` is the last counted number of ranges
     of `done`. `order` decides between places that are otherwise equal. `due` belongs to `Deadlines`. `owner` is the

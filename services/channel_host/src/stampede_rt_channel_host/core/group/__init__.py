@@ -5,7 +5,7 @@ No module here reads a clock, waits, or knows the wire. The shell of groups has 
 - It keeps one `TimesBoard`. For each channel of its own host it calls `OwnTimes.observe` after each change, and then
   `enter_own`. For channels of other hosts it calls `hear` with their owners' reports, and `confirm` at each sign of
   life.
-- It keeps one `GroupCut` per group. It calls `merge_floor` with the cuts of other hosts, `confirm` once all
+- It keeps one `GroupCut` per group. It calls `merge_floor` with the cuts of other hosts, `confirm` as soon as all
   live hosts have sent their cuts, and `refresh` after each change of the board and at `next_idle`. It never passes a
   client's cut to `merge_floor`. If a reader has seen a later cut, the reader waits until `cut` reaches the later cut,
   or gets the answer of `VisibleChannel.stalled`.
@@ -16,8 +16,8 @@ No module here reads a clock, waits, or knows the wire. The shell of groups has 
 - Subscriptions through a group use `VisibleAll` or `VisibleNewest`. For a recorded channel the shell performs each
   `RecordedStep` that `VisibleAll.unheld_step` returns.
 - Cut events: one host decides them and feeds an `EventDecider`. Every host takes its own channels' parts of an event by
-  `CutFollower.begin(boundary)` and `take`, once its own cut has reached the boundary. A new follower continues from a
-  cut and a `next_seq`.
+  `CutFollower.begin(boundary)` and `take`, as soon as its own cut has reached the boundary. A new follower continues
+  from a cut and a `next_seq`.
 - Matches: the owner of the matched channel keeps a `Matcher`, with a `LocalTrack` or `RemoteTrack` for each other
   member. A recorded channel has a `RecordedOwn` or `RecordedTrack`. The shell performs the reads of each NotLoaded.
 - To report the state of a group, it reads `GroupCut.members` and `waiting_on`, `VisibleChannel.hidden_items` and

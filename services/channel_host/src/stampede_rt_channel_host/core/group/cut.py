@@ -75,8 +75,9 @@ class GroupCut:
     """The cut of one group as one host knows it. Within an incarnation it never moves back.
 
     The caller first makes the object. It then calls `merge_floor` with the cuts of the group's other hosts, and
-    `confirm` once all live hosts have reported their cuts. Before `confirm` no item is visible, because a reader may
-    have seen a later cut. From then on the caller calls `refresh` after each change of the board and at `next_idle`.
+    `confirm` as soon as all live hosts have reported their cuts. Before `confirm` no item is visible, because a reader
+    may have seen a later cut. From then on the caller calls `refresh` after each change of the board and at
+    `next_idle`.
     """
 
     def __init__(self, definition: GroupDefinition, board: TimesBoard) -> None:
@@ -106,9 +107,10 @@ class GroupCut:
 
     @property
     def holder(self) -> bytes | None:
-        """The member that holds the cut back: only a change of this member can raise the cut. None: no change can.
+        """The member that holds the cut back: only a change of this member can raise the cut.
 
-        Not for groups with `idle_after_nanos`, whose cuts any change may raise. As of the last refresh.
+        None: no change of one member can. The answer is as of the last refresh. Do not use it for groups with
+        `idle_after_nanos`, because any change may raise their cuts.
         """
         if not self._confirmed:
             return None
@@ -195,7 +197,10 @@ class GroupCut:
         return definition.reference is None and not definition.by_end and definition.idle_after_nanos is None
 
     def _still_holds(self, now: int) -> bool:
-        """Whether the member that held the cut back still does. Most changes concern other members."""
+        """Whether the member that held the cut back at the last look still holds it back.
+
+        Most changes concern other members.
+        """
         known = self._board.find(self._holder)
         if self._is_idle(known, now):
             return False

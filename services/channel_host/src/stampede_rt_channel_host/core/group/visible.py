@@ -129,7 +129,7 @@ class VisibleReading(Reading):
     def _wake_at(self, first_instant: int, clock: int) -> WakeAt:
         cut = self._horizon.cut
         if cut is None or first_instant > cut:
-            return WakeAt(None)  # the passing of time brings no answer, only a later cut does
+            return WakeAt(None)  # only a later cut brings an answer; time does not
         return super()._wake_at(first_instant, clock)
 
     def _is_finished(self, region: ResolvedInterval) -> bool:

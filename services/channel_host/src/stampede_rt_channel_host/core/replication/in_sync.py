@@ -2,8 +2,8 @@
 
 The directory's log has a flag for each replica. If the owner is lost, a replica with this flag becomes the owner. So a
 replica with the flag must hold every item that was acknowledged or shown to a reader. The owner cannot know at which
-moment the log takes a change of a flag. It therefore waits for a replica from before it asks to set the flag until the
-log has confirmed that the flag is cleared.
+moment the log takes a change of a flag. So the owner begins to wait for a replica before it asks the directory to set
+the flag. The owner stops waiting only when the log has confirmed that the flag is cleared.
 """
 
 from __future__ import annotations

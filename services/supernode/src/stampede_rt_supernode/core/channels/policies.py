@@ -1,7 +1,7 @@
 """Checks which policies of a channel are possible, and whether two of them agree (paper, section 3.4). Pure.
 
-A field that is None was never stated. A stated value holds from then on. A later open may repeat it or leave it out.
-Only an update changes it.
+A field that is None was never stated. A stated value stays in effect until an update changes it. A later open may
+repeat the value or leave it out. Only an update changes it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ CONTENT_TYPE_BYTES_MAX = 255
 ON_FULL = ("drop_oldest", "block", "reject")
 ACKS = ("host", "disk", "replica")
 LIMITS = ("max_age_nanos", "max_items", "max_bytes", "consumers")
-# The values of unstated fields once a limit was stated. content_type is not here: unstated, it has no effect on items.
+# The values of unstated fields after a limit was stated. content_type is not here: unstated, it has no effect on items.
 IN_EFFECT_UNSTATED = {  # by field
     "max_bytes": 256 * 2**20,
     "on_full": "drop_oldest",

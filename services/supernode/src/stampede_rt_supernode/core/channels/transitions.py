@@ -219,7 +219,7 @@ def _named_host(tables: Tables, operation: OpenChannel, *, recorded: bool) -> Ho
 
 
 def _no_host(channel: str, *, is_new: bool, recorded: bool) -> StampedeError:
-    """The error for a channel that gets no host. One that exists, and is recorded, may wait until its host is back."""
+    """The error for a channel that gets no host. An existing recorded channel may wait until its host is back."""
     metadata = {"channel": channel}
     if not recorded:
         text = f"there is no live host for channel {channel}; start one with `stampede host`, or wait for one"
@@ -234,8 +234,8 @@ def _no_host(channel: str, *, is_new: bool, recorded: bool) -> StampedeError:
 def _host_beside(tables: Tables, operation: OpenChannel, channel_id: bytes) -> HostRecord | None:
     """The live host of the channel `operation.beside`, if it has room; otherwise None.
 
-    Raises ChannelNotFound if a new channel names one that does not exist. An existing channel then gets
-    another host, because a program that opens it may be unable to create the missing channel.
+    Raises ChannelNotFound if a new channel names a channel that does not exist. An existing channel then gets another
+    host, because a program that opens it may be unable to create the missing channel.
     """
     if not operation.beside:
         return None

@@ -1,10 +1,10 @@
 """Feature levels: the commands that a release knows, and those that a cluster of several releases may use. Pure.
 
-Members are upgraded one by one, so their releases differ for a while. If one member did not know a command, it alone
-would refuse the command, and the states would differ from then on. So each kind of command needs a level, which is in
-its row of the command table. Each release knows all kinds up to its highest level. The replicated state holds the
-cluster's level. The leader raises the cluster's level once all members know a higher one. That level never falls. Every
-replica refuses a command that needs a higher level than the cluster's.
+Members are upgraded one by one, so their releases differ for a while. If one member did not know a command, only that
+member would refuse it, and the states would differ from then on. So each kind of command needs a level, which is in its
+row of the command table. Each release knows all kinds up to its highest level. The replicated state holds the cluster's
+level. The leader raises the cluster's level as soon as all members know a higher level. The cluster's level never
+falls. Every replica refuses a command that needs a higher level than the cluster's.
 
 A release that adds or changes a kind of command increases HIGHEST_LEVEL by one. A new kind needs that level. A changed
 kind checks the level of the state, and has its former effect while that level is lower.

@@ -42,7 +42,10 @@ def _invalid(group: str, field: str, text: str) -> InvalidArgument:
 
 
 def same_spec(one: GroupSpec, other: GroupSpec) -> bool:
-    """Whether two specs mean the same. The order of members does not matter. A stated default is like none."""
+    """Whether two specs mean the same. The order of members does not matter.
+
+    A stated default means the same as an unstated field.
+    """
     return _plain(one) == _plain(other)
 
 

@@ -64,7 +64,7 @@ def check_update_group(operation: UpdateGroup) -> None:
 
 
 def open_group(tables: Tables, operation: OpenGroup, *, has_shares: bool = True) -> GroupOpened:
-    """Get or create a group. `has_shares`: whether GROUPS_PER_CHANNEL_AND_CALLER_MAX holds."""
+    """Get or create a group. `has_shares`: whether GROUPS_PER_CHANNEL_AND_CALLER_MAX is in effect."""
     check_open_group(operation)
     opened = open_group_unchanged(tables, operation)
     return opened if opened is not None else _create(tables, operation, has_shares)

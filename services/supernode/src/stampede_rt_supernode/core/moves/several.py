@@ -21,7 +21,8 @@ from stampede_rt_supernode.core.replicas.transitions import drop_copy
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation
 
-MOVES_MAX = 32  # in one entry, so that no entry takes a replica more than a few milliseconds
+# The most moves in one entry, so that no entry takes a replica more than a few milliseconds.
+MOVES_MAX = 32
 
 
 def check_commit_moves(operation: CommitMoves) -> None:

@@ -3,10 +3,11 @@
 The caller holds everything that the owner accepted, and the owner accepts nothing more until the epoch changes. So one
 entry decides: the first CommitMove of an epoch counts, and each later one of that epoch is refused. The former owner
 keeps its items until the new owner removes that copy. If the new owner is lost before that, the former owner becomes
-the owner again. If the new owner held a replica, the former owner becomes a replica in its place. It holds everything,
-so it stays in sync. The former owner of a queue is never an heir. It stays as a replica if the new owner held one.
+the owner again. If the new owner held a replica, the former owner becomes a replica in its place. The former owner
+holds everything, so it stays in sync. The former owner of a queue is never an heir. It stays as a replica if the new
+owner held one.
 
-The directory does not rely on the word of the host: the owner's permit must say that it holds everything, see
+The directory does not rely on what the host says: the owner's permit must say that the host holds everything, see
 `move_permits`.
 """
 
@@ -35,7 +36,7 @@ def check_commit_move(operation: CommitMove) -> None:
 
 
 def commit_move(tables: Tables, operation: CommitMove) -> MoveCommitted:
-    """Make the host the owner, unless the epoch has changed. If it has done so already, changes nothing."""
+    """Make the host the owner, unless the epoch has changed. A repeated operation changes nothing."""
     check_commit_move(operation)
     channel = channel_by_id(tables, operation.channel_id)
     host = _destination(tables, f"channel {channel.name}", operation)
@@ -57,7 +58,7 @@ def check_commit_queue_move(operation: CommitQueueMove) -> None:
 
 
 def commit_queue_move(tables: Tables, operation: CommitQueueMove) -> QueueMoveCommitted:
-    """Make the host the owner, unless the epoch has changed. If it has done so already, changes nothing."""
+    """Make the host the owner, unless the epoch has changed. A repeated operation changes nothing."""
     check_commit_queue_move(operation)
     queue = queue_by_id(tables, operation.queue_id)
     host = _destination(tables, f"queue {_name_of(queue)}", operation)
@@ -107,7 +108,10 @@ def _destination(tables: Tables, subject: str, operation: CommitMove | CommitQue
 
 
 def _former_owner(tables: Tables, before: Copied, after: Copied) -> tuple[ReplicaRecord, ...]:
-    """The former owner's copy, if that host has its lease and its items. See the module for its kind."""
+    """The former owner's copy, if that host has its lease and its items.
+
+    The text of the module says of which kind it is.
+    """
     host = tables.hosts[before.host_id]
     if before.host_id == after.host_id or not host.alive:
         return ()

@@ -24,8 +24,8 @@ class PeerPage:
 def peer_page(tables: Tables, glob: str, after: PeerKey, peers_max: int, *, include_dead: bool) -> PeerPage:
     """Up to `peers_max` (0: PAGE_SIZE_MAX) peers after `after` whose names match `glob`.
 
-    With an empty `glob`, peers without a name follow those with one. A page may be short, even empty, and yet not be
-    the last. Raises InvalidArgument for an invalid pattern.
+    With an empty `glob`, peers without a name come after the peers with a name. A page may be short, even empty, and
+    yet not be the last. Raises InvalidArgument for an invalid pattern.
     """
     matches, limit = matcher(glob), min(peers_max or queries.PAGE_SIZE_MAX, queries.PAGE_SIZE_MAX)
     prefix = fixed_prefix(glob)

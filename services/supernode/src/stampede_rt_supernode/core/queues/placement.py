@@ -17,11 +17,12 @@ from stampede_rt_supernode.core.tables import Tables
 
 
 def choose_host(tables: Tables, queue: str, host_name: str, former: str | None = None) -> HostRecord:
-    """The host for a new queue, or for a queue whose owner is not alive. `queue`: the queue as error texts name it.
+    """The host for a new queue, or for a queue whose owner is not alive.
 
-    It is the live host `host_name`, if the caller names one. Otherwise it is the live host with the name of the
-    `former` owner. Otherwise it is the least loaded live host; among equals the one with the fewest channels and
-    queues. Raises InvalidName, HostNotFound, or Unavailable with reason NO_HOST.
+    The function takes the live host `host_name`, if the caller names one. Otherwise it takes the live host with the
+    name of the `former` owner. Otherwise it takes the least loaded live host; among equals the host with the fewest
+    channels and queues. `queue`: the queue as error texts name it. Raises InvalidName, HostNotFound, or Unavailable
+    with reason NO_HOST.
     """
     if host_name:
         return host_by_name(tables, host_name)
@@ -68,7 +69,10 @@ def give_queue(tables: Tables, before: QueueRecord, after: QueueRecord) -> None:
 
 
 def move_mailboxes(tables: Tables, host_id: bytes) -> None:
-    """Move the mailboxes of a host whose lease has ended to live hosts, if there are any. Their messages are lost."""
+    """Move the mailboxes of a host whose lease has ended to live hosts, if there are any.
+
+    The messages in the mailboxes are lost.
+    """
     for queue in tables.queues.at(host_id):
         host = _least_loaded(tables)
         if queue.mailbox_peer_id is not None and host is not None:
@@ -77,7 +81,10 @@ def move_mailboxes(tables: Tables, host_id: bytes) -> None:
 
 
 def move_waiting_mailboxes(tables: Tables) -> None:
-    """Move the mailboxes whose hosts are not alive to a live host. For a host that registers when no host was alive."""
+    """Move the mailboxes whose hosts are not alive to a live host.
+
+    Called when a host registers after a time without live hosts.
+    """
     lost = [host.host_id for host in tables.hosts.values() if not host.alive]
     for host_id in sorted(lost):
         move_mailboxes(tables, host_id)

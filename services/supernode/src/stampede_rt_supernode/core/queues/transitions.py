@@ -25,7 +25,8 @@ from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation, check_name
 
 QUEUES_MAX = 200_000  # mailboxes included
-DEAD_LETTER_STEPS_MAX = 16  # from a queue to its dead-letter queue, to the dead-letter queue of that one, and so on
+# The most steps from a queue to its dead-letter queue, from there to the dead-letter queue of that queue, and so on.
+DEAD_LETTER_STEPS_MAX = 16
 
 
 def check_open_queue(operation: OpenQueue) -> None:

@@ -101,7 +101,7 @@ def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
 def _choose_host(tables: Tables, channel: Copied, host_id: bytes) -> HostRecord:
     """The host for a copy: the live host `host_id`, if the caller names one.
 
-    Else it is, of the live hosts that hold nothing of this channel, the least loaded; among equals the one with the
+    Otherwise it is the least loaded of the live hosts that hold nothing of this channel; among equals the host with the
     fewest channels and copies. Hosts on machines that hold nothing of the channel come first, unless they are full.
     Raises HostNotFound, or Unavailable with reason NO_HOST.
     """
@@ -213,8 +213,8 @@ def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet
     """Set `in_sync` of a copy as its owner reports it, if epoch and boot incarnation agree.
 
     The owner reports False, and waits until that is in the log, before it acknowledges a put without the replica. A
-    late report of a former owner has another epoch, and one that a later report has overtaken has a lower number. So a
-    replica that becomes the owner has all acknowledged items.
+    late report of a former owner has another epoch. A report that arrives after a newer report has a lower number. The
+    directory refuses both. So a replica that becomes the owner has all acknowledged items.
     """
     check_set_in_sync(operation)
     channel = copied_by_id(tables, operation.channel_id, is_of_queue=operation.is_of_queue)

@@ -95,7 +95,7 @@ class LibrarySerializer:
         self._received: StoredSnapshot | None = None
 
     def checkSerializing(self) -> tuple[int, int | None]:
-        """The state of the present snapshot, and, once it is adopted, the position of the log's first entry."""
+        """The state of the present snapshot, and, as soon as it is adopted, the position of the log's first entry."""
         first = self._keeper.go_on_taking()
         if first is not None:
             return _SUCCESS, first.log_index

@@ -46,9 +46,9 @@ class ProposalFailure(enum.Enum):
 # Gets the result of a command, or why there is none.
 ProposalDone = Callable[[bytes | ProposalFailure], None]
 
-# The library's FAIL_REASON numbers. A command was not taken in five cases: its queue was full, no leader was known, its
-# entry was replaced, the asked member did not lead, or the state does not accept the command yet. Its outcome is
-# unknown after a change of the leader, or if the library says so.
+# The library's FAIL_REASON numbers. The library did not take a command in five cases: the library's queue was full, no
+# leader was known, another entry replaced the command's entry, the asked member did not lead, or the state does not
+# accept the command yet. The outcome is unknown after a change of the leader, or if the library says so.
 _SUCCESS = 0
 _REASON_DENIED = 6
 _REASONS_NOT_TAKEN = frozenset((1, 2, 3, 4, _REASON_DENIED))
@@ -264,7 +264,8 @@ class LibraryNode:
         self.take_snapshot_if_due()
 
     def _SyncObj__doApplyCommand(self, command: bytes) -> bytes | None:
-        # The library's own method unpickles the command, and picks a method by a number in it. This one does neither.
+        # The library's own method unpickles the command, and picks a method by a number in it. This method does
+        # neither.
         return self.apply(self.last_applied + 1, command[1:]) if command[0] == COMMAND else None
 
 

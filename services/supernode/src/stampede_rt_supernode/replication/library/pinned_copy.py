@@ -61,7 +61,8 @@ def _pinned_code() -> CodeType:
         raise LibraryMismatch(f"PySyncObj is not installed: install pysyncobj=={PINNED_VERSION}") from error
     loader = SourceFileLoader("pysyncobj.syncobj", str(Path(pysyncobj.__file__).with_name("syncobj.py")))
     check_pin(found_version=version("pysyncobj"), source=loader.get_data(loader.path))
-    code = loader.get_code(loader.name)  # from Python's cache, if it is of this file: a compilation takes 15 ms
+    # From Python's cache, if the cache is of this file, because a compilation takes 15 ms.
+    code = loader.get_code(loader.name)
     assert code is not None, "a loader of a source file always has code"
     return code
 

@@ -22,7 +22,7 @@ from stampede_rt_supernode.replication.wire.messages import NO_DIGEST, StateDige
 
 # How many of its own digests a replica remembers: those of the latest positions.
 DIGESTS_MAX = 4096
-# The leader names a newer position once all connected members have answered for the last one. It waits
+# The leader names a newer position as soon as all connected members have answered for the last one. It waits
 # ASKED_SECONDS_MIN at least. After ASKED_SECONDS_MAX it no longer waits for missing answers.
 ASKED_SECONDS_MIN, ASKED_SECONDS_MAX = 0.5, 5.0
 

@@ -22,7 +22,7 @@ class HandOver:
 class _Leaving:
     """The search for a successor, which ends at `until`. New proposals wait meanwhile.
 
-    Once a member has all entries, the leader asks this member to lead. `asked` is then True.
+    As soon as a member has all entries, the leader asks this member to lead. `asked` is then True.
     """
 
     until: float
@@ -43,7 +43,7 @@ class LeadershipTransfer:
     ) -> None:
         """A member that has answered the leader within `alive_seconds` may become the successor.
 
-        `finish(call)` makes the call once the changes of this step are durable.
+        `finish(call)` makes the call as soon as the changes of this step are durable.
         """
         self._node = node
         self._clock = clock

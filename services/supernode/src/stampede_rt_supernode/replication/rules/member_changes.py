@@ -56,10 +56,10 @@ class MemberChanges:
         round_seconds: float,
         alive_seconds: float,
     ) -> None:
-        """A newcomer has caught up once a round of catching up has taken `round_seconds` at most.
+        """A newcomer has caught up when a round of catching up has taken `round_seconds` at most.
 
-        A member that has answered the leader within `alive_seconds` counts as alive. `finish(call)` makes the call once
-        the changes of this step are durable.
+        A member that has answered the leader within `alive_seconds` counts as alive. `finish(call)` makes the call as
+        soon as the changes of this step are durable.
         """
         self._node = node
         self._clock = clock
@@ -67,9 +67,9 @@ class MemberChanges:
         self._round_seconds = round_seconds
         self._alive_seconds = alive_seconds
         self._addition: MemberAddition | None = None
-        # the id of the newcomer that was given up last for lack of progress; empty once it makes progress
+        # the id of the newcomer that was given up last for lack of progress; empty as soon as it makes progress
         self._given_up_id = ""
-        # the id of the newcomer that took too long; empty once another newcomer begins to catch up
+        # the id of the newcomer that took too long; empty as soon as another newcomer begins to catch up
         self._slow_id = ""
         self._committing: CommittingChange | None = None
         self._transfer = LeadershipTransfer(node, clock, finish, alive_seconds=alive_seconds)

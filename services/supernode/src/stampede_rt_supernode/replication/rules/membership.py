@@ -38,7 +38,7 @@ class Membership(NodeState):
     # The node that catches up in order to be added; only while this node leads.
     learner: Member | None = None
 
-    # When this node last had a leader, or led. It is locked out once `locked_out_seconds` have passed since.
+    # When this node last had a leader, or led. It is locked out if `locked_out_seconds` have passed after that time.
     had_leader_at: float
     locked_out_seconds: float
 
@@ -153,7 +153,10 @@ class Membership(NodeState):
         return {self.self_member.member_id: at} if at else {}
 
     def set_learner(self, learner: Member | None) -> None:
-        """Begin to send the log to `learner`, which is not a member yet. None ends the sending to the present one."""
+        """Begin to send the log to `learner`, which is not a member yet.
+
+        None ends the sending to the present learner.
+        """
         self.learner = learner
         self._adopt()
         if learner is not None:

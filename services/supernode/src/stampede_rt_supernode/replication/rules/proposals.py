@@ -49,7 +49,7 @@ class Proposals:
     ) -> None:
         """`submit` gives a command to the library.
 
-        `finish(call)` makes the call once the changes of this step are durable. The library holds `submitted_max`
+        `finish(call)` makes the call as soon as the changes of this step are durable. The library holds `submitted_max`
         unfinished proposals at most.
         """
         self._submit = submit

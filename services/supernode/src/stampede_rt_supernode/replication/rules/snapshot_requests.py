@@ -39,7 +39,10 @@ class SnapshotRequests:
         self._waiting.append((self._node.last_applied, request))
 
     def advance(self) -> None:
-        """Answer the requests whose positions the present snapshot covers. Have another one taken for the others."""
+        """Answer the requests whose positions the present snapshot covers.
+
+        Have another snapshot taken for the other requests.
+        """
         snapshot = self._log.snapshot
         if snapshot is not None:
             covered = [one for since, one in self._waiting if since <= snapshot.last_log_index]

@@ -66,7 +66,7 @@ class KnownStores:
     def admits(self, member_id: str, store_id: str) -> bool:
         """Whether a member may come with this store: the member is new, or came with the same store before.
 
-        An empty `store_id` means no store. A member that came with a store once must keep that store.
+        An empty `store_id` means no store. A member that has come with a store must keep that store.
         """
         return self._known.get(member_id, store_id) == store_id
 

@@ -68,7 +68,7 @@ class RaftLog:
         self._dirty = False
 
     def track_members(self, base: Configuration) -> None:
-        """Set the configuration that held before the first entry, and read the later ones from the entries."""
+        """Set the configuration that was in effect before the first entry, and read the later ones from the entries."""
         self.configurations = Configurations(base)
         for entry in self._entries:
             self._note_configuration(entry)
@@ -224,11 +224,11 @@ class RaftLog:
     def adopt_snapshot(
         self, snapshot: StoredSnapshot, previous: Entry, last: Entry, configuration: Configuration
     ) -> None:
-        """Let the log begin with the last two entries of a snapshot. `configuration` is the one that held at `last`.
+        """Let the log begin with the last two entries of a snapshot.
 
-        Pass all pieces to `write_piece` before. Entries after `last` stay if this log holds exactly the same `last`,
-        and no other `previous`, because they may be acknowledged already. The snapshot's trailer and the log reach the
-        disk together.
+        `configuration` is the one that was in effect at `last`. Pass all pieces to `write_piece` before. Entries after
+        `last` stay if this log holds exactly the same `last`, and no other `previous`, because they may be acknowledged
+        already. The snapshot's trailer and the log reach the disk together.
         """
         held_before = self.entry_at(previous.log_index) is not None
         # Compares whole entries, because a hostile leader may have made different entries with the same terms.

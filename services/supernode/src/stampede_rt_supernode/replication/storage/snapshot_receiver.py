@@ -105,10 +105,10 @@ class SnapshotReceiver:
     def advance(self, *, newer_than: int, term_max: int) -> Entry | None:
         """Continue to open the snapshot: each call writes at most one piece to the disk.
 
-        Returns the last entry that the snapshot covers, once the state machine and the log have taken the snapshot
-        over. Until then returns None. A snapshot that ends at or before `newer_than` is dropped, because it would undo
-        applied entries. Raises UnreadableSnapshot for an invalid snapshot, or one of a later term than `term_max`, and
-        ReleaseTooOld. Then the log is unchanged.
+        Returns the last entry that the snapshot covers, as soon as the state machine and the log have taken the
+        snapshot over. Until then returns None. A snapshot that ends at or before `newer_than` is dropped, because it
+        would undo applied entries. Raises UnreadableSnapshot for an invalid snapshot, or one of a later term than
+        `term_max`, and ReleaseTooOld. Then the log is unchanged.
         """
         opening = self._opening
         if opening is None or not opening.decoded.done():

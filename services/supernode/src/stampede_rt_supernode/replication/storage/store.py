@@ -41,7 +41,7 @@ class StoreRefused(RuntimeError):
 
 
 class SnapshotPiece(NamedTuple):
-    """A part of an encoded snapshot. It counts only once the trailer of the snapshot is also on the disk."""
+    """A part of an encoded snapshot. It counts only when the trailer of the snapshot is also on the disk."""
 
     last_log_index: int
     number: int

@@ -20,7 +20,7 @@ class Result(Protocol[T_co]):
         """Whether the work is finished."""
 
     def result(self) -> T_co:
-        """The result of the work, once it is finished. Raises the error of the work."""
+        """The result of the finished work. Raises the error of the work."""
 
 
 class RunInBackground(Protocol):
@@ -42,7 +42,7 @@ class WorkerThread:
 
     The log's thread waits for the disk many times in a step. After each wait it also waits until the computing thread
     gives way. With Python's default switch interval of 5 ms, the longest step during the encoding of 100,000 channels
-    took 200 ms; now it takes 20 ms. Without long work the default interval holds, because more switches cost the
+    took 200 ms; now it takes 20 ms. Without long work Python keeps the default interval, because more switches cost the
     service a tenth of its speed.
     """
 
