@@ -161,7 +161,7 @@ async def reconnect(cluster: Cluster, clients: int) -> list[Row]:
     """All clients together, several times: each opens a connection, and makes one confirmed lookup."""
     with ProcessPoolExecutor(CLIENT_PROCESSES, multiprocessing.get_context("spawn")) as processes:
         runs = [await come_at_once(cluster, clients, processes) for _ in range(RECONNECTIONS + 1)]
-    took, of_supernodes, of_clients = zip(*runs[1:], strict=True)  # in the first one everything is imported
+    took, of_supernodes, of_clients = zip(*runs[1:], strict=True)  # without the first run, which imports the modules
     halves = [statistics.median(run) for run in took]
     return [
         (f"{len(took[0]):,} clients connect at once and look up", f"half of them {spread(halves)}"),

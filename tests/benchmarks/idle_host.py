@@ -31,7 +31,7 @@ from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX
 from stampede_rt_channel_host.host import ChannelHost
 
-FIRST_CHANNELS = 100  # they load the code of puts, whose memory does not count
+FIRST_CHANNELS = 100  # their puts load code, whose memory does not count
 CHANNELS_PER_TURN = 64
 SETTLE_SECONDS = 2.0
 PAYLOAD = b"x" * 64

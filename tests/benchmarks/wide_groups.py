@@ -58,7 +58,7 @@ def fed_hosts(count: int, *flags: str) -> Iterator[FedHosts]:
             ends.callback(_end, process)
             processes.append(process)
         for process in processes:
-            _line(process)  # it is ready
+            _line(process)  # the process is ready
         yield FedHosts(processes)
 
 

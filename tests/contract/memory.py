@@ -70,7 +70,7 @@ class MemoryChannel:
         self._content_type = stated.content_type or ""
         self._changed: set[asyncio.Event] = set()
         self._waiting = {"gets": 0, "puts": 0}
-        self._line: deque[asyncio.Event] = deque()  # of puts
+        self._line: deque[asyncio.Event] = deque()  # the line of waiting puts
 
     def seen_by(self, consumer_id: int) -> MemoryChannel:
         """Return the same channel for another consumer."""

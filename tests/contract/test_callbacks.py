@@ -78,7 +78,7 @@ async def test_calls_of_one_callback_never_overlap(surface: Surface) -> None:
         if not running.acquire(blocking=False):
             overlaps.append(item.seq)
             return
-        for _ in range(50):  # other threads run meanwhile
+        for _ in range(50):  # let other threads run
             os.sched_yield()
         running.release()
 

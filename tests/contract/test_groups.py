@@ -194,7 +194,7 @@ async def test_the_newest_of_a_group_without_visible_items_gives_a_reason_for_ea
     await left.put(b"l0", time=base)
     await right.put(b"r0", time=base + 5)
     hidden = await group.newest()
-    while "its cut is at" not in hidden.reasons[right.name].detail:  # until the hosts have told each other
+    while "its cut is at" not in hidden.reasons[right.name].detail:  # until the hosts have told each other their cuts
         hidden = await group.newest()
     assert [hidden[channel.name] for channel in (left, right)] == [None, None]
     assert [hidden.reasons[channel.name] for channel in (left, right)] == ["HIDDEN", "HIDDEN"]

@@ -69,7 +69,7 @@ class FedCopy:
     def take(self, limit_bytes: int) -> bool:
         """Open a feed if there is none, and apply its next part. Returns whether anything came."""
         clock = self.pair.clock
-        if self.source is not self._present_source():  # that copy began again, so its channel is another one
+        if self.source is not self._present_source():  # the source copy began again, so its channel is another object
             self.cut()
             self.source = self._present_source()
         if self.feed is None:

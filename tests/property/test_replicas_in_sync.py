@@ -157,7 +157,7 @@ class LaggingModel(Model):
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(st.lists(st.integers(0, 2**64), min_size=4, max_size=60))
-def test_with_replicas_that_may_lag_no_acknowledged_item_older_than_the_lag_is_lost(numbers: list[int]) -> None:
+def test_no_acknowledged_item_older_than_the_lag_is_lost_with_replicas_that_may_lag(numbers: list[int]) -> None:
     first = RandomSource(numbers[0])
     model = LaggingModel(min_replicas=first.below(3), start=first.pick((1, 5)))
     for number in numbers[1:]:
@@ -169,7 +169,7 @@ def test_a_put_waits_for_a_lagging_replica_only_until_the_log_has_cleared_its_fl
     owner = ReplicasInSync(1, 1, may_lag=True)
     owner.know([KnownReplica(b"a", 1, in_sync=False)], 0)
     assert owner.within_lag(0)  # no replica may become the owner, so the puts wait for none
-    assert owner.changes(0) == []  # it has not said yet what it holds
+    assert owner.changes(0) == []  # the replica has not reported yet what it holds
     owner.report(b"a", 1, 0)
     for change in owner.changes(0):
         owner.confirm(change)
@@ -203,7 +203,7 @@ def test_the_owner_waits_for_a_silent_replica_until_the_log_has_cleared_its_flag
     assert owner.replicated == 2
 
 
-def test_without_its_minimum_of_replicas_nothing_is_replicated() -> None:
+def test_nothing_counts_as_replicated_without_the_minimum_of_replicas() -> None:
     owner = a_pair()
     for change in owner.changes(LAG_NANOS_MAX + 1):
         owner.confirm(change)

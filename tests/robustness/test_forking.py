@@ -16,7 +16,7 @@ def test_the_answer_to_an_interrupted_request_is_not_taken_for_that_of_the_next(
     pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(2)]
     unused = iter(pairs)
     monkeypatch.setattr(forked_popen, "_loaded_process", functools.cache(lambda: next(unused)[0]))
-    pairs[0][0].setblocking(False)  # its answer comes too late
+    pairs[0][0].setblocking(False)  # the child's answer comes too late
 
     with pytest.raises(BlockingIOError):
         forked_popen._fork(b"{}", [])

@@ -50,7 +50,7 @@ class Prometheus:
         while time.monotonic() < end_s:
             try:
                 values = [value for _, value in self.ask(query)]
-            except OSError:  # it is still starting
+            except OSError:  # the server is still starting
                 values = []
             if holds(values):
                 return values

@@ -24,7 +24,7 @@ class _Connection:
 
     client: asyncio.StreamWriter
     server: asyncio.StreamWriter
-    streams: set[int] = field(default_factory=set)  # that the client opened
+    streams: set[int] = field(default_factory=set)  # the streams that the client opened
 
 
 class ResettingRelay:

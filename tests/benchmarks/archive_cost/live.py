@@ -30,7 +30,7 @@ def long_reads(address: str, name: str) -> Iterator[None]:
     reader = multiprocessing.get_context("spawn").Process(target=read_on, args=(address, name), daemon=True)
     if name:
         reader.start()
-        time.sleep(1)  # until it reads
+        time.sleep(1)  # until the reader reads
     yield
     if name:
         reader.kill()

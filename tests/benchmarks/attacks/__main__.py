@@ -33,7 +33,7 @@ COLUMNS = (
 RUN_SECONDS_MAX = 180.0
 """The longest time of one trial beside four times the length of the attack. Then it is killed."""
 NOTE = f"The good clients, and attackers with the client library, use the transport {TRANSPORT!r}."
-LOG_BYTES_USUAL = 3000  # of a cluster under attack that says nothing of it
+LOG_BYTES_USUAL = 3000  # the log of a cluster that does not report the attack
 
 
 @dataclass(frozen=True)

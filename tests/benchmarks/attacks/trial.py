@@ -302,7 +302,7 @@ async def _good_client(one: Field, good: Good) -> None:
         return
     async with await one.good() as rt:
         channel = await rt.channel(GOOD_CHANNEL)
-        await _put_and_read(channel, Good())  # not counted, because it opens the connection to the host
+        await _put_and_read(channel, Good())  # not counted, because this put opens the connection to the host
         asks = CASES[one.found.name].watched == "supernode"
         for number in itertools.count(1):
             await _put_and_read(channel, good)
@@ -345,5 +345,5 @@ async def _put_and_read(channel: Any, good: Good) -> None:
     except st.StampedeError as error:
         good.failures.append(str(error))
     finally:
-        if not is_put:  # it failed, or the trial ended meanwhile
+        if not is_put:  # the put failed, or the trial ended during the put
             good.note((time.perf_counter() - began_s) * 1000)

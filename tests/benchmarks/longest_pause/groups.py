@@ -48,7 +48,7 @@ async def group_readers(rig: Rig, count: int) -> tuple[str, Work]:
     waiting = [asyncio.create_task(wait(one)) for one in waiters]
     for one in waiters:
         hosted.cut_observers.add(one)
-    await asyncio.sleep(0)  # they wait
+    await asyncio.sleep(0)  # the readers begin to wait
 
     async def work() -> None:
         hosted.generation += 1

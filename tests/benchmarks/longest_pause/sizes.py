@@ -2,19 +2,19 @@
 
 ITEMS = 500_000
 LATE_ITEMS = 300_000
-BUCKET_ITEMS = 50_000  # of one time
+BUCKET_ITEMS = 50_000  # the items of one bucket, which have the same time
 BLOCKED_GETS = 10_000
 CALLS = 1000  # blocked gets on one stream
 CHANNELS = 20_000
-CHANNELS_TOLD = 999  # that a registration names
+CHANNELS_TOLD = 999  # the channels that a registration names
 HELD_CHANNELS = 100_000
 QUEUED_ITEMS = 100_000
 RUN_ITEMS = 200  # in each run of two producers that interleave
 SUBSCRIBERS = 1000
-FOLLOWED_ITEMS = 5  # that each subscriber reads
+FOLLOWED_ITEMS = 5  # the items that each subscriber reads
 GROUP_READERS = 4096
 PAGE_ITEMS = 100
-READ_ITEMS = 20_000  # that one subscriber reads from the oldest on
+READ_ITEMS = 20_000  # the items that one subscriber reads, the oldest first
 REPLACED_ITEMS = 200_000
 PUTS_PER_TURN = 20
 MORE_OBJECTS = 40_000

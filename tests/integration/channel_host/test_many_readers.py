@@ -81,7 +81,7 @@ async def test_readers_without_payloads_and_readers_at_other_positions_get_their
 
 async def test_a_stalled_reader_of_32_keeps_less_than_16_mib_of_the_host(rig: Rig) -> None:
     channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=4)))
-    (stalled,) = await readers_of(channel, 1)  # it has all credit, and reads nothing more
+    (stalled,) = await readers_of(channel, 1)  # the reader has granted all its credit, and reads nothing more
     others = await readers_of(channel, READERS - 1)
     puts, size = 36, 2**19
     hosted = rig.host.store.find(channel.channel_id, channel.epoch)

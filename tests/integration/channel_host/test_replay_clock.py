@@ -135,7 +135,8 @@ def test_a_subscription_gives_the_items_in_the_order_of_their_acceptance(rt: st.
 
 def test_a_subscription_holds_few_of_many_earlier_pages(rt: st.Connection, monkeypatch: pytest.MonkeyPatch) -> None:
     channel, began = rt.channel("clock/earlier", max_items=5, archive="7d"), st.now() - SECOND
-    times = [at + 7 * (at % 11 == 3) for at in range(300)]  # some come early, and two may have one time
+    # Some items are out of order, and two may have the same time.
+    times = [at + 7 * (at % 11 == 3) for at in range(300)]
     for number, at in enumerate(times):
         channel.put(b"%d" % number, time=began + at * MS)
     start = channel.stats().host_time
@@ -241,7 +242,7 @@ def test_a_program_reads_through_a_replayed_group_as_through_a_live_one(rt: st.C
     pair = Paired(rt, "replayed-group")
     with pair.group[pair.right].subscribe(start=st.OLDEST) as items:
         live = [next(items).payload for _ in range(8)]
-    with rt.replay(pair.end, speed=0) as replay:  # all of it is there already
+    with rt.replay(pair.end, speed=0) as replay:  # the replay shows all items at once
         group = replay.group("replayed-group")
         assert [item.payload for item in group["replayed-group/r"].subscribe(start=st.OLDEST)] == live
         assert len(group) == 2
@@ -249,7 +250,7 @@ def test_a_program_reads_through_a_replayed_group_as_through_a_live_one(rt: st.C
         third = pair.right.get(pair.began + 21 * MS, pair.began + 21 * MS, match="start")[0]
         after = [item.payload for item in group[pair.right].subscribe(after=third)]
         assert after == live[3:]
-    with rt.replay(pair.start, speed=0) as replay:  # it comes bit by bit
+    with rt.replay(pair.start, speed=0) as replay:  # the replay shows the items bit by bit
         found, shown, item = [], replay.group("replayed-group")[pair.left], None
         while (item := shown.newest(after=item, timeout=1)) is not None:
             found.append((item.payload, replay.now))
@@ -271,7 +272,7 @@ def test_replayed_matches_begin_with_earlier_items_and_continue(rt: st.Connectio
     for start, too_early in (
         (pair.end, 0),
         (pair.start, 2),
-    ):  # items that come after the start of the match, and lie before
+    ):  # items that come after the start of the match, with earlier times
         with rt.replay(start, speed=0) as replay, replay.group(pair.group.name).match(pair.left, **how) as matches:
             found = [[item.payload for item in one.values()] for one in matches]
             assert (matches.unmatched, matches.dropped, matches.reason, matches.losses) == (0, too_early, None, 0)
@@ -295,7 +296,7 @@ def test_a_replayed_channel_calls_functions_and_gives_the_newest_items(rt: st.Co
             for item in newest:
                 found.append(item.payload)
                 while item.payload == b"1" and replay.now < last.time:
-                    replay.sleep("1ms")  # meanwhile others come
+                    replay.sleep("1ms")  # other items come in this time
             assert (found, newest.skipped) == ([b"0", b"1", b"4"], 2)
         with seen.subscribe(after=channel.get(st.OLDEST, st.NOW)[2]) as rest:
             assert [item.payload for item in rest] == [b"3", b"4"]

@@ -43,7 +43,7 @@ WHY_NOT = unavailable_because()
 pytestmark = pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
 SILENCE_S, ALIVE_S, UNACKNOWLEDGED_MILLIS = 2.0, 0.1, 2000  # in production 7.5 s, 2.5 s and 30 s
 PATIENCE_S = 60.0  # as on a busy machine
-PIECES = 100  # of a message, for each of which a client could wait
+PIECES = 100  # the pieces of a message; a client could wait for each of them
 
 
 class FarCaller:

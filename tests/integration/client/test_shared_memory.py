@@ -309,7 +309,7 @@ def test_a_client_that_chose_grpc_shares_no_memory(cluster: LocalCluster) -> Non
             next(iter(stream))
 
 
-def test_when_a_reader_loses_its_right_its_ring_ends_and_other_readers_get_a_new_one(own_cluster: LocalCluster) -> None:
+def test_a_ring_ends_when_a_reader_loses_its_right_and_other_readers_get_a_new_ring(own_cluster: LocalCluster) -> None:
     with operating(own_cluster) as operator, channel_of(own_cluster, "ring/right") as own:
         operator.add("nobody", "read", "no-such-channel", "--kind", "channel")  # without rules all is allowed
         operator.add("reader", "read,list", "ring/*", "--kind", "channel")

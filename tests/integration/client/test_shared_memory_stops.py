@@ -89,7 +89,8 @@ def test_a_stopped_reader_delays_no_other_caller_and_continues_at_its_position(
                 seqs.append(seq)
             assert seqs == sorted(set(seqs))
             assert (len(seqs) - 1, newest) == (40 - dropped, last.seq)
-            assert max(0, dropped_max - 3) <= dropped <= dropped_max  # it may have taken an item just before the stop
+            # The reader may have taken an item just before the stop.
+            assert max(0, dropped_max - 3) <= dropped <= dropped_max
 
 
 def test_readers_of_a_stopped_host_learn_of_the_loss_and_never_trust_it_again(cluster: LocalCluster) -> None:

@@ -49,7 +49,7 @@ def test_each_logical_call_has_one_span(cluster: LocalCluster, spans: InMemorySp
     found = told(spans)
     for call in ("open", "put", "enqueue", "take", "subscribe"):
         assert found[f"stampede {call}", name] == (3 if call == "open" else 1), call  # a channel, a group and a queue
-    assert found["stampede get", name] == 2  # of the channel, and of the group
+    assert found["stampede get", name] == 2  # one get of the channel, and one of the group
 
 
 async def test_the_asynchronous_client_makes_the_same_spans(cluster: LocalCluster, spans: InMemorySpanExporter) -> None:

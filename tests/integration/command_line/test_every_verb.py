@@ -24,7 +24,7 @@ from tests.support.processes import started
 from tests.support.waiting import wait_until
 
 cluster = cluster_fixture(hosts=2, supernodes=1, scope="module")
-FINDS_FAULTS = ("doctor", "host drain")  # these may tell of faults, and then have status 1
+FINDS_FAULTS = ("doctor", "host drain")  # these verbs may report faults, and then end with status 1
 SERVICE_NOUNS = ("supernode", "host", "certs", "demo", "bench")  # EVERY has verbs of these nouns, too
 
 

@@ -118,7 +118,7 @@ def marked_processes(mark: str) -> dict[int, str]:
         try:
             if f"{MARK}={mark}".encode() in (folder / "environ").read_bytes():
                 found[int(folder.name)] = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-        except OSError:  # it ended while we looked
+        except OSError:  # the process ended while the test looked
             continue
     return found
 

@@ -36,7 +36,7 @@ SETTINGS: dict[str, tuple[str, type[Any]]] = {
     "stampede-frontend": ("frontend", FrontendSettings),
     "stampede-web": ("web", WebSettings),
 }
-IMAGES = {"stampede-host": "channel-host"}  # the others are named like their workload
+IMAGES = {"stampede-host": "channel-host"}  # the other images have the name of their workload
 Manifest = dict[str, Any]
 
 pytestmark = pytest.mark.skipif(

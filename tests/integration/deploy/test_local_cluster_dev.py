@@ -61,7 +61,7 @@ def children_of(parent: int) -> list[int]:
 def parent_of(pid: int) -> int:
     try:
         status = Path(f"/proc/{pid}/status").read_text()
-    except OSError:  # it ended while we looked
+    except OSError:  # the process ended while the test looked
         return 0
     match = re.search(r"^PPid:\s+(\d+)", status, re.MULTILINE)
     return int(match[1]) if match else 0
@@ -188,7 +188,9 @@ def complaint(home: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., t
     return complaint_of
 
 
-def test_a_port_in_use_is_one_line_and_code_1(complaint: Callable[..., tuple[int, str]]) -> None:
+def test_stampede_dev_reports_a_port_in_use_in_one_line_and_ends_with_code_1(
+    complaint: Callable[..., tuple[int, str]],
+) -> None:
     with socket.create_server(("localhost", 0)) as holder:
         port = holder.getsockname()[1]
         code, said = complaint("--listen", f"localhost:{port}")
@@ -209,7 +211,7 @@ def test_a_port_in_use_is_one_line_and_code_1(complaint: Callable[..., tuple[int
         (("--listen", "0.0.0.0:1", "--allow-insecure-anywhere"), "name one address of this machine"),
     ],
 )
-def test_a_bad_flag_is_one_line_and_code_2(
+def test_stampede_dev_reports_a_bad_flag_in_one_line_and_ends_with_code_2(
     complaint: Callable[..., tuple[int, str]], arguments: tuple[str, ...], message: str
 ) -> None:
     code, said = complaint(*arguments)

@@ -202,6 +202,6 @@ signal.pause()
             started.wait(LIMIT_S)
             with pytest.raises(ConnectionRefusedError):
                 socket.create_connection((host, int(port)))
-            os.kill(int(child), 0)  # it still lives
+            os.kill(int(child), 0)  # the child still runs
         finally:
             os.kill(int(child), signal.SIGKILL)

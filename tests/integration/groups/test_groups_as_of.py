@@ -141,7 +141,7 @@ def test_a_past_cut_that_a_dropped_archive_does_not_tell_is_named_as_collected(r
         assert matches.reason == "COLLECTED"
         assert "dropped/left" in matches.reason.detail
     later = rig.group.get(st.OLDEST, st.NOW, as_of=instants[-1])
-    assert (len(later[rig.right]), later[rig.right].reason) == (23, None)  # this cut is known
+    assert (len(later[rig.right]), later[rig.right].reason) == (23, None)  # the host knows this cut
 
 
 def test_a_past_cut_whose_newest_item_is_damaged_is_named_as_lost(rt: st.Connection, folder: Path) -> None:
@@ -160,7 +160,7 @@ def test_a_past_cut_whose_newest_item_is_damaged_is_named_as_lost(rt: st.Connect
     found = rig.group.newest(as_of=instant)
     assert (found[rig.right].payload, found.reasons[rig.right]) == (b"3", "LOST")
     whole = rig.group[rig.right].get(rig.began, rig.began + 20 * MS, as_of=instant)
-    assert (len(whole), whole.reason) == (2, None)  # all of it lies before the cut
+    assert (len(whole), whole.reason) == (2, None)  # the whole interval lies before the cut
     with rig.group.match(rig.right, "2ms", start=st.OLDEST, as_of=instant) as matches:
         assert len(shown(matches)) == 4
         assert matches.reason == "LOST"
@@ -179,7 +179,7 @@ def test_a_group_that_others_have_changed_is_read_with_its_present_members(
     assert rig.group[rig.right].newest(as_of=instant).payload == b"1"
     with st.connect(cluster.address, secret=cluster.secret.text) as other:
         other.group("changed").add(other.channel("changed/third", create=False))
-        other.group("changed").get(st.OLDEST, st.NOW)  # its hosts know the member now
+        other.group("changed").get(st.OLDEST, st.NOW)  # the hosts of the group know the member now
         assert rig.group[rig.right].newest(as_of=instant).payload == b"0"
         assert [channel.name for channel in rig.group.newest(as_of=instant)][-1] == "changed/third"
         with rig.group.match(rig.left, "2ms", start=st.OLDEST, as_of=instant, partial=True) as matches:

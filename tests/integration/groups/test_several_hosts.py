@@ -53,7 +53,7 @@ async def test_a_host_learns_of_a_group_from_another_host_that_serves_it(named_a
         t = pair.start
         await pair.left.put(t, t + 2, t + 4)
         await pair.right.put(t + 3)
-        assert (await pair.left.get(pair.group, wait_nanos=-1))[0] == [t, t + 2]  # the other host was never asked
+        assert (await pair.left.get(pair.group, wait_nanos=-1))[0] == [t, t + 2]  # no read asked the other host
 
 
 async def test_a_put_at_one_host_moves_the_cut_at_the_other(pair: Pair) -> None:
@@ -169,7 +169,7 @@ async def test_matches_have_items_of_several_hosts(pair: Pair) -> None:
         while len(found) < 2:
             found += (await call.read()).matches
     assert [[near.position.time_unix_nano for near in one.matched] for one in found] == [[t + 11], []]
-    assert not found[0].matched[0].HasField("item")  # it is at the other host
+    assert not found[0].matched[0].HasField("item")  # the item is at the other host
     assert found[0].matched[0].position.incarnation == pair.right.record.incarnation
 
 

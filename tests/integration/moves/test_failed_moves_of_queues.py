@@ -148,7 +148,7 @@ async def test_a_second_handover_of_a_moving_queue_gets_no_message(pair: Pair) -
     assert (await first.read()).facts.next_seq == 4
     await second.write(pb.HandOverQueueRequest(open=opening))
     first.cancel()
-    with pytest.raises(grpc.aio.AioRpcError, match="epoch 2"):  # it waited until the first move had failed
+    with pytest.raises(grpc.aio.AioRpcError, match="epoch 2"):  # the second call waited until the first move had failed
         await second.read()
     assert (await pair.queue.status()).counters.held == 3
 

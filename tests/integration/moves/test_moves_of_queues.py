@@ -99,7 +99,7 @@ def test_moves_in_a_row_under_load_neither_lose_nor_repeat_messages(rt: Any) -> 
 def test_a_drained_host_has_no_queue_and_no_mailbox(rt: Any, cluster: LocalCluster) -> None:
     queue = rt.queue(f"jobs/{next(numbers)}", host="h1")
     queue.put(b"x")
-    names = [f"robot{next(numbers)}" for _ in range(4)]  # their mailboxes are at both hosts
+    names = [f"robot{next(numbers)}" for _ in range(4)]  # the mailboxes of these peers are at both hosts
     robots = [st.connect(cluster.address, name=name, transport="grpc") for name in names]
     try:
         for name in names:

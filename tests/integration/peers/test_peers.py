@@ -144,7 +144,7 @@ def test_a_peer_whose_lease_has_ended_registers_again(cluster: LocalCluster) -> 
         first = rt.peer("sleeper")
         leave(rt)
         assert names(rt, "sleeper") == []
-        presence._wake.set()  # it is time to renew
+        presence._wake.set()  # the peer renews its lease now
         with rt.watch_peers("sleeper") as changes:
             while "sleeper" not in names(rt):
                 assert next(changes).kind in ("added", "updated")

@@ -52,7 +52,7 @@ def test_a_read_that_no_proxy_can_answer_goes_to_the_owner(rt: Any, channel: Any
     rt.proxy(channel, "h2")
     answer = channel.get(st.OLDEST, st.NEWEST, max_staleness="0s")
     assert (len(answer), answer.staleness_nanos) == (1, None)
-    for number in range(50):  # one's own item is always there
+    for number in range(50):  # a client always reads its own item
         item = channel.put(b"%d" % number)
         assert channel.newest(least_seq=item.seq).seq == item.seq
 

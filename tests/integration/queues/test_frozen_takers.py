@@ -72,7 +72,7 @@ def test_a_hung_taker_holds_one_message_for_one_lease_and_is_served_again_when_i
             until(queue, lambda stats: stats.waiting_gets == 1)
             hung.send_signal(signal.SIGSTOP)
             queue.put(b"first")
-            queue.configure(lease="60s")  # of deliveries to come
+            queue.configure(lease="60s")  # the lease of later deliveries
             until(queue, lambda stats: stats.policy.lease_nanos == 60 * 10**9)
             again = queue.get(timeout=20)
             assert again

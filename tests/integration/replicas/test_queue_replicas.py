@@ -116,7 +116,7 @@ def test_no_acknowledged_message_is_lost_and_no_settled_one_is_repeated_when_the
             queue.get(timeout=5).ack()
         queue.put(b"1000000")
         leased = queue.get(timeout=5)
-        leased.extend("10m")  # it stays leased while the owner dies
+        leased.extend("10m")  # the message stays leased while the owner dies
         with load(cluster) as running:
             running.passes(50)
             cluster.hosts[0].kill()

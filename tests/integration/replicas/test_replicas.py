@@ -78,8 +78,9 @@ def test_no_acknowledged_or_read_item_is_lost_or_repeated_when_the_owner_is_kill
 
 def got_all_but_the_lost(seqs: list[int], inherited: int, last: int) -> bool:
     """Whether a reader got what the former owner had sent, and then all items of the new one that it did not have."""
-    seen = next((at for at, seq in enumerate(seqs) if seq != at + 1), len(seqs))  # from the former owner
-    if seen == len(seqs):  # it had seen nothing that was lost
+    # The number of items from the former owner.
+    seen = next((at for at, seq in enumerate(seqs) if seq != at + 1), len(seqs))
+    if seen == len(seqs):  # the reader had seen no item that was lost
         return seqs == [*range(1, last + 1)]
     return seen >= inherited - 1 and seqs[seen:] == [*range(inherited, last + 1)]
 

@@ -61,7 +61,7 @@ def test_with_ack_host_a_put_waits_for_replicas_only_if_it_asks_to(cluster: Loca
         assert (channel.stats().replicated, channel.stats().inherited_next_seq) == (None, None)
 
 
-async def test_on_asyncio_a_put_waits_for_lagging_replicas_only_if_it_asks_to(cluster: LocalCluster) -> None:
+async def test_an_asyncio_put_waits_for_lagging_replicas_only_if_it_asks_to(cluster: LocalCluster) -> None:
     async with stampede_rt.aio.connect(cluster.address) as rt:
         channel = await rt.channel("aio-lags", max_items=10, replicas=1)
         assert (await channel.put(b"an item")).seq == 1

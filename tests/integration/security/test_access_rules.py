@@ -302,7 +302,8 @@ def test_an_operator_sees_the_effect_of_a_rule_and_the_reason_of_a_denial(
     said = capsys.readouterr().out
     assert "may not put channel video/1: the rule: deny cam put video/1" in said
     assert "Rules limit clients only. If cam is an operator or a part of the cluster, it may." in said
-    for words in (("cam", "put", "video/*"), ("cam-*", "put", "video/1")):  # it answered as for a thing of that name
+    # In an earlier version, the command answered as for a thing of that name.
+    for words in (("cam", "put", "video/*"), ("cam-*", "put", "video/1")):
         assert operator.run("acl", "check", *words) == 2
         assert "* is a pattern; name one" in capsys.readouterr().err
     operator.add("cam", "send", "robot", "--kind", "peer")

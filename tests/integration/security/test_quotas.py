@@ -142,7 +142,7 @@ def test_a_client_makes_as_much_as_its_quotas_and_no_faster(cluster: LocalCluste
         assert len(told) == len(cluster.supernodes)
         assert {(row["used"], row["limit"]) for row in told} == {(2, 2)}
         assert sum(row["refused"] for row in told) == 1
-        assert make("quotas/made/1") == ""  # it is there
+        assert make("quotas/made/1") == ""  # the channel exists
         operator.set("maker", "channels=unlimited", "changes-per-second=1")
         refusals = [make(f"quotas/faster/{number}") for number in range(40)]
     assert refusals[0] == ""
@@ -217,7 +217,8 @@ def test_settings_are_listed_with_the_defaults_and_checked_for_one_caller(operat
 
 def test_a_wrong_quota_is_refused_with_advice(operator: Operator) -> None:
     assert "is a pattern; name one caller" in operator.says("quota", "check", "cam-*", status=2)
-    for asked in (("set", "10.0.0.3", "streams=3"), ("check", "10.0.0.3")):  # it was taken for a client's name
+    # In an earlier version, the command took the address for a client's name.
+    for asked in (("set", "10.0.0.3", "streams=3"), ("check", "10.0.0.3")):
         assert "10.0.0.3 is an address; write @10.0.0.3" in operator.says("quota", *asked, status=2)
     assert "no caller that matches 'nobody' uses any quota" in operator.says("quota", "use", "nobody")
     for words, complaint in (

@@ -385,7 +385,7 @@ def test_random_bytes_and_pickles_have_no_effect_at_any_port(cluster: LocalClust
         channel.put(b"still here")
         assert channel.newest().payload == b"still here"
     pickle.loads(bombs[0])
-    assert place.exists()  # they would have worked
+    assert place.exists()  # so any code that unpickles this message makes the file
 
 
 @pytest.mark.parametrize(("role", "believed"), [(Role.CLIENT, False), (Role.OPERATOR, False), (Role.HOST, True)])

@@ -126,7 +126,7 @@ def test_control_characters_and_marks_of_direction_are_shown_as_escapes(tab: Tab
     tab.page.wait_for_selector(r"td >> text=a\u{2028}b")
 
 
-def test_after_a_button_was_pressed_the_arrows_still_step(tab: Tab, items: dict[str, st.Item]) -> None:
+def test_the_arrow_keys_still_step_after_a_press_of_a_button(tab: Tab, items: dict[str, st.Item]) -> None:
     page = tab.page
     page.locator(".row h3", has_text="imu").click()
     page.focus("#live")

@@ -90,5 +90,5 @@ def test_a_group_subscription_over_an_archive_equals_one_over_memory(seed: int) 
 
 
 def test_the_scenarios_had_steps_that_came_from_the_archive() -> None:
-    if archived_steps:  # they ran in this process
+    if archived_steps:  # only if the steps ran in this process
         assert archived_steps["steps"] > SCENARIOS // 3

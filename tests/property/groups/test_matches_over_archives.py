@@ -134,7 +134,7 @@ def recorded(times: range) -> ArchivedChannel:
 
 
 @pytest.mark.parametrize("step", [3, 150])
-def test_without_unique_a_track_holds_few_keys_however_large_the_tolerance_is(
+def test_a_track_holds_few_keys_for_any_tolerance_if_matches_need_not_be_unique(
     monkeypatch: pytest.MonkeyPatch, step: int
 ) -> None:
     monkeypatch.setattr(recorded_track, "KEYS_MAX", 60)

@@ -36,7 +36,7 @@ class Outcome:
     start_s: float = 0.0
     stall_s: float = 0.0
     gap_s: float = 0.0
-    majority: bool = True  # of the supernodes was alive and connected all the time
+    majority: bool = True  # whether a majority of the supernodes was alive and connected all the time
     evidence: str = ""
     note: str = ""
     failed: bool = False

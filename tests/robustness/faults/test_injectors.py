@@ -94,7 +94,8 @@ def test_the_campaign_of_hostile_clients_uses_up_each_quota() -> None:
 
 
 def test_the_campaign_of_hostile_clients_makes_each_attack() -> None:
-    open_to_all = {name for name, case in CASES.items() if not case.secured}  # its cluster has no certificates
+    # The clusters of these cases have no certificates.
+    open_to_all = {name for name, case in CASES.items() if not case.secured}
     assert {f"attack_{name}" for name in open_to_all} == {name for name in FAULTS if name.startswith("attack_")}
 
 

@@ -245,7 +245,8 @@ async def test_a_former_owner_that_learns_late_drops_nothing_of_a_channel_that_h
     monkeypatch.setattr(scenario.source.directory, "is_released", is_released)
     await scenario.move()
     await asked.wait()
-    scenario.source.store.copies.begin(scenario.world.record, NewCopy(CopyState(), Losses(), True))  # it moves back
+    # The channel moves back.
+    scenario.source.store.copies.begin(scenario.world.record, NewCopy(CopyState(), Losses(), True))
     answer.set()
     await scenario.until(lambda: not scenario.source.outgoing._tasks)
     assert scenario.source.store.copies.of(scenario.world.channel_id) is not None

@@ -108,7 +108,7 @@ class Producer:
             try:
                 item = self._channel.put(b"%d" % number, timeout=2)
             except st.StampedeError:
-                continue  # it is unknown whether it was accepted
+                continue  # the test does not know whether the host accepted the item
             self.acknowledged.append((number, item.incarnation))
 
     def _read(self) -> None:

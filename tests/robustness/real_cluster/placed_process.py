@@ -102,7 +102,7 @@ class PlacedProcess:
         Process.send_signal may reap the child, and its exit code is then lost.
         """
         if self.running:
-            with contextlib.suppress(ProcessLookupError):  # it has ended, and asyncio does not know yet
+            with contextlib.suppress(ProcessLookupError):  # the process has ended, and asyncio does not know yet
                 os.kill(self.pid, number)
 
     async def ended(self) -> int:

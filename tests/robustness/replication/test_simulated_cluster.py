@@ -66,7 +66,7 @@ def cluster_without_faults(rules: type = PreVoteElections) -> tuple[World, str, 
     world = World(1, size=3, fault_rates=FaultRates(), rules=rules)
     for member in world.members.values():
         member.start()
-    world.run_until(5.0)  # at the first election, two members may stand together
+    world.run_until(5.0)  # at the first election, two members may be candidates at the same time
     leader = leader_of(world)
     assert leader is not None
     return world, *leader
@@ -460,7 +460,7 @@ def test_a_leader_whose_state_is_not_that_of_most_steps_down_and_the_others_go_o
 
 
 @pytest.mark.parametrize("leads", [True, False])
-def test_while_no_majority_of_equal_states_is_known_differing_states_are_in_doubt_and_all_go_on(leads: bool) -> None:
+def test_differing_states_are_in_doubt_and_all_members_go_on_while_no_majority_has_equal_states(leads: bool) -> None:
     world = World(7, size=3, fault_rates=FaultRates(), snapshot_every=PRODUCTION)
     older, leader = with_older_member(world, leads=leads)
     one, away = (member for member in world.members.values() if member is not older)

@@ -32,7 +32,7 @@ def require_fields(name: str, output: str, *, may_be_empty: bool = False) -> Non
     """Require that the output of a verb is JSON with the documented fields, and with no others."""
     try:
         printed = json.loads(output)
-    except json.JSONDecodeError:  # one object in each line
+    except json.JSONDecodeError:  # the output has one object in each line
         printed = [json.loads(line) for line in output.splitlines()]
     assert printed or may_be_empty
     expected = DOCUMENTED[name]

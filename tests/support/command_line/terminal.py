@@ -19,7 +19,7 @@ import pytest
 from stampede_rt.cli.commands import run
 
 _STYLES = re.compile(r"\x1b\[[0-9;]*m")  # colours and weights
-_SCREEN = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # also moves of the cursor
+_SCREEN = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # colours, and moves of the cursor
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ def test_a_forked_child_closes_only_the_sockets_of_the_server_and_keeps_their_de
             assert another.fileno() not in numbers, "the owner of a closed socket may close its descriptor once more"
 
 
-def test_before_the_server_listens_nothing_is_closed() -> None:
+def test_a_child_closes_nothing_if_the_server_does_not_listen_yet() -> None:
     left, right = socket.socketpair()
     with left, right:
         close_copies("", "")

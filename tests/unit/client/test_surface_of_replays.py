@@ -47,7 +47,7 @@ ATTRIBUTES = {
     "unmatched",
     "multicast",
     "reconnects",
-}  # of instances; tests of the handles use them
+}  # attributes of instances, which the tests of the handles use
 
 
 def surface(kind: type) -> Iterator[tuple[str, list[str]]]:

@@ -28,7 +28,7 @@ async def test_objects_that_replace_others_are_collected_in_small_portions() -> 
     held = deque((Item(at) for at in range(20_000)), maxlen=20_000)
     async with GarbageCollection() as collection:
         for at in range(20_000):
-            held.append(Item(at))  # their number stays the same
+            held.append(Item(at))  # the number of held items stays the same
             if at % 1000 == 0:
                 collection.collect()
                 assert len(gc.get_objects(0)) < 4000
@@ -50,7 +50,7 @@ async def test_the_event_loop_collects_reference_cycles() -> None:
         await gone.wait()
 
 
-def test_after_a_long_collection_the_next_one_starts_earlier_and_after_a_short_one_later() -> None:
+def test_the_next_collection_starts_earlier_after_a_long_one_and_later_after_a_short_one() -> None:
     pace = CollectionPace(0.0)
     assert pace.interval_s == INTERVAL_SECONDS_MAX
     intervals = []

@@ -71,7 +71,7 @@ def test_the_oldest_items_leave_a_full_track() -> None:
 
 
 @given(some.permutations(list(range(1, 40))), some.integers(1, 10))
-def test_for_any_order_of_items_the_track_ends_in_time_order(order: list[int], step: int) -> None:
+def test_a_track_is_in_time_order_for_any_order_of_the_added_items(order: list[int], step: int) -> None:
     """The item with seq n has the time order[n - 1]. A poll follows after each `step` items."""
     track = ItemTrack()
     track.begin_incarnation(1, 0)

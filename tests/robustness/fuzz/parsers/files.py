@@ -215,7 +215,7 @@ def _change_rows(source: ByteSource, path: Path) -> None:
             else:
                 database.execute(f"UPDATE {table} SET {source.choice(columns)} = ?", (value,))
     except (sqlite3.Error, ZeroDivisionError, ValueError):
-        pass  # it was damaged already, or the change is not possible
+        pass  # the file was damaged already, or the change is not possible
     finally:
         database.close()
 

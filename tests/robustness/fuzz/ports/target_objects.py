@@ -92,7 +92,7 @@ async def _make(rt: Any) -> None:
 
 
 async def _put(place: Any) -> None:
-    with suppress(st.StampedeError):  # it may be full
+    with suppress(st.StampedeError):  # the queue may be full
         await place.put(b"first", timeout=0)
 
 

@@ -8,7 +8,8 @@ from tests.robustness.fuzz.ports.methods import PORTS
 from tests.robustness.fuzz.ports.run import run
 
 INPUTS = {"host": 4000, "data": 2000, "supernode": 2000, "frontend": 1000}
-WITH_CERTIFICATES = ("data", "frontend")  # the others bring the secret here; `--tls` has all bring certificates
+# Callers of the other ports bring the secret here. With `--tls` all callers bring certificates.
+WITH_CERTIFICATES = ("data", "frontend")
 
 
 @pytest.mark.parametrize("port", PORTS)

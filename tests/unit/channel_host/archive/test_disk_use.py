@@ -48,7 +48,7 @@ def test_a_full_archive_still_takes_items_of_channels_that_are_charged_with_thei
     disk = DiskUse(4 * MIB)
     first, second = disk.of_channel(ONE, "cam"), disk.of_channel(TWO, "cam")
     first.archive_bytes = 2 * MIB
-    first.keep(MIB * 7 // 4)  # from three quarters on a channel is charged with all that its own limit allows
+    first.keep(MIB * 7 // 4)  # from three quarters on, the archive charges a channel with all that its own limit allows
     second.keep(MIB)
     assert disk.used_bytes == 3 * MIB + FOLDER_BYTES
     second.check(MIB - FOLDER_BYTES)
@@ -60,7 +60,7 @@ def test_a_full_archive_still_takes_items_of_channels_that_are_charged_with_thei
     first.check(2**17)
 
 
-def test_items_and_a_new_folder_count_from_the_acceptance_on() -> None:
+def test_items_and_a_new_folder_count_from_the_acceptance_of_the_items_on() -> None:
     disk = DiskUse(MIB)
     one = disk.of_channel(ONE, "cam")
     one.check(MIB - FOLDER_BYTES)
@@ -76,7 +76,7 @@ def test_items_and_a_new_folder_count_from_the_acceptance_on() -> None:
     assert disk.used_bytes == FOLDER_BYTES + 900
 
 
-def test_until_its_files_are_gone_a_deleted_channel_counts_for_its_maker() -> None:
+def test_a_deleted_channel_counts_for_its_maker_until_its_files_are_gone() -> None:
     accounts = Accounts()
     disk = DiskUse(4 * MIB, accounts.of)
     accounts.set_default(Quota.BYTES_ARCHIVED, MIB)
@@ -122,7 +122,7 @@ def test_a_refusal_makes_room_of_outdated_files_and_of_folders_that_an_operator_
     recorded(folder, TWO, "")
     disk = DiskUse(1)
     disk.update(folder.of_channels())
-    disk.of_channel(THREE, "").keep(5_000)  # its folder is not there any more
+    disk.of_channel(THREE, "").keep(5_000)  # the folder of this channel does not exist any more
     files = SegmentFiles(folder.of_channel(ONE), {})
     files.open(1)
     segments = write(files, 1, 9, ArchiveLimits(None, 8))  # a segment for each block

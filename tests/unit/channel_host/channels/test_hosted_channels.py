@@ -73,7 +73,8 @@ def test_the_consumption_of_one_caller_does_not_use_up_the_memory_of_others() ->
     channel.consume(8, range(2, 64, 2), LEASE_NANOS, "good")
     clock.advance(LEASE_NANOS + 1)
     channel.collect(clock.time_unix_nano())
-    channel.consume(8, range(2, 128, 2), LEASE_NANOS, "greedy")  # its first lease has ended, and holds nothing
+    # The first lease of consumer 8 has ended, and keeps no items.
+    channel.consume(8, range(2, 128, 2), LEASE_NANOS, "greedy")
 
 
 def test_memory_for_consumption_counts_for_the_present_owner_of_a_place() -> None:

@@ -100,7 +100,7 @@ async def test_only_the_stop_of_the_last_owner_counts_and_the_next_owner_deletes
 
 
 @pytest.mark.asyncio
-async def test_if_the_store_is_away_at_the_stop_the_stop_goes_on_and_the_next_owner_says_lost(tmp_path: Path) -> None:
+async def test_a_host_stops_while_the_store_is_away_and_the_next_owner_says_that_items_are_lost(tmp_path: Path) -> None:
     store = FakeStore()
     first = await owner(tmp_path / "a", store, 1)
     await first.put(1)

@@ -105,7 +105,7 @@ async def test_a_read_through_a_group_waits_for_the_store_if_it_needs_it(tmp_pat
 
 
 @pytest.mark.asyncio
-async def test_when_the_store_is_back_reads_and_subscriptions_have_all_items_and_no_false_gap(tmp_path: Path) -> None:
+async def test_reads_and_subscriptions_have_all_items_and_no_false_gap_when_the_store_is_back(tmp_path: Path) -> None:
     store = FakeStore()
     await left(tmp_path / "a", store)
     before = dict(store.objects)
@@ -168,7 +168,7 @@ async def test_a_host_that_starts_again_before_the_store_is_back_keeps_the_items
     owner = await taken_over(tmp_path / "b", store)
     await owner.put(SINCE + 1)
     owner.host.recorder.files.close(None)
-    owner.host.archive.folder.close()  # it is killed
+    owner.host.archive.folder.close()  # the owner's process is killed
     async with host(tmp_path / "b", store) as one:
         one.clock = 2 * SINCE
         owner = await Owner(one, 3).serve()

@@ -135,7 +135,7 @@ async def test_a_host_whose_renewals_fail_is_fenced_and_serves_again_after_the_n
             assert not host.registration.lease_held()
             fake.refuse.clear()
             await host.lease_becomes(True)
-            assert host.registered.qsize() == 1  # it was only late: no second registration
+            assert host.registered.qsize() == 1  # the answer was only late: there is no second registration
 
 
 class SlowDirectory:

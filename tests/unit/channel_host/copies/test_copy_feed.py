@@ -42,7 +42,7 @@ class Rig:
 
 def test_a_replica_reports_new_items_at_once_and_a_sign_of_life_needs_no_report() -> None:
     rig = Rig()
-    rig.hears()  # it has caught up
+    rig.hears()  # the copy has caught up
     assert not rig.hears()
     rig.held.channel.next_seq = 6
     assert rig.hears(charge_bytes=64)

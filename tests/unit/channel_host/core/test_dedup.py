@@ -134,7 +134,7 @@ def test_producers_that_were_silent_for_ten_minutes_are_forgotten_without_anothe
     assert (len(window), window.footprint_bytes) == (0, 0)
 
 
-def test_at_its_bound_in_bytes_the_window_drops_the_longest_silent_producers() -> None:
+def test_a_window_at_its_bound_in_bytes_drops_the_longest_silent_producers() -> None:
     window = RetryWindow(bytes_max=100_000)
     for producer_id in range(1, 1001):
         window.record(producer_id, 1, accepted(1, producer_id))

@@ -114,7 +114,7 @@ async def test_a_host_follows_the_channels_of_all_groups_until_the_last_group_is
     assert groups.wanted(LEFT) == {7}
 
 
-async def test_when_a_host_learns_of_a_group_it_looks_at_no_other_group(groups: Groups) -> None:
+async def test_a_host_that_learns_of_a_group_looks_at_no_other_group(groups: Groups) -> None:
     for number in range(100):
         groups.adopt(number, (number, LEFT), (number + 1, RIGHT))
     assert groups.walked.walks == 0

@@ -109,7 +109,7 @@ async def test_the_other_host_gets_only_the_newest_state_of_its_wanted_channels(
     said = [(await wire.sent.get()).update]
     while said[-1].times[0].newest_unix_nano < 99:
         said.append((await wire.sent.get()).update)
-    assert len(said) <= 2  # one may have been under way; all others became one
+    assert len(said) <= 2  # one message may have been under way; all later changes became one message
     assert [len(one.times) for one in said] == [1] * len(said)
     assert said[-1].floors[0].cut_unix_nano == 99
     assert notebook.asked == [{b"one", b"two"}]

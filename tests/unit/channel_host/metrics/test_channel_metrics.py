@@ -123,7 +123,7 @@ def test_no_counter_falls_when_a_channel_leaves_during_a_scrape() -> None:
     run_to_end(metrics.families())
     looking = metrics.families()
     next(looking)
-    host.drop(f"{2 * CHANNELS_PER_PIECE - 1:04}")  # not looked at yet
+    host.drop(f"{2 * CHANNELS_PER_PIECE - 1:04}")  # the host has not looked at this channel yet
     found = told(run_to_end(looking))
     assert found["stampede_items_accepted_total",] == 2 * CHANNELS_PER_PIECE
 

@@ -59,7 +59,7 @@ def test_the_copy_of_a_former_owner_counts_its_leases_from_the_hold() -> None:
     assert (copy.heard_nanos, copy.journal.next_step, copy.owner_epoch) == (7, 2, 1)
 
 
-def test_without_room_a_former_owner_keeps_no_copy() -> None:
+def test_a_former_owner_without_room_keeps_no_copy() -> None:
     replica = Replica(bytes_max=1)
     replica.copies.keep(RECORD, KeptQueue(replica.core, 2, made_nanos=7))
     assert replica.copies.of(RECORD.queue_id) is None

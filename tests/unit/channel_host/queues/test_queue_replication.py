@@ -87,7 +87,7 @@ def test_a_queue_without_enough_replicas_delivers_nothing_and_stalls() -> None:
     assert owner.replication.is_stalled
     for change in owner.replication.changes():
         owner.replication.confirm(change)
-    assert owner.done == []  # it was silent for more than a second, and joins only with its next report
+    assert owner.done == []  # the replica was silent for more than a second, and joins only with its next report
     owner.report(2)
     for change in owner.replication.changes():
         owner.replication.confirm(change)

@@ -189,7 +189,7 @@ async def test_a_put_that_is_cancelled_while_its_stream_opens_sends_nothing_and_
     assert b"cancelled" not in b"".join(put.run.payloads for sent in stream.sent for put in sent.puts)
 
 
-async def test_after_a_final_failure_the_next_call_sends_the_unacknowledged_runs() -> None:
+async def test_the_next_call_after_a_final_failure_sends_the_unacknowledged_runs() -> None:
     """In an earlier version, every later call reported the failure, and the client never sent runs without an ack
     again.
     """
@@ -205,7 +205,7 @@ async def test_after_a_final_failure_the_next_call_sends_the_unacknowledged_runs
     assert producer.accepted == 3
 
 
-async def test_after_a_final_failure_a_producer_without_room_opens_a_new_stream() -> None:
+async def test_a_producer_without_room_opens_a_new_stream_after_a_final_failure() -> None:
     place = Place()
     producer = producer_at(place)
     while producer._has_room():
@@ -306,7 +306,7 @@ async def test_a_request_has_a_bounded_number_of_runs() -> None:
     assert [len(request.puts) for request in place.streams[0].sent[1:]] == [1, *[REQUEST_RUNS_MAX] * 3, 11]
 
 
-async def test_after_a_break_sent_and_gathered_runs_are_sent_in_full_requests_in_order() -> None:
+async def test_a_producer_sends_all_its_runs_in_order_in_full_requests_after_a_break() -> None:
     place = Place()
     producer = producer_at(place)
     for number in range(50):

@@ -393,7 +393,7 @@ async def test_prefetched_messages_are_given_back_at_the_end() -> None:
         await taker.get(FOR_EVER)
 
 
-async def test_after_the_close_of_a_connection_the_error_names_the_connection_and_not_the_handle() -> None:
+async def test_the_error_after_the_close_of_a_connection_names_the_connection_and_not_the_handle() -> None:
     host = Host()
     taker = taker_at(host)
     host.closing = True
@@ -402,7 +402,7 @@ async def test_after_the_close_of_a_connection_the_error_names_the_connection_an
         await taker.get(FOR_EVER)
 
 
-async def test_if_a_host_sends_more_messages_than_granted_all_of_them_are_refused() -> None:
+async def test_a_taker_refuses_all_messages_of_a_host_that_sends_more_than_granted() -> None:
     host = Host()
     taker = taker_at(host, prefetch=8)
     get = asyncio.ensure_future(taker.get(FOR_EVER))

@@ -39,7 +39,7 @@ def test_an_item_from_both_the_host_and_datagrams_is_given_once() -> None:
     merge.add(3, 6, items(3, 6), 10)
     assert seqs(merge.fill(items(1, 5))) == [1, 2, 3, 4]
     assert seqs(merge.take()) == [5]
-    assert merge.taken == 1  # the others came from the host
+    assert merge.taken == 1  # the other items came from the host
     assert not merge.add(3, 6, items(3, 6), 10)
     assert merge.fill(items(1, 6)) == []
 
@@ -53,7 +53,7 @@ def test_held_items_inside_a_gap_are_not_lost_with_it() -> None:
     assert (merge.next_seq, merge.held_bytes, merge.taken) == (12, 0, 7)
 
 
-def test_beyond_the_bound_the_latest_items_are_dropped_and_asked_for_later() -> None:
+def test_a_merge_beyond_its_bound_drops_the_latest_items_and_asks_for_them_later() -> None:
     merge = merge_from(1)
     for first in (2, 4, 3):
         merge.add(first, first + 1, items(first, first + 1), 40)

@@ -84,7 +84,7 @@ def test_a_paused_reader_does_not_mistake_its_pause_for_silence() -> None:
     now_s = 10 * SILENT_S
     pace.looks(now_s)
     assert pace.next_step(now_s, is_missing=False)[0] is Step.WAIT
-    while pace.next_step(now_s, is_missing=False)[0] is Step.WAIT:  # it waits, and hears nothing
+    while pace.next_step(now_s, is_missing=False)[0] is Step.WAIT:  # the reader waits, and hears nothing
         now_s += BEAT_S_MAX
         pace.looks(now_s)
     assert now_s - 10 * SILENT_S <= SILENT_S + BEAT_S_MAX

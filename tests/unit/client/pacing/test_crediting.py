@@ -56,7 +56,7 @@ def test_the_credit_of_a_slow_reader_covers_at_most_a_tenth_of_a_second() -> Non
     assert reader.on_the_way == 0
 
 
-def test_after_one_slow_step_a_reader_gets_its_full_credit_back() -> None:
+def test_a_reader_gets_its_full_credit_back_after_one_slow_step() -> None:
     reader = Reader(CreditWindow(), FRAME)
     for busy_s in (1e-6, 1e-6, 1e-6, 5.0, *[1e-6] * 20):
         reader.step(busy_s)

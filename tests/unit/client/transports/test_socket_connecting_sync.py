@@ -98,7 +98,7 @@ async def test_a_port_without_a_greeting_delays_no_stream_and_is_used_once_it_gr
         pass
 
 
-async def test_on_asyncio_a_port_is_used_once_it_greets(
+async def test_an_asyncio_client_uses_a_port_after_the_port_has_greeted(
     listening: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(socket_connecting_async, "HEAD_START_S", 0.01)

@@ -29,7 +29,7 @@ def test_without_rules_everything_is_allowed() -> None:
     assert AccessRules().judge(client("cam"), PUT, CHANNEL, "video").allowed
 
 
-def test_once_there_is_a_rule_everything_without_an_allowing_rule_is_denied() -> None:
+def test_everything_without_an_allowing_rule_is_denied_if_there_are_rules() -> None:
     rules = AccessRules([allow("cam-*", (PUT,), "video/*")])
     assert rules.judge(client("cam-1"), PUT, CHANNEL, "video/1").allowed
     for who, verb, name in (("cam-1", READ, "video/1"), ("cam-1", PUT, "audio/1"), ("dash", PUT, "video/1")):

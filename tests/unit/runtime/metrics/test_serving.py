@@ -35,7 +35,7 @@ async def test_callers_at_the_same_time_share_one_page() -> None:
     assert source.calls == 1
     assert len(set(pages)) == 1
     assert b"stampede_49 1.0" in pages[0]
-    assert await page.make() is pages[0]  # it is fresh enough
+    assert await page.make() is pages[0]  # the page is fresh enough
 
 
 async def test_other_tasks_run_between_two_steps_of_a_page(monkeypatch: pytest.MonkeyPatch) -> None:

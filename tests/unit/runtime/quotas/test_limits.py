@@ -20,7 +20,7 @@ def table(*settings: tuple[str, int]) -> QuotaTable:
     return QuotaTable(QuotaSetting(who, Quota.STREAMS, limit) for who, limit in settings)
 
 
-def test_without_a_setting_the_defaults_hold() -> None:
+def test_a_caller_without_a_setting_has_the_default_limits() -> None:
     assert QuotaTable().limits_of("cam-1") == dict(DEFAULTS)
 
 

@@ -91,7 +91,7 @@ def test_a_caller_beyond_its_share_gets_its_percentage_of_the_time_in_order() ->
     assert 190 <= len(served) <= 260  # 25 % of a second, in steps of 1 ms
 
 
-def test_once_other_callers_are_idle_the_waiting_caller_continues_at_once() -> None:
+def test_a_waiting_caller_continues_at_once_when_the_other_callers_become_idle() -> None:
     loop = Loop()
     heavy, light = loop.caller(), loop.caller()
     loop.works(light, MS)
@@ -107,7 +107,7 @@ def test_once_other_callers_are_idle_the_waiting_caller_continues_at_once() -> N
     assert loop.is_quiet
 
 
-def test_after_a_long_pause_a_line_of_callers_takes_one_step_in_each_turn_of_the_loop() -> None:
+def test_a_line_of_callers_takes_one_step_in_each_turn_of_the_loop_after_a_long_pause() -> None:
     loop = Loop()
     heavy, light = loop.caller(), loop.caller()
     loop.works(light, MS // 10)

@@ -48,7 +48,7 @@ async def test_a_socket_with_the_descriptor_of_a_closed_one_is_still_watched() -
 
 
 @pytest.mark.parametrize(("method", "unread"), [(ECHO, b""), (ECHO, b"an answer"), (HOLD, b"")])
-async def test_if_a_caller_with_many_streams_disconnects_a_few_of_them_are_closed_in_each_turn(
+async def test_a_service_closes_a_few_streams_of_a_disconnected_caller_in_each_turn(
     port: Open, monkeypatch: pytest.MonkeyPatch, method: str, unread: bytes
 ) -> None:
     """This holds also for streams that the service reads at the moment (ECHO), so that it sees the end of each.

@@ -272,7 +272,7 @@ async def test_many_unfinished_frames_of_one_caller_take_bounded_memory(
         await until(lambda: sum(found._is_paused for found in made) == 8)
         await until(lambda: sum(found._frames.missing_bytes == 1 for found in made) == 2)
         assert sum(len(found._frames._partial) for found in made) <= 2 * len(frame) + 8 * frame_buffers.SHORT_BYTES
-        for stream in streams:  # they wait for a place, and all come in the end
+        for stream in streams:  # the streams wait for a place, and in the end each gets one
             stream.writer.write(frame[-1:])
         for stream in streams:
             assert await stream.message() == frame[5:]

@@ -48,7 +48,7 @@ def test_a_ticket_of_another_process_proves_nothing() -> None:
     assert Issuer().tickets.proof_of(ticket) == {}
 
 
-def test_above_the_limit_new_certificates_get_no_ticket_until_old_tickets_have_ended(
+def test_new_certificates_above_the_limit_get_no_ticket_until_old_tickets_have_ended(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(tickets, "TICKETS_MAX", 3)

@@ -135,7 +135,9 @@ def test_one_caller_cannot_use_up_the_groups_of_a_channel(monkeypatch: pytest.Mo
     assert not isinstance(log.apply(update_group(group_id, add=(shared,))), Refused)
 
 
-def test_below_their_feature_level_groups_and_peers_have_no_quota(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_groups_and_peers_have_no_quota_below_the_feature_level_of_these_quotas(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(group_transitions, "GROUPS_PER_CHANNEL_AND_CALLER_MAX", 0)
     log = log_with_a_host(GROUPS_AND_PEERS_LEVEL - 1)
     log.apply(by("cam", open_channel("c")))

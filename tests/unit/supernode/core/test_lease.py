@@ -61,7 +61,7 @@ def test_a_renewal_received_earlier_does_not_shorten_the_lease(table: LeaseTable
     assert pass_time(table, 0, TTL + SECOND) == [(b"\x02", 1, 1)]
 
 
-def test_once_the_end_of_a_lease_is_proposed_renewals_are_refused_and_the_proposal_is_repeated(
+def test_a_leader_refuses_to_renew_a_lease_whose_end_is_proposed_and_repeats_the_proposal(
     table: LeaseTable,
 ) -> None:
     assert len(pass_time(table, 0, TTL)) == 2
@@ -118,7 +118,7 @@ def test_the_last_clock_reading_of_a_holder_is_kept_beside_its_lease(table: Leas
     assert table.clock(host(1)) is None
     assert table.renew(host(1), SECOND, AHEAD)
     assert (table.clock(host(1)), table.clock(host(2)), table.clock(host(3))) == (AHEAD, None, None)
-    assert table.renew(host(1), 2 * SECOND)  # it does not know any more
+    assert table.renew(host(1), 2 * SECOND)  # the holder does not know its offset any more
     assert table.clock(host(1)) is None
     table.note_clock(host(1), AHEAD, 3 * SECOND)
     assert table.clock(host(1, registered_index=9)) is None  # another registration, which the table does not know
@@ -192,7 +192,7 @@ def test_a_holder_that_has_registered_again_keeps_its_lease(table: LeaseTable) -
     assert table.renew(again, TTL)
     table.note_gone(again.host_id, 8)
     table.note(host(1), TTL)
-    assert table.due(2 * TTL - 1) == []  # all others got a full TTL, because the leader had not looked
+    assert table.due(2 * TTL - 1) == []  # all other leases got a full TTL, because the leader had not looked
     assert (again.host_id, 1, 9) in pass_time(table, 2 * TTL - 1, 4 * TTL)
     table.note_gone(again.host_id, 8)
     assert not table.renew(again, 4 * TTL), "its end is proposed"

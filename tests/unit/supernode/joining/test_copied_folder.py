@@ -77,7 +77,7 @@ async def test_a_supernode_starts_even_if_its_address_does_not_answer() -> None:
     await OwnAddress("s1", address, 7, lambda target: dial(target, secret=None)).check()
 
 
-async def test_before_its_start_one_answer_of_the_supernode_is_enough() -> None:
+async def test_a_copy_ends_before_its_start_after_one_answer_of_the_supernode() -> None:
     add = directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server
     async with serving(lambda server: add(Answering(ORIGINAL), server)) as server:
         with pytest.raises(StampedeError, match="another process with a copy of its folder; delete this copy"):

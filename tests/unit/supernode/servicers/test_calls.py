@@ -103,7 +103,7 @@ async def test_a_known_thing_is_checked_without_a_confirmed_read_and_an_unknown_
         await calls.check_thing(CONTEXT, AccessVerb.DELETE, AccessKind.QUEUE, id_of(99))
 
 
-async def test_under_any_rules_only_its_owner_can_change_a_mailbox(log: Log) -> None:
+async def test_only_the_owner_of_a_mailbox_can_change_it_under_any_rules(log: Log) -> None:
     """A mailbox has no name.
 
     In an earlier version, every rule for "*" granted rights to all mailboxes, and no rule could deny them.

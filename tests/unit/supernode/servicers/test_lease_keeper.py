@@ -101,7 +101,7 @@ async def test_a_leader_that_is_replaced_during_a_confirmed_read_acknowledges_no
     assert (await reason_of(renewal)).reason == "NO_QUORUM"
 
 
-async def test_once_the_end_of_a_lease_is_proposed_it_cannot_be_renewed_even_if_the_proposal_fails(node: Node) -> None:
+async def test_a_lease_whose_end_is_proposed_cannot_be_renewed_even_if_the_proposal_fails(node: Node) -> None:
     await node.pass_seconds(4)
     node.log.outcomes.append(ProposalOutcome.REFUSED)
     node.clock.advance(2 * 10**9)

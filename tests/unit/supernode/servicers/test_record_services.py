@@ -161,7 +161,7 @@ async def test_a_copy_is_added_listed_and_removed(node: Node) -> None:
     assert list((await resolved(node, "left")).proxy_host_ids) == []
 
 
-async def test_when_the_lease_of_its_owner_ends_a_channel_passes_to_the_replica_in_sync(node: Node) -> None:
+async def test_a_channel_passes_to_the_replica_in_sync_when_the_lease_of_its_owner_ends(node: Node) -> None:
     left, _ = await two_channels(node)
     before = await resolved(node, "left")
     await node.replicas.AddReplica(add_request(1, left, kind=WARM, acknowledged=True))

@@ -58,7 +58,7 @@ def test_a_missing_object_and_an_abandoned_listing_are_not_failures_of_the_store
     assert guarded.read("b", 0, 1) == b"2"
 
 
-def test_while_one_call_tries_a_store_that_hangs_the_others_do_not_wait() -> None:
+def test_other_calls_do_not_wait_while_one_call_tries_a_store_that_hangs() -> None:
     asked, answers = threading.Event(), threading.Event()
 
     class Hanging(FakeStore):

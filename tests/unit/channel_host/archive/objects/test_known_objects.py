@@ -15,7 +15,7 @@ URL = "s3://bucket/a prefix"
 def test_a_list_of_objects_shows_what_was_added_and_removed(tmp_path: Path) -> None:
     known = KnownObjects(tmp_path, URL)
     assert known.read() is None
-    known.add({"a": 1})  # there is no list that this could complete
+    known.add({"a": 1})  # there is no list yet to which this object could be added
     assert known.read() is None
     known.replace(Known(3, {"a": 1, "b": 2}))
     known.add({"c d": 3, "b": 4})

@@ -66,7 +66,7 @@ async def test_the_next_owner_reads_the_moved_files_and_the_former_owner_cannot_
     former = host(tmp_path, "a", store, 1)
     write_closed(former, 1)
     await move(former, store)
-    write_closed(former, 5)  # this one is not moved before the host loses its lease
+    write_closed(former, 5)  # the host loses its lease before it moves this file
     owner = host(tmp_path, "b", store, 2)
     assert found_by(owner) == [1, 2, 3, 4]
     write_closed(owner, 5, 1)

@@ -51,7 +51,7 @@ async def test_closed_files_move_to_the_store_and_free_their_bytes_on_the_disk(t
 
 
 @pytest.mark.asyncio
-async def test_while_the_store_is_unreachable_files_stay_on_the_disk_up_to_its_limit(
+async def test_files_stay_on_the_disk_up_to_its_limit_while_the_store_is_unreachable(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     store = FakeStore()

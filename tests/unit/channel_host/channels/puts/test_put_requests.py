@@ -83,7 +83,7 @@ def test_the_runs_of_a_long_request_are_not_copied() -> None:
     (put,) = read_request(raw).puts
     assert isinstance(put.run, memoryview)
     assert put.run.obj is raw
-    assert put.kept().run is put.run  # it is nearly all that the request has
+    assert put.kept().run is put.run  # the run is nearly the whole request
     several = b"".join(put_pieces(b"", 3, run_parts([LONG], times=None))) * 8
     assert [type(put.kept().run) for put in read_request(several).puts] == [bytes] * 8
 

@@ -174,7 +174,7 @@ def test_the_rest_of_a_run_without_times_is_accepted_when_its_first_item_is_old_
     assert channel.put(offer.rest(1, CLOCK), CLOCK + 101, seal).stamped_time == CLOCK + 101
 
 
-def test_without_consumers_a_waiting_put_is_accepted_once_the_clock_has_passed_the_newest_item() -> None:
+def test_a_waiting_put_without_consumers_is_accepted_after_the_clock_has_passed_the_newest_item() -> None:
     """The channel keeps its newest bucket for readers. A put into this bucket would exceed the limit."""
     channel = a_channel(max_items=1, consumers=1, on_full="block")
     put(channel, CLOCK + 50)

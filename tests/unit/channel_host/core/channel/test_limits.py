@@ -21,7 +21,7 @@ def test_any_stated_limit_leaves_age_unlimited(policy: Policy) -> None:
     assert ChannelLimits.of(policy).max_age_nanos is None
 
 
-def test_beside_other_limits_only_max_bytes_has_a_default() -> None:
+def test_only_max_bytes_has_a_default_in_a_policy_with_other_limits() -> None:
     assert ChannelLimits.of(Policy(max_items=5)).max_bytes == 256 * 1024 * 1024
 
 

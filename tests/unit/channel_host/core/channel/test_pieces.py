@@ -47,7 +47,7 @@ def test_keys_may_be_added_and_removed_between_two_parts() -> None:
     assert [*chain.from_iterable(parts)] == [10, 11, *range(14, 38, 2)]
 
 
-def test_after_a_pause_the_rests_of_several_works_are_done_one_after_another() -> None:
+def test_several_pieces_of_work_continue_one_after_another_after_a_pause() -> None:
     done: list[str] = []
 
     def work(name: str, pieces: int) -> Pieces[None]:

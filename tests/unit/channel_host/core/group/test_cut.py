@@ -31,7 +31,7 @@ def at(newest: int, *, epoch: int = 1, incarnation: int = 7, end: int | None = N
     return ChannelTimes(epoch, incarnation, newest, end)
 
 
-def test_in_mode_oldest_the_channel_that_lags_most_holds_the_cut() -> None:
+def test_the_channel_that_lags_most_holds_the_cut_back_in_mode_oldest() -> None:
     cut, board = group(a=at(100), b=at(70))
     assert cut.cut == 70
     assert cut.waiting_on(0) == [B]
@@ -81,7 +81,7 @@ def test_the_cut_never_moves_back() -> None:
     board.hear(A, at(110), 0, 0)
     assert not cut.refresh(0)
     assert cut.cut == 150
-    board.hear(A, at(5, epoch=2, incarnation=8), 0, 0)  # its host was lost, and all its items
+    board.hear(A, at(5, epoch=2, incarnation=8), 0, 0)  # the host of A was lost, with all items of A
     assert not cut.refresh(0)
     assert (cut.cut, cut.waiting_on(0)) == (150, [A])
 
@@ -115,7 +115,7 @@ def test_a_silent_member_is_left_out_until_its_next_item() -> None:
     assert (cut.cut, cut.waiting_on(S)) == (120, [A, B])
 
 
-def test_if_all_members_are_silent_the_member_with_the_latest_item_decides_the_cut() -> None:
+def test_the_member_with_the_latest_item_decides_the_cut_if_all_members_are_silent() -> None:
     definition = GroupDefinition(members=frozenset((A, B)), idle_after_nanos=S)
     board = TimesBoard()
     board.enter_own(A, at(100), 0)
@@ -184,7 +184,7 @@ def test_a_former_owner_does_not_count_and_still_receives_times() -> None:
     board = TimesBoard()
     board.enter_own(A, at(50, epoch=3), 0)
     assert board.hear(A, at(60, epoch=4), 0, 10)
-    board.enter_own(A, at(99, epoch=3), 20)  # it has not heard yet that it lost the channel
+    board.enter_own(A, at(99, epoch=3), 20)  # this host has not heard yet that it lost the channel
     assert board.hear(A, at(70, epoch=4), 0, 30)
     found = board.find(A)
     assert found is not None
@@ -193,7 +193,7 @@ def test_a_former_owner_does_not_count_and_still_receives_times() -> None:
 
 def test_a_new_incarnation_of_a_channel_holds_the_cut_until_its_items_have_passed_the_cut() -> None:
     cut, board = group(a=at(90), b=at(100))
-    board.hear(B, at(20, epoch=2, incarnation=8), 0, 0)  # its host was lost
+    board.hear(B, at(20, epoch=2, incarnation=8), 0, 0)  # the host of B was lost
     board.hear(A, at(95), 0, 0)
     assert not cut.refresh(0)
     assert (cut.cut, cut.waiting_on(0)) == (90, [B])

@@ -89,7 +89,7 @@ def test_a_match_counts_items_that_leave_before_they_are_decided() -> None:
     assert matcher.dropped == 1
 
 
-def test_for_a_member_at_another_host_a_bounded_number_of_keys_is_kept() -> None:
+def test_a_host_keeps_a_bounded_number_of_keys_of_a_member_at_another_host() -> None:
     left = channel(10, 20)
     remote = RemoteTrack()
     remote.add([(11, 1), (9, 2), (19, 3), (19, 4), (21, 5)])

@@ -141,7 +141,7 @@ def test_many_calls_refuse_waiting_runs_in_order_and_accept_none_of_them() -> No
     assert core.put(1, producer_id=5, first_number=2).outcome is not None
 
 
-def test_while_a_queue_is_paused_or_may_not_serve_no_taker_gets_anything() -> None:
+def test_a_queue_that_is_paused_or_may_not_serve_gives_takers_nothing() -> None:
     core, serves = Core(max_items=10), True
     core.queue = QueueCore(QueueLimits(max_items=1), incarnation=1, may_serve=lambda: serves)
     core.put(1)

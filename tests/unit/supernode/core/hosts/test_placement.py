@@ -250,7 +250,7 @@ def test_a_host_that_always_reports_no_load_does_not_get_all_channels(hosts: int
     opens = 300
     found: Counter[str] = Counter()
     for number in range(opens):
-        if number % 5 == 0:  # it reports: all its channels do nothing, and the others have much to do
+        if number % 5 == 0:  # the host reports that its channels do nothing, and the other hosts have much to do
             owned = {one: found[f"host-{one}"] for one in range(1, hosts + 1)}
             note(log, {one: HostLoad(busy_permille=0 if one == 1 else busy, owned=owned[one]) for one in owned})
         found[opened_at(log, f"c/{number}")] += 1

@@ -129,7 +129,7 @@ def test_the_loss_of_the_former_owner_does_not_move_the_channel(log: Log) -> Non
     assert (cam(log).host_id, copies(log)) == (id_of(2), ())
 
 
-def test_after_a_move_the_new_owner_feeds_the_proxies_and_is_no_longer_one_itself(log: Log) -> None:
+def test_the_new_owner_after_a_move_feeds_the_proxies_and_is_no_proxy_itself(log: Log) -> None:
     channel_id = cam(log).channel_id
     log.apply(add_replica(channel_id, 2))
     log.apply(add_replica(channel_id, 3, source=2))

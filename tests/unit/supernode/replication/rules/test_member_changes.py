@@ -84,7 +84,7 @@ def test_a_new_member_must_know_the_clusters_present_level_and_a_proposed_one(
         assert leader.changes.is_idle, "others can come"
 
 
-def test_while_the_level_of_a_member_is_unknown_the_clusters_level_stays_and_older_releases_may_join() -> None:
+def test_the_clusters_level_stays_and_older_releases_may_join_while_the_level_of_a_member_is_unknown() -> None:
     assert isinstance(Leader(level=1, knows=2, told={"b": 2}).let_in(1), int)
     assert isinstance(Leader(level=2, knows=2, told={"b": 2}).let_in(1), ReleaseOutdated)
 

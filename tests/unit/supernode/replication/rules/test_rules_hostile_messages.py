@@ -147,7 +147,7 @@ def test_many_hostile_promises_do_not_remove_the_promise_of_a_member() -> None:
     assert len(lone.log.promises) <= 64
 
 
-def test_while_a_member_refuses_its_store_a_node_neither_votes_nor_becomes_a_candidate() -> None:
+def test_a_node_whose_store_a_member_refuses_neither_votes_nor_becomes_a_candidate() -> None:
     lone = LoneNode()
     lone.node.on_disputed("b", "an older copy")
     assert lone.receive("c", vote_request(1, pre_vote=True)) == []

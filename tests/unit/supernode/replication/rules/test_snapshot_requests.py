@@ -138,7 +138,7 @@ def test_the_number_of_waiting_requests_is_limited() -> None:
 def test_a_single_replica_makes_long_pauses_only_while_no_call_waits() -> None:
     alone = Alone(MemoryStore())
     timing = RaftTiming()
-    assert alone.replica.pause_seconds() == timing.tick_seconds  # it does not lead yet
+    assert alone.replica.pause_seconds() == timing.tick_seconds  # the replica does not lead yet
     alone.propose(b"a")
 
     def propose(text: bytes) -> None:

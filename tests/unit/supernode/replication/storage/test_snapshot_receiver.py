@@ -59,7 +59,7 @@ class Slow:
         self.lone.open_snapshot()
 
 
-def test_while_a_snapshot_is_decoded_the_leader_gets_answers_and_does_not_send_the_snapshot_again() -> None:
+def test_a_leader_gets_answers_and_does_not_send_a_snapshot_again_while_a_member_decodes_it() -> None:
     slow = Slow()
     slow.receive_all()
     for _ in range(3):
@@ -102,7 +102,7 @@ def test_a_second_snapshot_does_not_disturb_the_first() -> None:
     assert slow.lone.held() == [(19, 5), (20, 5)]
 
 
-def test_while_a_member_decodes_a_snapshot_it_begins_no_snapshot_of_its_own() -> None:
+def test_a_member_that_decodes_a_snapshot_begins_no_snapshot_of_its_own() -> None:
     slow = Slow()
     slow.receive_all()
     slow.lone.node.request_snapshot()
