@@ -75,6 +75,21 @@ def test_the_refusals_of_a_producer_fit_in_parts_within_the_limit_of_a_host() ->
     assert [one.first_number for one in arrived[0].changes.producers] == [1 + 256 * number for number in range(64)]
 
 
+def test_a_copy_knows_a_run_that_waits_for_room_with_its_first_messages() -> None:
+    """A fixed fault: the copy got these messages without their run. After a take-over the queue accepted them twice."""
+    core = Core(max_items=2)
+    journal = core.queue.journal()
+    core.put(1, 1, 1, producer_id=7, first_number=1)
+    assert journal.note(core.now)
+    copy = Core(max_items=3)
+    copies = copy.queue.journal()
+    for step in journal.steps_from(1, 10**9) or ():
+        copies.apply(step, copy.now)
+    again = copy.put(1, 1, 1, producer_id=7, first_number=1)
+    assert again.outcome is not None
+    assert [tuple(part) for part in again.outcome.parts] == [(0, 1, 3, 1000)]
+
+
 def test_a_whole_queue_arrives_before_the_steps_after_it() -> None:
     core = Core()
     journal = core.queue.journal(5)

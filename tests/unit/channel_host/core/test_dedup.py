@@ -9,10 +9,12 @@ from stampede_rt.errors import ChannelFull, InvalidArgument
 from stampede_rt_channel_host.core.dedup import (
     KEPT_NANOS,
     PRODUCER_BYTES_MAX,
+    RUN_BYTES,
     RUNS_MAX,
     RetryWindow,
 )
 from stampede_rt_channel_host.core.run_outcome import ItemRefusal, RunOutcome, RunPart, RunProgress
+from stampede_rt_channel_host.core.window_feed import WindowFeed
 
 PRODUCER = 0xABC
 
@@ -52,6 +54,26 @@ def test_a_retry_of_a_partly_accepted_run_finds_its_accepted_part() -> None:
     window.record(PRODUCER, 1, accepted(4, 1, now=2))
     assert window.find(PRODUCER, 1, 4, now=3) == accepted(4, 1, now=2)
     assert [kept.outcome for kept in window.kept(3)] == [accepted(4, 1, now=2)]
+
+
+def test_a_run_that_is_accepted_item_by_item_takes_the_room_of_one_run() -> None:
+    window = RetryWindow()
+    window.record(PRODUCER, 1, accepted(1, 1))
+    before = window.footprint_bytes
+    for judged_items in range(1, RUNS_MAX + 2):
+        window.record(PRODUCER, 2, half(RUNS_MAX + 2, judged_items, first_seq=2))
+    window.record(PRODUCER, 2, accepted(RUNS_MAX + 2, 2))
+    assert window.find(PRODUCER, 1, 1, now=1) == accepted(1, 1), "the run in parts has not displaced it"
+    assert window.footprint_bytes == before + RUN_BYTES
+    copy = RetryWindow()
+    feed = WindowFeed(window, None)
+    window.record(PRODUCER, RUNS_MAX + 4, half(2, 1, first_seq=2000))
+    for run in feed.take(100):
+        copy.adopt(run)
+    window.record(PRODUCER, RUNS_MAX + 4, accepted(2, 2000))
+    for run in feed.take(100):
+        copy.adopt(run)
+    assert sorted(copy.kept(1)) == sorted(window.kept(1))
 
 
 def test_refusals_of_a_run_that_was_accepted_in_part_are_kept_with_their_reasons() -> None:

@@ -85,3 +85,19 @@ def test_the_retry_window_has_a_run_without_a_wait_before_its_first_items_are_an
     assert ack is not None
     assert (ack.first_seq, [one.index for one in ack.rejections]) == (1, [3])
     assert [outcome is not None and outcome.is_whole for outcome in known] == [True]
+
+
+def test_the_retry_window_has_a_waiting_run_before_its_first_items_are_announced() -> None:
+    """A fixed fault: a replica got the first items without the run. After a take-over they were accepted twice."""
+    known = list[RunOutcome | None]()
+
+    def announced(now: int) -> None:
+        known.append(puts.retries.find(7, 1, 4, now))
+
+    puts = ChannelPuts(a_channel(3), MemoryBudget(2**20), lambda: NOW, announced, lambda: None)
+    run = run_of(4)
+    assert puts.put(run, NOW) is None
+    assert [outcome and (outcome.judged_items, outcome.end_seq) for outcome in known] == [(3, 4)]
+    puts.give_up(run)
+    (kept,) = puts.retries.kept(NOW)
+    assert kept.outcome.is_whole

@@ -469,7 +469,7 @@ def test_a_taker_finds_every_returned_copy_even_with_few_looks_per_call(
 
 def test_a_moved_queue_continues_with_its_state() -> None:
     core = Core(copies=2, lease_nanos=100)
-    core.put(1, 2, 3, producer_id=5, first_number=1)
+    core.put(1, 2, 3, producer_id=5, first_number=1, owner="ann")
     core.taker(1, credit=2)
     core.dispatched()
     core.ack(1, 1)
@@ -483,6 +483,7 @@ def test_a_moved_queue_continues_with_its_state() -> None:
     ]
     core.queue = QueueCore.restore(core.queue.limits, state, 10**6, incarnation=1)
     core.now = 10**6
+    assert [one.owner for one in core.queue.export(core.now).producers] == ["ann"], "the window sheds by caller"
     assert core.counted("accepted", "held", "leased", "delivered", "given_back") == (3, 3, 1, 3, 1)
     assert core.ack(1, 1) == core.ack(2, 3) == [""]
     again = core.put(1, 2, 3, producer_id=5, first_number=1)

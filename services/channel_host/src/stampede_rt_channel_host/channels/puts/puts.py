@@ -288,7 +288,7 @@ class ChannelPuts:
     def _offer(self, run: IncomingRun, now: int) -> bool:
         """Offer the rest of the run, whose memory is claimed. Returns True if the run has its ack.
 
-        The retry window has a run with an ack before its items are announced. A replica gets both together.
+        The retry window has the outcome so far before the items are announced. A replica gets both together.
         """
         self.check_room(run.charged_bytes)
         outcome = self._channel.put(run.offer, now, run.seal)
@@ -298,6 +298,8 @@ class ChannelPuts:
         else:
             self._arm(outcome.retry_at, now)
         if outcome.run is not None:
+            if not is_done:
+                self._remember(run, now)
             self._note_writer(run.writer, now)
             self._on_accepted(now)
         return is_done

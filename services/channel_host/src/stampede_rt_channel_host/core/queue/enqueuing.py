@@ -246,6 +246,8 @@ class Enqueuing:
         if positions:
             self._seal(run, taken, positions, now)
         if progress.judged_items < len(run.lengths):
+            if positions:
+                self._remember(run, now)  # a replica gets the messages and the outcome so far together
             return False
         self._resolve(run, now)
         return True

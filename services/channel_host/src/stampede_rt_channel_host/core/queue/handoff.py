@@ -118,7 +118,7 @@ def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqu
     for one in state.acknowledged:
         leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
     for kept in state.producers:
-        enqueuing.retries.record(kept.producer_id, kept.first_number, aged(kept, now).outcome)
+        enqueuing.retries.record(kept.producer_id, kept.first_number, aged(kept, now).outcome, kept.owner)
     for known in state.message_ids:
         enqueuing.message_ids.record(known.message_id, known.seq, now - known.time, known.owner)
 
