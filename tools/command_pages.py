@@ -1,8 +1,8 @@
 """Generate the completion scripts and the man page from the parsers of all verbs; with --check tell whether they are up
 to date.
 
-shtab writes the scripts: it is the one kept library that writes static ones for bash, zsh and fish from argparse.
-argparse-manpage writes the man page. Users need neither of them.
+shtab writes the scripts: it is the only maintained library that writes static scripts for bash, zsh and fish from
+argparse. argparse-manpage writes the man page. Users need neither of them.
 """
 
 from __future__ import annotations

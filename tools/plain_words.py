@@ -1,7 +1,7 @@
 """Prove that no docstring and no name of a test begins with a clause without its noun, such as "What was collected".
 
-The rule is one of those under "Plain prose" in CONTRIBUTING, and the only one that a program can check exactly. A
-docstring may be a question ("Who leads?").
+The rule is under "Plain prose" in CONTRIBUTING. Of the rules there it is the only one that a program can check exactly.
+A docstring may be a question ("Who leads?").
 """
 
 from __future__ import annotations

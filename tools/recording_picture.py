@@ -27,7 +27,7 @@ def one_read(rt: st.Connection) -> Picture:
         channel.put(b"%d" % number, time=base + number * 900 * MS)
     until = time.monotonic() + WAIT_SECONDS
     while channel.stats().held > HELD and time.monotonic() < until:
-        time.sleep(0.05)  # until the archive has the items that memory gives up
+        time.sleep(0.05)  # until the archive has the items that leave memory
     now = base + 9 * SECOND
     whole = channel.get(st.OLDEST, now)
     memory = channel.get(st.OLDEST, now, within="memory")

@@ -67,8 +67,8 @@ def complaints(found: Sizes, allowed: Sizes) -> list[str]:
         lines.append(f"the median of all functions is {median:g} lines, allowed {MEDIAN_LINES_MAX}; shorten some")
     if 10 * longer > len(lengths):
         lines.append(
-            f"{longer} of {len(lengths)} functions, more than a tenth, have more than {LINES_OF_MOST} lines; shorten "
-            f"some of those with {LINES_OF_MOST + 1} to {LINES_OF_MOST + 3}"
+            f"{longer} of {len(lengths)} functions, more than a tenth, have more than {LINES_OF_MOST} lines; "
+            f"shorten some of those with {LINES_OF_MOST + 1} to {LINES_OF_MOST + 3}"
         )
     return lines
 

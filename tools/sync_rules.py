@@ -1,4 +1,4 @@
-"""The rules by which the source of the asynchronous client becomes that of the blocking one."""
+"""The rules that turn the source of the asynchronous client into the source of the blocking client."""
 
 from __future__ import annotations
 

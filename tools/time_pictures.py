@@ -39,7 +39,7 @@ IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 class Drawn:
     """One item on its lane, in seconds since the beginning.
 
-    `end_s` None: its span lasts up to now. `row`: the number of items of its bucket above it. `visible`: a reader
+    If `end_s` is None, the span lasts up to now. `row`: the number of items of its bucket above it. `visible`: a reader
     through the group got the item.
     """
 

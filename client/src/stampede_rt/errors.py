@@ -163,8 +163,8 @@ class QueueFull(Full):
 class NotReplicated(StampedeError):
     """The channel has accepted the item, but too few replicas had it in time.
 
-    Readers see the item once it is replicated. If the host is lost before that, the item may be lost. If the program
-    puts the item again, readers may get it twice. `metadata["seq"]` is its seq.
+    Readers see the item as soon as it is replicated. If the host is lost before that, the item may be lost. If the
+    program puts the item again, readers may get it twice. `metadata["seq"]` is the seq of the item.
     """
 
     reason = "NOT_REPLICATED"
@@ -220,8 +220,8 @@ class PermissionDenied(StampedeError):
 class Overloaded(StampedeError):
     """The server has reached one of its bounds, or the caller one of its quotas. Try again later.
 
-    `retryable` is False at the quotas `channels`, `queues`, `groups` and `bytes-archived`, and if the archive of a host
-    is full: no room comes until someone deletes some of these.
+    `retryable` is False for the quotas `channels`, `queues`, `groups` and `bytes-archived`, and if the archive of a
+    host is full: there is no room until someone deletes something.
     """
 
     reason = "OVERLOADED"

@@ -29,7 +29,7 @@ class NameServer(asyncio.DatagramProtocol):
         self._transport = cast(asyncio.DatagramTransport, transport)
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        """Called by asyncio with every datagram. Sends no answer if the datagram is no question."""
+        """Called by asyncio with every datagram. If the datagram is no question, sends no answer."""
         response = answer(data, self._addresses)
         if response is not None and self._transport is not None:
             self._transport.sendto(response, addr)

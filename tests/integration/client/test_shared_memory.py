@@ -129,7 +129,7 @@ def test_a_host_on_another_machine_shares_no_memory_and_the_error_gives_advice(
     monkeypatch.setattr("stampede_rt.transports.grpc_sync.this_machine", lambda: "another")
     with st.connect(cluster.address, transport="shared") as rt:
         channel = rt.channel("ring/far")
-        with pytest.raises(st.Unavailable, match='leave transport="shared" away'):
+        with pytest.raises(st.Unavailable, match='leave out transport="shared"'):
             channel.newest()
 
 

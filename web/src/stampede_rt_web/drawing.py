@@ -30,7 +30,8 @@ class Window:
 
 
 def draw(track: ItemTrack, window: Window, *, overlap_nanos: int = 0) -> dict[str, Any]:
-    """Return the drawing of a track as JSON values. The window's width limits its size, however many items there are.
+    """Return the drawing of a track as JSON values. The window's width limits the size of the drawing, even for very
+    many items.
 
     `overlap_nanos`: the channel's policy `overlap`.
     """

@@ -38,7 +38,7 @@ class FollowedChannel:
         self.is_gone = False  # the channel was deleted; a new channel of the same name needs another handle
         self._lock = asyncio.Lock()
         self._read_at = 0
-        self._newest: int | None = None  # None: the first read has not come yet
+        self._newest: int | None = None  # None: the first read has not ended yet
         self._reaches_oldest = False
         self._stretches = Stretches()
         self._reach_due = 0
@@ -47,7 +47,7 @@ class FollowedChannel:
     async def refresh(self, window: Window, stats: ChannelStats | None) -> None:
         """Read the new items, and older ones if the window begins before the track.
 
-        Of a window that ends before the track, only the first PAGE_ITEMS items are read, and kept beside the track.
+        If the window ends before the track, read only the first PAGE_ITEMS items, and keep them beside the track.
 
         Does nothing within REFRESH_NANOS after the last call that read. If a read fails, the track stays as it is, and
         `failure` says why.
@@ -155,7 +155,7 @@ class FollowedChannel:
 class FollowedChannels:
     """The channels that pages show, by name.
 
-    Beyond TRACKS_MAX, forgets the channel that no page has shown for longest.
+    Above TRACKS_MAX, forgets the channel that no page has shown for the longest time.
     """
 
     def __init__(self) -> None:

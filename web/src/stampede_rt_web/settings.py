@@ -27,7 +27,8 @@ class WebSettings:
     secret_file: Path | None = field(
         default=None,
         metadata=setting(
-            metavar="FILE", help="the file of the cluster's secret; without it the page looks where all clients do"
+            metavar="FILE",
+            help="the file of the cluster's secret; without it the page finds the secret as all clients do",
         ),
     )
     channels: str = field(

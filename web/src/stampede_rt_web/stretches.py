@@ -7,14 +7,14 @@ from collections import OrderedDict
 from stampede_rt_web.drawing import Window
 from stampede_rt_web.track import ItemTrack
 
-STRETCHES_MAX = 4  # of one channel
-STRETCH_NANOS = 5_000_000_000  # a stretch that was read before is read again: late items may have come
+STRETCHES_MAX = 4  # the most stretches of one channel
+STRETCH_NANOS = 5_000_000_000  # after this time the page reads a stretch again, because late items may have come
 
 
 class Stretches:
     """The tracks of the stretches that pages showed last, by their window's interval.
 
-    Beyond STRETCHES_MAX, forgets the stretch that was read first.
+    Above STRETCHES_MAX, forgets the stretch that was read first.
     """
 
     def __init__(self) -> None:

@@ -67,18 +67,21 @@ class ItemTrack:
 
     @property
     def has_missing(self) -> bool:
-        """Whether the channel accepted items that the track does not hold: late ones, or ones already collected."""
+        """Whether the channel accepted items that the track does not hold: late items, or items that were already
+        collected."""
         return bool(self._missing)
 
     def begin_incarnation(self, incarnation: int, now: int) -> None:
-        """Note the channel's incarnation. If it is another one than before, mark the loss and forget the seqs."""
+        """Note the channel's incarnation. If it differs from the incarnation before, mark the loss and forget the
+        seqs."""
         if self.incarnation is not None and incarnation != self.incarnation:
             self.marks.append(Mark(now, "lost", "The channel's host was lost, and its items with it."))
         if incarnation != self.incarnation:
             self.incarnation, self.seq_max, self._missing = incarnation, 0, set()
 
     def extend(self, items: Iterable[TrackItem]) -> None:
-        """Add items that are later than all others of the track. The seqs between theirs become missing."""
+        """Add items that are later than all others of the track. The seqs between the seqs of these items become
+        missing."""
         for item in items:
             if self.seq_max and item.seq > self.seq_max + 1:
                 self._note_missing(range(self.seq_max + 1, item.seq))

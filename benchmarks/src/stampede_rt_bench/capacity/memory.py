@@ -25,7 +25,7 @@ def measure_memory(items: int, rounds: int) -> dict[str, Spread]:
     """Return the growth of a host's resident memory, in bytes for one thing of each kind, and EMPTY in bytes.
 
     In each round the host gets `items` items of 64 B one by one, and other things in numbers that take similar memory.
-    It keeps all of them. A first small round does not count: in it the host loads code and fills its caches.
+    It keeps all of them. A first small round does not count, because the host then loads code and fills its caches.
     """
     with LocalCluster(hosts=1, supernodes=1, durable=False, log_level="error") as cluster:
         return asyncio.run(_measure(cluster, items, rounds))

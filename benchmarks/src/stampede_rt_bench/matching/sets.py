@@ -46,7 +46,7 @@ class Judgement:
 
 
 def judge(replay: Replay, arrivals: Sequence[Arrival], tolerance_nanos: int) -> Judgement:
-    """Compare the returned sets with those of the whole recording."""
+    """Compare the returned sets with the sets of the whole recording."""
     possible = nearest_sets(arrivals, tolerance_nanos)
     arrived = {(arrival.stream, arrival.time): arrival.arrived for arrival in arrivals}
     right = sum(possible.get(one.reference) == dict(one.times) for one in replay.sets)

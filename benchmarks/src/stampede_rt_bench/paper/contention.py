@@ -30,7 +30,7 @@ class PaperDrops(NamedTuple):
     """The figures in the text of the paper.
 
     `by_all`: the frames that all consumers dropped, on average. `most`: the most frames that one consumer dropped in a
-    run. `most_frames`: the same as a number; None if the paper does not tell it.
+    run. `most_frames`: the same figure as a number; None if the paper does not state it.
     """
 
     by_all: str

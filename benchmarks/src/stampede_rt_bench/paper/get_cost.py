@@ -4,7 +4,7 @@ Like the paper's figure, it measures the core of the host: a get by reference. A
 client over gRPC, from a host in another process. A third line measures `Channel.at` of a program that hosts the channel
 itself: it returns the very payload that the program has put. For comparison there is the code that a user would write:
 a search in a SortedDict from time to payload for the newest time that is not later. It knows no spans, seqs or reasons,
-and shows the cost of the search alone in Python.
+and shows only the cost of the search in Python.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The cost of an interval get by the number of returned items: at the host alone, and for a client over gRPC.
+"""The cost of an interval get by the number of returned items: only at the host, and for a client over gRPC.
 
 In the paper (section 6) it is about linear in the number of returned items.
 """

@@ -2,7 +2,7 @@
 
 A producer puts frames of 18 KB at 30 a second. Each reader is a process that subscribes, and the client spreads the
 subscriptions over the owner and the proxies. Each host is in a network namespace of its own, and sends at most
-LINK_MBIT, so the link of a host is what ends first, as in the paper. The paper has frames of 300 KB and links of ten
+LINK_MBIT. So the link of a host is the bottleneck, as in the paper. The paper has frames of 300 KB and links of ten
 times this rate, and one reader less for each link.
 """
 

@@ -1,7 +1,7 @@
 """Figure 7 of the paper: the time between the receipts of related items at two consumers, with a group and without.
 
-A frame's skew is the time between its receipt and that of the caption in whose span it begins. A run's skew is the root
-mean square. One clock measures all receipts, because namespaces share the clock of their machine.
+A frame's skew is the time between its receipt and the receipt of the caption in whose span it begins. A run's skew is
+the root mean square. One clock measures all receipts, because namespaces share the clock of their machine.
 """
 
 from __future__ import annotations

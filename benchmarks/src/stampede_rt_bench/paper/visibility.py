@@ -48,7 +48,7 @@ def _put(channel: st.Channel, base: int, places: range, period_nanos: int) -> No
 
 
 def _look(table: Table, when: str, group: st.Group, channels: Sequence[st.Channel], base: int) -> list[Lane]:
-    """Return the items of each channel, and those that a reader of the group gets, when the cut has stopped."""
+    """Return the items of each channel, and the items that a reader of the group gets, when the cut has stopped."""
     end = base + 60 * NANOS_PER_SECOND
     newest = channels[0].newest()
     assert newest is not None

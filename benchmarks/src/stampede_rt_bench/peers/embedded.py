@@ -1,4 +1,4 @@
-"""Stampede RT with the host inside of the producer's program, and readers in shared memory: two processes, one hop."""
+"""Stampede RT with the host inside the producer's program, and readers in shared memory: two processes, one hop."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class EmbeddedStampedeRt:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Return the works of one process, which need nobody else here."""
+        """Return the works of one process: here they need no other process."""
         return dict.fromkeys(("put", "newest", "interval"), OPERATES_BY_REFERENCE)
 
     def unavailable_because(self) -> str | None:

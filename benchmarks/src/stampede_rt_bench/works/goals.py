@@ -22,8 +22,9 @@ Figure = Literal["p50_us", "items_per_second", "lost_share"]
 class Goal:
     """The goal of one of our transports at one work.
 
-    The `figure` of ours is compared with that of the best of `peers`: its ratio is at most or at least `bound`. Without
-    peers the figure itself is at most `bound`. For a time or a loss less is better, for a rate more.
+    The goal compares the `figure` of our transport with the figure of the best of `peers`: the ratio is at most or at
+    least `bound`. Without peers the figure itself is at most `bound`. For a time or a loss less is better, for a rate
+    more.
     """
 
     work: str

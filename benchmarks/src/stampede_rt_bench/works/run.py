@@ -36,8 +36,8 @@ class Measured:
 
     `p50_us`, `p99_us` and `p999_us` are percentiles of the time of an operation, or of the time from put to reader.
     They are 0 for a work at full speed. `lost_share`: the share of items that readers did not get. `cpu_us_per_item` is
-    the CPU time of all processes, `server_cpu_us_per_item` that of the server alone. `server_cores`: the share of a
-    core that each process of the server used.
+    the CPU time of all processes, `server_cpu_us_per_item` the CPU time of only the server. `server_cores`: the share
+    of a core that each process of the server used.
     """
 
     seconds: float

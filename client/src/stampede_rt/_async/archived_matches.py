@@ -21,8 +21,8 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
     match.
 
     `unmatched` and `dropped` count as those of a `MatchSubscription` do. `reason` says why matches may be missing, or
-    be others than then: COLLECTED or LOST, if the archive of a member has dropped or lost items. None: nothing is
-    missing. A step raises Overloaded if too many items wait for a match.
+    differ from the matches of that time: COLLECTED or LOST, if the archive of a member has dropped or lost items. None:
+    nothing is missing. A step raises Overloaded if too many items wait for a match.
     """
 
     def __init__(self) -> None:
@@ -41,12 +41,12 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
 
     @property
     def dropped(self) -> int:
-        """How many items were gone before this client fetched them, or came too late for a match."""
+        """How many items had left before this client fetched them, or came too late for a match."""
         return 0 if self._matching is None else self._matching.dropped
 
     @property
     def reason(self) -> Reason | None:
-        """Why matches may be missing, or be others than then; None: nothing is missing."""
+        """Why matches may be missing, or differ from the matches of that time; None: nothing is missing."""
         return None if self._matching is None else self._matching.lack
 
     @property

@@ -39,7 +39,7 @@ _NEWEST = ReadQuery(ALL_TIME, match=Match.START, limit=1, newest_first=True, pay
 class ArchivedMember:
     """One member of a group as of an instant: how far it had come, and its keys, page by page in the order of time.
 
-    `lack`: why the archive may not tell all of its items; None: it does.
+    `lack`: why the archive may not have all items of the member; None: it has all.
     """
 
     def __init__(self, channel: Reader, read_as_of: ReadAsOf) -> None:
@@ -131,7 +131,7 @@ class ArchivedMatching:
 
     @property
     def lack(self) -> Reason | None:
-        """Why matches may be missing, or be others than then; None: the archives tell all."""
+        """Why matches may be missing, or differ from the matches of that time; None: the archives have all items."""
         return next((one.lack for one in self.members if one.lack is not None), None)
 
     async def begin(self, as_of: int) -> None:
@@ -193,8 +193,8 @@ class ArchivedMatching:
         self.dropped += self._matcher.add(channel_id, keys)
 
     def check_room(self) -> None:
-        """Check that there is room for further keys. Raises Overloaded beyond KEYS_MAX. Then nothing has changed, so a
-        repeated step takes no more memory.
+        """Check that there is room for further keys. Raises Overloaded beyond KEYS_MAX. In this case nothing has
+        changed, so a repeated step takes no more memory.
         """
         if len(self._matcher) > KEYS_MAX:
             behind = min(self.members, key=lambda one: (one.newest_time is not None, one.newest_time or 0)).channel
@@ -223,7 +223,7 @@ class ArchivedMatching:
 
 
 def check_idle(group: GroupInfo) -> None:
-    """Raise InvalidArgument if matches of the group depend on more than archives tell."""
+    """Raise InvalidArgument if matches of the group depend on facts that archives do not have."""
     if group.idle_after_nanos is not None:
         raise InvalidArgument(
             f"the past matches of group {group.name!r} are not known: idle_after left silent members out, and archives "

@@ -65,7 +65,7 @@ class Channel(Reader):
         `payload` is bytes, or a value if the handle has a codec. `time` is an instant; without it the host stamps the
         item with the time at which it accepts the item. `duration` is text such as "33ms", a timedelta, or int
         nanoseconds. `ack` says when the host acknowledges this put: "host", "disk" (it is on stable storage) or
-        "replica"; without it the channel's policy says so. `timeout` in seconds is the longest wait for room on a full
+        "replica"; without it the channel's policy decides. `timeout` in seconds is the longest wait for room on a full
         channel with on_full="block"; None waits without a limit. With ack="replica" or "disk" it is also the longest
         wait for these. The client tries again after a broken connection, and the host never stores an item twice. Puts
         that are under way at the same time may arrive in any order. If their order matters, wait for the end of each
@@ -127,7 +127,7 @@ class Channel(Reader):
         return await consume(self._session, self._state, items)
 
     async def advance(self, time: InstantLike) -> int:
-        """Promise that no item earlier than `time` will come. From then on the host refuses such items.
+        """Promise that no item earlier than `time` will come. From then on the host refuses earlier items.
 
         Returns the latest instant that any producer has promised so far, in nanoseconds. Blocks for at most 10 s.
         Raises InFuture, ChannelNotFound, Unavailable.
@@ -192,9 +192,9 @@ class Channel(Reader):
         """Change the channel's policy while it runs, and return the policy after the change.
 
         A setting that you leave out stays as it is. With more `consumers` the channel gets new consumer places, which
-        keep all held items. With fewer, the channel removes the places whose leases end first. `archive` and
-        `archive_bytes` record the channel from now on, or change the limits of its archive. `replicas=0` takes the
-        replicas away; if puts wait for them, state `ack="host"` with it. Blocks for at most 10 s. Raises
+        keep all held items. With fewer `consumers`, the channel removes the places whose leases end first. `archive`
+        and `archive_bytes` record the channel from now on, or change the limits of its archive. `replicas=0` takes the
+        replicas away; if puts wait for replicas, also state `ack="host"`. Blocks for at most 10 s. Raises
         InvalidArgument, ChannelNotFound, Unavailable.
         """
         policy = parse_policy(
@@ -248,7 +248,7 @@ class Channel(Reader):
         try:
             await self._session.perform(self._state, drop_at, DROP_TRIES_S)
         except (Unavailable, DeadlineExceeded):
-            # The host cannot be reached. The directory deletes the channel all the same.
+            # The host cannot be reached. The directory deletes the channel nevertheless.
             request = directory_service_pb2.DeleteChannelRequest(
                 request_id=identity, channel_id=self._state.info.channel_id
             )

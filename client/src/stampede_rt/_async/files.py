@@ -39,8 +39,8 @@ class Files(Moves):
 
         `channels`: names, globs such as "rig/*", or handles. Channels that appear later are recorded, too, from their
         oldest item on. `since`: begin that far in the past, with the items that the channels still hold; "oldest": with
-        all held items; None: with the items that come from now on. `for_`: end after that time; None: at `stop`.
-        `compression`: "zstd", "lz4" or "none". An existing file is not overwritten unless `overwrite` is True.
+        all held items; None: with the items that the hosts accept from now on. `for_`: end after that time; None: at
+        `stop`. `compression`: "zstd", "lz4" or "none". An existing file is not overwritten unless `overwrite` is True.
 
         The recording never delays a producer. The file and the summary name the items that retention collects before
         the recording has read them: for every channel accepted = recorded + missing. The recording keeps at most 1 MiB
@@ -79,7 +79,7 @@ class Files(Moves):
 
         Each topic that matches `channels` becomes the channel of its name with `prefix` before it. Items come in the
         order and at the pace at which they came, `speed` times as fast; 0: as fast as possible. `start` and `end`: only
-        items of these times of the file, `end` exclusive. `loop`: again and again, until `stop`.
+        items with times of the file between these two, `end` exclusive. `loop`: play again and again, until `stop`.
 
         `shift`: "now" moves the times so that the items come as if they were new, by one amount for all, so that
         durations and distances stay. At a speed above 1 the first item is then in the past, by the time that the replay

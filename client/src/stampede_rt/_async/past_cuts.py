@@ -26,8 +26,8 @@ _NEWEST = ReadQuery(
 async def cut_as_of(group: GroupMembers, as_of: int) -> PastCut:
     """Return the cut of a group as of an instant (decision 0229).
 
-    One request to the host of each counting member, in parallel, after one for the present members. Raises
-    InvalidArgument if a member is not recorded, or if the rule of the group needs more than the archives have;
+    The client first asks one host for the present members. Then it asks the host of each counting member, in parallel.
+    Raises InvalidArgument if a member is not recorded, or if the rule of the group needs more than the archives have;
     PermissionDenied if the caller may not read a counting member; Unavailable.
     """
     await _confirm(group)
@@ -43,7 +43,7 @@ def counting_members(group: GroupMembers) -> list[Channel]:
 
 
 def _check(info: GroupInfo) -> None:
-    """Raise InvalidArgument if the cut depends on more than the archives tell."""
+    """Raise InvalidArgument if the cut depends on facts that the archives do not have."""
     if info.bound == "end":
         rule = 'bound="end" counts the ends of items that came together, and archives do not tell which did'
     elif info.reference_id is None and info.idle_after_nanos is not None:
@@ -80,7 +80,7 @@ def _denied(group: GroupMembers, channel: Channel, error: PermissionDenied) -> P
 
 
 async def _mark_as_of(session: Session, channel: Channel, as_of: int) -> PastMark:
-    """Return how far a channel had come at an instant, as far as its archive tells."""
+    """Return how far a channel had come at an instant, according to its archive."""
     found = await read_as_of(session, channel._state, _NEWEST, as_of)
     lack = found.reason if found.reason == "LOST" or (found.reason == "COLLECTED" and not found) else None
     if lack is None and found and found.truncated:

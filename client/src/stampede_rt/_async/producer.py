@@ -164,7 +164,7 @@ class Producer(BoundToProcess):
             stream.cancel()
 
     def _count_interrupting(self, length_bytes: int) -> None:
-        """Count an item of a signal handler or `__del__` that interrupts a put. It cannot wait for room."""
+        """Count an item of a signal handler or `__del__` that interrupts a put. Such a put cannot wait for room."""
         self._interrupting_bytes += length_bytes + ITEM_OVERHEAD_BYTES
         if self._interrupting_bytes + self._unacked.length_bytes > IN_FLIGHT_BYTES_MAX:
             raise _interrupting("wait for room")

@@ -30,9 +30,10 @@ class Proxies(Discovery):
         Returns when the proxy has the items of the channel and serves readers; blocks for up to about 20 s. `host`
         names its host; without it the directory takes the least loaded one. `source` names the host that feeds it: the
         owner, or the host of another proxy; without it the owner. If the host has a proxy of the channel already, the
-        call waits for that one. Subscriptions spread over the owner and the proxies by themselves, and gets use proxies
-        if they state `max_staleness` or `least_seq`. Raises HostNotFound, ChannelExists if the host owns the channel,
-        InvalidArgument if there are 16 copies already, PermissionDenied without the right to configure the channel.
+        call waits for that proxy. Subscriptions spread over the owner and the proxies by themselves, and gets use
+        proxies if they state `max_staleness` or `least_seq`. Raises HostNotFound, ChannelExists if the host owns the
+        channel, InvalidArgument if there are 16 copies already, PermissionDenied without the right to configure the
+        channel.
         """
         state = await self._state(channel)
         names = {one.name: one.host_id for one in await self.hosts()} if host or source else {}

@@ -40,7 +40,7 @@ class PutStream:
         self.ends_s = 0.0
 
     def leads_to(self, binding: Binding) -> bool:
-        """Whether a put to the host of `binding` may use the stream. If not, a new one replaces it."""
+        """Whether a put to the host of `binding` may use the stream. If not, a new stream replaces it."""
         is_behind = not self.puts and self.exchange.is_outdated
         return self.target == binding.target and not self.exchange.broken and not is_behind
 

@@ -44,7 +44,7 @@ class ReplayedChannel(Reader):
 
     @property
     def _is_direct(self) -> bool:
-        return False  # shared memory and the host of this process have the present
+        return False  # shared memory and the host of this process know only the present
 
     async def _read(self, query: ReadQuery) -> Items:
         wait, begun = query.wait, self._clock.now

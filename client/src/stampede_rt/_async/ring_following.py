@@ -107,7 +107,7 @@ class RingFollower:
         return (item,)
 
     def _take_next(self, facts: list[int]) -> Sequence[Item] | AskHost:
-        """Return the items of the next slots, or of as few as have STEP_BYTES_MAX."""
+        """Return the items of the next slots, until they have STEP_BYTES_MAX."""
         found, slot, next_seq, taken_bytes = list[FoundNext](), self._slot, self._cursor.next_seq, 0
         while len(found) < self._slots_max and taken_bytes < STEP_BYTES_MAX:
             one = self._next(facts, next_seq, slot)

@@ -1,4 +1,4 @@
-"""The streams over which a producer puts its runs: over the wire, or as they are to the host of this process."""
+"""The streams over which a producer puts its runs: over the wire, or by reference to the host of this process."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def open_run_stream(
 ) -> RunStream:
     """Open a stream to the host of `binding`. The caller holds no lock that `on_acks` needs.
 
-    `tail`: the encoded conditions for the acks (`put_tail`). If the channel is at the host of this process, and can
-    take the runs there, they do not go over the wire.
+    `tail`: the encoded conditions for the acks (`put_tail`). If the channel is at the host of this process, and takes
+    runs by reference, the runs do not go over the wire.
     """
     here = session.here
     if here is not None and binding.target == here.target and not tail:

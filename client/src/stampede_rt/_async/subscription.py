@@ -318,7 +318,7 @@ class Subscription(BoundToProcess):
         return lost
 
     def _take(self, response: channel_pb.SubscribeResponse, runs: Sequence[LongRun]) -> None:
-        """Take a response. `runs`: those of a long one, which are not in `response`."""
+        """Take a response. `runs`: the runs of a long response, which are not in `response`."""
         if response.HasField("gap"):
             self.dropped += response.gap.items
             self._count_loss(response.gap)

@@ -38,7 +38,7 @@ class VirtualClock:
                 await moved.wait(left_s)
 
     def _left_s(self, instant: int) -> float | None:
-        """Return the real time until the clock reaches `instant`; None: only `move` decides."""
+        """Return the real time until the clock reaches `instant`; None: the clock moves only by `move`."""
         if self._step:
             return None
         if not self._speed:

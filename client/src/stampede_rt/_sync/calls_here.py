@@ -1,8 +1,8 @@
 # Generated from ../_async by tools/generate.py; do not edit.
 """Puts and gets at the channel host of this process: by reference, without the wire (paper, section 4.1).
 
-Each function returns None if the call has to take the usual way: the channel is elsewhere, or the call may wait for
-room, or its answer is long. The usual way also finds the reason of each failure.
+Each function returns None if the call must go over the wire: the channel is at another host, or the call may wait for
+room, or its answer is long. The call over the wire also finds the reason of each failure.
 """
 
 from __future__ import annotations

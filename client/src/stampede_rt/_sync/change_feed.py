@@ -50,7 +50,7 @@ class ChangeFeed:
     def take(self) -> list[Item]:
         """Return the items of the next change, in the order of their seqs; none if it is an advance."""
         instant = self.next_change
-        assert instant is not None, "the caller has looked at next_change"
+        assert instant is not None, "the caller has read next_change before"
         found = None if self._past is None else self._past.next_items
         if found is None:
             items = self.channel.read_as_of(replace(NEWEST_QUERY, payloads=False), instant)

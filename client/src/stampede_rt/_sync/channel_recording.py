@@ -40,7 +40,8 @@ class ChannelRecording:
         policy = {key: value for key, value in asdict(state.info.policy).items() if value is not None}
         self._metadata = ((POLICY_KEY, json.dumps(policy)),)
         self._stream: RecordingStream | None = None
-        self._first: Item | None = None  # the earliest item of the first look; None once it is accounted for
+        # The earliest item that the first read found; None after it is recorded or named as missing.
+        self._first: Item | None = None
         self._end_seq: int | None = None
         self._ending = False
         self._done = Signal()
@@ -53,7 +54,7 @@ class ChannelRecording:
         try:
             self._record_all()
         except FileError:
-            pass  # the sink has it, and ends the whole recording
+            pass  # the sink keeps this error, and ends the whole recording
         except StampedeError as error:
             self._fail(error)
         except Exception as defect:  # noqa: BLE001  # otherwise nobody would learn of the defect

@@ -96,7 +96,8 @@ class Connection(Mailboxes, RealClock, Reference):
         self.close()
 
     def close(self) -> None:
-        """End all calls and streams, and deregister the peer. The handles of this connection no longer work then."""
+        """End all calls and streams, and deregister the peer. After that the handles of this connection no longer
+        work."""
         self._session.close()
 
     @property
@@ -139,24 +140,24 @@ class Connection(Mailboxes, RealClock, Reference):
     ) -> Channel:
         """Get or create a channel (paper, section 3.4 for the policies).
 
-        The call compares only the arguments that you state with an existing channel. A contradiction raises
-        ChannelExists. Defaults: max_age "10s" if you state no limit at all, max_bytes 256 MiB, on_full "drop_oldest",
-        max_future "1s". `consumers`: an item may leave once this number of consumers has consumed it.
+        If the channel exists, the call compares only the arguments that you state with its policy. A contradiction
+        raises ChannelExists. Defaults: max_age "10s" if you state no limit at all, max_bytes 256 MiB, on_full
+        "drop_oldest", max_future "1s". `consumers`: an item may leave once this number of consumers has consumed it.
         `max_age_unconsumed` replaces max_age for items that a live consumer has still to consume (see
         `Channel.consume`): such items leave at this age. `overlap`: for this time after an item's own time, later items
         do not end its span. `archive`, such as "7d" or "forever", and `archive_bytes`, such as "200GiB", record the
         channel: its host keeps the items on disk for that time, and up to that size. Reads of the channel find them
-        there. The host needs the option --archive. `replicas`, 4 at most, is the number of copies at other hosts that
-        can take over if the host is lost, without the items of the last second at most. With `ack="replica"` nothing is
-        lost: a put is acknowledged only when all replicas in sync have the item, and at least `min_replicas` (default
-        1) of them; readers see it only then. `host` names the host of a new channel. If the channel exists at another
-        live host, the call raises ChannelExists. If the channel does not exist and `create` is False, the call raises
-        ChannelNotFound. Blocks for at most 10 s.
+        there. The host needs the option --archive. `replicas`, 4 at most, is the number of copies at other hosts. If
+        the host is lost, one of them takes over, and lacks at most the items of the last second. With `ack="replica"`
+        nothing is lost: the host acknowledges a put only when all replicas in sync have the item, and at least
+        `min_replicas` (default 1) of them. Readers see the item only then. `host` names the host of a new channel. If
+        the channel exists at another live host, the call raises ChannelExists. If the channel does not exist and
+        `create` is False, the call raises ChannelNotFound. Blocks for at most 10 s.
 
         `beside` is another channel, as a handle or a name. A new channel goes to the host of that channel, unless that
         host is full or more than 95 % busy. Open the channels of a group beside each other, so that their hosts need
-        not exchange times. A channel that exists stays where it is. Do not state both `host` and `beside`. If a new
-        channel names one that does not exist, the call raises ChannelNotFound.
+        not exchange times. A channel that exists stays where it is. Do not state both `host` and `beside`. If `beside`
+        names a channel that does not exist, the call raises ChannelNotFound.
 
         `codec` belongs to the handle, not to the channel. It turns the values of `put` into payloads, and payloads into
         `item.value`: "bytes" (default), "json", "numpy" (keeps shape and dtype), or an object with `content_type`,
@@ -286,14 +287,15 @@ class Connection(Mailboxes, RealClock, Reference):
     ) -> Queue:
         """Get or create a queue (paper, section 3.5).
 
-        The call compares only the arguments that you state with an existing queue. A contradiction raises QueueExists.
-        Defaults: max_bytes 256 MiB, on_full "block" (or "reject", "drop_oldest"), lease "30s", copies 1. `copies`: this
-        number of distinct takers get each message. `max_deliveries`: a message leaves the queue after this number of
-        deliveries without an acknowledgement. `dead_letter`: the handle or name of the queue to which such a message
-        goes, and each message that a taker gives up. `replicas` (0 to 4), with `ack="replica"`: copies at other hosts,
-        which know of each put, delivery and acknowledgement before its caller. One of them becomes the owner if the
-        owner is lost. With fewer than `min_replicas` (default 1) in sync the queue pauses. `host` names the host of a
-        new queue. If the queue does not exist and `create` is False, the call raises QueueNotFound.
+        If the queue exists, the call compares only the arguments that you state with its policy. A contradiction raises
+        QueueExists. Defaults: max_bytes 256 MiB, on_full "block" (or "reject", "drop_oldest"), lease "30s", copies 1.
+        `copies`: this number of distinct takers get each message. `max_deliveries`: a message leaves the queue after
+        this number of deliveries without an acknowledgement. `dead_letter`: the handle or name of the queue to which
+        such a message goes, and each message that a taker gives up. `replicas` (0 to 4), with `ack="replica"`: copies
+        at other hosts, which get each put, delivery and acknowledgement before the caller gets its answer. One of them
+        becomes the owner if the owner is lost. With fewer than `min_replicas` (default 1) in sync the queue pauses.
+        `host` names the host of a new queue. If the queue does not exist and `create` is False, the call raises
+        QueueNotFound.
 
         `prefetch` belongs to the handle. With 1 the handle takes a message only when a caller waits for it. With a
         greater number the handle takes up to this number of messages ahead, and extends the leases of these messages

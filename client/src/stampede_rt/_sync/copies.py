@@ -50,7 +50,7 @@ def may_serve_elsewhere(error: StampedeError) -> bool:
 
 
 def copy_target_of(error: StampedeError) -> str:
-    """Return the gatekeeper of the copy to which a host sends a reader; empty if it sends it nowhere."""
+    """Return the gatekeeper of the copy to which a host sends a reader; empty if the host names no copy."""
     return error.metadata.get("copy_target", "") if isinstance(error, StaleBinding) else ""
 
 

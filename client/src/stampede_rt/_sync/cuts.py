@@ -74,7 +74,7 @@ class CutSubscription(BoundToProcess):
         self._max_wait_nanos = max_wait_nanos
         self._lateness_nanos = lateness_nanos
         self._payloads = payloads
-        self._streams: list[_HostStream] = []  # the first one is that of the deciding host
+        self._streams: list[_HostStream] = []  # the first stream is that of the deciding host
         self._opening_streams: list[_HostStream] = []  # streams that the client is opening
         self._steps = StepLock()  # callers that step at the same time take turns
         self._cursor: group_pb.CutCursor | None = None  # where the next event begins; None before the first opening
@@ -210,7 +210,7 @@ class CutSubscription(BoundToProcess):
             self._hang_up()
 
     def _check_members(self) -> None:
-        """Raises Unavailable unless each member is on one stream. A member that moves may be on none, or on two.
+        """Raises Unavailable unless each member is on one stream. A member that moves may be on no stream, or on two.
 
         An event without a member would take the cursor beyond items that no stream has brought.
         """

@@ -119,8 +119,8 @@ class DirectoryClient:
         for other, its_id in zip(others, found, strict=True):
             if cluster_id and its_id not in ("", cluster_id):
                 raise WrongCluster(
-                    f"the front-ends {target} and {other} are of different clusters, {cluster_id} and {its_id}; name "
-                    "those of one cluster in connect() or $STAMPEDE_URL",
+                    f"the front-ends {target} and {other} are of different clusters, {cluster_id} and {its_id}; "
+                    "name front-ends of one cluster in connect() or $STAMPEDE_URL",
                     metadata={"cluster_id": its_id},
                 )
 
@@ -252,7 +252,8 @@ class DirectoryClient:
         raise rounds.failure(self._targets)
 
     def _asked(self) -> list[str]:
-        """Return the supernodes to ask, best first: those of this cluster, or all if all are of another cluster."""
+        """Return the supernodes to ask, best first: the supernodes of this cluster, or all if all are of another
+        cluster."""
         return [target for target in self._targets if target not in self._strangers] or list(self._targets)
 
     def demote(self, target: str, error: StampedeError) -> None:

@@ -139,9 +139,10 @@ class Group(Reference):
         `Channel.get`. A meta-time stands for each channel's own instant: NEWEST is the time of the channel's own newest
         item. The answer maps each member to its Items.
 
-        With `as_of` the cut is that of then. All members are recorded, and the caller may read all members that decide
-        the cut. If an archive does not tell that cut any more, the reason of each answer is COLLECTED or LOST. Raises
-        GroupNotFound, InvalidInterval, InvalidArgument, PermissionDenied, Unavailable.
+        With `as_of` the answer uses the cut of that instant. All members must be recorded, and the caller must have the
+        right to read all members that decide the cut. If the archives no longer have the facts for that cut, the reason
+        of each answer is COLLECTED or LOST. Raises GroupNotFound, InvalidInterval, InvalidArgument, PermissionDenied,
+        Unavailable.
         """
         query = ReadQuery(
             parse_interval(start, end, bounds),
@@ -238,14 +239,14 @@ class Group(Reference):
         the host sends no match and counts the item of `per` in `unmatched`. With `partial` the reader also gets such an
         item of `per`, and `missing` names the members without an item that near.
 
-        With `unique` an item of another member is part of at most one match: that of the nearest item of `per`. The
-        host waits for items that come out of order by at most `lateness`. This delays every match by `lateness`.
+        With `unique` an item of another member is part of at most one match: the match of the nearest item of `per`.
+        The host waits for items that come out of order by at most `lateness`. This delays every match by `lateness`.
         `reconnect` is as in `subscribe`. `start`: begin with the items of `per` from this bound on, in memory or in the
-        archive; by default with those that come. Raises InvalidArgument; the iterator raises GroupNotFound,
-        IncarnationLost, Unavailable, and Overloaded if one match needs too many archived items.
+        archive; by default with the items that the host accepts from now on. Raises InvalidArgument; the iterator
+        raises GroupNotFound, IncarnationLost, Unavailable, and Overloaded if one match needs too many archived items.
 
-        With `as_of` the iterator returns the matches that such a subscription would have got at once at that past
-        instant, and ends (see `PastMatches`). All members are recorded, and `start` is stated.
+        With `as_of` the iterator returns the matches that the same subscription would have got immediately at that past
+        instant, and ends (see `PastMatches`). This needs recorded members and a `start`.
         """
         rule = MatchRule.parse(tolerance, lateness, unique=unique, partial=partial, payloads=payloads, start=start)
         member, past = self._members.member(per), parse_as_of(as_of)

@@ -39,7 +39,8 @@ class GroupChannel(Reader):
             return super()._read(query)
         if floor is None or (items.cut is not None and items.cut >= floor):
             return items
-        self._group.refresh()  # the host has a lower cut than this process saw: the group may have begun anew
+        # The host's cut is lower than the cut that this process saw: the group may have begun anew.
+        self._group.refresh()
         return super()._read(query) if self._group.view.cut_floor is None else items
 
     def __repr__(self) -> str:

@@ -20,7 +20,7 @@ from stampede_rt.values.reading import ReadQuery
 
 
 class MembersRead(NamedTuple):
-    """The answer of each member at one cut. `lack`: why the cut may have been higher; None: it was not."""
+    """The answer of each member at one cut. `lack`: why the cut may have been higher; None: the cut is exact."""
 
     answers: ByChannel[Channel, Items]
     lack: Reason | None
@@ -32,7 +32,7 @@ def read_members(group: GroupMembers, query: ReadQuery) -> MembersRead:
     if query.as_of is None:
         query = replace(query, cut=present_cut(group))
     else:
-        view = SeenCut(group.info.group_id)  # the present cut plays no part
+        view = SeenCut(group.info.group_id)  # the present cut has no influence
         cut, lack, _ = cut_as_of(group, query.as_of)
         query = replace(query, cut=cut)
     channels = group.channels

@@ -18,7 +18,7 @@ from stampede_rt.values.timeline import DurationLike, parse_duration
 
 MOVE_TIMEOUT = "60s"
 OVER_NANOS_MAX = 3600 * 10**9
-ITEM_WORK_BYTES = 4096  # an item costs a host about as much as this many bytes
+ITEM_WORK_BYTES = 4096  # an item costs a host about as much work as this number of bytes
 RETRY_S = 0.05
 ANSWER_S = 5.0  # the time for the answer of a host that drains, after its timeout
 
@@ -72,7 +72,7 @@ class Moves(Proxies):
         return _info(queue, host, self._move_here(find, host, deadline_s))
 
     def _move_here(self, find: Callable[[], _Movable], host: str, deadline_s: float) -> pb.MoveHereResponse:
-        """Have the owner let this host ask for the thing, and then have the host do so."""
+        """Tell the owner that this host may take the thing over, and then tell the host to take it over."""
         hosts = {one.name: one for one in self.hosts() if one.endpoints}
         if host not in hosts:
             raise HostNotFound(f"there is no live host {host!r}; `stampede hosts` lists them")
@@ -92,7 +92,7 @@ class Moves(Proxies):
         return answer
 
     def _allow(self, request: pb.MoveHereRequest, owner: str, host_id: bytes, deadline_s: float) -> None:
-        """Tell the owner which host may ask for the thing. Raises StaleBinding if the owner is another host."""
+        """Tell the owner which host may take the thing over. Raises StaleBinding if the owner is another host."""
         allow = pb.AllowMoveRequest(channel_id=request.channel_id, queue_id=request.queue_id, to_host_id=host_id)
         endpoint = self._session.endpoints.to(owner)
         endpoint.call(endpoint.moves.AllowMove, allow, max(deadline_s - monotonic_s(), 0.1))
@@ -100,10 +100,10 @@ class Moves(Proxies):
     def rebalance(self, *, apply: bool = False, over: DurationLike = "2s") -> list[PlannedMove]:
         """Plan moves that even out the loads of the hosts. With `apply` also perform them, one after the other.
 
-        The plan uses the loads that the hosts last reported to the directory, and how much each channel does within
-        `over`. Channels of one group at one host stay together. Without `apply` nothing moves: look at the plan first.
-        Hosts whose loads differ by less than a tenth of a core stay as they are, and so do channels with an archive.
-        `over` is more than 0 and at most an hour. Raises InvalidArgument, and the errors of `move`.
+        The plan uses the loads that the hosts last reported to the directory, and the work of each channel, measured
+        for `over`. Channels of one group at one host stay together. Without `apply` nothing moves: look at the plan
+        first. Hosts whose loads differ by less than a tenth of a core stay as they are, and so do channels with an
+        archive. `over` is more than 0 and at most an hour. Raises InvalidArgument, and the errors of `move`.
         """
         over_nanos = parse_duration(over, "over")
         if not 0 < over_nanos <= OVER_NANOS_MAX:
@@ -121,10 +121,11 @@ class Moves(Proxies):
         return planned
 
     def _rates(self, hosts: Collection[str], over_s: float) -> dict[str, dict[str, float]]:
-        """Return how much each channel does within `over_s`, by host and name."""
+        """Measure the work of each channel for `over_s`. Returns it by host and name."""
         before = {host: self.hosted_channels(host) for host in hosts}
         sleep(over_s)
-        owners = {one.name: one.host for one in self.channels()}  # a host also lists its copies of others
+        # A host also lists its copies of other hosts' channels.
+        owners = {one.name: one.host for one in self.channels()}
         rates: dict[str, dict[str, float]] = {}
         for host in hosts:
             after = self.hosted_channels(host)
@@ -163,5 +164,5 @@ def _info(name: str, host: str, answer: pb.MoveHereResponse) -> MoveInfo:
 
 
 def _work(stats: ChannelStats) -> float:
-    """How much a host has done for a channel: bytes in and out, and about as much again for each item."""
+    """The work of a host for a channel, in bytes: the bytes in and out, and ITEM_WORK_BYTES for each item."""
     return stats.accepted_bytes + stats.delivered_bytes + ITEM_WORK_BYTES * stats.accepted

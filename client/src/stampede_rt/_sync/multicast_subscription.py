@@ -1,8 +1,8 @@
 # Generated from ../_async by tools/generate.py; do not edit.
 """Subscriptions whose items come from UDP multicast (paper, section 4.1: multicast by a callback action).
 
-The stream to the host stays open. It brings the items until the reader hears the datagrams, those that no datagram
-brings, and all news besides items: gaps, losses, moves, the end of the channel.
+The stream to the host stays open. It brings all items until the reader receives the datagrams, and after that the items
+that no datagram brings. It always brings everything else: gaps, losses, moves, the end of the channel.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from stampede_rt.wire.long_answers import LongRun
 
 _log = logging.getLogger("stampede_rt")
 
-AGAIN_S = 60.0  # after datagrams did not reach this reader, it does without them for this time; it doubles each time
+AGAIN_S = 60.0  # if datagrams do not reach this reader, it stops using multicast for this time, which doubles each time
 AGAIN_S_MAX = 3600.0
 REPAIR_BYTES_MAX = 2**18  # the most bytes of items that one repair asks for, beside the last item
 COUNTS = ("datagrams", "items", "repairs", "repeated", "forged", "foreign", "other_key")
@@ -57,7 +57,7 @@ class MulticastSubscription(Subscription):
         self._socket: GroupSocket | None = None
         self._receiving: Receiving | None = None
         self._is_following = False  # whether the items come from datagrams
-        self._asked_seq = 0  # of the repair that the host has still to answer; 0: none
+        self._asked_seq = 0  # the seq that the open repair asks for; 0: no repair is open
         self._not_before_s, self._again_s = 0.0, AGAIN_S
         self._item_bytes = 1.0  # about the bytes of one item
         self._before = MulticastStats()  # the counts of earlier streams
@@ -100,7 +100,7 @@ class MulticastSubscription(Subscription):
             verifier = Verifier(offer.stream_id, offer.public_key)
             joined = in_thread(lambda: join_group(offer.group, target))
         except (OSError, ValueError, StampedeError) as error:
-            _log.info("the subscription to channel %r does without multicast: %s", self._state.info.name, error)
+            _log.info("the subscription to channel %r does not use multicast: %s", self._state.info.name, error)
             self._leave()
             return
         except BaseException:  # the step is cancelled: without another stream the client would not receive datagrams
@@ -113,16 +113,17 @@ class MulticastSubscription(Subscription):
             self._socket.close()
 
     def _listen_in(self, receiving: Receiving, socket: GroupSocket) -> None:
-        """While the stream brings the items: look whether the datagrams bring the next ones, and then follow them."""
+        """While the stream brings the items: check whether the datagrams bring the next ones. If they do, take the
+        items from them."""
         cursor = self._cursor
-        if cursor is None or cursor.HasField("from_unix_nano"):  # items that the host had before come first
+        if cursor is None or cursor.HasField("from_unix_nano"):  # items that the host held at the start come first
             return
         receiving.merge.pass_to(cursor.next_seq)
         now_s = monotonic_s()
         receiving.hear(socket.poll(), now_s)
         if receiving.has_heard and receiving.merge.is_level:
             self._is_following = True
-            self._repair(receiving)  # so that the host stops to send
+            self._repair(receiving)  # so that the host stops sending
         elif receiving.pace.next_step(now_s, is_missing=False)[0] is Step.LEAVE:
             self._leave()
 
@@ -198,7 +199,7 @@ class MulticastSubscription(Subscription):
     def _take_gap(self, gap: channel_pb.SubscriptionGap, receiving: Receiving) -> None:
         """Take the held items up to the end of the gap. The gap then counts only items that the reader did not get."""
         merge, end_seq = receiving.merge, gap.last_seq + 1
-        new = end_seq - max(gap.first_seq, merge.next_seq)  # the host may have told a part of the gap before
+        new = end_seq - max(gap.first_seq, merge.next_seq)  # the host may have reported a part of the gap before
         held = merge.take_up_to(end_seq)
         had = sum(gap.first_seq <= item.seq < end_seq for item in held)  # they came before they were collected
         gap.items = max(0, min(gap.items, new) - had)
@@ -252,5 +253,6 @@ class MulticastSubscription(Subscription):
 
 
 def _decoded(decoder: ItemDecoder, body: bytes) -> Sequence[Item]:
-    """The items of a message. No method: the subscription would reference itself, and not end when it is dropped."""
+    """The items of a message. This is no method, because the subscription would then reference itself, and would not
+    end when the program drops it."""
     return decoder.decode_each(channel_pb.SubscribeResponse.FromString(body).runs)

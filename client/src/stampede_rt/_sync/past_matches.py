@@ -18,7 +18,7 @@ from stampede_rt.values.match_rule import MatchRule
 
 
 class PastMatches(ArchivedMatches[Channel]):
-    """The matches that a subscription would have got at once at an instant (see `Group.match` with `as_of`).
+    """The matches that a subscription would have got immediately at an instant (see `Group.match` with `as_of`).
 
     A step raises PermissionDenied if the caller may not read a member, and Unavailable.
     """
@@ -27,8 +27,8 @@ class PastMatches(ArchivedMatches[Channel]):
         super().__init__()
         if rule.start is None:
             raise InvalidArgument(
-                "as_of: matches without a start are those of the items that come, and as of an instant none come; give "
-                "start, such as start=OLDEST"
+                "as_of: without a start there are only matches of new items, and a past instant has no new items; "
+                "give start, such as start=OLDEST"
             )
         self._group, self._per, self._rule, self._as_of = group, per, rule, as_of
         begin_if_blocking(self._open)

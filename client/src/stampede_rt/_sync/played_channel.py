@@ -94,7 +94,7 @@ class PlayedChannel:
             self._note_refusal(error)
 
     def note_gap(self, gap: RecordingGap) -> None:
-        """State with the next item that items before it are missing."""
+        """Mark the next item, to say that items before it are missing."""
         self._gap = gap
 
     def advance(self, time: int) -> None:

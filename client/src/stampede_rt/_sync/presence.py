@@ -47,7 +47,7 @@ class Presence:
     def __init__(self, session: Session, name: str, proof: str | None) -> None:
         self._session = session
         self._identity = PeerIdentity.parse(name, proof, os.urandom(48))
-        self._boot_incarnation = int.from_bytes(os.urandom(8), "little") | 1  # another one at each start
+        self._boot_incarnation = int.from_bytes(os.urandom(8), "little") | 1  # a new one at each start
         self._epoch = RegistrationEpoch()
         self._name = name
         self._lease_s = 0.0
@@ -180,7 +180,7 @@ class Presence:
     def _taken_over(self) -> PeerExists:
         return PeerExists(
             f"another process took over the name {self._name!r} with the same proof, as a restart of this one; "
-            "give each process a proof of its own if both are to live",
+            "give each process a proof of its own if both should run",
             metadata={"peer": self._name},
         )
 

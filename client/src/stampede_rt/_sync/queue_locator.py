@@ -24,7 +24,7 @@ from stampede_rt.wire.queues import queue_info, queue_policy_to_spec
 class QueueState:
     """The facts that a handle keeps about its queue or mailbox.
 
-    `kind` and `name` stand in texts for people. `info` is the directory's latest description, and `cluster_id` the
+    `kind` and `name` are for texts for people. `info` is the directory's latest description, and `cluster_id` the
     cluster of that directory. `stated` and `create` are the arguments with which the handle opens the queue again.
     """
 

@@ -91,7 +91,8 @@ class Reader(Reference):
 
     @property
     def _is_direct(self) -> bool:
-        """Whether reads may use shared memory, or the host of this process: they have the present, without groups."""
+        """Whether reads may use shared memory, or the host of this process: these know only the present, and no
+        groups."""
         return self._view is None
 
     def get(
@@ -279,7 +280,7 @@ class Reader(Reference):
         iterator raises Unavailable. Raises InvalidArgument.
 
         If the channel has proxies, the subscription may be at a proxy, and may move between the owner and the proxies,
-        without a gap or a double. With `stale_ok` False the owner serves it.
+        without a gap or a repetition. With `stale_ok` False the owner serves it.
 
         With `via="multicast"` the items come from UDP multicast if the host sends it and this machine receives it. All
         other items come over the stream (docs/proxies.md). Needs the extra `stampede-rt[multicast]`.

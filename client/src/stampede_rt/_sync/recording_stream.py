@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""The items of a channel for a recording, with the gaps and advances that the host tells, in the host's order."""
+"""The items of a channel for a recording, with the gaps and advances that the host reports, in the host's order."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stampede_rt.values.timeline import Bound
 from stampede_rt.wire.long_answers import LongRun
 from stampede_rt.wire.reads import bound_to_message
 
-WINDOW_BYTES = 1024 * 1024  # that the host may send ahead of the recording, for each channel
+WINDOW_BYTES = 1024 * 1024  # the bytes that the host may send ahead of the recording, for each channel
 
 
 @dataclass(slots=True)
@@ -42,7 +42,7 @@ class RecordedBatch:
 
 
 class RecordingStream(Subscription):
-    """A subscription that gives batches. It reads from the host, never from shared memory, which tells no gaps.
+    """A subscription that gives batches. It reads from the host, never from shared memory, which reports no gaps.
 
     `opened_seq` is the seq of the first item after the subscription began; None before the host has answered.
     """
@@ -138,7 +138,7 @@ class RecordingStream(Subscription):
         )
 
     def _loss(self, gap: channel_pb.SubscriptionGap) -> RecordingGap:
-        """Return the end of the present incarnation. The items after this gap are of the next one."""
+        """Return the end of the present incarnation. The items after this gap belong to the next incarnation."""
         former, self.incarnation = self.incarnation, self._next_incarnation
         self._batch.next_live_seq = gap.first_seq
         return RecordingGap(

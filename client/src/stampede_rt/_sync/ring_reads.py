@@ -82,7 +82,8 @@ def newest_item(state: ChannelState, mapping: RingMapping, found: FoundNewest) -
 
 
 def plain_item(state: ChannelState, mapping: RingMapping, slot: Slot, payload: bytes, next_time: int | None) -> Item:
-    """Return the item of a plain slot. `next_time`: the time of the bucket after it; None: it is the newest one."""
+    """Return the item of a plain slot. `next_time`: the time of the bucket after the item; None: the item is the newest
+    one."""
     policy, time, duration = state.info.policy, slot.first_time, slot.duration
     fields: tuple[Any, ...] = (
         time,

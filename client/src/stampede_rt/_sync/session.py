@@ -35,7 +35,7 @@ from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt.values.policy import flag_of, parse_name
 from stampede_rt.wire.records import channel_info, policy_to_spec
 
-CALL_TIMEOUT_S = 10.0  # a call of the program takes at most this time, besides a wait that the program asks for
+CALL_TIMEOUT_S = 10.0  # a call of the program takes at most this time, plus the wait that the program asks for
 TRY_TIMEOUT_S = 5.0  # for one request to a host, if the client may ask another one afterwards
 
 Result = TypeVar("Result")

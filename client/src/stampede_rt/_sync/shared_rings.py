@@ -27,13 +27,14 @@ READS_BEFORE = 8  # a ring costs the host memory, so the client asks for one onl
 OPEN_S = 1.0  # the time limit for opening a ring
 AGAIN_S = 1.0  # the pause after a ring has ended, or could not be opened for a reason that may pass
 LONG_AGAIN_S = 30.0  # the pause after the host has refused a ring
-RINGS_MAX = 64  # beyond it the connection gives up the ring of the channel that it has known for the longest time
+# Above this number the connection gives up the ring of the channel that it has known for the longest time.
+RINGS_MAX = 64
 CHANNELS_MAX = 4096  # the most channels whose reads are counted
 
 
 @dataclass(slots=True)
 class _KnownChannel:
-    """The ring of one channel, if there is one, and the earliest time at which to ask for one."""
+    """The ring of one channel, if there is one, and the earliest time at which to ask for a ring."""
 
     mapping: RingMapping | None = None
     reads: int = 0

@@ -244,7 +244,8 @@ class Taker:
         if not unwanted:
             self._ask()
             return
-        with suppress(Unavailable):  # here and not in `_drain`, which may have stopped waiting for the stream
+        # Here and not in `_drain`, because `_drain` may have stopped waiting for the stream.
+        with suppress(Unavailable):
             stream.send(queue_pb.TakeRequest(drain=True))
 
     def _ended(self) -> None:

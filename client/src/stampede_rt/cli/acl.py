@@ -24,7 +24,7 @@ KINDS_OF = {
 }  # fmt: skip
 _EXPLANATION = """The verbs of each kind of thing:
 {verbs}
-A mailbox counts as its peer. Whoever registers a peer may take from its mailbox.
+A mailbox counts as its peer. The caller that registers a peer may take from its mailbox.
 
 In WHO and NAME "*" stands for any characters, also "/", and "?" for one. A rule that denies overrides all rules that
 allow. Without any rule clients may do everything. Rules do not limit operators, and holders of the cluster's secret."""
@@ -45,7 +45,7 @@ def add_verbs(subparsers: Any) -> None:
     )
     verbs = noun.add_subparsers(dest="acl_verb", metavar="VERB", required=True, parser_class=VerbParser)
     _add_change(
-        add_verb(verbs, "add", "add a rule; from the first rule on, clients may do only what a rule allows", run_add)
+        add_verb(verbs, "add", "add a rule; if any rule exists, clients may do only what a rule allows", run_add)
     )
     _add_change(add_verb(verbs, "rm", "remove a rule, written as for add", run_rm))
     add_verb(verbs, "ls", "list all rules", run_ls)
@@ -170,7 +170,10 @@ def run_check(arguments: argparse.Namespace) -> int:
         may = "may" if answer.allowed else "may not"
         print(f"A client with the name {arguments.who} {may} {arguments.action} {kind} {arguments.name}: {why}.")
         if not answer.allowed:
-            print(f"Rules limit clients only. If {arguments.who} is an operator or a part of the cluster, it may.")
+            print(
+                f"Rules limit clients only. If {arguments.who} is an operator or a part of the cluster, rules do "
+                "not limit it."
+            )
         for one, other in answers.items():
             if other.allowed != answer.allowed:
                 may = "may" if other.allowed else "may not"

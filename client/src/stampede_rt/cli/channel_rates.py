@@ -1,4 +1,4 @@
-"""The rates of channels, computed from two looks at their counters. Pure."""
+"""The rates of channels, computed from two readings of their counters. Pure."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ SORTS = ("bytes", "items", "age", "lag", "held", "refused", "dropped", "name")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelRates:
-    """One channel between two looks. Rates are per second.
+    """One channel between two readings of its counters. Rates are per second.
 
-    `age_nanos`: of the newest item; None without an item. `lag_items`: the items that the slowest consumer or copy
-    still has to get. `refused`: items of refused puts. `dropped`: items that slow readers did not get.
+    `age_nanos`: the age of the newest item; None without an item. `lag_items`: the items that the slowest consumer or
+    copy has not got yet. `refused`: items of refused puts. `dropped`: items that slow readers did not get.
     """
 
     channel: str

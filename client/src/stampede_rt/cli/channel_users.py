@@ -9,13 +9,13 @@ from typing import Any
 from stampede_rt.values.statistics import ChannelStats, ReaderStats, WriterStats
 from stampede_rt.values.timeline import format_duration
 
-NOT_TOLD = "not told: this needs the right to read the channel, and a host that knows them"
+NOT_TOLD = "not known: this needs the right to read the channel, and a host of a release that reports them"
 
 
 def user_facts(stats: ChannelStats, people: bool) -> dict[str, Any]:
     """The facts `dropped`, `readers` and `writers`: texts for people, or plain values for programs.
 
-    Lists that the host does not tell are None in the plain values.
+    Lists that the host does not report are None in the plain values.
     """
     if not people:
         readers, writers = _plain(stats.readers), _plain(stats.writers)

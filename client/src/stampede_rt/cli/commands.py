@@ -57,7 +57,8 @@ def run(arguments: Sequence[str]) -> int:
 def _run_and_flush(arguments: Sequence[str]) -> int:
     """Run one command, and write its output out.
 
-    If the disk is full, or if the reader of a pipe has gone, the error comes here, and not when the interpreter ends.
+    If the disk is full, or if the reader of a pipe has ended, this function raises the error, and not the end of the
+    interpreter.
     """
     try:
         if arguments and arguments[0] in SERVICE_VERBS:

@@ -30,7 +30,7 @@ def add_verbs(subparsers: Any) -> None:
     add.add_argument("--secret-file", metavar="FILE", help="the file of the secret or token; - keeps standard input")
     for name, what in (("ca", "certificate authority"), ("certificate", "own certificate"), ("key", "own key")):
         add.add_argument(f"--tls-{name}", metavar="FILE", help=f"the file of the {what}")
-    _named_verb(verbs, "use", "choose the context for all commands that follow", run_use)
+    _named_verb(verbs, "use", "choose the context for all later commands", run_use)
     _named_verb(verbs, "rm", "forget a context", run_rm)
     for name, text, run in (
         ("ls", "list the saved contexts", run_ls),
@@ -103,7 +103,7 @@ def run_use(arguments: argparse.Namespace) -> int:
     print_done(done, f"commands now use {arguments.name} at {url}", arguments.output)
     for variable in (CHOICE, "STAMPEDE_URL"):
         if os.environ.get(variable):
-            print(f"stampede: ${variable} is set, and counts more; unset it", file=sys.stderr)
+            print(f"stampede: ${variable} is set, and overrides the context; unset it", file=sys.stderr)
     return 0
 
 
@@ -117,7 +117,7 @@ def run_none(arguments: argparse.Namespace) -> int:
 
 
 def run_rm(arguments: argparse.Namespace) -> int:
-    """Forget a context, with the secret that it keeps itself. Files that the user named stay."""
+    """Forget a context, and delete the secret file that `context add` made for it. Files that the user named stay."""
     contexts = Contexts.load(os.environ)
     contexts.named(arguments.name)
     del contexts.by_name[arguments.name]

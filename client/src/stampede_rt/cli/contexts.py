@@ -26,14 +26,14 @@ VARIABLES = {
     "tls_certificate": "STAMPEDE_TLS_CERTIFICATE",
     "tls_key": "STAMPEDE_TLS_KEY",
 }
-"""The fields of a context, and the variable of the environment that each of them stands for."""
+"""The fields of a context, each with the variable of the environment that it sets."""
 CHOICE = "STAMPEDE_CONTEXT"  # names the context for one command
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 FILE_BYTES_MAX = 1024 * 1024
 
 
 class Contexts:
-    """All saved contexts. `current`: the one that commands use; None: none."""
+    """All saved contexts. `current`: the name of the context that commands use; None: they use none."""
 
     def __init__(self, folder: Path, saved: Mapping[str, Any]) -> None:
         self.folder = folder
@@ -71,7 +71,7 @@ class Contexts:
         write_private(self.folder / "contexts.json", text.encode())
 
     def secret_path(self, name: str) -> Path:
-        """The file for a secret that a context keeps itself."""
+        """The file for a secret that a context got from standard input."""
         return self.folder / f"context-{name}.secret"
 
 
@@ -140,10 +140,10 @@ def write_private(path: Path, data: bytes) -> None:
 def context_applied(environ: MutableMapping[str, str], *, has_url: bool) -> Iterator[None]:
     """Put the fields of the chosen context into the environment of this process, for the duration of the block.
 
-    `$STAMPEDE_CONTEXT` names the context of one command. Its fields override other variables. Without it the context is
-    that of `stampede context use`. Variables of the environment override the fields of that one. A command with
-    an address of its own (`has_url`, or `$STAMPEDE_URL`) uses no context, so that no cluster gets the secret of another
-    one. Raises InvalidArgument if there is no context of that name.
+    `$STAMPEDE_CONTEXT` names the context of one command. Its fields override other variables. Without
+    `$STAMPEDE_CONTEXT` the context is that of `stampede context use`, and variables of the environment override its
+    fields. A command that states an address (`has_url`, or `$STAMPEDE_URL`) uses no context, so that no cluster gets
+    the secret of another cluster. Raises InvalidArgument if there is no context of that name.
     """
     before = {variable: environ.get(variable) for variable in VARIABLES.values()}
     for variable, value in _chosen(environ, has_url).items():

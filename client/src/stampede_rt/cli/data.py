@@ -47,7 +47,7 @@ def add_verbs(subparsers: Any) -> None:
     echo.add_argument(
         "--via",
         choices=("multicast",),
-        help="take the items from UDP multicast where it is heard",
+        help="take the items from UDP multicast if it reaches this machine",
     )
     add_item_options(echo)
 
@@ -90,7 +90,7 @@ def _add_get(subparsers: Any) -> None:
         "--as-of",
         type=checked(parse_time),
         metavar="TIME",
-        help="answer as the host would have answered then; for recorded channels",
+        help="answer as the host would have answered at this time; for recorded channels",
     )
     add_item_options(get)
     get.add_argument("--raw", action="store_true", help="write only the payloads, without separators")

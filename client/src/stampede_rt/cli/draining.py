@@ -36,7 +36,7 @@ def drain(words: Sequence[str]) -> int:
 
 
 def _progress(rt: Connection, host: str) -> Callable[[], Progress]:
-    """Return the function that tells how many channels have left the host, by the counts of the directory."""
+    """Return the function that tells how many channels have left the host, according to the directory."""
     all_channels = 0
 
     def look() -> Progress:

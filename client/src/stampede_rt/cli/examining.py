@@ -221,8 +221,8 @@ def _with_load(answer: PartAnswer, host: Any) -> PartAnswer:
 def _peer(record: Any, supernodes: Mapping[str, Observation]) -> Observation:
     """Return the observation of a peer.
 
-    The peer has measured the offset of its clock from the clock of a supernode. If the caller knows the offset of this
-    supernode's clock from the caller's clock, the sum of both is the offset of the peer's clock.
+    The peer has measured the offset of its clock from the clock of a supernode. If the caller knows how far this
+    supernode's clock is ahead of its own, the sum of both offsets is the offset of the peer's clock.
     """
     seen = Observation(kind=PEER, name=record.name or record.peer_id.hex(), address="-", version=record.version)
     between = supernodes.get(record.clock.supernode_id) if record.HasField("clock") else None

@@ -48,7 +48,7 @@ def add_as_of(verb: argparse.ArgumentParser) -> None:
         "--as-of",
         type=checked(parse_time),
         metavar="TIME",
-        help="answer as the hosts would have answered then; for groups of recorded channels",
+        help="answer as the hosts would have answered at this time; for groups of recorded channels",
     )
 
 

@@ -54,9 +54,10 @@ def file_of(
 
 
 def since_of(start: int | None, now: int, clock: ClockOffset | None) -> str:
-    """How far in the past a recording begins that has the items from `start` on: `since` of `Connection.record`.
+    """The argument `since` of `Connection.record`, for a recording that has the items from `start` on. `now`: this
+    machine's clock, which may be wrong.
 
-    `now`: this machine's clock, which may be far from the clocks of the hosts. `clock`: how far, if it is known.
+    `clock`: how far it is ahead of the cluster's clock, if that is known.
     """
     if start is None or clock is None:
         return "oldest"

@@ -11,7 +11,7 @@ _shown = {"local": False}
 
 
 def show_local(local: bool) -> None:
-    """Say for this command whether `instant_text` shows local time."""
+    """Set for this command whether `instant_text` shows local time."""
     _shown["local"] = local
 
 

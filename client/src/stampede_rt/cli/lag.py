@@ -39,7 +39,8 @@ def run_lag(arguments: argparse.Namespace) -> int:
 
 
 def _row(kind: str, name: str, lag_nanos: int | None, waiting: int, held_back_by: str | None) -> dict[str, Any]:
-    """One line. `waiting`: the consumers, members or messages that it waits for."""
+    """One line of the output. `waiting`: the number of items or messages that wait, or the members that hold a group
+    back."""
     return {"kind": kind, "name": name, "lag_nanos": lag_nanos, "waiting": waiting, "because": held_back_by}
 
 
@@ -56,7 +57,7 @@ def _for_people(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _channels(rt: Connection, glob: str) -> Iterator[dict[str, Any]]:
-    """How old the newest item of each channel is. `waiting`: the items that its slowest consumer has not consumed."""
+    """The age of the newest item of each channel. `waiting`: the items that the slowest consumer has not consumed."""
     for host in rt.hosts():
         try:
             hosted = rt.hosted_channels(host.name, glob)
@@ -84,7 +85,7 @@ def _groups(rt: Connection, glob: str) -> Iterator[dict[str, Any]]:
 
 
 def _queues(rt: Connection, glob: str) -> Iterator[dict[str, Any]]:
-    """How old the oldest message of each queue is. `waiting`: its messages, leased ones included."""
+    """The age of the oldest message of each queue. `waiting`: the messages of the queue, leased ones included."""
     for info in rt.queues(glob)[:ASKED_MAX]:
         try:
             stats = rt.queue(info.name, create=False).stats()

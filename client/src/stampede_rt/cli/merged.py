@@ -140,7 +140,8 @@ class _Stream:
         threading.Thread(target=self._read, args=(name, start), daemon=True).start()
 
     def _note(self, info: ChannelInfo) -> None:
-        """Note a channel for the thread that reads its name. If there is none, there are too many channels: say so."""
+        """Note a channel for the thread that reads its name. If there are too many channels, there is no thread; then
+        print a warning."""
         if info.name in self._ids:
             self._ids[info.name] = info.channel_id
         elif not self._is_full and not self._is_over:
@@ -194,8 +195,8 @@ class _Stream:
         return False
 
     def _waits_for_room(self, name: str) -> bool:
-        """Wait until the merge takes an item of the channel, before the thread fetches one. False: the command has
-        ended.
+        """Wait until the merge takes an item of the channel, before the thread fetches one. Returns False if the
+        command has ended.
         """
         with self._changed:
             while not self._merge.has_room(name) and not self._is_over:

@@ -15,7 +15,8 @@ ARRAY_VALUES_SHOWN = 8
 def preview(payload: bytes | None, length_bytes: int, content_type: str) -> str:
     """Return a payload for people, as one line without control characters.
 
-    JSON and numpy arrays are shown by their values, a text by its beginning, other bytes by length and content type.
+    The line shows the values of JSON and numpy arrays, the beginning of a text, and the length and content type of
+    other bytes.
     """
     value = None if payload is None or length_bytes > PARSED_BYTES_MAX else _value_text(payload, content_type)
     if value is not None:

@@ -54,7 +54,7 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-age-unconsumed",
         metavar="DURATION",
-        help="keep items for this time while a live consumer has still to consume them",
+        help="keep items for this time while a live consumer must still consume them",
     )
     parser.add_argument(
         "--archive",
@@ -64,7 +64,7 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--archive-bytes", metavar="SIZE", help='keep at most this size on disk, such as "200GiB"')
     parser.add_argument("--on-full", choices=ON_FULL, help="what the host does with a put into a full channel")
     parser.add_argument("--replicas", type=int, metavar="N", help="copies that can take over if the host is lost")
-    parser.add_argument("--ack", choices=ACKS, help="when a put is acknowledged")
+    parser.add_argument("--ack", choices=ACKS, help="when the host acknowledges a put")
     parser.add_argument(
         "--min-replicas", type=int, metavar="N", help="with --ack replica, acknowledge no put with fewer in sync"
     )

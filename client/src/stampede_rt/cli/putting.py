@@ -35,7 +35,7 @@ from stampede_rt.values.timeline import parse_item_duration
 if TYPE_CHECKING:
     from stampede_rt import Channel, Producer
 
-STOP_S = 1.0  # after Ctrl-C, until the last items are acknowledged
+STOP_S = 1.0  # how long the command waits, after Ctrl-C, until the host has acknowledged the last items
 FLUSH_S = 30.0  # how long the command waits for the last acknowledgements
 RATE_MIN, RATE_MAX = 1e-5, 1e6  # items per second; the least one is about one a day
 
@@ -82,7 +82,7 @@ def _rate(text: str) -> float:
 
 
 def run_put(arguments: argparse.Namespace) -> int:
-    """Put one item and print its channel, seq and time, or put many and print their number."""
+    """Put one item, and print its channel, seq and time. Or put many items, and print their number."""
     many = arguments.lines or arguments.rate is not None
     if arguments.lines and arguments.payload is not None:
         raise InvalidArgument("--lines reads the payloads from standard input; leave out the payload")

@@ -26,9 +26,7 @@ DEFAULT = "(default)"  # the text for the subject of a default limit
 UNLIMITED = 2**62  # a limit of this number or more is no limit
 _UNITS = {"": 1, "B": 1, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
 _LIMIT = re.compile(r"(\d{1,19})\s*(B|KiB|MiB|GiB)?", re.ASCII)
-_WHO_HELP = (
-    'a client\'s name, "@ADDRESS" for callers whose proof bears no name, or a pattern such as "cam-*" or "@10.*"'
-)
+_WHO_HELP = 'a client\'s name, "@ADDRESS" for callers whose proof has no name, or a pattern such as "cam-*" or "@10.*"'
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -38,17 +36,17 @@ def add_verbs(subparsers: Any) -> None:
     )
     noun = subparsers.add_parser("quota", help=text, description=text)
     verbs = noun.add_subparsers(dest="quota_verb", metavar="VERB", required=True, parser_class=VerbParser)
-    set_ = add_verb(verbs, "set", "set limits; the longest pattern that matches a caller holds for it", run_set)
+    set_ = add_verb(verbs, "set", "set limits; for each caller the longest matching pattern counts", run_set)
     set_.add_argument("who", metavar="WHO", help=_WHO_HELP)
     set_.add_argument(
         "limits", metavar="QUOTA=LIMIT", nargs="+", type=_limit,
         help=f"{', '.join(QUOTAS)}; a number, bytes also with KiB, MiB, GiB; or `unlimited`",
     )  # fmt: skip
-    rm = add_verb(verbs, "rm", "remove limits, so that the next pattern or the default holds", run_rm)
+    rm = add_verb(verbs, "rm", "remove limits, so that the next pattern or the default counts", run_rm)
     rm.add_argument("who", metavar="WHO", help="as it was set")
     rm.add_argument("quotas", metavar="QUOTA", nargs="*", type=_quota, help="left out: all of WHO")
     add_verb(verbs, "ls", "list all limits that were set, and the defaults", run_ls)
-    check = add_verb(verbs, "check", "tell the limits of one caller, and which setting says so", run_check)
+    check = add_verb(verbs, "check", "print the limits of one caller, each with the setting that decides it", run_check)
     check.add_argument("who", metavar="WHO", help='its name, or "@ADDRESS"')
     use = add_verb(
         verbs, "use", "show the usage and the refusals of each caller at each service of the cluster", run_use

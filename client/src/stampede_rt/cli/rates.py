@@ -20,7 +20,7 @@ from stampede_rt.values.timeline import NEWEST
 if TYPE_CHECKING:
     from stampede_rt import Channel, Connection
 
-JITTER_ITEMS_MAX = 1000  # the items whose times one look compares
+JITTER_ITEMS_MAX = 1000  # the number of items whose times one reading compares
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -79,7 +79,7 @@ def run_hz(arguments: argparse.Namespace) -> int:
 
 
 def _looks(rt: Connection, glob: str, arguments: argparse.Namespace) -> Iterator[tuple[Look, Look]]:
-    """Yield pairs of looks at the counters of the hosts, `--every` apart."""
+    """Yield pairs of readings of the hosts' counters, `--every` apart."""
     before = look_at(rt, glob)
     made = 0
     while arguments.count is None or made < arguments.count:
@@ -111,7 +111,7 @@ def _jitter_nanos(rt: Connection, rates: ChannelRates, every_s: float) -> int | 
             newest_first=True,
             payloads=False,
         )
-    except StampedeError:  # the channel has gone, or only its counters may be read
+    except StampedeError:  # the channel is deleted, or the caller may read only its counters
         return None
     return jitter_of([item.time for item in items])
 

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from stampede_rt._sync.recorder import Recorder
 
 AT_ONCE_MAX = 4  # recordings of `--on` at the same time
-STOP_DRAIN_S = 1.0  # after Ctrl-C, for items that the hosts have accepted before
-STOP_S = 15.0  # after Ctrl-C, until the file is finished
+STOP_DRAIN_S = 1.0  # how long the command waits, after Ctrl-C, for items that the hosts had accepted before
+STOP_S = 15.0  # how long the command waits, after Ctrl-C, until the file is finished
 GAPS_SHOWN = 20  # the most gaps of each channel that the command prints
 
 

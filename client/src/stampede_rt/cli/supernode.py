@@ -42,7 +42,7 @@ def administer(argv: Sequence[str]) -> int:
     add.add_argument("address", metavar="HOST:PORT", help="the address at which it will listen and the others reach it")
     add.add_argument("--id", help="its id, never used before; default: a random one")
     add.add_argument(
-        "--valid-hours", type=_hours, default=1.0, metavar="HOURS", help="the token holds for this time; default 1"
+        "--valid-hours", type=_hours, default=1.0, metavar="HOURS", help="how many hours the token is valid; default 1"
     )
     remove = _verb(verbs, "remove", "remove a supernode for good; its id is never used again", _run_remove)
     remove.add_argument("id", help="the supernode's id, see `stampede supernode status`")

@@ -15,7 +15,7 @@ DIVERGED = "differs from that of most members"
 # These words are in a text about a supernode whose state is not the leader's. The state of most members is unknown.
 DOUBTFUL = "differs from that of the leader"
 IN_DOUBT = "in doubt"
-REFUSED_BY = " (says "  # follows each reason for which another supernode refuses this one
+REFUSED_BY = " (says "  # comes after each reason for which another supernode refuses this one
 DOUBT_ADVICE = (
     "it goes on serving. Start the supernodes that are down, if any: then most may agree. Otherwise start this one and "
     "the leader again, one after the other, with their data folders: an error that was only in memory ends then. "

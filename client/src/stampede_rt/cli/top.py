@@ -34,12 +34,14 @@ def add_verbs(subparsers: Any) -> None:
     verb = add_verb(subparsers, "top", "show the busiest channels, live, until q or Ctrl-C", run_top)
     verb.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "cam/*"')
     verb.add_argument("--sort", choices=SORTS, default="bytes", help="what to sort by; default bytes, in and out")
-    verb.add_argument("--every", type=period_seconds, default=1.0, metavar="SECONDS", help="look this often; default 1")
+    verb.add_argument(
+        "--every", type=period_seconds, default=1.0, metavar="SECONDS", help="refresh this often; default 1"
+    )
     verb.add_argument("--count", type=parse_count, metavar="N", help="stop after N looks")
 
 
 def run_top(arguments: argparse.Namespace) -> int:
-    """Show the channels until the user ends it. Without a terminal, print the rows of each look as JSON."""
+    """Show the channels until the user quits. Without a terminal, print the rows of each refresh as JSON."""
     with connected(arguments) as rt:
         if arguments.output != "table" or not (sys.stdout.isatty() and sys.stdin.isatty()):
             _print_lines(rt, arguments)

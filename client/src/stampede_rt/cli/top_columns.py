@@ -10,7 +10,7 @@ WIDTHS = {
 }  # fmt: skip
 """The width that each column needs for most values, the most important column first."""
 GAP = 2  # between two columns
-CHANNEL_MIN, CHANNEL_MAX = 12, 32  # the characters of names that other columns leave, if the names are as long
+CHANNEL_MIN, CHANNEL_MAX = 12, 32  # the characters that the other columns leave for long names
 
 
 def fitting_heads(terminal: int, longest_name: int) -> tuple[str, ...]:

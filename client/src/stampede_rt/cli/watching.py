@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 Thing = ChannelInfo | HostInfo | PeerInfo
 Facts = dict[str, Any]
 Known = dict[bytes, Facts]
-"""The facts about each thing as a change last told them, by the id of the thing."""
+"""The latest known facts about each thing, by the id of the thing."""
 AHEAD_MAX = 1000  # changes that have come and are not printed yet; each is less than 64 KiB
 COLOURS: dict[str, Style] = {"added": "green", "updated": "yellow", "removed": "red"}
 SIGNS = {"added": "+", "updated": "~", "removed": "-"}
@@ -132,7 +132,8 @@ def facts_of(thing: Thing) -> Facts:
 
 
 def _row(kind: str, index: int | None, facts: Facts) -> dict[str, Any]:
-    """Return a change for programs. `time` is the caller's clock, because the directory's log has no times to tell."""
+    """Return a change for programs. `time` is the time of the caller's clock, because the directory does not report the
+    times of changes."""
     return {"time": time.time_ns(), "index": index, "change": kind} | facts
 
 

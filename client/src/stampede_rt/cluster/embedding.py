@@ -63,7 +63,7 @@ class HostOptions:
 
 
 class PutHere(NamedTuple):
-    """One item that a program puts at the host of its own process. `time` None: the host stamps it."""
+    """One item that a program puts at the host of its own process. If `time` is None, the host stamps the item."""
 
     producer_id: int
     number: int
@@ -153,7 +153,7 @@ class HostHere(Protocol):
         ...
 
     def put(self, channel_id: bytes, epoch: int, put: PutHere) -> Future[Any]:
-        """Put one item by reference. The future gets the PutAck, or None: then the put has to go over a stream."""
+        """Put one item by reference. The future gets the PutAck, or None if the put must go over a stream."""
         ...
 
     def puts(
@@ -164,26 +164,27 @@ class HostHere(Protocol):
         on_acks: Callable[[Any], None],
         on_end: Callable[[StampedeError], None],
     ) -> RunsHere | None:
-        """Open a stream of runs. None: they have to go over a stream of the transport. Does not wait.
+        """Open a stream of runs. Returns None if the runs must go over a stream of the transport. Does not wait.
 
         The host's thread passes each PutResponse to `on_acks`, and the error that ends the stream to `on_end`.
         """
         ...
 
     def read_now(self, channel_id: bytes, epoch: int, query: ReadQuery) -> AnswerHere | None:
-        """Read by reference on the calling thread. None: take `read`. Raises StampedeError."""
+        """Read by reference on the calling thread. None: call `read` instead. Raises StampedeError."""
         ...
 
     def at_now(self, channel_id: bytes, epoch: int, time: int) -> AnswerHere | None:
-        """Read at an instant by reference on the calling thread. None: take `read_now`. Raises StampedeError."""
+        """Read at an instant by reference on the calling thread. None: call `read_now` instead. Raises
+        StampedeError."""
         ...
 
     def newest_now(self, channel_id: bytes, epoch: int) -> AnswerHere | None:
-        """Read the newest item by reference on the calling thread. None: take `read_now`."""
+        """Read the newest item by reference on the calling thread. None: call `read_now` instead."""
         ...
 
     def read(self, channel_id: bytes, epoch: int, query: ReadQuery) -> Future[AnswerHere | None]:
-        """Read by reference, with the wait of the query. None: the read has to go over a stream."""
+        """Read by reference, with the wait of the query. None: the read must go over a stream."""
         ...
 
     def leave(self) -> None:

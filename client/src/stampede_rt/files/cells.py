@@ -12,7 +12,7 @@ from stampede_rt.errors import FileError
 
 JSON = "application/json"
 NPY = "application/x-npy"
-DEPTH_MAX = 8  # how deep nested objects become columns; deeper ones become JSON text
+DEPTH_MAX = 8  # the levels of nested objects that become columns; deeper objects become JSON text
 COLUMNS_MAX = 1000
 INT_MAX = 2**63 - 1
 BOOL, INT, FLOAT, TEXT, INTS, FLOATS = "bool", "int", "float", "text", "ints", "floats"
@@ -50,7 +50,8 @@ def _encodable(text: str) -> str:
 
 
 def _array_cells(payload: bytes) -> Row:
-    """Return the numbers of an array in one row, and its shape. Checks the length first: headers may lie."""
+    """Return the numbers of an array in one row, and its shape. Checks the length first, because a header may be
+    wrong."""
     import numpy as np
 
     file = io.BytesIO(payload)
@@ -91,7 +92,7 @@ def joined_kind(first: str | None, second: str | None) -> str | None:
 
 
 def as_kind(cell: Cell, kind: str) -> Cell:
-    """Return a cell as its column takes it. In a column of text, everything but text is JSON."""
+    """Return a cell in the form of its column. In a column of text, every value that is no text becomes JSON."""
     if cell is None:
         return None
     if kind == TEXT:

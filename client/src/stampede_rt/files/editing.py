@@ -206,7 +206,7 @@ def cut(
 ) -> RecordingSummary:
     """Copy the items with a time from `start` on and before `end`, of the chosen channels. Raises FileError.
 
-    Reads only the chunks that the index names for this time. A damaged file is refused: recover it first.
+    Reads only the chunks that the index names for this time. Refuses a damaged file: recover it first.
     """
     check_other(path, output)
     with FileReader(path) as reader:

@@ -81,7 +81,7 @@ def encoding_of(content_type: str) -> str:
 
 
 def item_entry(topic: Topic, item: Item) -> FileEntry:
-    """Return an item as a message. Its times in MCAP are the item's time, as far as MCAP can express it."""
+    """Return an item as a message. The message's times in MCAP are the item's time, if MCAP can express it."""
     shown = min(max(item.time, 0), TIME_MAX)
     return FileEntry(
         topic, shown, shown, item.seq & 0xFFFFFFFF, item.payload or b"", item.seq, item.time, item.duration,

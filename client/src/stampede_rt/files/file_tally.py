@@ -40,7 +40,7 @@ class FileTally:
         self.foreign: dict[Topic, int] = {}  # messages of topics that are not channels of Stampede RT
 
     def add(self, event: FileEntry | RecordingGap | FileAdvance) -> list[RecordingGap]:
-        """Count one event. Returns the gaps that it reveals, which the file does not name."""
+        """Count one event. Returns the gaps before this event that the file does not name."""
         if isinstance(event, RecordingGap):
             self._add_gap(event)
             return []

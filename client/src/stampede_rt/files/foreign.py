@@ -81,7 +81,7 @@ class RosbagSource:
             self._reader.close()
 
     def topics(self) -> Sequence[SourceTopic]:
-        """The topics that have messages, by name. Their times are those of the bag."""
+        """The topics that have messages, by name. Their first and last times are the times of the bag."""
         names = sorted({one.topic for one in self._reader.connections if one.msgcount})
         start, end = self._reader.start_time, max(self._reader.end_time - 1, self._reader.start_time)
         return [SourceTopic(name=name, policy={}, start=start, end=end) for name in names]
@@ -176,7 +176,7 @@ class _Complaints(logging.Handler):
 
 
 def _names_of(streams: Sequence[Any]) -> list[str]:
-    """Return a name for each stream. Streams of one name get their number."""
+    """Return a name for each stream. Streams with the same name get a number."""
     names: list[str] = []
     for stream in streams:
         name = str(stream["info"]["name"][0] or "unnamed")

@@ -1,4 +1,5 @@
-"""Finds the records of an MCAP file, also of a truncated, damaged or hostile one. Reads no record before it is asked.
+"""Finds the records of an MCAP file, also of a truncated, damaged or hostile one. It reads a record only when the
+caller asks for it.
 
 The `mcap` library decodes the records. It trusts the lengths in a file, so this module checks them first.
 """
@@ -218,7 +219,7 @@ def _check_count(data: bytes) -> None:
 
 
 def _decompressed(chunk: Chunk) -> bytes:
-    """Return the content of a chunk. Never makes more bytes than it may have, whatever the chunk says."""
+    """Return the content of a chunk. Never makes more bytes than allowed, even if the chunk states a greater size."""
     limit = chunk.uncompressed_size
     if limit > RECORD_BYTES_MAX:
         raise ValueError(f"a chunk says that it has {limit} bytes; at most {RECORD_BYTES_MAX} are read")

@@ -48,7 +48,7 @@ Event = FileEntry | RecordingGap | FileAdvance
 class Content:
     """The contents of one chunk.
 
-    `unknown` counts messages whose topic the file does not name, `bare` those without facts.
+    `unknown` counts messages whose topic the file does not name, and `bare` counts messages without facts.
     """
 
     offset: int
@@ -142,7 +142,7 @@ class FileReader:
                 end = self.index
                 if end is not None:
                     return
-                continue  # damaged, or a file without an index: look on for its end mark
+                continue  # damaged, or a file without an index: search on for its end mark
             if (found := self._read_or_damage(frame)) is not None:
                 yield found
 

@@ -12,7 +12,7 @@ from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, format_instant
 
 SHIFT_NOW = "now"
 SPEED_MAX = 1e6
-MARGIN_NANOS = 10_000_000_000  # a new channel keeps items for this time in excess of the replay's own delay
+MARGIN_NANOS = 10_000_000_000  # a new channel keeps items for this time longer than the replay's own delay
 
 
 def window_text(start: int | None, end: int | None) -> str:
@@ -82,8 +82,8 @@ def parse_speed(speed: object) -> float:
 def target_policy(recorded: Mapping[str, Any], shifted: bool, lag_nanos: int) -> dict[str, Any]:
     """Return the policy of a channel that a replay creates, as arguments of `Connection.channel`.
 
-    It is the recorded one, without the fields about consumers. Without a shift it has no max_age, which would refuse
-    the items; with one it keeps them longer by the lag.
+    It is the recorded policy, without the fields about consumers. Without a shift it has no max_age, because a max_age
+    would refuse the items. With a shift it has a max_age that is longer by the lag.
     """
     policy: dict[str, Any] = {name: _count(recorded.get(name)) for name in ("max_bytes", "max_items")}
     max_age, overlap = _count(recorded.get("max_age_nanos")), _count(recorded.get("overlap_nanos"))

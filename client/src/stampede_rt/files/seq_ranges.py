@@ -33,7 +33,7 @@ class SeqRanges:
         self._firsts[begin:end], self._lasts[begin:end] = [first], [last]
 
     def missing(self, first: int, last: int) -> Iterator[tuple[int, int]]:
-        """Yield the ranges from `first` to `last`, inclusive, that the set lacks."""
+        """Yield the ranges between `first` and `last`, inclusive, that the set lacks."""
         place = bisect_right(self._lasts, first - 1)
         while first <= last:
             if place >= len(self._firsts) or self._firsts[place] > last:

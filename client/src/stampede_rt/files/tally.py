@@ -11,9 +11,9 @@ from stampede_rt.values.recording import GAPS_KEPT_MAX, NOT_READ, UNEXPLAINED, R
 class ChannelTally:
     """Counts the items and gaps of one incarnation of a channel.
 
-    The host numbers the items that it accepts. `live_seq` is the seq of the first item after the recording began.
-    Every later seq belongs to the recording, so the tally knows how many items there must be, apart from the gaps that
-    the host has told.
+    The host numbers the items that it accepts. `live_seq` is the seq of the first item after the recording began. Every
+    later seq belongs to the recording, so the tally knows how many items there must be, even without the gaps that the
+    host has reported.
     """
 
     def __init__(self, channel: str, incarnation: int, live_seq: int) -> None:

@@ -56,9 +56,9 @@ def write_fault(path: str | os.PathLike[str], error: OSError) -> FileError:
 
 
 class FileWriter:
-    """Writes one file. Not for several threads at once. After `finish` or an error it takes nothing more.
+    """Writes one file. Only one thread may use it at a time. After `finish` or an error it takes nothing more.
 
-    A chunk ends with its facts. So a file that ends anywhere has every whole chunk with all its facts.
+    A chunk ends with its facts. So a file that is cut off at any byte still has the facts of every whole chunk.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
 """Matches of items by only their keys, for readers that get the items from archives. Pure.
 
-It follows the rule of the host's `Matcher`, which also finds the items.
+It has the same rule as the host's `Matcher`, which also finds the items.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ class KeyMatcher:
         return None if key is None else key[0]
 
     def add(self, channel_id: bytes, keys: Iterable[ItemKey]) -> int:
-        """Add keys of a channel. Returns how many are of the matched channel, and too late for a match."""
+        """Add keys of a channel. Returns how many of them belong to the matched channel and are too late for a
+        match."""
         if channel_id != self._per:
             self._others[channel_id].add(keys)
             return 0

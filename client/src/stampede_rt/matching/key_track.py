@@ -43,8 +43,8 @@ class KeyTrack:
     ) -> NearKey | None:
         """Return the key nearest to `time`, at most `tolerance` nanoseconds away; None if there is none.
 
-        Of two equally near times the earlier one counts, and of several keys with one time the one with the lowest seq.
-        Only keys at or above `low` and below `high` count. `now` plays no part.
+        Of two equally near times the earlier one counts. Of several keys with one time, the key with the lowest seq
+        counts. Only keys at or above `low` and below `high` count. `now` has no influence.
         """
         keys = self._keys
         first, end = bisect_left(keys, low), bisect_left(keys, high)

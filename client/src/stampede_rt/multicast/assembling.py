@@ -7,13 +7,13 @@ from stampede_rt.multicast.layout import MessageKind, MulticastMessage, Part
 PART_OVERHEAD_BYTES = 160
 """The approximate memory of a kept part besides its data."""
 MESSAGE_OVERHEAD_BYTES = 320
-"""The approximate memory of a message of which there is a part, besides its parts."""
+"""The approximate memory of an incomplete message, besides its parts."""
 
 _Key = tuple[MessageKind, int, int, int]
 
 
 class Assembler:
-    """The messages of which some parts have come. Beyond `bytes_max` it gives up the one that it has known longest.
+    """The messages of which some parts have come. Above `bytes_max` it gives up the message that it has known longest.
 
     `kept_bytes`: the memory of the parts. `repeated`: the parts that came twice. `given_up`: the messages given up.
     """

@@ -34,7 +34,7 @@ class _Held(Generic[OneItem]):
 class SeqMerge(Generic[OneItem]):
     """The items of one reader, whose next item has the seq `next_seq`.
 
-    `announced_seq`: there are items below this seq, as far as the reader has heard. `held_bytes`: the memory of the
+    `announced_seq`: the host has told the reader that there are items below this seq. `held_bytes`: the memory of the
     messages that wait for earlier items, at most `bytes_max`. `taken`: how many items of messages the reader has got.
     """
 

@@ -1,4 +1,5 @@
-"""The hearing of one reader in a multicast group: from datagrams to items in order. Pure, but needs `cryptography`."""
+"""Makes items in order from the datagrams that one reader receives in a multicast group. Pure, but needs
+`cryptography`."""
 
 from __future__ import annotations
 

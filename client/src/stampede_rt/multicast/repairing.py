@@ -36,9 +36,10 @@ class RepairPace:
         self._must_ask = self._has_ended = False
 
     def looks(self, now_s: float) -> None:
-        """Note that the reader, which follows the datagrams, looks for some.
+        """Note that the reader looks for datagrams.
 
-        A reader that waits looks every BEAT_S_MAX at least. A longer time without a look is a rest, and no silence.
+        A waiting reader looks at least every BEAT_S_MAX. If it does not look for a longer time, the program has paused,
+        and this time does not count as silence of the host.
         """
         if self._looked_s is not None:
             self._heard_s += max(0.0, now_s - self._looked_s - BEAT_S_MAX)
@@ -67,7 +68,7 @@ class RepairPace:
     def asked(self) -> None:
         """Note that the reader has asked the host, and has its answer."""
         self.repairs += 1
-        if not self._must_ask:  # a question for a key says nothing about the network
+        if not self._must_ask:  # a request for a key says nothing about the network
             self._vain += 1
         self._missing_since_s, self._must_ask = None, False
 

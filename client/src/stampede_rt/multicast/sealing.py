@@ -1,7 +1,7 @@
 """Seals and opens datagrams, and signs and checks messages. Pure, but needs the library `cryptography`.
 
-All readers of a channel have one key, so it keeps out everybody without the right to read. It cannot prove that the
-host has sent a datagram. Therefore the host also signs each message, and no reader can make an item for another one.
+All readers of a channel have one key, and nobody without the right to read has it. The key cannot prove that the host
+has sent a datagram. Therefore the host also signs each message, and no reader can make an item for another one.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Rejected(Enum):
     FOREIGN = "foreign"
     """It belongs to another channel, host or program."""
     OTHER_KEY = "other_key"
-    """The host says that it has another key now, or somebody pretends it."""
+    """The datagram names another key: the host has a new key, or the datagram is forged."""
     FORGED = "forged"
     """Changed on the way, or made by somebody without the key."""
 

@@ -1,4 +1,5 @@
-"""How far a host may send ahead of a reader (decision 0064). The module is pure: the caller passes the time."""
+"""Computes how far a host may send ahead of a reader (decision 0064). The module is pure: the caller passes the
+time."""
 
 from __future__ import annotations
 

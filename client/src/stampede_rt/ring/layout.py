@@ -39,7 +39,7 @@ NEWEST_TIME = 3  # the newest item's time
 NEXT_SEQ = 4  # the seq of the next accepted item
 ORDERED_FROM = 5  # from this slot on, items ascend from slot to slot, and the channel holds no other item between them
 PASSED = 6  # the latest advance, or ABSENT_INSTANT
-GONE_BEFORE = 7  # an answer may lack items before this instant, which were collected or lost; or ABSENT_INSTANT
+GONE_BEFORE = 7  # an answer may lack collected or lost items before this instant; or ABSENT_INSTANT
 FLOOR_TIME = 8  # items below (FLOOR_TIME, FLOOR_SEQ) were collected
 FLOOR_SEQ = 9
 MAX_AGE = 10  # the channel's max_age in nanoseconds; -1: none
@@ -57,7 +57,7 @@ SEQ, ITEMS, FIRST_TIME, LAST_TIME, OFFSET, LENGTH, DURATION, PAYLOAD = range(8)
 PAYLOAD_BEGIN_MAX = 0xFFFF
 
 OPEN, CLOSED = 1, 2
-NO_ITEMS, NOT_HERE = -1, -2  # the channel has no items; the ring does not have the newest item
+NO_ITEMS, NOT_HERE = -1, -2  # NO_ITEMS: the channel has no items. NOT_HERE: the ring does not have the newest item
 
 
 class RingSize(NamedTuple):

@@ -75,7 +75,8 @@ class RingView:
         return None
 
     def oldest_slot(self, facts: list[int]) -> int:
-        """Return the number of the first slot that is whole. No slot is whole whose place a later slot has taken."""
+        """Return the number of the first slot that is whole. A slot is not whole if a later slot has taken its
+        place."""
         return max(self.words[TAIL_WORD], facts[HEAD] - self._slots, 0)
 
     def first_ordered(self, facts: list[int]) -> int:

@@ -1,7 +1,7 @@
 """Reads by time from a ring, as its host would answer them. Pure.
 
 If the ring cannot answer a read exactly, the result is None, and the caller asks the host. An item before the interval
-may have a span that reaches into it, so a read needs the bucket at or before its start. The ring has the whole of each
+may have a span that reaches into it, so a read needs the bucket at or before its start. The ring has all items of each
 bucket that is later than the first item of its first ordered slot.
 """
 

@@ -31,7 +31,7 @@ def secret_file() -> Path:
 def user_folder(environ: Mapping[str, str]) -> Path:
     """Return the folder with the secret and the saved contexts of this user. It may not exist.
 
-    A user without a home folder, as in some containers, has that of `/`, as a login gives it.
+    For a user without a home folder, as in some containers, the home folder is `/`, as at a login.
     """
     if base := environ.get("XDG_CONFIG_HOME"):
         return Path(base) / "stampede"

@@ -71,7 +71,7 @@ class Signal:
 
     def __init__(self) -> None:
         self._is_set = False
-        self._round = object()  # another one after each `set`
+        self._round = object()  # a new one after each `set`
         self._waiting: deque[threading.Lock] = deque()  # one for each waiting caller, who waits until it is released
 
     def set(self) -> None:
@@ -103,7 +103,7 @@ class Signal:
 
 
 class Steps:
-    """Runs short steps one after the other, whatever threads call. A step waits for nothing.
+    """Runs short steps one after the other, even if several threads call. A step waits for nothing.
 
     A signal handler or `__del__` may run a step, also if it interrupts another one on its thread. The interrupted call
     then runs the new step at its end.
@@ -127,7 +127,7 @@ class Steps:
             return
         with self._mutex:
             if self._waiting:
-                self._run_waiting()  # they were offered before
+                self._run_waiting()  # other calls have offered these steps before
             try:
                 self._runner = threading.get_ident()
                 step(*arguments)

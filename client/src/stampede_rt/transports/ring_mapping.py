@@ -32,7 +32,7 @@ _GET_SEALS = getattr(fcntl, "F_GET_SEALS", 1034)
 _RECEIVE_BYTES = 4096
 _BOOTTIME = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 _FILES_MAX = 4
-KEPT_BYTES_MAX = 2**20  # of the newest item of a ring; a connection has at most 64 rings
+KEPT_BYTES_MAX = 2**20  # the largest newest item that a ring keeps; a connection has at most 64 rings
 
 
 class ChannelNotShared(StampedeError):
@@ -111,7 +111,7 @@ class RingMapping:
     def wait(self, changes: int, timeout_s: float) -> None:
         """Block until the ring changes, for at most `timeout_s` and WAIT_S_MAX.
 
-        `changes`: its value before the last look.
+        `changes`: the value of `changes` before the last read.
         """
         futexes.wait(self._changes_address, changes, min(timeout_s, WAIT_S_MAX))
 
@@ -190,8 +190,8 @@ def _response(connected: socket.socket, frames: FrameReader, files: list[int]) -
 
 
 def _mapped(file: int, memory_bytes: int) -> mmap.mmap:
-    """Map the file, after a check that no process can shrink it. If one could, a read could end this process by a
-    signal.
+    """Map the file, after a check that no process can shrink it. If a process shrank it, a read would end this process
+    by a signal.
     """
     found_bytes, seals = os.fstat(file).st_size, fcntl.fcntl(file, _GET_SEALS)
     if found_bytes != memory_bytes or memory_bytes > RING_BYTES_MAX or seals & _SEALS != _SEALS:

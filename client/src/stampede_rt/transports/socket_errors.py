@@ -30,9 +30,10 @@ class SocketError(grpc.RpcError):  # type: ignore[misc, unused-ignore]
         return self._details
 
     def again(self) -> SocketError:
-        """Return the same error without frames. A stream that keeps an error raises it so.
+        """Return the same error without frames. A stream that keeps an error raises this copy.
 
-        Otherwise the error would refer to the frames of the stream's reader, and they to the stream.
+        Otherwise the error would reference the frames of the stream's reader, and these frames would reference the
+        stream.
         """
         return SocketError(self._code, self._details, self._encoded)
 

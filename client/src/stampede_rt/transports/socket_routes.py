@@ -58,7 +58,7 @@ class SocketRoute:
         if self._transport is not Transport.SHARED:
             self.tcp.learn(one.target for one in answered if one.transport == pb.TRANSPORT_SOCKET)
         self._targets = tuple(one.target for one in sockets)
-        self._is_known = True  # last: other threads use the sockets from now on
+        self._is_known = True  # this line is the last, because from now on other threads use the sockets
 
     @property
     def _takes_local(self) -> bool:
@@ -110,16 +110,16 @@ class SocketRoute:
         if self.is_forced:
             self._not_before_s = 0.0
             raise Unavailable(
-                f"no stream over a socket leads to {self._target}: {why or 'it offers none to this caller'}; leave "
-                f'transport="{self._transport}" away to use gRPC'
+                f"no stream over a socket leads to {self._target}: {why or 'it offers none to this caller'}; "
+                f'leave out transport="{self._transport}" to use gRPC'
             )
 
 
 def memory_not_shared(target: str) -> Unavailable:
     """Return the error for a program that has chosen shared memory at a host that has none."""
     return Unavailable(
-        f"the host at {target} shares no memory with this program, which needs Linux on x86-64 at both sides; leave "
-        'transport="shared" away'
+        f"the host at {target} shares no memory with this program, which needs Linux on x86-64 at both sides; "
+        'leave out transport="shared"'
     )
 
 

@@ -47,7 +47,7 @@ class SocketCall:
         in_turn: bool,
         tls: TlsLayer | None = None,
     ) -> None:
-        """Send the encoded opening over the new connection. `tls`: that of the connection, after its handshake.
+        """Send the encoded opening over the new connection. `tls`: the TLS of the connection, after its handshake.
 
         `in_turn`: one thread uses the stream, and reads the answer to each request before it sends the next one. Then
         `send` may block. Otherwise any thread may send while another one reads, and `send` does not block.
@@ -75,7 +75,7 @@ class SocketCall:
 
     @property
     def waiting_requests(self) -> int:
-        """The number of writes that wait because the host takes none."""
+        """The number of writes that wait because the host takes no bytes."""
         return self._backlog.writes
 
     def send(self, request: Any) -> None:
@@ -99,8 +99,8 @@ class SocketCall:
     def limit(self, timeout_s: float | None) -> ReadLimit:
         """Return a context in which the reading thread waits for at most `timeout_s`; None: without limit.
 
-        At the limit the reading thread cancels the stream. The context is a list, as that of `Watchdog.limit`. It needs
-        no other thread.
+        At the limit the reading thread cancels the stream. The context is a list, as with `Watchdog.limit`. It needs no
+        other thread.
         """
         self._limit.ends_s = inf if timeout_s is None else monotonic() + timeout_s
         return self._limit
@@ -200,7 +200,7 @@ class SocketCall:
 
 
 class ReadLimit:
-    """The time at which the reading thread must stop to wait (monotonic clock)."""
+    """The time at which the reading thread must stop waiting (monotonic clock)."""
 
     __slots__ = ("ends_s", "overdue")
 

@@ -41,7 +41,7 @@ class TcpRoute:
     """
 
     def __init__(self, target: str, tls: TlsMaterial | None) -> None:
-        """`target` and `tls`: those of the gRPC connection."""
+        """`target` and `tls`: the address and the certificates of the gRPC connection."""
         self.host = "" if target.startswith("unix:") else target.rpartition(":")[0].strip("[]")
         self._tls = tls
         self._context: ssl.SSLContext | None = None
@@ -119,7 +119,7 @@ def _all_of(tls: TlsLayer) -> bytes:
 def prepare(connected: socket.socket) -> None:
     """Let a TCP socket send at once.
 
-    A client needs no TCP_USER_TIMEOUT: the signs of life show that the host is there. The system would also end the
-    connection of a client whose host lives, and takes no bytes for so long because a put waits for room.
+    A client needs no TCP_USER_TIMEOUT: the signs of life show that the host is there. With TCP_USER_TIMEOUT the system
+    would also end the connection to a live host that takes no bytes for a long time, because a put waits for room.
     """
     connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -35,9 +35,9 @@ def plan_moves(
 ) -> list[PlannedMove]:
     """Plan moves from the busiest hosts to the least busy ones, until their loads differ little.
 
-    `busy`: by host, the thousandths of a core that it uses, as it last reported. `rates`: by host and channel, how much
-    the channel does; a host's load counts for its channels in this proportion. `groups`: the channels of each group.
-    Channels of one group at one host move together. `staying`: channels that cannot move.
+    `busy`: by host, the thousandths of a core that it uses, as it last reported. `rates`: by host and channel, the work
+    of the channel; the host's load is divided among its channels in this proportion. `groups`: the channels of each
+    group. Channels of one group at one host move together. `staying`: channels that cannot move.
     """
     shares = {
         name: busy[host] * rate / (sum(channels.values()) or 1.0)

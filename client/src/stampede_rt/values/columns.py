@@ -102,7 +102,8 @@ class ItemColumns(Sequence[Item]):
     def _at(self, at: int) -> Item:
         number = bisect_right(self._begins, at) - 1
         place, run = at - self._begins[number], self._runs[number]
-        payloads, whole = run.payloads, self._whole[number]  # in this order: `_of_run` sets them in the other one
+        # In this order, because `_of_run` sets the columns in the opposite order.
+        payloads, whole = run.payloads, self._whole[number]
         if whole is not None:
             return whole[place]
         item = self._touched.get(at)

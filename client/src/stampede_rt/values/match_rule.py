@@ -11,7 +11,7 @@ from stampede_rt.values.timeline import Bound, BoundLike, DurationLike, parse_bo
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MatchRule:
-    """The arguments of `Group.match`. If `start` is None, only the items that come get a match."""
+    """The arguments of `Group.match`. If `start` is None, only items that come after the call get a match."""
 
     tolerance_nanos: int
     lateness_nanos: int

@@ -20,7 +20,7 @@ COLUMN_TYPES = {"time": "q", "duration": "q", "seq": "Q"}  # of `array`: 8 bytes
 OnFull = Literal["drop_oldest", "block", "reject"]
 """The effect of a put on a full channel or queue."""
 Ack = Literal["host", "disk", "replica"]
-"""When a put is acknowledged: when the host of the channel has the item, or when its replicas have it, too."""
+"""When the host acknowledges a put: when it has the item, when its disk has it, or when the replicas have it, too."""
 ChangeKind = Literal["added", "updated", "removed"]
 
 
@@ -31,7 +31,7 @@ class Item(NamedTuple):
       next later item. In a channel with `overlap`, a later item does not end the span of an item with a duration before
       time + `overlap`. `end` is None for an item without a duration and without a later item.
     - `seq` grows by one for each item that the channel accepts, within one `incarnation` of the channel.
-    - `payload` is None in reads without payloads; `payload_length_bytes` is its length all the same.
+    - `payload` is None in reads without payloads; `payload_length_bytes` is the length even then.
     """
 
     time: int
@@ -202,7 +202,7 @@ class Items(Sequence[Item]):
     def times(self) -> memoryview:
         """The time of each item in nanoseconds since the epoch, in the order of the items; read-only int64 values.
 
-        `numpy.asarray(items.times)` copies nothing. So do the other columns.
+        `numpy.asarray(items.times)` copies nothing. The same is true of the other columns.
         """
         return self._column("time")
 
@@ -236,13 +236,13 @@ def read_only(column: array[int]) -> memoryview:
 class Policy:
     """The policy of a channel (paper, section 3.4). None: the setting was not stated.
 
-    `max_age_unconsumed_nanos` replaces `max_age_nanos` for items that a live consumer has still to consume.
+    `max_age_unconsumed_nanos` replaces `max_age_nanos` for items that a live consumer must still consume.
     `overlap_nanos`: for this time after an item's own time, later items do not end the span of an item with a duration.
     If it is None, the next later item always ends the span. With `archive_nanos` or `archive_bytes` the channel is
     recorded: its host keeps the items in an archive, for that time and up to that many bytes. `replicas` is the number
-    of copies that can become the owner. `ack`: when a put is acknowledged: once the host has the item, its disk, or the
-    replicas. `min_replicas`: with fewer replicas in sync
-    no put is acknowledged.
+    of copies that can become the owner. `ack`: the host acknowledges a put when it has the item ("host"), when its disk
+    has it ("disk"), or when the replicas have it ("replica"). `min_replicas`: with fewer replicas in sync the host
+    acknowledges no put.
     """
 
     max_age_nanos: int | None = None

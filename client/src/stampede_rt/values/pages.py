@@ -10,7 +10,7 @@ from stampede_rt.values.timeline import fixed
 
 
 class Pages:
-    """The pages of the answer to `query`. The host resolved its interval with the first page."""
+    """The pages of the answer to `query`. The host resolved the interval of the query with the first page."""
 
     def __init__(self, query: ReadQuery, first: Items) -> None:
         self._query = query

@@ -12,7 +12,7 @@ from stampede_rt.values.timeline import MIN_INSTANT
 class PastMark(NamedTuple):
     """How far a channel had come at an instant: the time of its newest item then, and its highest advance.
 
-    `lack`: why it may have come further than its archive tells; None: it had not. `next_change`: when its host next
+    `lack`: why it may have come further than its archive shows; None: it had not. `next_change`: when its host next
     accepted items or an advance; None: it has not done so yet.
     """
 
@@ -31,8 +31,8 @@ class PastMark(NamedTuple):
 class PastCut(NamedTuple):
     """A group's cut of an earlier instant.
 
-    `cut` is MIN_INSTANT if the group showed nothing. `lack`: why the group may have shown more than up to `cut`; None:
-    it had not. `next_change`: when the host of a counting member next accepted items or an advance.
+    `cut` is MIN_INSTANT if the group showed nothing. `lack`: why the group may have shown more than the items before
+    `cut`; None: it had not. `next_change`: when the host of a counting member next accepted items or an advance.
     """
 
     cut: int
@@ -41,9 +41,9 @@ class PastCut(NamedTuple):
 
 
 def past_cut_of(marks: Sequence[PastMark]) -> PastCut:
-    """Return the cut of counting members: the least of their marks, as far as their archives tell.
+    """Return the cut of counting members: the least of their marks, according to their archives.
 
-    An archive that lacks items tells a mark that may be too low. This matters only if this mark is the least one.
+    If an archive lacks items, the mark of its channel may be too low. This matters only if this mark is the least one.
     """
     low = min(_least(one) for one in marks)
     exact = [_least(one) for one in marks if one.lack is None]
@@ -63,7 +63,8 @@ def _least(mark: PastMark) -> int:
 def tell_lack(items: Items, lack: Reason | None) -> Items:
     """Note in an answer at a past cut that the cut may have been higher. Returns the answer.
 
-    A complete answer stays as it is: it lies before the cut. So does one that names its own loss.
+    A complete answer stays as it is, because it lies before the cut. An answer that names its own loss also stays as it
+    is.
     """
     if lack is not None and not items.complete and items.reason not in (Reason.COLLECTED, Reason.LOST):
         items.reason = lack

@@ -63,9 +63,9 @@ class DrainInfo:
 class CopyStats:
     """A copy of a channel, as the host that feeds it sees it.
 
-    `waiting`: the items that the host has still to send. `subscriptions`: as the copy last reported them. `ready`: the
+    `waiting`: the items that the host has not sent yet. `subscriptions`: as the copy last reported them. `ready`: the
     copy serves readers. `replica`: it is a replica, which serves no readers and becomes the owner if the owner is lost
-    while the replica is `in_sync`. `heard_ago_nanos`: the time since the copy last sent a word.
+    while the replica is `in_sync`. `heard_ago_nanos`: the time since the copy last sent a message.
     """
 
     host_id: bytes

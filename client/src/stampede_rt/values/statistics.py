@@ -13,8 +13,8 @@ from stampede_rt.values.proxying import CopyStats
 class ConsumerStats:
     """A consumer place of a channel.
 
-    `waiting` is the number of held items that the consumer has still to consume. `lease_nanos` is the rest of the
-    place's lease. If it is 0, the lease has ended, and the place holds back no item until a consumer takes the place.
+    `waiting` is the number of held items that the consumer must still consume. `lease_nanos` is the rest of the place's
+    lease. If it is 0, the lease has ended, and the place holds back no item until a consumer takes the place.
     """
 
     consumer_id: int
@@ -55,9 +55,9 @@ class MulticastStats:
     `following`: the items come from datagrams now; False: the host sends them only to this reader. `group`: the
     multicast group and port, "ADDRESS:PORT"; empty before the host has named it. `datagrams`: the opened datagrams.
     `items`: the items that came in them. `repairs`: the requests for items that no datagram brought. `repeated`: the
-    datagrams and messages that brought nothing new. The others were dropped: `forged` ones, which nobody with the key
-    or not the host has made; `foreign` ones, of other channels and programs; `other_key`, sealed with a key that the
-    reader does not have.
+    datagrams and messages that brought nothing new. The reader dropped the other datagrams: `forged` ones, which were
+    made without the key or not by the host; `foreign` ones, of other channels and programs; `other_key` ones, sealed
+    with a key that the reader does not have.
     """
 
     following: bool = False
@@ -104,7 +104,7 @@ class ChannelStats:
     - `copies`: the copies that the host feeds: proxies and replicas.
     - `replicated`: all items with a smaller seq are replicated, so that readers see them; None without replicas.
       `not_replicated`: the accepted items of puts that ended with NotReplicated.
-    - `inherited_next_seq`: the owner was lost, and this incarnation began with the items of a replica: those with a
+    - `inherited_next_seq`: the owner was lost, and this incarnation began with the items of a replica: the items with a
       smaller seq. Later items of the former incarnation are lost. None: this incarnation began without items.
     - `dropped`: the items that the open subscriptions did not get, because their readers were too slow.
     - `multicast`: how the host multicasts the channel; None if no reader subscribes with `via="multicast"`.

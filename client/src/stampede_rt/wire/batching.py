@@ -24,8 +24,8 @@ REQUEST_RUNS_MAX = 16  # the host judges the runs of a request in one step, in a
 class NumberedRun:
     """A finished run, with the producer's number of its first item and the length of its payloads.
 
-    `encoded` has the bytes of the run in pieces, as `run_parts` returns them. `request_bytes`: of the run in a request,
-    at most.
+    `encoded` has the bytes of the run in pieces, as `run_parts` returns them. `request_bytes`: the most bytes that the
+    run takes in a request.
     """
 
     first_number: int
@@ -46,7 +46,7 @@ class RunBuilder:
 
     def __init__(self) -> None:
         self._waiting: list[Any] = [1]  # the number of the first waiting item, and then the items: see `drop`
-        self.length_bytes = 0  # of the payloads that wait; a little wrong if two callers add at the same moment
+        self.length_bytes = 0  # the bytes of the waiting payloads; a little wrong if two callers add at the same moment
 
     def __len__(self) -> int:
         return len(self._waiting) - 1
@@ -65,7 +65,7 @@ class RunBuilder:
     def add(self, item: WaitingItem, length_bytes: int) -> None:
         """Append an item, with the length of its payload. Call `has_room` first.
 
-        One operation of the interpreter adds the item, so no thread, signal handler or exception finds a part of it.
+        One operation of the interpreter adds the item, so no thread, signal handler or exception finds it half added.
         """
         self.length_bytes += length_bytes
         self._waiting.append(item)
@@ -88,7 +88,8 @@ class RunBuilder:
     def drop(self, run: NumberedRun | None) -> None:
         """Forget the items of the run, which `cut` has returned last. Does nothing if they were dropped before.
 
-        One operation drops the items and changes the number. So an exception of a signal handler comes before or after.
+        One operation drops the items and changes the number. So an exception of a signal handler comes before or after
+        this operation.
         """
         if run is None or run.first_number < self.next_number:
             return
@@ -132,7 +133,7 @@ class UnackedRuns:
         """Whether no sent run waits for its ack."""
         try:
             return self._runs[0].first_number >= self._sent_before
-        except IndexError:  # none waits; another thread may have taken the last one just now
+        except IndexError:  # no run waits; another thread may have taken the last one just now
             return True
 
     @property

@@ -9,7 +9,7 @@ from stampede_rt.v1 import item_pb2
 
 RUN_ITEMS_MAX = 256
 RESPONSE_ITEMS_MAX = 2**20 // 12  # a response has at most 1 MiB, and an item at least a time and a length: 12 bytes
-_SEQ_END = 2**64  # seqs are lower
+_SEQ_END = 2**64  # all seqs are lower
 
 
 def check_delivered(run: item_pb2.ItemRun, *, payloads: bool) -> int:

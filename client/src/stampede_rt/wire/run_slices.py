@@ -59,7 +59,7 @@ def sealed_columns(sealed: bytes | memoryview) -> SealedColumns | None:
 
 
 def sealed_parts(sealed: bytes | memoryview) -> SealedParts | None:
-    """The parts of a sealed run, as `sealed_columns`."""
+    """The parts of a sealed run. None: as with `sealed_columns`."""
     try:
         fields = list(_fields(sealed))
         if sys.byteorder != "little" or not _is_plain(fields) or fields[-1].end != len(sealed):

@@ -37,7 +37,8 @@ _COLUMN_TAGS = frozenset(field << 3 | 2 for field in range(1, 4))
 _SEALS_OF_ONE = (_FIRST_SEQ.size, _FIRST_SEQ.size + 10)  # a host appends it to a run of one item, see `seal_run`
 _SHORT_BYTES = 4096  # shorter runs are parsed whole, which is faster than a look for their payloads
 _FIELDS_LOOKED_AT_MAX = 4096
-_COLUMN_BYTES_MAX = 23  # of one item in three columns, if the encoder did not pack them and each entry has a tag
+# The bytes of one item in three columns, if the encoder did not pack them and each entry has a tag.
+_COLUMN_BYTES_MAX = 23
 _ATTRIBUTE_FRAMING_BYTES_MAX = 16
 _FRAMING_BYTES_MAX = 64
 _REST_BYTES_MAX = (

@@ -31,7 +31,7 @@ class Faults:
         self._thread.start()
 
     def end(self) -> None:
-        """Wait for its end. Raises DemoFailed if something else happened than planned."""
+        """Wait for its end. Raises DemoFailed if a step did not go as planned."""
         self._thread.join(SYNC_SECONDS)
         if self.failure is not None:
             raise DemoFailed(f"a step of the run failed: {self.failure}") from self.failure
@@ -76,7 +76,8 @@ class Faults:
         self.events.append((time.time_ns() - self._start, what))
 
     def _await_replicas(self) -> None:
-        """Wait until each channel has a replica in sync. A replica that a busy machine delays leaves the sync."""
+        """Wait until each channel has a replica in sync. A replica that a busy machine delays is out of sync for a
+        while."""
         cameras = [self._rt.channel(side.value, create=False) for side in Side]
         deadline = time.monotonic() + SYNC_SECONDS
         while not all(any(copy.in_sync for copy in camera.stats().copies) for camera in cameras):

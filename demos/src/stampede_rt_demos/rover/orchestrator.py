@@ -1,4 +1,5 @@
-"""Starts the cluster and the roles of the rover demo, and makes a report from theirs. No frame passes through here."""
+"""Starts the cluster and the roles of the rover demo, and makes one report from their reports. No frame passes through
+this module."""
 
 from __future__ import annotations
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 RIG = "rig"
 """The rover's own process: a host with the channels of both cameras, and a peer with a mailbox."""
 SECONDS_MIN = 16
-"""A lost host stops its channels for its lease, about 6 s; the rest of the run must be long enough to go on."""
+"""The loss of a host stops its channels until its lease ends, after about 6 s. The run must go on long enough after
+that."""
 STREAM_MAX_AGE = "60s"
 
 PLANNER_JOINS = 0.2

@@ -19,7 +19,7 @@ VALID_NANOS = 3600 * 10**9
 
 
 class Right(NamedTuple):
-    """One right of a role. `verbs` and `kind` are those of `stampede acl add`; `names` may be a pattern."""
+    """One right of a role. `verbs` and `kind` are as in `stampede acl add`; `names` may be a pattern."""
 
     verbs: Sequence[str]
     kind: str

@@ -1,8 +1,8 @@
 """Starts the processes of the roles, reads their reports, and ends them in every case.
 
 Each role has two reader threads here, one for its reports and one for its standard error. Both are bounded: at most
-EVENTS_MAX events wait in a queue, and a role that reports more must wait. Of the standard error the last LAST_LINES_MAX
-lines are kept.
+EVENTS_MAX events wait in a queue, and a role that reports more must wait. This module keeps the last LAST_LINES_MAX
+lines of the standard error.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class RoleProcesses:
         return {name: role.process.pid for name, role in self._roles.items()}
 
     def start(self, name: str, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
-        """Start a role. `environment` adds variables for this role alone. Raises DemoFailed if it cannot start."""
+        """Start a role. `environment` adds variables for only this role. Raises DemoFailed if it cannot start."""
         try:
             process = subprocess.Popen(
                 command,

@@ -1,6 +1,6 @@
 """The plan of the demo: the two cameras, their faults, and the names of the peers. Pure.
 
-The seed alone decides which frames are lost, and how wrong the time of each frame is. So the demo can check the reports
+Only the seed decides which frames are lost, and how wrong the time of each frame is. So the demo can check the reports
 of the consumers.
 """
 
@@ -28,7 +28,7 @@ PLANNER, MAPPER = "planner", "mapper"
 END_NUMBER = -1
 """The number of the item that each camera puts after its last frame."""
 END_DISPARITY = -1
-"""The value of the item that the depth consumer puts after its last one."""
+"""The value of the item that the depth consumer puts after its last disparity."""
 END_NANOS = 100_000_000
 """The time of these items after the end of the programme: more than the tolerance, so that no frame is a partner."""
 

@@ -1,6 +1,6 @@
-"""Starts the cluster and the roles, and makes one report from theirs. Only this part knows all others.
+"""Starts the cluster and the roles, and makes one report from their reports. Only this module knows all other parts.
 
-No data pass through here. The roles exchange data through channels, and only send reports to the orchestrator.
+No data pass through it. The roles exchange data through channels, and only send reports to the orchestrator.
 """
 
 from __future__ import annotations

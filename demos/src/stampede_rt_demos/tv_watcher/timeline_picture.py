@@ -221,7 +221,8 @@ def _set_scale(lane: Axes, low: float, high: float, style: str = "g") -> None:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    """Save a PNG with a palette, a third of the size. The colours of the drawing stay exact, those of photos do not."""
+    """Save a PNG with a palette, a third of the size. The colours of the drawing stay exact, but the colours of photos
+    do not."""
     drawn = io.BytesIO()
     figure.savefig(drawn, format="png")
     with Image.open(drawn) as opened:

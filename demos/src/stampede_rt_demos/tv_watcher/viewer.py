@@ -29,7 +29,8 @@ READ_HERE_ALONE = (CAPTIONS, MOTION, LOUDNESS)
 def play(stage: Stage) -> dict[str, object]:
     """Watch until the programme's end.
 
-    The viewer also reads some streams item by item, to measure their latency and losses: those with no other reader.
+    The viewer also reads some streams item by item, to measure their latency and losses. These are the streams with no
+    other reader.
     """
     with st.connect(stage.settings.address, name="viewer") as rt, ThreadPoolExecutor(len(READ_HERE_ALONE)) as threads:
         channels = {stream.name: open_channel(rt, stream) for stream in READ_HERE_ALONE}

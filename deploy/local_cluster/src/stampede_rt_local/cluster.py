@@ -32,10 +32,10 @@ class LocalCluster:
     run in the namespaces `host_namespaces`, which must reach `listen`. These cannot be used with `tls`, because its
     certificates are for one address. `metrics`: where the first supernode serves its metrics. The other supernodes, the
     front-ends and the hosts take the next ports in this order, or any free ports if its port is 0. The attribute
-    `metrics` has the address of each service, by its title. `archive`: the folder in which each
-    host has a folder for recorded channels, or the URL of an object store; then the folders are in `archive_folder`.
-    `data_ports`: whether hosts serve TCP sockets. `feed_transport`: that of the feeds between hosts. `multicast`: their
-    group. `on_line`, `on_exit`: see ServiceProcess.
+    `metrics` has the address of each service, by its title. `archive`: the folder in which each host has a folder for
+    recorded channels, or the URL of an object store; then the folders are in `archive_folder`. `data_ports`: whether
+    hosts serve TCP sockets. `feed_transport`: the transport of the feeds between hosts. `multicast`: the multicast
+    group of the hosts. `on_line`, `on_exit`: see ServiceProcess.
     """
 
     def __init__(
@@ -150,7 +150,8 @@ class LocalCluster:
         return ["--data-dir", str(self._inside(name))] if self._durable else []
 
     def _first_dead(self) -> ServiceProcess | None:
-        """Return the first dead service, supernodes first: one may be why a host is not ready."""
+        """Return the first dead service, supernodes first, because a dead supernode may be the reason why a host is not
+        ready."""
         return next((one for one in reversed(list(self.processes())) if one.ended), None)
 
     def _has_lost_one(self) -> bool:
@@ -209,7 +210,7 @@ class LocalCluster:
         listen = self._at(0) if namespace is None else str(Address(namespace.address, 0))
         arguments = ["--listen", listen, "--name", name, "--frontend", self.address, *self._data_dir(name)]
         arguments += ["--feed-transport", self._feed_transport]
-        arguments += ["--drain-seconds", "0"]  # all hosts end together, so none can take over channels
+        arguments += ["--drain-seconds", "0"]  # all hosts end together, so no host can take over channels
         if self._data_ports:
             arguments += ["--data-port", "0"]
         if self._multicast:

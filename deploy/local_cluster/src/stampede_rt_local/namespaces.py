@@ -59,8 +59,9 @@ class NetworkNamespace:
 class NamespaceNetwork:
     """`size` namespaces that reach each other and this process. A context manager, which removes all of them.
 
-    `address` is that of this process on the bridge. There may be NAMESPACES_MAX namespaces. Their names and addresses
-    are chosen when the context begins. Two networks never share a bridge, because its name is unique in the kernel.
+    `address` is the address of this process on the bridge. There may be NAMESPACES_MAX namespaces. Their names and
+    addresses are chosen when the context begins. Two networks never share a bridge, because its name is unique in the
+    kernel.
     """
 
     def __init__(self, size: int) -> None:

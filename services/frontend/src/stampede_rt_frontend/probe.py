@@ -88,9 +88,9 @@ class Prober:
         return len(self._waiting)
 
     def _wake_some(self) -> None:
-        """Wake some of the callers, those that wait longest first, because a supernode can serve.
+        """Wake some of the callers, the longest waiting first, because a supernode can serve.
 
-        The others follow in the next turns of the event loop.
+        The next turns of the event loop wake the others.
         """
         for healthy in [*islice(self._waiting, WOKEN_PER_TURN)]:
             del self._waiting[healthy]

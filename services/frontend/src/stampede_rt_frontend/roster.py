@@ -55,7 +55,7 @@ class SupernodeRoster:
     cluster_id: str = ""
     former_cluster_ids: tuple[str, ...] = ()  # of the clusters that this cluster has replaced
     clocks: dict[str, ClockOffset] = field(init=False, default_factory=dict)
-    """How far this front-end's clock is ahead of that of each supernode that answers, by target."""
+    """How far this front-end's clock is ahead of the clock of each supernode that answers, by target."""
     _nodes: dict[str, Supernode] = field(init=False)
     _failures: dict[str, str] = field(init=False, default_factory=dict)  # target -> why its last probe failed
     _listed: dict[str, str] = field(init=False, default_factory=dict)  # the members of the last list: target -> id

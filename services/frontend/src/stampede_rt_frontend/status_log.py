@@ -35,7 +35,8 @@ class StatusLog:
     def __init__(self) -> None:
         self._starts_until_s: float | None = None  # the end of the first START_SECONDS; None before the first call
         self._served: dict[str, bool] = {}  # by target: whether the supernode could serve, as reported last
-        self._any_served: bool | None = None  # whether any could, as reported last; None: not reported yet
+        # Whether any supernode could serve, as reported last; None: not reported yet.
+        self._any_served: bool | None = None
 
     def changes(self, roster: SupernodeRoster, now_s: float) -> Iterator[LogLine]:
         """A line for each change since the last call. `now_s` is read from a clock that never goes back."""

@@ -65,9 +65,9 @@ def _stream_of(behavior: Callable[..., AsyncIterator[Any]]) -> Callable[..., Asy
 
 
 def _without_frames(error: AbortError) -> AbortError:
-    """Remove the frames of the error, and those of the errors that led to it.
+    """Remove the frames of the error, and the frames of the errors that led to it.
 
-    An error that a local variable refers to is in a reference cycle with the frame of that variable.
+    If a local variable refers to an error, the error and the frame of this variable refer to each other.
     """
     drop_frames(error)
     error.__cause__ = error.__context__ = None

@@ -100,7 +100,7 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         return caller
 
     def _is_too_early(self, method: str, context: Context) -> bool:
-        """Whether this service can admit the caller only once it has heard of the rules, or of the keys of tokens."""
+        """Whether this service must wait for the rules, or for the keys of tokens, before it can admit the caller."""
         try:
             caller = self._caller(method, context)
         except Unavailable:  # it brings a token, and the service does not know the keys of tokens yet

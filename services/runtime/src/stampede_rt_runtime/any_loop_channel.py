@@ -66,7 +66,7 @@ class AnyLoopChannel(grpc.aio.Channel):
         return call
 
     def unary_stream(self, *args: Any, **kwargs: Any) -> Any:
-        """A callable that always fails: stubs need one, but this channel has no streams."""
+        """A callable that always fails: stubs need such a callable, but this channel has no streams."""
         return _no_streams
 
     stream_unary = stream_stream = unary_stream

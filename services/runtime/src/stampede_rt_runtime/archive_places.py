@@ -13,7 +13,7 @@ SCHEMES = ("s3", "gs", "az", "file")
 
 
 def parse_archive(text: str) -> Path | str:
-    """A folder, or the URL of an object store with a prefix. Raises ValueError."""
+    """Return a folder, or the URL of an object store with a prefix. Raises ValueError."""
     scheme, is_url, rest = text.strip().partition("://")
     if not is_url:
         return Path(text)
@@ -32,7 +32,7 @@ def parse_archive(text: str) -> Path | str:
 def folder_of(archive: Path | str | None, folder: Path | None, data_dir: Path | None) -> Path | None:
     """The folder of an archive on this machine; None: there is no archive.
 
-    `folder`: the one that a setting names for the files that have not moved to an object store, or None.
+    `folder`: the folder that a setting names for files that have not moved to an object store, or None.
     """
     if archive is None or isinstance(archive, Path):
         return archive

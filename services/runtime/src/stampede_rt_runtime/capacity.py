@@ -1,4 +1,4 @@
-"""Limits the calls that a port serves at a time: of one caller, and of all callers.
+"""Limits the calls that a port serves at a time: the calls of one caller, and the calls of all callers.
 
 The limit of streams leaves room for other calls. The limit of all callers' calls leaves room for the cluster's own
 calls.
@@ -101,8 +101,8 @@ def quotas_of(method: str, *, is_stream: bool) -> tuple[Quota, ...]:
 class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
     """Admits a call if its caller's quotas have room and the port has a free slot. Otherwise refuses the call.
 
-    The server reads and parses the requests of the call only after that. This interceptor must stand after those that
-    check the caller.
+    The server reads and parses the requests of the call only after that. This interceptor must come after the
+    interceptors that check the caller.
     """
 
     def __init__(self, slots: Slots, refused: RefusedCalls) -> None:

@@ -1,4 +1,4 @@
-"""Makes and reads the certificates of one cluster. Touches no file and no clock.
+"""Makes and reads the certificates of one cluster. Reads no file and no clock.
 
 Keys are ECDSA over P-256. Every TLS library has it, and a signature costs a tenth of an RSA signature.
 """

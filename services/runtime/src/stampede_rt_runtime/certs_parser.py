@@ -20,7 +20,7 @@ AUTHORITY_DAYS, CERTIFICATE_DAYS = 3650, 365
 
 
 def parser_of(runs: Mapping[str, Callable[[argparse.Namespace], Any]]) -> argparse.ArgumentParser:
-    """Return the parser. It names the functions of `runs`, by verb, as those to call."""
+    """Return the parser. The parser names the function of `runs` to call for each verb."""
     parser = TerminalParser(prog="stampede certs", description=DESCRIPTION, allow_abbrev=False)
     verbs = parser.add_subparsers(metavar="VERB", required=True)
     for add_verb in (_add_init, _add_issue, _add_renew, _add_revoke, _add_show):

@@ -42,8 +42,8 @@ def dial(
 ) -> grpc.aio.Channel:
     """A channel to `target` that sends `secret` with every call. Connects at the first call. The caller closes it.
 
-    `transport`: that of streams in both directions. All other calls go over gRPC. `known`: the sockets of hosts, for
-    all connections that share this object.
+    `transport`: the transport of streams in both directions. All other calls go over gRPC. `known`: the sockets of
+    hosts, for all connections that share this object.
 
     With `tls` both sides prove themselves by certificates. After a renewal of the certificates, new calls use a new
     connection. The channel adds the secret itself, because gRPC's call credentials need TLS, and gRPC's interceptors

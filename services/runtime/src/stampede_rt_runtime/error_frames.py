@@ -16,7 +16,7 @@ def failure_of(task: asyncio.Task[Any]) -> BaseException | None:
     """The error of an ended task, which is not cancelled; None if there is none.
 
     A task keeps the frames of its error or of its cancellation until somebody asks for its result, as this function
-    does. `Task.exception` leaves them.
+    does. `Task.exception` does not remove them.
     """
     try:
         task.result()
@@ -28,7 +28,7 @@ def failure_of(task: asyncio.Task[Any]) -> BaseException | None:
 
 
 def drop_frames(error: BaseException) -> None:
-    """Remove the frames of an error, and those of the errors that led to it."""
+    """Remove the frames of an error, and the frames of the errors that led to it."""
     error.__traceback__ = None
     former = _led_to(error)
     for one in former:  # the list grows meanwhile

@@ -40,7 +40,8 @@ class CollectionPace:
     def next_generation(self, now_s: float) -> int:
         """The generation to collect next; 2 means all objects.
 
-        All objects are collected seldom, and only if a quarter of them may be new since the last time.
+        It chooses all objects seldom, and only if a quarter of them may be new since the last collection of all
+        objects.
         """
         if now_s - self._full_at_s >= FULL_INTERVAL_SECONDS and self._moved_s > self._full_s / 4:
             return 2

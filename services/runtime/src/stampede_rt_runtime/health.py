@@ -25,8 +25,8 @@ class Health:
     """The health service for load balancers and supervisors.
 
     Any other name than LIVENESS means READINESS, and so does a missing name. `Check` is open to all callers, so it
-    reads few requests at a time, and for a short time. A caller that sends no request in time, or makes way for newer
-    callers, gets the answer for READINESS.
+    reads few requests at a time, and for a short time. A caller that sends no request in time, or that must make room
+    for newer callers, gets the answer for READINESS.
     """
 
     def __init__(self) -> None:

@@ -34,7 +34,7 @@ _LOOPBACK_OF_WILDCARD = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 
 
 def own_address(argv: Sequence[str], environ: Mapping[str, str]) -> str:
-    """The address in `argv`, or else the one at which the service beside this program listens ($STAMPEDE_LISTEN).
+    """The address in `argv`, or else the address at which the service beside this program listens ($STAMPEDE_LISTEN).
 
     Raises ValueError if there is no address, or if no caller can call it.
     """

@@ -1,6 +1,6 @@
 """The limits of the gRPC servers of services, and of the connections that services open.
 
-Both stand in one place because they must fit together: a server closes a connection whose caller pings too often.
+Both are in one module because they must fit together: a server closes a connection whose caller pings too often.
 
 The names and meanings of the options are in gRPC core's grpc_types.h.
 """

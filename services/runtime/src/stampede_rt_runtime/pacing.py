@@ -1,9 +1,9 @@
 """Counts the work of calls for their callers, and lets a few streams run in each turn of the event loop.
 
-gRPC hands over all completed operations of a turn together. With 1000 subscriptions, 200 of them completed a write in
-one turn. Each then looked for its next message. The turn took 10 ms and more, in which the service did nothing else
-(decision 0123). A caller whose 3000 streams have all received a message delays the streams of others by one turn only
-(decision 0139).
+gRPC reports all completed operations of a turn of the event loop together. With 1000 subscriptions, 200 of them
+completed a write in one turn, and each then looked for its next message. The turn took 10 ms and more, and the service
+did nothing else meanwhile (decision 0123). A caller whose 3000 streams have all received a message delays the streams
+of others by one turn only (decision 0139).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ AT_ONCE_NANOS = 1_000_000
 class TurnGate:
     """Admits STREAMS_PER_TURN streams in each turn of the event loop. The others wait for the next turns.
 
-    The waiting streams of each caller stand in a line of their own. The gate admits one of each line in rotation.
+    The waiting streams of each caller have a line of their own. The gate admits one stream of each line in rotation.
     """
 
     def __init__(self) -> None:
@@ -66,7 +66,7 @@ class TurnGate:
             place = line.popleft()
             if line:
                 self._lines[caller] = line  # after the other callers
-            if not place.done():  # if it is, its stream has gone
+            if not place.done():  # if it is done, its stream has ended
                 place.set_result(None)
                 self._left -= 1
         self._is_counting = bool(self._lines) or self._left < STREAMS_PER_TURN
@@ -143,9 +143,9 @@ class PacedContext:
             await self._writes.turn(self._caller)
 
     def answer_at_once(self, take: Callable[[bytes | memoryview, Callable[[bytes], None]], bool]) -> None:
-        """See `SocketContext`. Streams over gRPC have no such way.
+        """See `SocketContext`. Streams over gRPC cannot do this.
 
-        `take` gets a message only if the caller need not wait for its turn. The caller pays for the work of `take`.
+        `take` gets a message only if the caller need not wait for its turn. The work of `take` counts for the caller.
         """
         answer = getattr(self._context, "answer_at_once", None)
         if answer is not None and self._at_once is not None:

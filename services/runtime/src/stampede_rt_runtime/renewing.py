@@ -20,7 +20,7 @@ class _Connection:
 
 
 class RenewingChannel(grpc.aio.Channel):
-    """Uses the present certificate for each new call. Calls under way stay on their connection, however long they last.
+    """Uses the present certificate for each new call. Calls under way stay on their connection, even if they last long.
 
     The channel closes a former connection when its last call has ended. An open connection would reconnect for ever.
     """

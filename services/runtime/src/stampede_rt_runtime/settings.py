@@ -5,8 +5,8 @@ For each setting the first of these sources that has a value wins.
 A field `lease_ttl_nanos: int = field(default=5 * 10**9, metadata=setting(help="...", parse=parse_duration))` of the
 service `supernode` can be given in three ways: as the flag `--lease-ttl 5s`, as the variable
 `STAMPEDE_SUPERNODE_LEASE_TTL` or `STAMPEDE_LEASE_TTL`, and as `lease-ttl = "5s"` in a TOML file. `--config` (or
-`STAMPEDE_SUPERNODE_CONFIG`, `STAMPEDE_CONFIG`) names the file. The setting stands in the file's table `[supernode]`, or
-at the file's top if all services that read the file have that setting.
+`STAMPEDE_SUPERNODE_CONFIG`, `STAMPEDE_CONFIG`) names the file. The file has the setting in the table `[supernode]`, or
+at the top if all services that read the file have that setting.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-// The page: what is shown, what is asked of the server, and the keys.
+// The page: the shown things, the requests to the server, and the keys.
 
 import { bytesText, clockText, durationText, element, escaped, globPattern, instantText, rateText } from "./format.js";
 import { Card } from "./cards.js";

@@ -1,4 +1,4 @@
-// The state of the cluster: groups, queues, hosts, supernodes, peers, and what `stampede doctor` says.
+// The state of the cluster: groups, queues, hosts, supernodes, peers, and the findings of `stampede doctor`.
 
 import { bytesText, clockText, durationText, element } from "./format.js";
 

@@ -126,7 +126,7 @@ function drawEdge(context, left, height) {
   context.setLineDash([]);
 }
 
-// A line below the items that the archive has and memory has not. A post stands where the archive begins.
+// A line below the items that only the archive has. A post marks the beginning of the archive.
 function drawArchive(context, left, edge, width, height) {
   const [from, to] = [Math.max(0, left), Math.min(width, edge)];
   if (to <= from) return;

@@ -57,7 +57,7 @@ _shtab_stampede_commands() {
 
 _shtab_stampede_acl_commands() {
   local _commands=(
-    add:'add a rule; from the first rule on, clients may do only what a rule allows'
+    add:'add a rule; if any rule exists, clients may do only what a rule allows'
     check:'tell whether a client may do something, and why; status 3: it may not'
     ls:'list all rules'
     rm:'remove a rule, written as for add'
@@ -94,7 +94,7 @@ _shtab_stampede_context_commands() {
     ls:'list the saved contexts'
     none:'choose no context: commands use $STAMPEDE_URL, or localhost:7580'
     rm:'forget a context'
-    use:'choose the context for all commands that follow'
+    use:'choose the context for all later commands'
   )
   _describe 'stampede context commands' _commands
 }
@@ -166,10 +166,10 @@ _shtab_stampede_queue_commands() {
 
 _shtab_stampede_quota_commands() {
   local _commands=(
-    check:'tell the limits of one caller, and which setting says so'
+    check:'print the limits of one caller, each with the setting that decides it'
     ls:'list all limits that were set, and the defaults'
-    rm:'remove limits, so that the next pattern or the default holds'
-    set:'set limits; the longest pattern that matches a caller holds for it'
+    rm:'remove limits, so that the next pattern or the default counts'
+    set:'set limits; for each caller the longest matching pattern counts'
     use:'show the usage and the refusals of each caller at each service of the cluster'
   )
   _describe 'stampede quota commands' _commands
@@ -443,12 +443,12 @@ _shtab_stampede_configure_options=(
   "--max-items[keep at most N items]:N:"
   "--max-bytes[keep at most N bytes]:N:"
   "--consumers[an item may leave once N consumers have consumed it]:N:"
-  "--max-age-unconsumed[keep items for this time while a live consumer has still to consume them]:DURATION:"
+  "--max-age-unconsumed[keep items for this time while a live consumer must still consume them]:DURATION:"
   "--archive[record the channel\: the host keeps items on disk for this time, or \"forever\"]:DURATION:"
   "--archive-bytes[keep at most this size on disk, such as \"200GiB\"]:SIZE:"
   "--on-full[what the host does with a put into a full channel]:on_full:(drop_oldest block reject)"
   "--replicas[copies that can take over if the host is lost]:N:"
-  "--ack[when a put is acknowledged]:ack:(host disk replica)"
+  "--ack[when the host acknowledges a put]:ack:(host disk replica)"
   "--min-replicas[with --ack replica, acknowledge no put with fewer in sync]:N:"
   "--max-future[refuse items that lie further in the future than this]:DURATION:"
   ":the channel\'s name:"
@@ -562,7 +562,7 @@ _shtab_stampede_echo_options=(
   "--from[begin with the held items from this time on]:TIME:"
   "--mode[every item, or always the newest one]:mode:(all newest)"
   "--count[stop after N items]:N:"
-  "--via[take the items from UDP multicast where it is heard]:via:(multicast)"
+  "--via[take the items from UDP multicast if it reaches this machine]:via:(multicast)"
   "--no-payloads[print times and lengths only]"
   "--format[how to print an item, such as \'\{time\} \{seq\:06d\} \{payload\}\\t\{attributes\[enc\]\}\'\; the fields are time, time_ns, end_ns, duration_ns, seq, channel, payload, length, content_type and attributes\[KEY\]\; \\n and \\t count as in Python]:FORMAT:"
   ":the channel\'s name:"
@@ -691,7 +691,7 @@ _shtab_stampede_get_options=(
   "--newest-first[print the latest first]"
   "--timeout[wait this long for an item, e.g. 500ms\; default 0s]:DURATION:"
   "--complete[wait until no more items can come into the interval]"
-  "--as-of[answer as the host would have answered then\; for recorded channels]:TIME:"
+  "--as-of[answer as the host would have answered at this time\; for recorded channels]:TIME:"
   "--no-payloads[print times and lengths only]"
   "--format[how to print an item, such as \'\{time\} \{seq\:06d\} \{payload\}\\t\{attributes\[enc\]\}\'\; the fields are time, time_ns, end_ns, duration_ns, seq, channel, payload, length, content_type and attributes\[KEY\]\; \\n and \\t count as in Python]:FORMAT:"
   "--raw[write only the payloads, without separators]"
@@ -753,7 +753,7 @@ _shtab_stampede_group_get_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  "--as-of[answer as the hosts would have answered then\; for groups of recorded channels]:TIME:"
+  "--as-of[answer as the hosts would have answered at this time\; for groups of recorded channels]:TIME:"
   ":the group\'s name:"
   ":a time, or now, newest or oldest, also with an offset, such as \"newest-1s\":"
   ":as the start:"
@@ -783,7 +783,7 @@ _shtab_stampede_group_match_options=(
   "--unique[use each item in at most one match, the nearest]"
   "--lateness[wait this long for late items\; default 0s]:DURATION:"
   "--from[begin with the items from this time on, for example oldest\; default\: only items that come from now on]:TIME:"
-  "--as-of[answer as the hosts would have answered then\; for groups of recorded channels]:TIME:"
+  "--as-of[answer as the hosts would have answered at this time\; for groups of recorded channels]:TIME:"
   {-n,--count}"[stop after N matches]:N:"
   ":the group\'s name:"
 )
@@ -796,7 +796,7 @@ _shtab_stampede_group_newest_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  "--as-of[answer as the hosts would have answered then\; for groups of recorded channels]:TIME:"
+  "--as-of[answer as the hosts would have answered at this time\; for groups of recorded channels]:TIME:"
   ":the group\'s name:"
 )
 
@@ -1112,12 +1112,12 @@ _shtab_stampede_put_options=(
   "--max-items[keep at most N items]:N:"
   "--max-bytes[keep at most N bytes]:N:"
   "--consumers[an item may leave once N consumers have consumed it]:N:"
-  "--max-age-unconsumed[keep items for this time while a live consumer has still to consume them]:DURATION:"
+  "--max-age-unconsumed[keep items for this time while a live consumer must still consume them]:DURATION:"
   "--archive[record the channel\: the host keeps items on disk for this time, or \"forever\"]:DURATION:"
   "--archive-bytes[keep at most this size on disk, such as \"200GiB\"]:SIZE:"
   "--on-full[what the host does with a put into a full channel]:on_full:(drop_oldest block reject)"
   "--replicas[copies that can take over if the host is lost]:N:"
-  "--ack[when a put is acknowledged]:ack:(host disk replica)"
+  "--ack[when the host acknowledges a put]:ack:(host disk replica)"
   "--min-replicas[with --ack replica, acknowledge no put with fewer in sync]:N:"
   "--overlap[for this time a later item does not end the span of an item with a duration]:DURATION:"
   "--content-type[the MIME type of the items, such as \"image\/jpeg\"]:MIME:"
@@ -1267,7 +1267,7 @@ _shtab_stampede_quota_set_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  ":a client\'s name, \"\@ADDRESS\" for callers whose proof bears no name, or a pattern such as \"cam-\*\" or \"\@10.\*\":"
+  ":a client\'s name, \"\@ADDRESS\" for callers whose proof has no name, or a pattern such as \"cam-\*\" or \"\@10.\*\":"
   "(*):streams, subscriptions, waiting-calls, bytes-in-flight, channels, queues, groups, peers, changes-per-second, bytes-held, bytes-archived, cpu-percent\; a number, bytes also with KiB, MiB, GiB\; or \`unlimited\`:"
 )
 
@@ -1402,7 +1402,7 @@ _shtab_stampede_supernode_add_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--id[its id, never used before\; default\: a random one]:id:"
-  "--valid-hours[the token holds for this time\; default 1]:HOURS:"
+  "--valid-hours[how many hours the token is valid\; default 1]:HOURS:"
   {--url,--frontend}"[front-ends\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT,...:"
   "--member[supernodes to ask instead, if no front-end runs]:HOST:PORT,...:"
   ":the address at which it will listen and the others reach it:"
@@ -1512,7 +1512,7 @@ _shtab_stampede_top_options=(
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--sort[what to sort by\; default bytes, in and out]:sort:(bytes items age lag held refused dropped name)"
-  "--every[look this often\; default 1]:SECONDS:"
+  "--every[refresh this often\; default 1]:SECONDS:"
   "--count[stop after N looks]:N:"
   ":names, such as \"cam\/\*\":"
 )
@@ -1538,7 +1538,7 @@ _shtab_stampede_web_options=(
   "--sample-settings[show a TOML file with all settings]"
   "--listen[the address of the page\; port 0\: any free one \[default\: localhost\:7581\]]:HOST:PORT:"
   "--url[the front-ends of the cluster\; default localhost\:7580 \[default\: none\]]:HOST:PORT:"
-  "--secret-file[the file of the cluster\'s secret\; without it the page looks where all clients do \[default\: none\]]:FILE:_files"
+  "--secret-file[the file of the cluster\'s secret\; without it the page finds the secret as all clients do \[default\: none\]]:FILE:_files"
   "--channels[the channels that the page lists \[default\: \*\]]:GLOB:"
   "--token-file[the file of the login token, made if absent\; needed on addresses beyond loopback \[default\: none\]]:FILE:_files"
   "--tls-certificate[the page\'s certificate (PEM)\; needed on addresses beyond loopback \[default\: none\]]:FILE:_files"

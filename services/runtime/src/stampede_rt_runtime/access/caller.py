@@ -34,7 +34,7 @@ class Caller:
 
     `serial` identifies the certificate or token among others of the same name; empty: there is none. `ends_unix_nano`:
     the end of its validity; 0: it has no end. `connection`: the certificate that opened the connection, if a token came
-    with it; the caller is valid only as long as both are.
+    with it; the caller is valid only as long as both proofs are.
     """
 
     kind: CallerKind
@@ -56,7 +56,7 @@ class Caller:
 
     @property
     def proofs(self) -> Iterator[Caller]:
-        """The caller by each of its proofs: this one, and that of the connection's certificate."""
+        """The caller by each of its proofs: this proof, and the connection's certificate."""
         yield self
         if self.connection is not None:
             yield self.connection

@@ -100,12 +100,12 @@ class AccessControl:
 
     @property
     def lacks_state(self) -> bool:
-        """Whether the directory has not told the state yet."""
+        """Whether this port has not received the state from the directory yet."""
         return self._state is None and self._source is None
 
     @property
     def lacks_keys(self) -> bool:
-        """Whether the directory has not told the keys of tokens yet. A new cluster has none for a moment."""
+        """Whether this port has not received the keys of tokens yet. A new cluster has no keys for a moment."""
         return self._source is None and (self._state is None or not self._state.token_keys)
 
     async def wait_while(self, lacks: Callable[[], bool], seconds_max: float) -> None:

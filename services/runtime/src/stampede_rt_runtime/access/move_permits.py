@@ -22,5 +22,5 @@ def move_permit(key: bytes, subject_id: bytes, epoch: int, to_host_id: bytes) ->
 
 
 def is_permit(permit: bytes, key: bytes, subject_id: bytes, epoch: int, to_host_id: bytes) -> bool:
-    """Whether `permit` is the one that `move_permit` makes."""
+    """Whether `move_permit` makes the same permit."""
     return hmac.compare_digest(permit, move_permit(key, subject_id, epoch, to_host_id))

@@ -40,7 +40,7 @@ class OpenCall:
     def __init__(
         self, control: CallControl, caller: Caller, peer: str, account: Account, costs: TransportCosts
     ) -> None:
-        """Make it in the task of the call. `peer`: the caller's address, as gRPC names it."""
+        """Create this object in the task of the call. `peer`: the caller's address, as gRPC names it."""
         task = asyncio.current_task()
         assert task is not None, "handlers run in tasks"
         self._task: asyncio.Task[Any] | None = task

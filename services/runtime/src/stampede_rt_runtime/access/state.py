@@ -1,4 +1,4 @@
-"""The facts by which a port judges callers, as the directory tells them. Pure."""
+"""The facts by which a port judges callers. They come from the directory. Pure."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """The HTTP server of the metrics. It runs on the event loop that serves, and answers `GET /metrics` only.
 
-`http.server` and the server of prometheus-client take a thread for each connection, and bound neither their number nor
-their time. This server has both bounds. It makes an answer in pieces, so that the event loop does other work in
-between.
+`http.server` and the server of prometheus-client take a thread for each connection, and limit neither the number of
+threads nor their time. This server has both bounds. It makes an answer in pieces, so that the event loop does other
+work in between.
 """
 
 from __future__ import annotations

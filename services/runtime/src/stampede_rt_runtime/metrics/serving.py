@@ -23,7 +23,8 @@ REUSE_FACTOR = 20
 """A page is reused for this many times as long as it took to make, so that scrapes take at most 5 % of a core."""
 
 STEP_SECONDS = 0.001
-"""How long the page is made before others run. A turn for each family would take long on a busy event loop."""
+"""How long one step makes the page before other work runs. A step for each family would take long on a busy event
+loop."""
 
 Collect = Callable[[], Awaitable[Iterable[AnyFamily]]]
 

@@ -211,7 +211,7 @@ def unlimited() -> Account:
 
 
 class Accounts:
-    """The accounts of one port: those to which some object refers, and the last RECENT_MAX accounts in use."""
+    """The accounts of one port: the accounts to which some object refers, and the last RECENT_MAX accounts in use."""
 
     def __init__(
         self,
@@ -271,7 +271,7 @@ class Accounts:
         self._refused_at_s = self._clock_s()
 
     def draw_from(self, directory: Callable[[], Iterable[tuple[str, Quota, int]]]) -> None:
-        """From now on `uses` also tells the things that callers have in the directory.
+        """From now on `uses` also counts the things that callers have in the directory.
 
         `directory` returns the callers, and how many of the things that IN_DIRECTORY limits they have.
         """

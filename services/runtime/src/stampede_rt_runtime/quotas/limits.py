@@ -99,8 +99,8 @@ def check_effective(setting: QuotaSetting) -> None:
 class QuotaTable:
     """All settings of a cluster.
 
-    If several settings of a quota match a caller, the setting for exactly this name holds. Otherwise the pattern with
-    the most literal characters holds, and among equal ones the setting with the lowest limit.
+    If several settings of a quota match a caller, the setting for exactly this name counts. Otherwise the pattern with
+    the most literal characters counts, and among equal patterns the lowest limit.
     """
 
     def __init__(self, settings: Iterable[QuotaSetting] = ()) -> None:
@@ -114,7 +114,7 @@ class QuotaTable:
         return hash(self.settings)
 
     def setting_for(self, subject: str, quota: Quota) -> QuotaSetting | None:
-        """The setting that holds for a caller; None: the default holds."""
+        """The setting that counts for a caller; None: the default counts."""
         found = (one for one in self._by_weight if one.quota is quota and matcher(one.who)(subject))
         return next(found, None)
 
@@ -123,7 +123,7 @@ class QuotaTable:
         limits = dict(defaults)
         if subject in SHARED_NAMES:
             limits.update(dict.fromkeys(COUNTED_BY_CREATOR, LIMIT_MAX))
-        for one in reversed(self._by_weight):  # reversed, so that the setting that holds comes last
+        for one in reversed(self._by_weight):  # reversed, so that the setting that counts comes last
             if matcher(one.who)(subject):
                 limits[one.quota] = one.limit
         return limits

@@ -51,8 +51,8 @@ class LoopShares:
 class LoopShare:
     """The share of one caller in the time of the event loop: its line of waiting steps, and the time it has used.
 
-    `percent`: the caller's share of the loop's time while other callers have work. With 100 or more, only a step that
-    takes longer than BURST_NANOS lets the caller wait.
+    `percent`: the caller's share of the loop's time while other callers have work. With 100 or more, the caller waits
+    only after a step that takes longer than BURST_NANOS.
     """
 
     __slots__ = (

@@ -36,13 +36,13 @@ def quota_from(number: int) -> Quota:
 
 
 def limit_message(quota: Quota, limit: int, setting: QuotaSetting | None) -> pb.QuotaLimit:
-    """The message of a limit. `setting` None: the default holds."""
+    """The message of a limit. `setting` None: the default counts."""
     encoded = None if setting is None else setting_message(setting)
     return pb.QuotaLimit(kind=KINDS[quota], limit=limit, setting=encoded)
 
 
 def use_messages(uses: Iterable[QuotaUse], uses_max: int) -> list[pb.QuotaUse]:
-    """At most `uses_max` uses: first those with the most refusals, then those nearest to their limits."""
+    """At most `uses_max` uses: first the uses with the most refusals, then the uses nearest to their limits."""
     chosen = sorted(uses, key=lambda use: (use.refused, use.used / max(1, use.limit)), reverse=True)[:uses_max]
     return [
         pb.QuotaUse(subject=use.subject, kind=KINDS[use.quota], used=use.used, limit=use.limit, refused=use.refused)

@@ -1,4 +1,4 @@
-"""The work of a stream or call on its event loop. It counts for its caller, and waits for the turn of its caller."""
+"""The work of a stream or call on its event loop. The work counts for the caller, and waits for the caller's turn."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def usable_time(
 ) -> Callable[[], int]:
     """A clock, in nanoseconds, of the time that the calling thread can use.
 
-    It stands still while the thread waits for a processor, because other programs run. So a share of this time is a
-    share of the time that the thread gets. `waited_nanos`: how long the thread has waited so far; None: ask the system.
+    It stops while the thread waits for a processor because other programs run. So a share of this time is a share of
+    the time that the thread gets. `waited_nanos`: how long the thread has waited so far; None: ask the system.
     """
     ask = waited_nanos or _waited_nanos
     now = waited = ask_again_at = 0
@@ -67,7 +67,7 @@ def usable_time(
         nonlocal now, waited, ask_again_at
         passed = clock()
         if passed >= ask_again_at:
-            # A failed look gives 0, for example while no file descriptor is left. The former value then stays.
+            # A failed reading gives 0, for example while no file descriptor is left. The former value then remains.
             waited, ask_again_at = max(waited, ask()), passed + ASK_NANOS
         now = max(now, passed - waited)
         return now

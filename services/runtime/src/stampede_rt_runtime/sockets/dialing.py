@@ -76,7 +76,8 @@ class SocketChannel(AnnotatedChannel):
         self, over_grpc: grpc.aio.Channel, target: str, transport: Transport, tls: TlsReader | None,
         known: KnownEndpoints,
     ) -> None:  # fmt: skip
-        """`target` and `tls`: those of the connection `over_grpc`. `known`: the answers to earlier connections."""
+        """`target` and `tls`: the address and the certificates of the connection `over_grpc`. `known`: the answers to
+        earlier connections."""
         super().__init__(over_grpc, tuple)
         self._target, self._transport, self._tls, self._known = target, transport, tls, known
         self._used = Transport.GRPC

@@ -1,4 +1,4 @@
-"""Reports soon that a peer has gone, even while the service reads nothing from its socket.
+"""Reports soon that a peer has closed its socket, even while the service reads nothing from this socket.
 
 asyncio notices a closed socket only when it reads. A caller that closes its stream also cancels its call, even while
 the service takes no more of its messages. A caller that ends may leave thousands of sockets, so the service closes a

@@ -1,4 +1,4 @@
-"""Serves streams over sockets of their own. Its calls pass the same interceptors as those of the gRPC server."""
+"""Serves streams over sockets of their own. The calls pass the same interceptors as the calls of the gRPC server."""
 
 from __future__ import annotations
 
@@ -83,7 +83,8 @@ class SocketServer:
         self._find: Callable[[_CallDetails], Awaitable[Any]] = find
         self._hangups, self._buffers = HangupWatcher(), FrameBuffers()
         self._streams: dict[StreamSocket, _Stream] = {}
-        # Connections without an opening. Those over TCP count apart: other machines must not keep local callers out.
+        # Connections without an opening. TCP connections count separately, so that other machines do not keep local
+        # callers out.
         most = limits.refusals_max
         self._unopened = {True: UnopenedStreams(most, most), False: UnopenedStreams(most, -(-most * 3 // 4))}
         # one line for each credential: a caller with a thousand openings delays other callers by one opening only

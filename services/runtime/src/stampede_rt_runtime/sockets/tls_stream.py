@@ -104,8 +104,8 @@ class TlsStream(asyncio.BufferedProtocol):
     def connection_lost(self, error: Exception | None) -> None:
         """Note that the peer has gone, or that the connection was closed here.
 
-        The stream refers to this object. Without a way back, OpenSSL's 30 KB are freed now, not at a later collection
-        of garbage.
+        The stream refers to this object. This object drops its reference to the stream, so that Python frees OpenSSL's
+        30 KB now, and not at a later garbage collection.
         """
         if self._deadline is not None:
             self._deadline.cancel()

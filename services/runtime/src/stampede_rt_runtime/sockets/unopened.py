@@ -8,7 +8,8 @@ from stampede_rt_runtime.sockets.stream_socket import StreamSocket
 
 
 class UnopenedStreams:
-    """Bounded together, and for each machine (decision 0153). So one machine leaves room for the others."""
+    """Their number is limited in all, and for each machine (decision 0153). So one machine leaves room for the
+    others."""
 
     def __init__(self, most: int, of_machine_max: int) -> None:
         self._most, self._of_machine_max = most, of_machine_max
