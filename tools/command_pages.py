@@ -58,7 +58,7 @@ def captured(main: Callable[[list[str]], object], words: list[str]) -> argparse.
 
 
 def command_parser() -> argparse.ArgumentParser:
-    """Return one parser with all verbs: those of clients, and those that run parts of the system."""
+    """Return one parser with all verbs: the verbs of clients, and the verbs that run parts of the system."""
     from stampede_rt.cli.commands import full_parser
     from stampede_rt.cli.draining import drain
     from stampede_rt.cli.supernode import administer

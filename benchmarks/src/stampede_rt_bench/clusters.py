@@ -18,7 +18,7 @@ def running(*, hosts: int = 1, network: NamespaceNetwork | None = None) -> Itera
     """Yield the address of a new cluster of one supernode and `hosts` hosts. It ends with the context.
 
     The cluster is on this machine's loopback. With a `network` the hosts are in its first namespaces, and all other
-    services are in that of this process. This process and its children find the secret by themselves.
+    services are in the namespace of this process. This process and its children find the secret by themselves.
     """
     with cluster_of(hosts, network) as cluster, secret_found(cluster):
         yield cluster.address

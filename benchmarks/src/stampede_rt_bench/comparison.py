@@ -88,7 +88,7 @@ def _memory(rounds: int) -> tuple[str, Table]:
 
 
 def _chosen(all_works: Sequence[Work], names: Sequence[str] | None) -> list[Work]:
-    """Return all works, or those whose name, or its part before a hyphen, is in `names`."""
+    """Return all works, or the works whose name, or its part before a hyphen, is in `names`."""
     return [work for work in all_works if not names or any(f"{work.name}-".startswith(f"{name}-") for name in names)]
 
 

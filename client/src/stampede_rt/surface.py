@@ -252,7 +252,7 @@ def connect(
     - `zone`: the name of the caller's network or site. The client prefers supernodes of the same zone.
     - `tls`: the certificates, if the cluster asks for them.
     - `transport`: how data goes between this program and the hosts. "best": over sockets where that is possible, else
-      over gRPC, and from memory shared with the host once a program reads a channel often. "grpc": always over gRPC.
+      over gRPC, and from memory shared with the host when a program reads a channel often. "grpc": always over gRPC.
       "socket": over Unix or TCP sockets, with an error where that is not possible. "tcp": as "socket", but only
       over TCP. "shared": over Unix sockets, and from shared memory from the first read on, with an error where a host
       shares none. Default: `$STAMPEDE_TRANSPORT`, or "best".
@@ -321,7 +321,7 @@ def host(
     - `drain`: when the connection closes, the host moves its channels to other hosts for at most this time. "0s": it
       moves none, and their items are lost.
 
-    The other arguments are those of `connect`. The host needs the cluster's secret, or a certificate of the role host.
+    The other arguments are as in `connect`. The host needs the cluster's secret, or a certificate of the role host.
 
     Blocks for at most 20 s. `close` blocks for `drain` and some seconds more.
     Raises HostExists, the errors of `connect`, and InvalidArgument if the extra [server] is not installed.

@@ -140,7 +140,8 @@ def start(containers: Mapping[str, Container], order: list[str]) -> None:
 def check_rights(container: Container, secret: str) -> None:
     """Check the user, its rights, and the secret.
 
-    The user is that of the image, without capabilities. Nobody can change the image. The secret is only in its file.
+    The user is the user of the image, without capabilities. Nobody can change the image. The secret is only in its
+    file.
     """
     facts, plan = container.facts(), container.plan
     require(facts["Uid"].split() == [str(plan.uid)] * 4 and plan.uid != 0, f"{plan.service} runs as {facts['Uid']}")

@@ -1,4 +1,4 @@
-"""A name server like that of an engine's network: it knows the addresses of the services (RFC 1035)."""
+"""A name server like the one of an engine's network: it knows the addresses of the services (RFC 1035)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Merges the compose project and the settings of the images into one plan for each service. Pure.
 
 `project` is the compose file as the reference parser prints it; `image` is the `Config` of `podman image inspect`. The
-Compose specification has the rules for the merge: settings of the file override those of the image.
+Compose specification has the rules for the merge: settings of the file override settings of the image.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ class ItemTrack:
         self.seq_max = max([self.seq_max, *(item.seq for item in older)])
 
     def add_late(self, items: Iterable[TrackItem], now: int) -> None:
-        """Add those of `items` that are missing, each with a mark "late".
+        """Add the missing ones among `items`, each with a mark "late".
 
         One mark "missed" then stands for all items that are still missing, and the track forgets their seqs.
         """

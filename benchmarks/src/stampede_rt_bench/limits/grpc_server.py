@@ -16,7 +16,7 @@ from stampede_rt_bench.limits.framing import ACK, QUEUE_MESSAGES_MAX, REQUEST
 
 
 class GrpcRelay(grpc.GenericRpcHandler):
-    """Acknowledges messages of `Ack`, answers those of `Fetch`, and passes those of `In` on to every `Out`."""
+    """Acknowledges messages of `Ack`, answers messages of `Fetch`, and passes messages of `In` on to every `Out`."""
 
     def __init__(self) -> None:
         self._outs: list[asyncio.Queue[bytes]] = []

@@ -1,8 +1,8 @@
 """Figure 5 of the paper: the frames that consumers of one channel drop, by the number of consumers.
 
 A producer puts frames at 30 a second. Each consumer is a process. It gets the newest frame again and again, and waits
-if the last one that it got is the newest. Here the channel's host is a process of its own, and all processes share
-this machine. In the paper the producer holds the channel, and machines with up to four consumers share a network.
+for the next frame if it already has the newest. Here the channel's host is a process of its own, and all processes
+share this machine. In the paper the producer holds the channel, and machines with up to four consumers share a network.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ def cpu_seconds(pids: Iterable[int]) -> float:
 
 @contextmanager
 def server(command: Sequence[str], log: Path, is_ready: Callable[[], bool]) -> Iterator[int]:
-    """Run a program until the end of the context. Yields its process id once it is ready.
+    """Run a program until the end of the context. Yields its process id when it is ready.
 
     The kernel ends the program if this process dies. Raises ServerFailed.
     """

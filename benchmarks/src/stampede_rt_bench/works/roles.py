@@ -81,7 +81,7 @@ def operate(assignment: Assignment, number: int, client: Client) -> array[int]:
 
 
 def publish(assignment: Assignment, number: int, client: Client) -> array[int]:
-    """Send items once all readers are ready, until the run ends."""
+    """Send items when all readers are ready, until the run ends."""
     _, _, room, work, progress, deadline_s = assignment
     while not progress.all_ready() and not progress.has_ended(deadline_s):
         time.sleep(0.01)

@@ -178,7 +178,7 @@ class _Team:
             time.sleep(0.01)
 
     def finish(self) -> list[WorkerOutcome]:
-        """End the publisher first. End the readers once they have all items, or get no item for a second."""
+        """End the publisher first. End the readers when they have all items, or get no item for a second."""
         progress, work = self._assignment.progress, self._assignment.work
         progress.stop_publishing()
         publisher = [] if work.is_operation else [self._accept(self._members[0][1])]

@@ -141,7 +141,7 @@ class Connection(Mailboxes, RealClock, Reference):
 
         If the channel exists, the call compares only the arguments that you state with its policy. A contradiction
         raises ChannelExists. Defaults: max_age "10s" if you state no limit at all, max_bytes 256 MiB, on_full
-        "drop_oldest", max_future "1s". `consumers`: an item may leave once this number of consumers has consumed it.
+        "drop_oldest", max_future "1s". `consumers`: an item may leave when this number of consumers has consumed it.
         `max_age_unconsumed` replaces max_age for items that a live consumer has still to consume (see
         `Channel.consume`): such items leave at this age. `overlap`: for this time after an item's own time, later items
         do not end its span. `archive`, such as "7d" or "forever", and `archive_bytes`, such as "200GiB", record the
@@ -251,9 +251,9 @@ class Connection(Mailboxes, RealClock, Reference):
         """Return one item of `reference`, and the items of every other channel at that item.
 
         The item of `reference` is the last of its items whose span holds `at`. `over` says which items of `others` the
-        answer has: with "start" those whose span holds the time of the reference's item, with "span" those whose span
-        shares an instant with the span of the reference's item. If `reference` has no such item, `section.time` is
-        None, and the answer has only the reference.
+        answer has: with "start" the items whose span holds the time of the reference's item, with "span" the items
+        whose span shares an instant with the span of the reference's item. If `reference` has no such item,
+        `section.time` is None, and the answer has only the reference.
 
         `timeout` in seconds bounds the whole call: 0 answers at once, None waits without a limit. The call waits for
         the first item of each channel, or with `complete` until no more items of `others` can come. `as_of` as in

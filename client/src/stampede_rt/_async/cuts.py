@@ -53,7 +53,7 @@ class CutSubscription(BoundToProcess):
 
     One host decides when an event is due. The other hosts then send their items up to the same cut. After the loss of a
     host, and after a change of the members, the subscription continues after the last event. Each step blocks until
-    the next event. A step raises GroupNotFound once the group is deleted, IncarnationLost if the group began anew
+    the next event. A step raises GroupNotFound when the group is deleted, IncarnationLost if the group began anew
     (because all its hosts restarted or were lost, together or one after another), and Unavailable if the client could
     not reach the hosts for the duration `reconnect`.
     """
@@ -73,7 +73,7 @@ class CutSubscription(BoundToProcess):
         self._max_wait_nanos = max_wait_nanos
         self._lateness_nanos = lateness_nanos
         self._payloads = payloads
-        self._streams: list[_HostStream] = []  # the first stream is that of the deciding host
+        self._streams: list[_HostStream] = []  # the first stream goes to the deciding host
         self._opening_streams: list[_HostStream] = []  # streams that the client is opening
         self._steps = StepLock()  # callers that step at the same time take turns
         self._cursor: group_pb.CutCursor | None = None  # where the next event begins; None before the first opening

@@ -35,7 +35,7 @@ class EndpointPool:
         self.closed = False
 
     def to(self, target: str) -> ServerEndpoint:
-        """Return the endpoint to `target`. Raises Unavailable once the pool is closed."""
+        """Return the endpoint to `target`. Raises Unavailable when the pool is closed."""
         self.check_process()
         with self._mutex:
             if self.closed:
@@ -63,7 +63,7 @@ class EndpointPool:
         self._event_loop.check()
 
     def check_thread(self) -> None:
-        """Raise WrongEventLoop on another thread than the one that runs the connection's event loop."""
+        """Raise WrongEventLoop unless this thread runs the connection's event loop."""
         if not self.inherited:  # in a forked child nothing runs that loop
             self._event_loop.check_thread()
 
@@ -77,7 +77,7 @@ class EndpointPool:
     async def aclose(self) -> None:
         """End all calls and streams, and wait for their end.
 
-        If `aclose` is interrupted while it waits, the calls and streams end all the same.
+        If `aclose` is interrupted while it waits, the calls and streams end nevertheless.
         """
         with self._mutex:
             self.closed = True

@@ -80,7 +80,7 @@ class GroupMembers(Reference):
         if self._create and begun_anew:
             reference = [one for one in self.channels if one.info.channel_id == self.info.reference_id]
             self.forget_bindings()
-            await self.targets()  # opens the members by their names, so that their ids are those of the new directory
+            await self.targets()  # opens the members by their names, so that they have the ids of the new directory
             spec = group_spec(
                 [one.info.channel_id for one in self.channels],
                 reference[0].info.channel_id if reference else None,

@@ -42,7 +42,7 @@ class Listener(BackgroundStart, BoundToProcess):
         self._function = function
         self._subscription = subscribe(False)
         self._dropped_before = self._skipped_before = self._reconnects_before = 0  # sums of earlier subscriptions
-        self._holds = Signal()  # is set once the subscription is open, or once the listener has ended
+        self._holds = Signal()  # is set when the subscription is open, or when the listener has ended
         self._cancelled = False
         self.active = True
         self.delivered = self.failures = self._incarnations_lost = self._losses_before = 0

@@ -32,7 +32,7 @@ class MatchSubscription(BoundToProcess):
     """An iterator over `Matched` items (see `Group.match`), and a context manager. `close` ends the iteration.
 
     The host sends ahead as much as the reader takes in a tenth of a second, and at most 2 MiB. After the loss of a host
-    the subscription continues by itself. Each step blocks until the next match. A step raises GroupNotFound once the
+    the subscription continues by itself. Each step blocks until the next match. A step raises GroupNotFound when the
     group is deleted, IncarnationLost if the group began anew (because all its hosts restarted or were lost, together or
     one after another), and Unavailable if the client could not reach the host of `per` for the duration `reconnect`.
 

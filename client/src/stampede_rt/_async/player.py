@@ -56,7 +56,7 @@ class Player(BackgroundStart, BoundToProcess):
         self._done_share = 0.0
         self._stop = Signal()
         self._stopped = False
-        self._holds = Signal()  # is set once the channels are open and take the items, or once the replay has ended
+        self._holds = Signal()  # is set when the channels are open and take the items, or when the replay has ended
         self._ended = Signal()
         self.active = True
         self.summary: ReplaySummary | None = None

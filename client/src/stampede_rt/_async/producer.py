@@ -102,7 +102,7 @@ class Producer(BoundToProcess):
         are unacknowledged. The call also blocks while the producer opens a stream.
 
         `timeout` in seconds is the longest wait, by default 10; None waits without a limit, as a channel with
-        on_full="block" may need. The other arguments are those of `Channel.put`. If a put raises or is cancelled, the
+        on_full="block" may need. The other arguments are as in `Channel.put`. If a put raises or is cancelled, the
         producer does not send its item. Raises DeadlineExceeded after the timeout, InvalidArgument, ItemTooLarge,
         CodecError; Unavailable if the host cannot be reached for 10 s. A signal handler may put, too. If it interrupts
         another put and there is no room, it gets DeadlineExceeded at once.
@@ -338,7 +338,7 @@ def _interrupting(doing: str) -> DeadlineExceeded:
 
 
 def _weakly(method: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:
-    """Wrap `method` so that it does not keep its object alive. The wrapper does nothing once the object is gone."""
+    """Wrap `method` so that it does not keep its object alive. The wrapper does nothing when the object is gone."""
     reference = WeakMethod(method)
 
     async def call(*arguments: Any) -> None:

@@ -112,7 +112,7 @@ class Reader(Reference):
         within: Literal["memory"] | None = None,
         as_of: InstantLike | None = None,
     ) -> Items:
-        """Return the items in an interval, by default those whose span shares an instant with it.
+        """Return the items in an interval, by default the items whose span shares an instant with it.
 
         `bounds`: "[]", "[)", "(]" or "()". `match`: "span", "whole" (the whole span lies in the interval) or "start"
         (the item's time lies in it). `limit` keeps the earliest items, or with `newest_first` the latest. With `after`,
@@ -125,8 +125,8 @@ class Reader(Reference):
         can answer, the owner does. `staleness_nanos` of the answer says how old its state may be. `within="memory"`
         reads only the items that the host has in memory, and never waits for the archive of a recorded channel.
 
-        `as_of` is a past instant. The answer is the one that the host of a recorded channel would have given then: with
-        the items that it had accepted by then and that its archive still holds. Do not combine it with a timeout.
+        `as_of` is a past instant. The answer is as the host of a recorded channel would have given it at that instant:
+        with the items that it had accepted by then and that its archive still holds. Do not combine it with a timeout.
         Raises InvalidInterval, InvalidArgument, IncarnationLost, Unavailable.
         """
         interval = parse_interval(start, end, bounds)
@@ -324,7 +324,7 @@ class Reader(Reference):
     ) -> Listener:
         """Call `fn` for each item, one call after the other, until `cancel` of the returned handle.
 
-        The other arguments are those of `subscribe`. `fn` runs in a thread or task of the library. The handle logs and
+        The other arguments are as in `subscribe`. `fn` runs in a thread or task of the library. The handle logs and
         counts an exception of `fn`, and calls `fn` with the next item. Items wait at the host while `fn` runs;
         `dropped` counts the items that retention collects meanwhile. If the host is lost with its items, the handle
         logs and counts the loss, and continues with the channel's new incarnation. After an outage the handle continues

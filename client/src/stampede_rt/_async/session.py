@@ -78,7 +78,7 @@ class Session:
         self._binding_locks = KeyedLock()
         self.here: HostHere | None = None  # the channel host in this process, which belongs to this connection
         self.closing = False  # from the beginning of `aclose` on
-        self.closed = False  # once `aclose` has ended all tasks
+        self.closed = False  # True after `aclose` has ended all tasks
         self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # the connection as a consumer
         self.consumer_places: dict[bytes, SessionTask] = {}  # by channel id; see `consuming`
         self._attached: dict[SessionTask, None] = {}  # in the order of `attach`
@@ -133,7 +133,7 @@ class Session:
         self.endpoints.check_process()
 
     def check_thread(self) -> None:
-        """Raise WrongEventLoop on another thread than the one that runs the connection's event loop."""
+        """Raise WrongEventLoop unless this thread runs the connection's event loop."""
         self.endpoints.check_thread()
 
     def check(self) -> None:

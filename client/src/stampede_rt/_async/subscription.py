@@ -46,7 +46,7 @@ class Subscription(BoundToProcess):
     `skipped` counts items that mode "newest" left out. `dropped` counts items that retention collected before a slow
     reader took them. `losses` counts the gaps of lost items: the channel's host was lost and its successor, a replica,
     may have lacked the latest items, or the archive of the channel lacks items. The subscription continues, and logs a
-    warning. `close` ends the iteration. A step raises ChannelNotFound once the channel is deleted, Unavailable if the
+    warning. `close` ends the iteration. A step raises ChannelNotFound when the channel is deleted, Unavailable if the
     client could not reach the host for the duration `reconnect`, and IncarnationLost if the channel's host was lost
     with its items. After IncarnationLost subscribe again to read the new incarnation.
     """

@@ -23,7 +23,7 @@ class VirtualClock:
     async def reach(self, instant: int) -> None:
         """Wait until the clock is at `instant`. Returns at once if it is already there.
 
-        Raises Unavailable once the replay or its connection is closed.
+        Raises Unavailable when the replay or its connection is closed.
         """
         while True:
             moved = self._moved

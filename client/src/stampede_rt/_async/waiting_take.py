@@ -12,7 +12,7 @@ class WaitingTake:
 
     def __init__(self) -> None:
         self.come = Signal()  # is set together with `message` or `error`
-        self.asked = Signal()  # is set once the taker has asked the host for a message for this caller
+        self.asked = Signal()  # is set when the taker has asked the host for a message for this caller
         self.leaving = False  # the caller's time is over; it only takes a message that is already on the way
         self.message: Message | None = None
         self.error: StampedeError | None = None

@@ -21,8 +21,8 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
     """An iterator over `Matched` items (see `Group.match`), and a context manager. The iteration ends with the last
     match.
 
-    `unmatched` and `dropped` count as those of a `MatchSubscription` do. `reason` says why matches may be missing, or
-    differ from the matches of that time: COLLECTED or LOST, if the archive of a member has dropped or lost items. None:
+    `unmatched` and `dropped` count as in a `MatchSubscription`. `reason` says why matches may be missing, or differ
+    from the matches of that time: COLLECTED or LOST, if the archive of a member has dropped or lost items. None:
     nothing is missing. A step raises Overloaded if too many items wait for a match.
     """
 

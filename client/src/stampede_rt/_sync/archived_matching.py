@@ -115,7 +115,7 @@ class ArchivedMember:
 class ArchivedMatching:
     """Finds the matches of a group's items as of `as_of`, which the caller may move forward.
 
-    `unmatched` and `dropped` count as those of a live subscription do.
+    `unmatched` and `dropped` count as in a live subscription.
     """
 
     def __init__(

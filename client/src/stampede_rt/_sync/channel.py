@@ -116,7 +116,7 @@ class Channel(Reader):
 
         Returns the number of items that this consumer had not consumed before.
 
-        An item leaves the channel once all consumers have consumed it and all older items. Until then every reader sees
+        An item leaves the channel when all consumers have consumed it and all older items. Until then every reader sees
         the item. The consumer is this connection: all handles of the channel in this connection count as one consumer.
         The first call takes one of the channel's consumer places. `consume([])` takes a place and consumes nothing. The
         library keeps the place until the connection is closed. A process that dies loses its place within 10 s. The

@@ -135,9 +135,9 @@ class Group(Reference):
     ) -> ByChannel[Channel, Items]:
         """Return for each member the items in an interval.
 
-        The client reads all members at one cut, even if several hosts own them. The arguments are those of
-        `Channel.get`. A meta-time stands for each channel's own instant: NEWEST is the time of the channel's own newest
-        item. The answer maps each member to its Items.
+        The client reads all members at one cut, even if several hosts own them. The arguments are as in `Channel.get`.
+        A meta-time stands for each channel's own instant: NEWEST is the time of the channel's own newest item. The
+        answer maps each member to its Items.
 
         With `as_of` the answer uses the cut of that instant. All members must be recorded, and the caller must have the
         right to read all members that decide the cut. If the archives no longer have the facts for that cut, the reason

@@ -157,7 +157,7 @@ class Message(BoundToProcess):
 
     @property
     def lease_left(self) -> float:
-        """The seconds for which the message is leased to this taker; 0 once the lease has ended."""
+        """The seconds for which the message is leased to this taker; 0 when the lease has ended."""
         return max(0.0, self._lease_ends_s - monotonic_s())
 
     def ack(self) -> None:
@@ -169,7 +169,7 @@ class Message(BoundToProcess):
         self._settle(queue_pb2.Settlement(acknowledge=queue_pb2.Acknowledge()))
 
     def nack(self, delay: DurationLike | None = None) -> None:
-        """Give the message back to its place in the queue. Any taker may get the message once `delay` has passed.
+        """Give the message back to its place in the queue. Any taker may get the message when `delay` has passed.
 
         The host delivers later messages meanwhile. Blocks for at most 10 s. Raises LeaseExpired, Unavailable.
         """

@@ -77,7 +77,7 @@ class PrefetchBuffer:
                 self._extend(kept)
 
     def _wait_s(self) -> float | None:
-        """Return the seconds until the next lease is due. None once the buffer is empty: `_keep` ends then."""
+        """Return the seconds until the next lease is due. None when the buffer is empty: `_keep` ends then."""
         with self._mutex:
             self._changed.clear()
             if not self._waiting:

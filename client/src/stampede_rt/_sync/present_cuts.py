@@ -25,7 +25,7 @@ def present_cut(group: GroupMembers) -> int:
 
 
 def confirm_members(group: GroupMembers, member: Channel) -> None:
-    """Ask the host of a member whether the members and settings of the group are still those that this process knows.
+    """Ask the host of a member whether the group still has the members and settings that this process knows.
 
     If not, ask the directory for the present ones. Raises GroupNotFound, ChannelNotFound, Unavailable.
     """

@@ -66,7 +66,7 @@ class PutStreams:
         self._mutex = Mutex()
 
     def handle(self, owner: object) -> int:
-        """Return the id of a new handle. The handle's streams close once the program no longer references `owner`."""
+        """Return the id of a new handle. The handle's streams close when the program no longer references `owner`."""
         handle_id = next(_handle_ids)
         when_dropped(owner, partial(self._let_go, handle_id))
         return handle_id
@@ -142,7 +142,7 @@ class _PutUnderWay:
     __slots__ = ("_arguments", "_begun", "_streams")
 
     def __init__(self, streams: PutStreams, *arguments: Any) -> None:
-        """`arguments`: those of `PutStreams.begin`."""
+        """`arguments`: the arguments of `PutStreams.begin`."""
         self._streams, self._arguments = streams, arguments
 
     def __enter__(self) -> PutExchange:

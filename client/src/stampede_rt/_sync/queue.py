@@ -59,7 +59,7 @@ class MessageTaking:
 
     @property
     def name(self) -> str:
-        """The name of the queue. The name of a mailbox is that of its peer."""
+        """The name of the queue. A mailbox has the name of its peer."""
         return self._state.name
 
     @property
@@ -122,7 +122,7 @@ class MessageTaking:
 
     @property
     def connected(self) -> bool:
-        """Whether the loop over this handle reaches the host, as last known. False once the handle is closed."""
+        """Whether the loop over this handle reaches the host, as last known. False when the handle is closed."""
         return self._reconnecting.connected and not self._taker.closed
 
     def stats(self) -> QueueStats:

@@ -53,7 +53,7 @@ class Reconnecting:
     def open(self, open_once: Callable[[float], None]) -> None:
         """Call `open_once` with the seconds that it may take, until it succeeds or someone calls `stop`.
 
-        Raises an error that no further try can cure. Raises the last error once the break is longer than `reconnect`.
+        Raises an error that no further try can cure. Raises the last error when the break is longer than `reconnect`.
         """
         if not self._held:
             open_once(CALL_TIMEOUT_S)

@@ -68,7 +68,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         self._watches: list[Watch] = []
         self._ending = False
         self._stop = Signal()
-        self._holds = Signal()  # is set once all present channels are recorded, or once the recording has ended
+        self._holds = Signal()  # is set when all present channels are recorded, or when the recording has ended
         self._ended = Signal()
         self.active = True
         self.summary: RecordingSummary | None = None
@@ -168,7 +168,7 @@ class Recorder(BackgroundStart, BoundToProcess):
             raise self._sink.error
 
     def _watch(self, glob: str, *, later: bool) -> Watch:
-        """Watch for channels, and record those that exist."""
+        """Watch for channels, and record the existing ones."""
         watch = Watch(self._session, glob, None)
         self._watches.append(watch)
         watch.__enter__()

@@ -61,7 +61,7 @@ class Taker:
         self._credit = 0  # how many messages the host may still send
         self._draining = False  # whether the taker has asked the host to end the stream
         self._opened = Signal()  # is set while the stream is open, and while no stream is wanted
-        self._drained = Signal()  # is set once the present stream has ended; each stream has its own signal
+        self._drained = Signal()  # is set when the present stream has ended; each stream has its own signal
         self._incarnation = 0  # of the queue
         self._worker: BackgroundTask | None = None  # opens streams and receives messages while messages are wanted
         self.closed = False
@@ -142,7 +142,7 @@ class Taker:
     def _drain(self, timeout_s: float) -> None:
         """End the stream if the host has credit for unwanted messages, and wait for its end.
 
-        The waiting callers, also those that are leaving, get the messages that come meanwhile.
+        The waiting callers, also callers that are leaving, get the messages that come meanwhile.
         """
         if self._worker is None:
             return
@@ -307,7 +307,7 @@ class Taker:
             )  # fmt: skip
 
     def let_go(self) -> None:
-        """End without blocking. Python calls this once the program no longer references the handle."""
+        """End without blocking. Python calls this when the program no longer references the handle."""
         self.closed = True
         if self._session.inherited:
             return

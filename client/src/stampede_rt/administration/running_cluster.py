@@ -251,8 +251,8 @@ def reached(
 ) -> Iterator[Cluster]:
     """Yield the cluster whose front-ends are at `frontend`, or whose supernodes are at `member`. Raises StampedeError.
 
-    If both are None, the front-ends are those of `$STAMPEDE_URL`. If `secret` or `tls` is None, the caller has the
-    secret or the certificate that `connect` would have.
+    If both are None, the front-ends come from `$STAMPEDE_URL`. If `secret` or `tls` is None, the caller has the secret
+    or the certificate that `connect` would have.
     """
     target = parse_target(
         member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=secret, zone=None, tls=tls
@@ -286,8 +286,7 @@ def _same_cluster(endpoints: EndpointPool, members: Sequence[str]) -> list[str]:
             own = endpoints.metadata.cluster_id
             if own and pong.cluster_id not in ("", own):
                 raise WrongCluster(
-                    f"the supernodes {told} and {address} are of different clusters, {own} and {pong.cluster_id}; name "
-                    "those of one cluster",
+                    f"the supernodes {told} and {address} are of different clusters, {own} and {pong.cluster_id}; name supernodes of one cluster",
                     metadata={"cluster_id": pong.cluster_id},
                 )
             endpoints.metadata.cluster_id = own or pong.cluster_id

@@ -18,7 +18,7 @@ SHA256_BYTES = 32
 def write_backup(responses: Iterator[pb.TakeSnapshotResponse], out: Path) -> pb.TakeSnapshotResponse:
     """Write the backup in `responses` to `out`. Only the user who owns the file can read it.
 
-    Returns the first response, which describes the backup. If `out` exists, the function replaces it once the new file
+    Returns the first response, which describes the backup. If `out` exists, the function replaces it when the new file
     is complete and on the disk. Raises OSError, StampedeError for a damaged backup, and the errors of `responses`.
     """
     if out.exists() and not out.is_file():

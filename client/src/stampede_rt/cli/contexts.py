@@ -141,9 +141,9 @@ def context_applied(environ: MutableMapping[str, str], *, has_url: bool) -> Iter
     """Put the fields of the chosen context into the environment of this process, for the duration of the block.
 
     `$STAMPEDE_CONTEXT` names the context of one command. Its fields override other variables. Without
-    `$STAMPEDE_CONTEXT` the context is that of `stampede context use`, and variables of the environment override its
-    fields. A command that states an address (`has_url`, or `$STAMPEDE_URL`) uses no context, so that no cluster gets
-    the secret of another cluster. Raises InvalidArgument if there is no context of that name.
+    `$STAMPEDE_CONTEXT` the function takes the context of `stampede context use`, and variables of the environment
+    override its fields. A command that states an address (`has_url`, or `$STAMPEDE_URL`) uses no context, so that no
+    cluster gets the secret of another cluster. Raises InvalidArgument if there is no context of that name.
     """
     before = {variable: environ.get(variable) for variable in VARIABLES.values()}
     for variable, value in _chosen(environ, has_url).items():

@@ -253,7 +253,7 @@ def _denials(seen: Sequence[Observation]) -> Iterator[CheckResult]:
 def _versions(seen: Sequence[Observation], own_version: str) -> Iterator[CheckResult]:
     who: dict[str, list[str]] = {own_version: [CALLER]}
     for one in seen:
-        if one.version and one.kind != PEER:  # the version of a peer may be that of any program
+        if one.version and one.kind != PEER:  # a peer may state the version of any program
             who.setdefault(one.version, []).append(one.part)
     advice = ""
     if len(who) > 1:

@@ -17,7 +17,7 @@ def add_verbs(subparsers: Any) -> None:
 
 
 def run_hosts(arguments: argparse.Namespace) -> int:
-    """List the hosts of the directory, also those whose leases have ended."""
+    """List the hosts of the directory, also hosts whose leases have ended."""
     with connected(arguments) as rt:
         hosts = rt.hosts(include_dead=True)
     people = arguments.output == "table"

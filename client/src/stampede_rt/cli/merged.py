@@ -109,7 +109,7 @@ class _Stream:
             self._changed.notify_all()
 
     def follow(self) -> None:
-        """Read the matching channels, also those that are created later. Runs on a thread of its own."""
+        """Read the matching channels, also channels that are created later. Runs on a thread of its own."""
         start = self._start
         try:
             while not self._is_over:

@@ -49,7 +49,7 @@ def add_pending(parser: argparse.ArgumentParser) -> None:
 def payload_of(arguments: argparse.Namespace) -> bytes:
     """Return the payload to send. Raises InvalidArgument if standard input is too long for one message."""
     if arguments.payload is not None:
-        return os.fsencode(arguments.payload)  # the very bytes of the command line, even if they are no UTF-8
+        return os.fsencode(arguments.payload)  # exactly the bytes of the command line, even if they are no UTF-8
     return read_all(
         PAYLOAD_BYTES_MAX,
         f"standard input has more than {PAYLOAD_BYTES_MAX} bytes, the greatest size of one item or message; split it",

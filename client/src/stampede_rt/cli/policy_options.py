@@ -49,7 +49,7 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-items", type=int, metavar="N", help="keep at most N items")
     parser.add_argument("--max-bytes", type=int, metavar="N", help="keep at most N bytes")
     parser.add_argument(
-        "--consumers", type=int, metavar="N", help="an item may leave once N consumers have consumed it"
+        "--consumers", type=int, metavar="N", help="an item may leave when N consumers have consumed it"
     )
     parser.add_argument(
         "--max-age-unconsumed",

@@ -58,7 +58,7 @@ def _samples(channel: Channel, every_s: float, count: int | None) -> Iterator[tu
 
 
 def run_hz(arguments: argparse.Namespace) -> int:
-    """Print the rates of one channel in lines, or those of all channels that match a glob in tables."""
+    """Print the rates of one channel in lines, or the rates of all channels that match a glob in tables."""
     name = arguments.channel
     with connected(arguments) as rt:
         if not is_glob(name):

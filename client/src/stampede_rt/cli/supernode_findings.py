@@ -10,7 +10,7 @@ STORE_ADVICE = (
     "start it with its latest data folder, or, if that is lost, remove it (stampede supernode remove) and "
     "let it join under a new id (runbook: replace one)"
 )
-# These words are in a text from a supernode whose state is not that of most members.
+# These words are in a text from a supernode whose state differs from the state of most members.
 DIVERGED = "differs from that of most members"
 # These words are in a text about a supernode whose state is not the leader's. The state of most members is unknown.
 DOUBTFUL = "differs from that of the leader"

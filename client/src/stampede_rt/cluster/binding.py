@@ -25,7 +25,7 @@ class Binding:
 class Owner:
     """The host that owns a channel or queue, with the epoch of the channel or queue there.
 
-    `incarnation` is that of a queue. For a channel it is 0, and the channel's binding has the incarnation.
+    `incarnation` is the incarnation of a queue. For a channel it is 0, and the channel's binding has the incarnation.
     """
 
     host_id: bytes

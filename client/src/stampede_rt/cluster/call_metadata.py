@@ -10,7 +10,7 @@ from stampede_rt.security.credentials import call_metadata
 
 
 class CallMetadata:
-    """The metadata of the calls of one connection: its present secret, the id of its cluster once the id is known,
+    """The metadata of the calls of one connection: its present secret, the id of its cluster when the id is known,
     and the trace to which a call belongs.
 
     All endpoints of the connection share this object.

@@ -88,7 +88,7 @@ def leader_hint(error: StampedeError) -> str:
 
 
 def frontend_timeout_s(left_s: float, frontends: int) -> float:
-    """Return the seconds to wait for one front-end, if `frontends` of them are still to be asked within `left_s`."""
+    """Return the seconds to wait for one front-end, if the caller must ask `frontends` more of them within `left_s`."""
     return max(left_s / frontends, FRONTEND_TIMEOUT_S_MIN)
 
 

@@ -93,7 +93,7 @@ class RunHere(NamedTuple):
 
 
 class AnswerHere(NamedTuple):
-    """The answer to a read at the host of this process. The fields are those of `Items`."""
+    """The answer to a read at the host of this process. The fields are as in `Items`."""
 
     runs: Sequence[RunHere]
     interval: ResolvedInterval | None

@@ -171,7 +171,7 @@ class ItemFacts(NamedTuple):
 
 @dataclass(slots=True)
 class ReadFacts:
-    """The facts of one chunk, as read. `of` gives those of the next message of a topic."""
+    """The facts of one chunk, as read. `of` gives the facts of the next message of a topic."""
 
     gaps: list[RecordingGap] = field(default_factory=list)
     advances: list[FileAdvance] = field(default_factory=list)

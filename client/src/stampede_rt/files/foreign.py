@@ -106,7 +106,7 @@ class RosbagSource:
 class XdfSource:
     """An XDF file (LabRecorder). Each sample is an item: a JSON list with the value of each of the stream's channels.
 
-    Times are those of the recording computer's clock, as `pyxdf` corrects them: seconds since its start, not since the
+    Times come from the recording computer's clock, as `pyxdf` corrects them: seconds since its start, not since the
     epoch. Values that JSON has no number for become null.
     """
 

@@ -35,7 +35,7 @@ RECORD_BYTES_MAX = 256 * 1024 * 1024
 """The largest record that is read, and the largest chunk after decompression. A larger one counts as damage."""
 CHUNK_RECORDS_MAX = 2**20
 """The most records of one chunk. A chunk with more counts as damage: a few kilobytes may unpack to millions of records,
-each of which takes hundreds of bytes of memory.
+and each record takes hundreds of bytes of memory.
 """
 _FRAME = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")

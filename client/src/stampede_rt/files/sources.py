@@ -70,7 +70,7 @@ class McapSource:
         self._reader.__exit__()
 
     def topics(self) -> Sequence[SourceTopic]:
-        """The topics that have messages, by name. Their times are those of the chunks that have them."""
+        """The topics that have messages, by name. Their times are the times of their chunks."""
         found: dict[str, SourceTopic] = {}
         for number, topic in self._index.topics.items():
             chunks = [one for one in self._chunks if number in one.message_index_offsets]

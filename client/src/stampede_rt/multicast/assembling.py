@@ -13,7 +13,7 @@ _Key = tuple[MessageKind, int, int, int]
 
 
 class Assembler:
-    """The messages of which some parts have come. Above `bytes_max` it gives up the message that it has known longest.
+    """The incomplete messages. Above `bytes_max` it gives up the message that it has known longest.
 
     `kept_bytes`: the memory of the parts. `repeated`: the parts that came twice. `given_up`: the messages given up.
     """

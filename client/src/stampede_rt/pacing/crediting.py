@@ -28,7 +28,7 @@ class CreditWindow:
         self._window = 1
         self._open = 0  # bytes that are granted and not yet taken; negative if an item was larger than the grant
         self._last_bytes = 1  # the size of the last item that the reader took
-        self._taken_s: float | None = None  # when the reader took it; None once `ask` has used this time
+        self._taken_s: float | None = None  # when the reader took it; None when `ask` has used this time
 
     def begin(self) -> None:
         """Begin a new stream. The reader has granted nothing on it yet."""

@@ -9,7 +9,7 @@ from stampede_rt.ring.ring_view import RingView, Slot
 
 
 class FoundNewest(NamedTuple):
-    """The newest item: the last one of the run `body`, or a plain item of which `body` is the payload.
+    """The newest item: the last item of the run `body`, or a plain item with the payload `body`.
 
     `is_plain`: the run has this item only, without labels.
     """

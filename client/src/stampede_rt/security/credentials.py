@@ -18,7 +18,7 @@ logger = logging.getLogger(__name__)
 
 
 def secret_file() -> Path:
-    """Return the path of the secret: the one in `$STAMPEDE_SECRET_FILE`, or the path of the user's own secret file.
+    """Return the path of the secret: the path in `$STAMPEDE_SECRET_FILE`, or the path of the user's own secret file.
 
     The latter is `stampede/secret` below `$XDG_CONFIG_HOME`, or below `~/.config`.
     """

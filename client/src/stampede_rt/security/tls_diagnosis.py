@@ -86,7 +86,7 @@ def _try_tls(connection: socket.socket, host: str, target: str, tls: TlsReader) 
 
 
 def _context(tls: TlsReader) -> ssl.SSLContext:
-    """Return a TLS context like that of a gRPC client."""
+    """Return a TLS context like the context of a gRPC client."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     ca, certificate, key = tls.files.paths()
     context.load_verify_locations(cafile=ca)

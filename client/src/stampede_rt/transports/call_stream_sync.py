@@ -29,7 +29,7 @@ class StreamEndpoint(Protocol):
     is_stuck: bool
 
     def begin_bidi(self, method: BidiMethod, *, in_turn: bool, reads_on: bool) -> Any:
-        """Begin the call of a stream in both directions. Raises Unavailable once the endpoint is closed."""
+        """Begin the call of a stream in both directions. Raises Unavailable when the endpoint is closed."""
 
     def opened(self, stream: CallStream) -> None:
         """Keep a weak reference to the stream, and end it when the endpoint closes."""

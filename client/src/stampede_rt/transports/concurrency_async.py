@@ -174,7 +174,7 @@ class EventLoopCheck:
             )
 
     def check_thread(self) -> None:
-        """Raise WrongEventLoop on another thread than the one that runs the loop at present.
+        """Raise WrongEventLoop unless this thread runs the loop at present.
 
         asyncio does not notice such a call, and may continue without noticing the changes of that call.
         """
@@ -211,7 +211,7 @@ class BackgroundTask:
 
 
 def when_dropped(owner: object, operation: Callable[[], Awaitable[None]]) -> None:
-    """Run `operation` on this loop once no code references `owner`. `operation` itself must not reference `owner`.
+    """Run `operation` on this loop when no code references `owner`. `operation` itself must not reference `owner`.
 
     Python may delete `owner` on any thread, while that thread holds any lock. This is why `operation` runs on the loop.
     If the loop has ended before, `operation` does not run.

@@ -50,8 +50,8 @@ def live_thread_ids() -> set[int | None]:
 def wait_in_parts(wait: Callable[[float | None], bool], timeout_s: float | None) -> bool:
     """Call `wait` until it returns True, for at most `timeout_s`. Returns the last value that `wait` returned.
 
-    Only the main thread runs handlers of signals, such as that of Ctrl-C, and it runs none inside a wait for a lock.
-    The system ends that wait for a signal, but not if the signal comes just before the wait begins, or at another
+    Only the main thread runs handlers of signals, such as the handler of Ctrl-C, and it runs none inside a wait for a
+    lock. The system ends that wait for a signal, but not if the signal comes just before the wait begins, or at another
     thread. Therefore the main thread waits for LOOK_S at a time.
     """
     if threading.current_thread() is not threading.main_thread():
@@ -279,7 +279,7 @@ os.register_at_fork(after_in_child=_after_fork)
 
 
 def when_dropped(owner: object, operation: Callable[[], object]) -> None:
-    """Run `operation` on a thread of the library once no code references `owner`.
+    """Run `operation` on a thread of the library when no code references `owner`.
 
     `operation` itself must not reference `owner`.
     """

@@ -139,7 +139,7 @@ class ServerEndpoint(Stubs):
         return PutDuplex(self._begin_bidi(self._put), self.target, self._tasks, self.route, on_response, on_end)
 
     def _begin_bidi(self, method: BidiMethod) -> Any:
-        """Begin the call of a stream in both directions. Raises Unavailable once this endpoint is closed."""
+        """Begin the call of a stream in both directions. Raises Unavailable when this endpoint is closed."""
         if not self.route.may_lead:
             return self._begin(method)
         if self._is_closed:
@@ -184,7 +184,7 @@ class ServerEndpoint(Stubs):
         return endpoints
 
     def _begin(self, method: Callable[..., Any], *request: Any) -> Any:
-        """Begin the call of a stream. Raises Unavailable once this endpoint is closed."""
+        """Begin the call of a stream. Raises Unavailable when this endpoint is closed."""
         try:
             return method(*request, metadata=self._metadata())
         except grpc.aio.UsageError as error:

@@ -101,7 +101,7 @@ class ServerEndpoint(Stubs):
         return ServerStream(self.begin(method, request), self.target, self._watchdog)
 
     def begin(self, method: Callable[..., Any], requests: Any) -> Any:
-        """Begin the call of a stream. Raises Unavailable once this endpoint is closed."""
+        """Begin the call of a stream. Raises Unavailable when this endpoint is closed."""
         try:
             return method(requests, metadata=self._metadata())
         except ValueError as error:
@@ -110,7 +110,7 @@ class ServerEndpoint(Stubs):
     def begin_bidi(
         self, method: BidiMethod, *, in_turn: bool = False, reads_on: bool = False
     ) -> GrpcCall | SingleThreadCall | SocketCall:
-        """Begin the call of a stream in both directions. Raises Unavailable once this endpoint is closed.
+        """Begin the call of a stream in both directions. Raises Unavailable when this endpoint is closed.
 
         `in_turn`: see `SocketCall`. `reads_on`: see `SingleThreadCall`.
         """
@@ -251,8 +251,8 @@ class PutExchange(LockstepStream):
     def put(self, request: bytes, timeout_s: float | None, *, stays: bool = False) -> channel_pb.PutAck:
         """Send the run in `request`, and return its ack. `timeout_s` and the errors are as in `GetExchange.get`.
 
-        `stays` is for the stream on asyncio. An interrupt ends this stream in any case, because its next answer would
-        be that of the interrupted put.
+        `stays` is for the stream on asyncio. An interrupt ends this stream in any case, because the next answer would
+        belong to the interrupted put.
         """
         with self._limit(timeout_s) as limit:
             self._call.send(request)

@@ -31,7 +31,7 @@ class SocketCall(asyncio.BufferedProtocol):
     """A stream with the methods of a call of grpc.aio. It is the protocol of its connection."""
 
     def __init__(self, method: BidiMethod, opening: bytes, tls: TlsLayer | None = None) -> None:
-        """Send the encoded opening once connected. `tls`: the TLS of the connection, after its handshake."""
+        """Send the encoded opening when connected. `tls`: the TLS of the connection, after its handshake."""
         self._method, self._tls = method, tls
         self._opening = opening
         self._transport: Any = None

@@ -207,7 +207,7 @@ class ReadLimit:
     def __init__(self) -> None:
         self.ends_s = inf
         self.overdue: list[bool] = []
-        """Has an entry once the time was over. The stream is cancelled then."""
+        """Gets an entry when the time is over. The stream is then cancelled."""
 
     def __enter__(self) -> list[bool]:
         return self.overdue

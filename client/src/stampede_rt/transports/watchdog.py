@@ -38,7 +38,7 @@ class Watchdog:
     def limit(self, timeout_s: float | None, on_overdue: Callable[[], object]) -> Iterator[list[bool]]:
         """Call `on_overdue`, on another thread, if the `with` block lasts longer than `timeout_s`.
 
-        None: the block may last for ever. Yields a list, which is empty at first, and has an entry once the block has
+        None: the block may last for ever. Yields a list, which is empty at first, and has an entry when the block has
         lasted longer than `timeout_s`.
         """
         overdue: list[bool] = []

@@ -108,9 +108,9 @@ class ChannelServiceServicer(object):
 
     def ShareMemory(self, request_iterator, context):
         """Get the newest part of a channel as memory that the caller and the host share. Only over Unix sockets
-        (TRANSPORT_SHARED_MEMORY), and only with the Python client: the layout is that of `stampede_rt.ring`, and is not
-        part of this contract. The host answers the only request with one response, and passes the file of the memory
-        with it (SCM_RIGHTS). The stream stays open while the memory follows the channel. When it ends, the caller must stop
+        (TRANSPORT_SHARED_MEMORY), and only with the Python client: `stampede_rt.ring` defines the layout, which is not
+        part of this contract. The host answers the only request with one response, and passes the file of the memory with
+        it (SCM_RIGHTS). The stream stays open while the memory follows the channel. When it ends, the caller must stop
         reading the memory. Errors: INVALID_ARGUMENT (also over gRPC), PERMISSION_DENIED, OVERLOADED (no memory is left for
         this), WRONG_EPOCH, NOT_HERE, MOVED.
         """

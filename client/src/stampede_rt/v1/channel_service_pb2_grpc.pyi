@@ -53,9 +53,9 @@ class ChannelServiceStub:
     """
     ShareMemory: _grpc.StreamStreamMultiCallable[_channel_service_pb2.ShareMemoryRequest, _channel_service_pb2.ShareMemoryResponse]
     """Get the newest part of a channel as memory that the caller and the host share. Only over Unix sockets
-    (TRANSPORT_SHARED_MEMORY), and only with the Python client: the layout is that of `stampede_rt.ring`, and is not
-    part of this contract. The host answers the only request with one response, and passes the file of the memory
-    with it (SCM_RIGHTS). The stream stays open while the memory follows the channel. When it ends, the caller must stop
+    (TRANSPORT_SHARED_MEMORY), and only with the Python client: `stampede_rt.ring` defines the layout, which is not
+    part of this contract. The host answers the only request with one response, and passes the file of the memory with
+    it (SCM_RIGHTS). The stream stays open while the memory follows the channel. When it ends, the caller must stop
     reading the memory. Errors: INVALID_ARGUMENT (also over gRPC), PERMISSION_DENIED, OVERLOADED (no memory is left for
     this), WRONG_EPOCH, NOT_HERE, MOVED.
     """
@@ -98,9 +98,9 @@ class ChannelServiceAsyncStub(ChannelServiceStub):
     """
     ShareMemory: _aio.StreamStreamMultiCallable[_channel_service_pb2.ShareMemoryRequest, _channel_service_pb2.ShareMemoryResponse]  # type: ignore[assignment]
     """Get the newest part of a channel as memory that the caller and the host share. Only over Unix sockets
-    (TRANSPORT_SHARED_MEMORY), and only with the Python client: the layout is that of `stampede_rt.ring`, and is not
-    part of this contract. The host answers the only request with one response, and passes the file of the memory
-    with it (SCM_RIGHTS). The stream stays open while the memory follows the channel. When it ends, the caller must stop
+    (TRANSPORT_SHARED_MEMORY), and only with the Python client: `stampede_rt.ring` defines the layout, which is not
+    part of this contract. The host answers the only request with one response, and passes the file of the memory with
+    it (SCM_RIGHTS). The stream stays open while the memory follows the channel. When it ends, the caller must stop
     reading the memory. Errors: INVALID_ARGUMENT (also over gRPC), PERMISSION_DENIED, OVERLOADED (no memory is left for
     this), WRONG_EPOCH, NOT_HERE, MOVED.
     """
@@ -164,9 +164,9 @@ class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_channel_service_pb2.ShareMemoryResponse], _abc.AsyncIterator[_channel_service_pb2.ShareMemoryResponse]]:
         """Get the newest part of a channel as memory that the caller and the host share. Only over Unix sockets
-        (TRANSPORT_SHARED_MEMORY), and only with the Python client: the layout is that of `stampede_rt.ring`, and is not
-        part of this contract. The host answers the only request with one response, and passes the file of the memory
-        with it (SCM_RIGHTS). The stream stays open while the memory follows the channel. When it ends, the caller must stop
+        (TRANSPORT_SHARED_MEMORY), and only with the Python client: `stampede_rt.ring` defines the layout, which is not
+        part of this contract. The host answers the only request with one response, and passes the file of the memory with
+        it (SCM_RIGHTS). The stream stays open while the memory follows the channel. When it ends, the caller must stop
         reading the memory. Errors: INVALID_ARGUMENT (also over gRPC), PERMISSION_DENIED, OVERLOADED (no memory is left for
         this), WRONG_EPOCH, NOT_HERE, MOVED.
         """

@@ -73,7 +73,7 @@ class MembershipServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def AddSupernode(self, request, context):
-        """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
+        """Add the calling supernode as a member. It counts for majorities when it has caught up with the log; until then the
         call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
         ended, or is of another cluster), INVALID_ARGUMENT (a former member had the id), OVERLOADED (another change is
         under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
@@ -93,11 +93,11 @@ class MembershipServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def TakeSnapshot(self, request, context):
-        """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
-        first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
-        further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
-        snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots), DEADLINE_EXCEEDED (the
-        work continues).
+        """Make the called supernode write a snapshot of its replica now, in addition to the snapshots that it writes by
+        itself. The first response describes the snapshot; it has all fields except `data`. With include_data the backup
+        follows in further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode
+        uses that snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots),
+        DEADLINE_EXCEEDED (the work continues).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -41,7 +41,7 @@ class MembershipServiceStub:
     not founded yet).
     """
     AddSupernode: _grpc.UnaryUnaryMultiCallable[_membership_service_pb2.AddSupernodeRequest, _membership_service_pb2.AddSupernodeResponse]
-    """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
+    """Add the calling supernode as a member. It counts for majorities when it has caught up with the log; until then the
     call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
     ended, or is of another cluster), INVALID_ARGUMENT (a former member had the id), OVERLOADED (another change is
     under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
@@ -53,11 +53,11 @@ class MembershipServiceStub:
     AMBIGUOUS.
     """
     TakeSnapshot: _grpc.UnaryStreamMultiCallable[_membership_service_pb2.TakeSnapshotRequest, _membership_service_pb2.TakeSnapshotResponse]
-    """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
-    first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
-    further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
-    snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots), DEADLINE_EXCEEDED (the
-    work continues).
+    """Make the called supernode write a snapshot of its replica now, in addition to the snapshots that it writes by
+    itself. The first response describes the snapshot; it has all fields except `data`. With include_data the backup
+    follows in further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode
+    uses that snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots),
+    DEADLINE_EXCEEDED (the work continues).
     """
 
 @_typing.type_check_only
@@ -73,7 +73,7 @@ class MembershipServiceAsyncStub(MembershipServiceStub):
     not founded yet).
     """
     AddSupernode: _aio.UnaryUnaryMultiCallable[_membership_service_pb2.AddSupernodeRequest, _membership_service_pb2.AddSupernodeResponse]  # type: ignore[assignment]
-    """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
+    """Add the calling supernode as a member. It counts for majorities when it has caught up with the log; until then the
     call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
     ended, or is of another cluster), INVALID_ARGUMENT (a former member had the id), OVERLOADED (another change is
     under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
@@ -85,11 +85,11 @@ class MembershipServiceAsyncStub(MembershipServiceStub):
     AMBIGUOUS.
     """
     TakeSnapshot: _aio.UnaryStreamMultiCallable[_membership_service_pb2.TakeSnapshotRequest, _membership_service_pb2.TakeSnapshotResponse]  # type: ignore[assignment]
-    """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
-    first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
-    further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
-    snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots), DEADLINE_EXCEEDED (the
-    work continues).
+    """Make the called supernode write a snapshot of its replica now, in addition to the snapshots that it writes by
+    itself. The first response describes the snapshot; it has all fields except `data`. With include_data the backup
+    follows in further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode
+    uses that snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots),
+    DEADLINE_EXCEEDED (the work continues).
     """
 
 class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -114,7 +114,7 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _membership_service_pb2.AddSupernodeRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_membership_service_pb2.AddSupernodeResponse, _abc.Awaitable[_membership_service_pb2.AddSupernodeResponse]]:
-        """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
+        """Add the calling supernode as a member. It counts for majorities when it has caught up with the log; until then the
         call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
         ended, or is of another cluster), INVALID_ARGUMENT (a former member had the id), OVERLOADED (another change is
         under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work continues), AMBIGUOUS (repeat, or call ListSupernodes).
@@ -138,11 +138,11 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _membership_service_pb2.TakeSnapshotRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_membership_service_pb2.TakeSnapshotResponse], _abc.AsyncIterator[_membership_service_pb2.TakeSnapshotResponse]]:
-        """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
-        first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
-        further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
-        snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots), DEADLINE_EXCEEDED (the
-        work continues).
+        """Make the called supernode write a snapshot of its replica now, in addition to the snapshots that it writes by
+        itself. The first response describes the snapshot; it has all fields except `data`. With include_data the backup
+        follows in further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode
+        uses that snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots),
+        DEADLINE_EXCEEDED (the work continues).
         """
 
 def add_MembershipServiceServicer_to_server(servicer: MembershipServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -17,7 +17,7 @@ from stampede_rt.values.model import ABSENT, COLUMN_TYPES, Item, read_only
 class DecodedRun:
     """The columns of one run. Each has an entry for each item.
 
-    `durations` has -1 for no duration; None: no item has one. `attributes` and `content_type` are those of all items.
+    `durations` has -1 for no duration; None: no item has one. `attributes` and `content_type` belong to all items.
     `payloads` has the payloads one after the other; None: the items have none, or all of them are made. `next_time` is
     the time of the bucket after the run; None: it is the next run, or the run has the newest bucket.
 

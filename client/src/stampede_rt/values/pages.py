@@ -18,7 +18,7 @@ class Pages:
 
     @property
     def rest(self) -> ReadQuery:
-        """The query of the next page: the items after those of the earlier pages, as many as the limit leaves.
+        """The query of the next page: the items after the items of the earlier pages, as many as the limit leaves.
 
         Through a group it reads at the cut of the first page.
         """

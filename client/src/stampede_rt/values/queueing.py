@@ -138,10 +138,11 @@ class PendingMessage:
 class DeadLetterOrigin:
     """The queue that a dead letter left, and how its last delivery there ended.
 
-    `queue` is the name of that queue, or empty for a mailbox. `seq` and `incarnation` are those of the message there.
-    `enqueued` is the time at which that queue accepted the message. `deliveries` counts the deliveries from that queue.
-    `ended` is "lease_expired", "given_back" or "terminated", or empty if unknown. `reason` is the text that the last
-    taker gave to `Message.term`. `taker` and `taker_id` name the last taker, as in PendingMessage.
+    `queue` is the name of that queue, or empty for a mailbox. `seq` and `incarnation` are the message's seq and
+    incarnation there. `enqueued` is the time at which that queue accepted the message. `deliveries` counts the
+    deliveries from that queue. `ended` is "lease_expired", "given_back" or "terminated", or empty if unknown. `reason`
+    is the text that the last taker gave to `Message.term`. `taker` and `taker_id` name the last taker, as in
+    PendingMessage.
     """
 
     queue: str

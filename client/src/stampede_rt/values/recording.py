@@ -74,8 +74,8 @@ class RecordedCounts:
     - `accepted` counts the items that the host accepted and that belong to the recording, `recorded` the items in the
       file, and `missing` the items that the gaps name. `gaps` has the first 1000 gaps. A gap whose number of items is
       not known counts as 0 in `missing`; even so, `complete` is then False.
-    - `first_seq` and `last_seq` are those of the recorded items, `start` and `end` their least and greatest time. None
-      without items. `advance` is the channel's last advance in the recording.
+    - `first_seq` and `last_seq` are the seqs of the first and last recorded item, `start` and `end` their least and
+      greatest time. None without items. `advance` is the channel's last advance in the recording.
     """
 
     channel: str

@@ -24,9 +24,9 @@ class PlainRun(NamedTuple):
 
 
 def plain_run_parts(payload: bytes, time: int | None, duration: int | None) -> list[bytes]:
-    """Return the bytes of such a run in pieces, of which the last one is the payload.
+    """Return the bytes of such a run in pieces.
 
-    They equal those of protobuf. None leaves a column out.
+    The last piece is the payload. Protobuf would make the same bytes. None leaves a column out.
     """
     head = _LENGTHS.pack(_LENGTHS_TAG, 4, len(payload), _PAYLOADS_TAG) + encode_varint(len(payload))
     if duration is not None:

@@ -98,8 +98,8 @@ class DeliveredMessage:
 def deliveries_of(leased: queue_pb2.LeasedRun, content_type: str) -> Iterator[DeliveredMessage]:
     """Yield the deliveries of a leased run, one for each message.
 
-    `content_type` is that of the queue. A run without a content type gets it. Raises StampedeError if the columns
-    disagree.
+    `content_type` is the content type of the queue. A run without a content type gets it. Raises StampedeError if the
+    columns disagree.
     """
     run = leased.run
     items = check_delivered(run, payloads=True)

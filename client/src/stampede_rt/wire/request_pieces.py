@@ -25,7 +25,7 @@ _FRAMING_BYTES_MAX = 32  # the tags and lengths of a piece
 def messages_of(request: Any, message_bytes_max: int = MESSAGE_BYTES_MAX) -> Iterator[Any]:
     """Yield the messages that carry a request: the request, or the pieces of a large encoded one.
 
-    A list has the bytes of an encoded request in parts. A request that gRPC has still to encode is small.
+    A list has the bytes of an encoded request in parts. A request that gRPC must still encode is small.
     """
     if isinstance(request, list):
         request = b"".join(request)

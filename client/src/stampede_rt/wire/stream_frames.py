@@ -92,7 +92,7 @@ class FrameReader:
         return self._wanted_bytes - self.unfinished_bytes if self._partial else 0
 
     def place(self, short: memoryview) -> memoryview:
-        """Return where to write the next bytes: `short`, or the room of a frame of which more is missing.
+        """Return where to write the next bytes: `short`, or the room of an unfinished frame.
 
         Then call `take`.
         """

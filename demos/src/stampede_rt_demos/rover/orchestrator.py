@@ -27,7 +27,7 @@ END_SECONDS = 120.0
 """The longest time from the last frame's due time to the end of all roles. A busy machine puts and matches late."""
 LEAD_NANOS = 600_000_000
 CONSUMERS = {"depth": "stereo", "planner": "rover"}
-"""The consumers, and the demo to which each belongs: the depth consumer is that of the stereo demo, unchanged."""
+"""The consumers, and the demo to which each belongs: the depth consumer is part of the stereo demo, unchanged."""
 
 
 def conduct(seconds: int, progress: Progress) -> RoverReport:

@@ -10,7 +10,7 @@ from PIL import Image
 
 
 def encode_jpeg(image: Image.Image, quality: int) -> bytes:
-    """Return the image as JPEG. `quality` is that of Pillow, 1 to 95."""
+    """Return the image as JPEG. `quality` is as in Pillow, 1 to 95."""
     encoded = io.BytesIO()
     image.save(encoded, "JPEG", quality=quality)
     return encoded.getvalue()

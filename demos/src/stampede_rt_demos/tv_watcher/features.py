@@ -40,7 +40,7 @@ class MotionMeter:
     def measure(self, luma: NDArray[np.uint8]) -> Motion:
         """Return the motion in `luma` (height x width, 0 to 255). The first frame has none, and begins no scene.
 
-        Raises ValueError if the shape differs from that of the frame before.
+        Raises ValueError if the shape differs from the shape of the frame before.
         """
         frame = luma.astype(np.float32) / 255.0
         before, self._before = self._before, frame

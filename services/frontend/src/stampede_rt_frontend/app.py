@@ -38,7 +38,7 @@ async def serve(settings: FrontendSettings) -> None:
         async with serving_metrics(settings.metrics_address(), "frontend", server, metrics.collect):
             await server.start()
             await server.set_serving(True)
-            # Printed once `run` handles stop signals, because a process that waits for this line may then send one.
+            # Printed when `run` handles stop signals, because a process that waits for this line may then send one.
             asyncio.get_running_loop().call_soon(announce, f"stampede frontend ready on {address}")
             await server.run()
 

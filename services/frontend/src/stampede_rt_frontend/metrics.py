@@ -1,4 +1,4 @@
-"""The metrics of a front-end, besides those that every service has."""
+"""The metrics of a front-end, without the metrics that every service has."""
 
 from __future__ import annotations
 

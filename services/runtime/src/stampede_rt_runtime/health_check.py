@@ -4,7 +4,7 @@ With `--live` it asks whether the process answers at all. A host without its lea
 alive, and not ready.
 
 Used by the health checks of containers, which have no other client of the standard gRPC health service. That service
-needs no secret. With certificates, this program uses those of the service beside it: $STAMPEDE_HOST_TLS_CA,
+needs no secret. With certificates, this program uses the certificates of the service beside it: $STAMPEDE_HOST_TLS_CA,
 ..._CERTIFICATE and ..._KEY name them, or the same variables with FRONTEND or SUPERNODE for HOST.
 """
 

@@ -54,7 +54,7 @@ class Limits:
     reconnect_millis_max: int = 1_000
 
     def rpcs_max(self) -> int:
-        """gRPC's own limit: the served calls, and those that are being refused."""
+        """gRPC's own limit: the served calls, and the calls that the server is refusing."""
         return self.concurrent_rpcs_max + self.reserved_rpcs_max + self.refusals_max
 
     def server_options(self) -> list[Option]:

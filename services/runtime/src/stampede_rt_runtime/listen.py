@@ -1,7 +1,7 @@
 """Checks whether a service may listen at an address, and whether the port is free. Runs before gRPC binds the port.
 
-If a name has several addresses, gRPC binds those that it can, and does not report the others. If another process held a
-port on 127.0.0.1, gRPC would serve only on ::1. So this module tries all addresses first.
+If a name has several addresses, gRPC binds the addresses that it can bind, and does not report the others. If another
+process held a port on 127.0.0.1, gRPC would serve only on ::1. So this module tries all addresses first.
 """
 
 from __future__ import annotations

@@ -212,7 +212,7 @@ def help_of(cls: type[S], *, service: str, argv: Sequence[str]) -> str | None:
 
 
 def _known(cls: type[S], service: str) -> list[_Setting]:
-    """The settings in the order of the help: the service's own, then those of all services."""
+    """The settings in the order of the help: the service's own, then the settings of all services."""
     hints = get_type_hints(cls)
     own = vars(cls).get("__annotations__", {})
     fields = sorted(dataclasses.fields(cls), key=lambda one: one.name not in own)

@@ -36,7 +36,8 @@ def tracing_interceptors() -> list[grpc.aio.ServerInterceptor]:
 
 
 class TracingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Makes a span for each call, as a child of the caller's span. Stands after those that check the caller."""
+    """Makes a span for each call, as a child of the caller's span. Comes after the interceptors that check the
+    caller."""
 
     async def intercept_service(
         self,

@@ -84,7 +84,7 @@ ANYONE = Caller(kind=CallerKind.NOBODY, roles=ALL_ROLES, name="@anyone")
 
 
 def by_secret(*, of_cluster: bool) -> Caller:
-    """The caller that brings the cluster's secret, or that of its clients."""
+    """The caller that brings the cluster's secret, or the clients' secret."""
     if of_cluster:
         return Caller(kind=CallerKind.CLUSTER_SECRET, roles=ALL_ROLES, name="@cluster")
     return Caller(kind=CallerKind.CLIENT_SECRET, roles=frozenset({Role.CLIENT}), name="@clients")

@@ -62,6 +62,6 @@ def of_server(server: ServiceServer, service: str, lag: LoopLag) -> list[AnyFami
 
 
 def of_clocks(clocks: Mapping[str, ClockOffset]) -> Iterable[Family]:
-    """The comparisons of this service's clock with those of supernodes, by supernode."""
+    """The comparisons of this service's clock with the clocks of supernodes, by supernode."""
     yield CLOCK_OFFSET.family([((peer,), one.offset_nanos / 1e9) for peer, one in clocks.items()])
     yield CLOCK_UNCERTAINTY.family([((peer,), one.uncertainty_nanos / 1e9) for peer, one in clocks.items()])

@@ -86,7 +86,7 @@ class HangupWatcher:
             self._epoll.unregister(number)
 
     def close(self) -> None:
-        """Stop watching all sockets, and close those whose peers have gone."""
+        """Stop watching all sockets, and close the sockets whose peers have gone."""
         if self._epoll is not None:
             asyncio.get_running_loop().remove_reader(self._epoll.fileno())
             self._epoll.close()

@@ -67,8 +67,8 @@ class SocketServer:
     """The RPCs with streams in both directions, each over a socket of its own.
 
     Order of use, on the event loop that serves: make it, register servicers as on a grpc.aio.Server, `listen_locally`
-    and `listen_over_tcp`, `stop`. `interceptors` are those of the gRPC server, so that both count and limit calls
-    together.
+    and `listen_over_tcp`, `stop`. `interceptors` are the interceptors of the gRPC server, so that both servers count
+    and limit calls together.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""A stream over a socket of its own. Its limits are those of a stream of the gRPC server."""
+"""A stream over a socket of its own. It has the limits of a stream of the gRPC server."""
 
 from __future__ import annotations
 
@@ -234,7 +234,7 @@ class StreamSocket(asyncio.BufferedProtocol):
             self._transport.write(frame[sent_bytes:])
 
     def end(self, status: bytes) -> None:
-        """Write the status, and close the connection once the peer has read it. Only the first status counts."""
+        """Write the status, and close the connection when the peer has read it. Only the first status counts."""
         if self.is_over:
             return
         self.is_over = True

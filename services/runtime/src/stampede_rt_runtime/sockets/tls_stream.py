@@ -23,7 +23,7 @@ PAUSE_SECONDS = 0.003
 class HandshakeSteps:
     """Takes the steps of all handshakes of a service, one of each machine in turn.
 
-    So a machine with hundreds of handshakes delays that of another machine by one step only.
+    So a machine with hundreds of handshakes delays a handshake of another machine by only one step.
     """
 
     def __init__(self) -> None:
@@ -113,7 +113,7 @@ class TlsStream(asyncio.BufferedProtocol):
         self._stream.connection_lost(error)
         del self._stream, self._tls
 
-    # --- the stream calls these methods, those of a transport
+    # --- the stream calls these methods of a transport
 
     def write(self, data: bytes) -> None:
         """Encrypt and send."""
