@@ -286,7 +286,8 @@ def _same_cluster(endpoints: EndpointPool, members: Sequence[str]) -> list[str]:
             own = endpoints.metadata.cluster_id
             if own and pong.cluster_id not in ("", own):
                 raise WrongCluster(
-                    f"the supernodes {told} and {address} are of different clusters, {own} and {pong.cluster_id}; name supernodes of one cluster",
+                    f"the supernodes {told} and {address} are of different clusters, {own} and {pong.cluster_id}; "
+                    "name supernodes of one cluster",
                     metadata={"cluster_id": pong.cluster_id},
                 )
             endpoints.metadata.cluster_id = own or pong.cluster_id

@@ -39,8 +39,8 @@ def opened(connections: object) -> None:
     global _opened_ever
     if _refused:
         raise ForkedProcess(
-            f"this process was forked from a process that was already connected, and gRPC does not work in the "
-            f"child: {_WAY_OUT}"
+            "this process was forked from a process that was already connected, and gRPC does not work in the child: "
+            f"{_WAY_OUT}"
         )
     _opened_ever = True
     _open.add(connections)
