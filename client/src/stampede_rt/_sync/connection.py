@@ -287,15 +287,14 @@ class Connection(Mailboxes, RealClock, Reference):
     ) -> Queue:
         """Get or create a queue (paper, section 3.5).
 
-        If the queue exists, the call compares only the arguments that you state with its policy. A contradiction raises
-        QueueExists. Defaults: max_bytes 256 MiB, on_full "block" (or "reject", "drop_oldest"), lease "30s", copies 1.
-        `copies`: this number of distinct takers get each message. `max_deliveries`: a message leaves the queue after
-        this number of deliveries without an acknowledgement. `dead_letter`: the handle or name of the queue to which
-        such a message goes, and each message that a taker gives up. `replicas` (0 to 4), with `ack="replica"`: copies
-        at other hosts, which get each put, delivery and acknowledgement before the caller gets its answer. One of them
-        becomes the owner if the owner is lost. With fewer than `min_replicas` (default 1) in sync the queue pauses.
-        `host` names the host of a new queue. If the queue does not exist and `create` is False, the call raises
-        QueueNotFound.
+        If the queue exists, the call compares the stated arguments with its policy. A contradiction raises QueueExists.
+        Defaults: max_bytes 256 MiB, on_full "block" (or "reject", "drop_oldest"), lease "30s", copies 1. `copies`: this
+        number of distinct takers get each message. `max_deliveries`: a message leaves the queue after this number of
+        deliveries without an acknowledgement. `dead_letter`: the handle or name of the queue to which such a message
+        goes, and each message that a taker gives up. `replicas` (0 to 4), with `ack="replica"`: copies at other hosts,
+        which get each put, delivery and acknowledgement before the caller's answer. One of them becomes the owner if
+        the owner is lost. With fewer than `min_replicas` (default 1) in sync the queue pauses. `host` names the host of
+        a new queue. If the queue does not exist and `create` is False, the call raises QueueNotFound.
 
         `prefetch` belongs to the handle. With 1 the handle takes a message only when a caller waits for it. With a
         greater number the handle takes up to this number of messages ahead, and extends the leases of these messages
