@@ -140,9 +140,10 @@ class Owner:
     def now(self) -> int:
         return self.host.clock
 
-    async def put(self, *times: int) -> None:
+    async def put(self, *times: int, at: int | None = None) -> None:
+        """Accept items with these times, each when its time has come, or `at`. Then write them."""
         for time in times:
-            self.host.clock = max(self.host.clock + 1, time)
+            self.host.clock = max(self.host.clock + 1, time) if at is None else at
             offer = Offer(times=[time], durations=None, lengths=[7])
             self.hosted.core.put(offer, self.now(), lambda seq, kept, stamped, time=time: b"%d:%d" % (seq, time))
             self.hosted.changed(self.now())

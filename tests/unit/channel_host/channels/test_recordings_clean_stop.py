@@ -31,11 +31,11 @@ def stops(store: FakeStore) -> list[str]:
     return [name for name in store.objects if name.endswith(".stopped")]
 
 
-async def owner(path: Path, store: SegmentStore, epoch: int) -> Owner:
+async def owner(path: Path, store: SegmentStore, epoch: int, **policy: int) -> Owner:
     """The owner of the channel in this epoch. Call `stop` or `kill`."""
     one = Host(path, store)
     one.clock = (epoch - 1) * SINCE
-    return await Owner(one, epoch).serve()
+    return await Owner(one, epoch).serve(**policy)
 
 
 async def stop(one: Owner) -> None:
@@ -130,6 +130,46 @@ async def test_an_owner_that_could_not_reach_the_store_at_first_learns_of_the_cl
     await second.find()
     answer = await second.read(all_up_to(SINCE + 1))
     assert (answer.reason, await second.times(ALL)) == (None, [*times, SINCE + 1])
+    await stop(second)
+
+
+@pytest.mark.asyncio
+async def test_an_owner_that_learns_of_the_stop_later_says_lost_if_an_object_is_missing(tmp_path: Path) -> None:
+    """An earlier version believed the stop, although the objects that it speaks of were not there."""
+    store = FakeStore()
+    first = await owner(tmp_path / "a", store, 1)
+    await first.put(1, 2)
+    await stop(first)
+    for name in [one for one in store.objects if one.endswith(".segment")]:
+        del store.objects[name]
+    store.failure = "away"
+    second = await owner(tmp_path / "b", store, 2)
+    await second.put(SINCE + 1)
+    store.failure = ""
+    await second.find()
+    assert (await second.read(all_up_to(2))).reason == "LOST"
+    await stop(second)
+
+
+@pytest.mark.parametrize("is_away", [False, True])
+@pytest.mark.asyncio
+async def test_after_an_item_in_the_future_the_next_owner_says_lost_from_the_last_acceptance_on(
+    tmp_path: Path, is_away: bool
+) -> None:
+    """An earlier version said LOST only for reads beyond the time of that item."""
+    store = FakeStore()
+    first = await owner(tmp_path / "a", store, 1, max_future_nanos=10**6)
+    await first.put(1, 2)
+    await first.put(500_000, at=3)
+    first.host.clock += 61 * 10**9
+    await first.find()
+    kill(first)
+    store.failure = "away" if is_away else ""
+    second = await owner(tmp_path / "b", store, 2)
+    store.failure = ""
+    await second.find()
+    assert (await second.read(Query(interval=Interval(Bound(None, 4), Bound(None, 5))))).reason == "LOST"
+    assert (await second.read(Query(interval=Interval(Bound(None, 0), Bound(None, 1))))).reason is None
     await stop(second)
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
+from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.recorder import span_of
 from stampede_rt_channel_host.archive.segment_files import OpenedArchive
-from stampede_rt_channel_host.core.archive import ArchiveWindow
+from stampede_rt_channel_host.core.archive import ArchiveWindow, Segment
 from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Run, Slice, make_run
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
@@ -33,24 +34,45 @@ def restore_channel(
         runs,
         after=after,
         next_seq=end_seq if stop is None else max(end_seq, stop.end_seq),
-        loss=_loss(channel, found, end_seq),
+        loss=_loss(channel, found, window, end_seq),
         advance=stop.advance if stop is not None and stop.incarnation == channel.incarnation else None,
     )
 
 
-def _loss(channel: ChannelCore, found: OpenedArchive, end_seq: int) -> tuple[int | None, int | None]:
+def _loss(
+    channel: ChannelCore, found: OpenedArchive, window: ArchiveWindow, end_seq: int
+) -> tuple[int | None, int | None]:
     """From which instant on, and before which, items may be lost (see `Reading`). `end_seq`: of the segments."""
-    stop, newest = found.stop, span_of(found.segments).newest
-    if stop is None:
-        return newest, channel.lost_before
+    since = _lost_since(found.segments, window)
+    return (since, channel.lost_before) if found.stop is None else loss_after(found.stop, since, end_seq)
+
+
+def loss_after(stop: CleanStop, since: int | None, end_seq: int) -> tuple[int | None, int | None]:
+    """As `_loss`, if the last owner stopped cleanly. `since`: from which instant on items behind `end_seq` may lie."""
     if stop.newest is None or end_seq >= stop.end_seq:
         return stop.lost_from, stop.lost_before
-    if stop.lost_before is None:  # the head of the last block is damaged
-        return newest, stop.newest + 1
+    if stop.lost_before is None:  # the last block is damaged, or the last object is missing
+        return since, stop.newest + 1
     lost_before = max(stop.lost_before, stop.newest + 1)
-    if newest is None or stop.lost_from is None:
+    if since is None or stop.lost_from is None:
         return None, lost_before
-    return min(newest, stop.lost_from), lost_before
+    return min(since, stop.lost_from), lost_before
+
+
+def lost_since(segments: Sequence[Segment]) -> int | None:
+    """From which instant on the items behind these segments may lie; None: any.
+
+    The newest item may have a time in the future. Then the items behind it have the time of their acceptance.
+    """
+    newest = span_of((*segments,)).newest
+    return None if newest is None else min(newest, max(one.last_accepted for one in segments))
+
+
+def _lost_since(segments: Sequence[Segment], window: ArchiveWindow) -> int | None:
+    """As `lost_since`. `window`: the newest items. The latest one that has no time in the future tells more."""
+    since = lost_since(segments)
+    earlier = None if since is None else window.items.last_time_up_to(since)
+    return since if earlier is None else earlier
 
 
 def _left_to_archive(window: ArchiveWindow) -> int | None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from stampede_rt.errors import Unavailable
 from stampede_rt.values.timeline import Match, MetaTime, ResolvedInterval
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
 from stampede_rt_channel_host.archive.segment_files import OpenedArchive
-from stampede_rt_channel_host.core.archive import reaches, resolved_now
+from stampede_rt_channel_host.channels.restored_channel import loss_after, lost_since
+from stampede_rt_channel_host.core.archive import Segment, reaches, resolved_now
 from stampede_rt_channel_host.core.archive.recorded_items import earliest
 from stampede_rt_channel_host.core.archive.seq_starts import start_of
 from stampede_rt_channel_host.core.channel import ChannelCore, Query
@@ -115,9 +118,8 @@ class UnknownPast:
         """Whether the host knows all items now. Then memory has left the earlier ones to the archive."""
         if not (self._is_listed and self.is_fresh):
             return self._is_listed
-        edge = span_of(tuple(one for one in recorder.segments if one.end_seq <= self._first_seq)).newest
-        stop = self._stop
-        loss = (edge, self._begun) if stop is None else (stop.lost_from, stop.lost_before)
+        former = tuple(one for one in recorder.segments if one.end_seq <= self._first_seq)
+        edge, loss, stop = span_of(former).newest, self._loss(former), self._stop
         if edge is not None and self._newest is not None:
             edge = max(edge, self._newest)
         if edge is None:
@@ -125,3 +127,14 @@ class UnknownPast:
                 self._channel.take_losses(self._channel.losses._replace(before=loss[1], since=loss[0]))
             return True
         return self._channel.leave_to_archive(edge, loss, now)
+
+    def _loss(self, former: Sequence[Segment]) -> tuple[int | None, int | None]:
+        """From which instant on, and before which, items of the former owners may be lost."""
+        stop, since = self._stop, lost_since(former)
+        if stop is None:
+            return since, self._begun
+        end_seq = max((one.end_seq for one in former), default=1)
+        lost_from, lost_before = loss_after(stop, since, end_seq)
+        if lost_from is None and self._newest is not None:  # a stop of this host, which did not know the former items
+            lost_from = since
+        return lost_from, lost_before
