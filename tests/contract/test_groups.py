@@ -345,7 +345,7 @@ async def test_a_cut_event_waits_for_items_that_are_no_later_than_its_lateness(s
         assert brought["late"] == []
 
 
-async def test_the_status_names_the_member_that_holds_the_cut(surface: Surface) -> None:
+async def test_the_status_names_the_member_that_holds_the_cut_back(surface: Surface) -> None:
     group, left, right, base = await in_step(surface)
     await left.put(b"l", time=base)
     waiting = await group.status()

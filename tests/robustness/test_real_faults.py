@@ -135,7 +135,7 @@ def test_a_recovery_over_its_limit_breaks_the_promise_and_shows_in_the_report() 
     assert "Broken promises" in page
 
 
-def test_a_limit_missed_for_the_start_of_processes_alone_is_no_lost_service_and_is_reported() -> None:
+def test_a_limit_missed_only_because_processes_started_is_no_lost_service_and_is_reported() -> None:
     slow = outcome("kill -9 of all", 0, 9, 6.5, start_s=4.0)
     assert limits_broken([slow]) == []
     assert "kept, but for up to 4.0 s of waiting for the CPU (1 of 1)" in write_report(run(findings(slow)))

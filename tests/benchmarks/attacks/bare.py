@@ -29,7 +29,7 @@ from tests.support.processes import started
 
 FLOODS = ("unknown-fields", "repeated-fields", "resets", "health-watches", "many-streams", "single-calls")
 RUN_SECONDS_MAX = 180.0
-TRANSPORT = "grpc"  # of the good clients in all three trials
+TRANSPORT = "grpc"  # the transport of the good clients in all three trials
 SERVE = "serve"
 
 

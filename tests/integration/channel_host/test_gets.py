@@ -334,7 +334,7 @@ async def test_more_calls_than_a_stream_may_have_are_refused_one_by_one(rig: Rig
     exchange.call.cancel()
 
 
-async def test_a_call_id_may_be_used_again_once_its_call_is_over(rig: Rig) -> None:
+async def test_a_call_id_may_be_used_again_after_its_call_is_over(rig: Rig) -> None:
     channel, _ = await filled(rig)
     exchange = Exchange(rig)
     for _ in range(3):

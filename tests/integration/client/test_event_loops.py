@@ -109,7 +109,7 @@ async def test_a_call_that_ends_a_handle_is_refused_on_another_thread(cluster: L
                 await anext(things.subscription)
 
 
-def test_a_handle_can_be_ended_once_its_loop_has_ended(cluster: LocalCluster) -> None:
+def test_a_handle_can_be_ended_after_its_loop_has_ended(cluster: LocalCluster) -> None:
     async def opened() -> Any:
         rt = await aio.connect(cluster.address)
         channel = await rt.channel("loops/left")

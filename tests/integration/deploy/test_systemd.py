@@ -79,13 +79,13 @@ def test_systemd_waits_longer_for_the_end_than_the_service_takes(unit: Path) -> 
 
 
 @pytest.mark.parametrize("unit", UNITS, ids=service_of)
-def test_the_command_of_a_unit_is_one_that_the_service_takes(unit: Path, tmp_path: Path) -> None:
+def test_each_service_accepts_the_command_of_its_unit(unit: Path, tmp_path: Path) -> None:
     program, verb, *words = value(unit, "ExecStart").replace("${STATE_DIRECTORY}", str(tmp_path)).split()
     sample = ROOT / "deploy/settings" / f"{verb}.toml"
     assert Path(words[words.index("--config") + 1]).name == sample.name
     command = [str(INSTALLED / Path(program).name), verb, *words, "--config", str(sample), "--listen", "nowhere"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, check=False)
-    assert "--listen: 'nowhere' cannot be used" in done.stderr  # and it took all words before
+    assert "--listen: 'nowhere' cannot be used" in done.stderr  # so the service has accepted all words before this one
     assert done.returncode == EXIT_BAD_SETTINGS == int(value(unit, "RestartPreventExitStatus"))
 
 

@@ -116,7 +116,7 @@ def test_all_distributions_have_one_version_and_one_licence() -> None:
     assert {(member / "LICENSE").read_bytes() for member in MEMBERS} == {(ROOT / "LICENSE").read_bytes()}
 
 
-def test_the_client_alone_has_two_requirements_and_its_command_line_names_the_missing_extra(
+def test_the_client_without_extras_has_two_requirements_and_its_command_line_names_the_missing_extra(
     install: Callable[[str], Path], tmp_path: Path
 ) -> None:
     installed = install("stampede-rt")

@@ -114,7 +114,7 @@ async def test_a_blocked_get_ends_when_its_channel_leaves_the_group(host: Host) 
         await waiting
 
 
-async def test_a_blocked_get_ends_at_its_timeout_and_names_the_member_that_holds_the_cut(host: Host) -> None:
+async def test_a_blocked_get_ends_at_its_timeout_and_names_the_member_that_holds_the_cut_back(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     await left.put(t)
@@ -132,7 +132,7 @@ async def test_a_get_may_read_at_an_earlier_cut(host: Host) -> None:
     assert (times, summary.cut_unix_nano) == ([t], t + 1)
 
 
-async def test_a_read_is_hidden_until_the_cut_reaches_the_one_that_the_reader_has_seen(host: Host) -> None:
+async def test_a_read_is_hidden_until_the_cut_reaches_the_cut_that_the_reader_has_seen(host: Host) -> None:
     one, t = await host.open("one"), host.now() - S
     group = host.directory.add_group("alone", [one])
     await one.put(t, t + 1)
@@ -182,7 +182,7 @@ async def test_a_subscription_to_the_newest_never_shows_hidden_items(host: Host)
     assert await reading.take(1) == [t + 2]
 
 
-async def test_status_shows_the_member_that_holds_the_cut_each_position_and_the_hidden_items(host: Host) -> None:
+async def test_status_shows_the_member_that_holds_the_cut_back_each_position_and_the_hidden_items(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     await left.put(t, t + 2, t + 4)

@@ -185,7 +185,7 @@ async def test_a_host_that_regains_its_lease_sends_its_times_again(pair: Pair) -
     await pair.left.host.until_cut(pair.group, t + 10)
 
 
-async def test_a_lost_host_holds_the_cut_until_its_channel_has_another_owner(pair: Pair) -> None:
+async def test_a_lost_host_holds_the_cut_back_until_its_channel_has_another_owner(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t, t + 5)
     await pair.right.put(t + 3)
@@ -234,7 +234,7 @@ async def test_a_host_shows_no_item_before_it_knows_the_cuts_of_the_others(pair:
     await pair.left.host.until_cut(pair.group, t + 5)
 
 
-async def test_a_member_that_is_added_holds_the_cut_at_every_host(pair: Pair) -> None:
+async def test_a_member_that_is_added_holds_the_cut_back_at_every_host(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t, t + 5)
     await pair.right.put(t + 3)

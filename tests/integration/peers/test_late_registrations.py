@@ -77,7 +77,7 @@ async def resolve_host(process: Any) -> Any:
     ("enter", "find"),
     [pytest.param(register_peer, resolve_peer, id="peer"), pytest.param(register_host, resolve_host, id="host")],
 )
-async def test_late_requests_of_a_killed_process_change_nothing_once_its_successor_is_registered(
+async def test_late_requests_of_a_killed_process_change_nothing_after_its_successor_has_registered(
     enter: Ask, find: Callable[[Any], Awaitable[Any]]
 ) -> None:
     """In an earlier version, the directory performed the late request.

@@ -155,7 +155,7 @@ def denied(method: Any, request: Any, operator: Operator) -> str:
     return f"{caught.value.details()} {caught.value.trailing_metadata()}"
 
 
-def test_reading_a_group_needs_its_read_right_and_making_it_those_of_its_channels(
+def test_a_caller_needs_the_read_right_of_a_group_to_read_it_and_of_its_channels_to_create_it(
     cluster: LocalCluster, operator: Operator
 ) -> None:
     things(cluster)

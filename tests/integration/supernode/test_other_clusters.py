@@ -95,7 +95,7 @@ async def test_founders_with_different_lists_create_no_cluster_and_report_the_di
         await alone.close()
 
 
-async def test_the_members_of_a_listed_cluster_may_be_given_another_list_once_it_is_founded(tmp_path: Path) -> None:
+async def test_the_members_of_a_listed_cluster_may_be_given_another_list_after_it_is_founded(tmp_path: Path) -> None:
     async with running_cluster(tmp_path) as cluster:
         leader = await cluster.leader()
         await register(leader, 1)

@@ -69,7 +69,7 @@ async def risen(cluster: Cluster) -> None:
             return
 
 
-async def test_members_are_upgraded_one_by_one_and_the_new_command_works_once_all_know_it(
+async def test_members_are_upgraded_one_by_one_and_the_new_command_works_when_all_know_it(
     cluster: Cluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     first, second, third = cluster.supernodes

@@ -216,7 +216,7 @@ async def test_every_put_gets_an_answer_while_the_directory_is_away_for_long(
 
 
 @pytest.mark.parametrize("step", STEPS[AFTER_THE_COMMIT:AFTER_THE_REMOVAL])
-async def test_a_destination_that_was_stopped_for_longer_than_its_lease_makes_the_source_drop_nothing(
+async def test_a_source_drops_nothing_if_the_destination_was_stopped_for_longer_than_its_lease(
     step: str,
 ) -> None:
     def stop(world: World) -> None:
@@ -333,7 +333,7 @@ async def test_a_host_that_stops_takes_no_channels() -> None:
 
 
 @pytest.mark.parametrize("replica_at", [0, DESTINATION], ids=["plain", "with a replica at the destination"])
-async def test_a_client_that_asks_the_former_owner_before_it_knows_of_the_commit_makes_it_drop_nothing(
+async def test_a_former_owner_drops_nothing_if_a_client_asks_it_before_it_knows_of_the_commit(
     replica_at: int,
 ) -> None:
     scenario = Scenario(replica_at=replica_at)

@@ -129,7 +129,9 @@ async def test_no_put_is_acknowledged_while_former_owners_are_heirs() -> None:
     await several.check()
 
 
-async def test_a_move_that_its_source_has_ended_fails_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_move_that_its_source_has_ended_fails_and_the_other_moves_succeed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The entry of several moves has one whose epoch has changed meanwhile."""
     several = Several()
     commit_all: Any = SimulatedDirectory.commit_all

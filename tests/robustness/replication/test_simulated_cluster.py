@@ -446,7 +446,7 @@ def diverged(member: SimMember) -> bool:
 
 
 @pytest.mark.parametrize("size", [3, 5])
-def test_a_leader_whose_state_is_not_that_of_most_steps_down_and_the_others_go_on(size: int) -> None:
+def test_a_leader_steps_down_if_most_members_have_another_state_and_the_others_go_on(size: int) -> None:
     world = World(6, size=size, fault_rates=FaultRates(), snapshot_every=PRODUCTION)
     older, _ = with_older_member(world, leads=True)
     diverge(world, older)

@@ -178,7 +178,7 @@ def test_supernodes_of_another_cluster_are_left_out_even_if_no_own_one_answers()
     assert roster.known() == [one for one in roster.known() if not one.healthy]
 
 
-def test_a_successor_cluster_is_accepted_once_the_own_cluster_is_gone() -> None:
+def test_a_successor_cluster_is_accepted_when_the_own_cluster_is_gone() -> None:
     roster = SupernodeRoster(("s1:1", "s2:1"))
     roster.answered("s1:1", answer("s1"))
     assert not roster.answered("s2:1", answer("r", cluster="c2", former=("c1",)))

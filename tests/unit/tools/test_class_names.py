@@ -35,7 +35,7 @@ def test_a_listed_name_passes_until_a_third_class_takes_it(accepted: Accepted) -
     assert len(complaints({"Place": ["a.py", "b.py", "c.py"]}, accepted)) == 1
 
 
-def test_an_entry_must_go_once_its_name_has_one_meaning() -> None:
+def test_an_entry_must_go_when_its_name_has_one_meaning() -> None:
     for listed in (Accepted({"Place": 2}, {}), Accepted({}, {"Place": 2})):
         (line,) = complaints({}, listed)
         assert "delete its entry" in line

@@ -62,7 +62,7 @@ def records_of_services(source: ByteSource) -> None:
 
 
 class _Failed(Exception):
-    """As gRPC raises for a failed call."""
+    """An error as gRPC raises it for a failed call."""
 
     def __init__(self, code: Any, details: str | None, trailers: Any) -> None:
         self.code = lambda: code

@@ -131,7 +131,7 @@ async def test_reads_and_subscriptions_have_all_items_and_no_false_gap_when_the_
 
 
 @pytest.mark.asyncio
-async def test_an_item_with_an_early_time_is_read_from_the_archive_once_the_store_is_back(tmp_path: Path) -> None:
+async def test_an_item_with_an_early_time_is_read_from_the_archive_when_the_store_is_back(tmp_path: Path) -> None:
     store = FakeStore()
     await left(tmp_path / "a", store)
     store.failure = "away"
@@ -283,7 +283,7 @@ async def test_a_move_waits_for_the_store_because_the_new_owner_must_not_repeat_
 
 
 @pytest.mark.asyncio
-async def test_the_new_owner_gives_the_channel_away_only_once_it_knows_the_former_items(tmp_path: Path) -> None:
+async def test_the_new_owner_gives_the_channel_away_only_when_it_knows_the_former_items(tmp_path: Path) -> None:
     """In an earlier version, the third owner had the store, but its memory said that no earlier items existed."""
     store, other = FakeStore(), b"c" * 16
     await left(tmp_path / "a", store)

@@ -68,7 +68,7 @@ async def test_moves_that_begin_at_the_same_time_ask_for_their_owners_together()
         asking[1].result()
 
 
-async def test_a_lone_move_asks_for_its_owner_alone() -> None:
+async def test_a_single_move_asks_for_one_owner_only() -> None:
     directory = Directory()
     found: Any = await directory.owner_of(b"a")
     assert (found[0].channel_id, directory.asked) == (b"a", [[b"a"]])

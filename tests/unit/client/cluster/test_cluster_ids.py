@@ -47,7 +47,7 @@ def test_a_caller_stays_with_its_cluster_as_long_as_this_cluster_answers() -> No
     assert cluster_among("", [ClusterSeen(""), ClusterSeen("z")]) == "z"
 
 
-def test_a_call_names_the_callers_cluster_once_the_caller_knows_it() -> None:
+def test_a_call_names_the_callers_cluster_as_soon_as_the_caller_knows_it() -> None:
     metadata = CallMetadata(lambda: "s")
     assert metadata() == (("authorization", "Bearer s"),)
     metadata.cluster_id = "x"

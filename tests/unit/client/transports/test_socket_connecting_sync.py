@@ -80,7 +80,7 @@ async def test_a_host_that_greets_gets_the_stream(connect: Connect, listening: s
         assert timeout_millis == 0, "it would end the stream of a put that waits for room, although the host lives"
 
 
-async def test_a_port_without_a_greeting_delays_no_stream_and_is_used_once_it_greets(
+async def test_a_port_without_a_greeting_delays_no_stream_and_is_used_after_it_greets(
     listening: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(socket_connecting_sync, "HEAD_START_S", 0.01)

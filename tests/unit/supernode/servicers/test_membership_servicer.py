@@ -240,7 +240,7 @@ def test_a_founding_file_is_read_as_it_was_written_and_only_its_user_can_read_it
         check_unused(tmp_path / "a")
 
 
-def test_a_supernode_that_was_started_once_needs_its_store(tmp_path: Path) -> None:
+def test_a_supernode_that_was_started_before_needs_its_store(tmp_path: Path) -> None:
     write_founding(tmp_path, FOUNDING)
     assert FOUNDING.replication_settings(tmp_path).create
     assert not note_started(tmp_path, FOUNDING).replication_settings(tmp_path).create

@@ -288,7 +288,7 @@ def test_a_late_item_within_the_prolonged_window_is_accepted_and_an_older_one_is
     assert [one.error.reason for one in put(channel, CLOCK - 1500, durations=[0]).rejections] == ["TOO_OLD"]
 
 
-def test_a_future_interval_is_not_called_collected_once_the_last_item_was_consumed() -> None:
+def test_a_future_interval_is_not_called_collected_after_the_last_item_was_consumed() -> None:
     """In an earlier version, the frontier moved years ahead if max_items collected an item of long duration and another
     item had the same time.
     """

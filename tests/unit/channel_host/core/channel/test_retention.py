@@ -159,7 +159,7 @@ def test_a_clock_ignores_an_earlier_time() -> None:
     assert get(channel, OLDEST, NOW, now=CLOCK).interval.end == CLOCK + 5  # type: ignore[union-attr]
 
 
-def test_a_future_interval_is_not_called_collected_once_a_limit_took_the_last_item() -> None:
+def test_a_future_interval_is_not_called_collected_after_a_limit_took_the_last_item() -> None:
     channel = a_channel(max_items=1)
     put(channel, 10, durations=[10**15])
     channel.configure(Policy(max_bytes=64), CLOCK)

@@ -126,7 +126,7 @@ def test_the_member_with_the_latest_item_decides_the_cut_if_all_members_are_sile
     assert (cut.cut, cut.waiting_on(5 * S), cut.next_idle(5 * S)) == (100, [A], None)
 
 
-def test_a_member_at_an_unreachable_host_holds_the_cut_even_if_it_would_count_as_silent() -> None:
+def test_a_member_at_an_unreachable_host_holds_the_cut_back_even_if_it_would_count_as_silent() -> None:
     definition = GroupDefinition(members=frozenset((A, B)), idle_after_nanos=S)
     cut, board = defined(definition, a=at(100), b=at(70))
     board.confirm([A], 5 * S)
@@ -191,7 +191,7 @@ def test_a_former_owner_does_not_count_and_still_receives_times() -> None:
     assert (found.times, found.known_until) == (at(70, epoch=4), 30)
 
 
-def test_a_new_incarnation_of_a_channel_holds_the_cut_until_its_items_have_passed_the_cut() -> None:
+def test_a_new_incarnation_of_a_channel_holds_the_cut_back_until_its_items_have_passed_the_cut() -> None:
     cut, board = group(a=at(90), b=at(100))
     board.hear(B, at(20, epoch=2, incarnation=8), 0, 0)  # the host of B was lost
     board.hear(A, at(95), 0, 0)

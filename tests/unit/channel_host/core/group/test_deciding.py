@@ -204,7 +204,7 @@ def test_in_a_group_with_bound_end_an_event_waits_for_an_item_and_ignores_durati
     assert decider.due([member(b"a", 166)], WAIT) == Boundary(166)
 
 
-def test_each_of_many_waiting_cuts_gets_its_event_once_its_own_max_wait_has_passed() -> None:
+def test_each_of_many_waiting_cuts_gets_its_event_when_its_own_max_wait_has_passed() -> None:
     """In an earlier version each further cut restarted the wait of merged cuts. Items came after up to twice `wait`."""
     wait, every = 1_000_000, 100
     decider, lagging = EventDecider(0, wait), [member(b"a", 10**9), member(b"b", 0)]

@@ -33,7 +33,7 @@ def test_only_items_before_the_cut_are_visible_and_the_channel_keeps_the_others(
     assert view.hidden_items(30, CLOCK) == 1
 
 
-def test_an_answer_that_the_cut_leaves_empty_names_the_member_that_holds_the_cut() -> None:
+def test_an_answer_that_the_cut_leaves_empty_names_the_member_that_holds_the_cut_back() -> None:
     answer = VisibleChannel(channel(10, 20)).read(Query(interval=parse_interval(20, 25)), horizon(15), CLOCK)
     assert answer.reason == "HIDDEN"
     assert answer.reason is not None

@@ -33,7 +33,7 @@ def test_a_stale_acknowledgement_fails_because_the_lease_has_expired() -> None:
     assert core.counted("held", "leased", "leases_expired") == (1, 0, 1)
 
 
-def test_a_lease_holds_until_the_nanosecond_before_its_end() -> None:
+def test_a_lease_lasts_until_the_nanosecond_before_its_end() -> None:
     core = Core(lease_nanos=10)
     core.put(1)
     core.taker(1, credit=1)
@@ -337,7 +337,7 @@ def test_an_item_for_the_dead_letter_queue_is_held_until_it_has_departed() -> No
     assert core.dispatched() == {1: [2]}
 
 
-def test_a_lowered_number_of_deliveries_holds_at_once_for_items_that_were_delivered_more_often() -> None:
+def test_a_lowered_number_of_deliveries_applies_at_once_to_items_that_were_delivered_more_often() -> None:
     core = Core(max_deliveries=9, dead_letters=True)
     core.put(1, 1, 1)
     core.taker(1, credit=5)

@@ -166,7 +166,7 @@ def test_a_leader_asks_for_a_digest_until_all_connected_members_have_answered_or
     assert poll.of_most("ab") == NO_DIGEST, "those answers were about another position"
 
 
-def test_a_member_sends_the_digest_of_the_position_that_was_named_last_once_it_has_reached_it() -> None:
+def test_a_member_sends_its_digest_at_the_position_named_last_when_it_has_reached_that_position() -> None:
     digests = Digests(lambda digest: None)
     digests.note(5, ONE)
     digests.compare(7, ONE)

@@ -1,6 +1,6 @@
 """The messages of a queue. Pure.
 
-Fresh messages were never delivered. They stand in the order of acceptance. Tracked messages were delivered at least
+Fresh messages were never delivered. They are in the order of acceptance. Tracked messages were delivered at least
 once. Sorted lists say which of these a taker may get, and which of these have no lease. Every operation costs amortised
 O(log n).
 """
