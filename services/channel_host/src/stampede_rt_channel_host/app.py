@@ -39,7 +39,7 @@ class _Service:
         served, server, host = self._served, self._served.server, self._served.host
         seconds = self._settings.drain_seconds
         before = partial(host.give_away, seconds) if seconds else None
-        running = asyncio.create_task(server.run(host.leave, before))  # from here on it handles stop signals
+        running = asyncio.create_task(server.run(host.leave, before))  # from here on the server handles stop signals
         entering = asyncio.create_task(host.enter(served.advertise, local_target=served.local, tcp_target=served.tcp))
         await asyncio.wait({running, entering}, return_when=asyncio.FIRST_COMPLETED)
         failure: BaseException | None = None

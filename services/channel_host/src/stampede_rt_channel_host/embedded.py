@@ -227,8 +227,8 @@ class EmbeddedHost:
         finally:
             self._has_ended = True
             self._turns.loop_ended()
-            _here.discard(self)  # its port may belong to others now
-            for told in [*self._asked]:  # the loop no longer answers them
+            _here.discard(self)  # another program may have the host's port now
+            for told in [*self._asked]:  # the loop no longer answers these calls
                 _tell(told, None)
             for stream in [*self._puts]:
                 stream.end(Unavailable("the host of this process has ended"))

@@ -40,8 +40,8 @@ class ArchiveEnd:
         self._folder, self._in_writer, self._write, self._note_failure = folder, in_writer, write, note_failure
         self._mover = mover
         self._work: asyncio.Task[None] | None = None
-        self._is_written = False  # by the present work
-        self._closed: set[ChannelRecorder] = set()  # their folders have the note of a clean stop
+        self._is_written = False  # whether the present work has written the archive
+        self._closed: set[ChannelRecorder] = set()  # the folders of these have the note of a clean stop
         self._noted = 0  # the boot incarnation in the folder of the host
 
     async def finish(self, recorders: Sequence[ChannelRecorder], boot_incarnation: int, seconds_max: float) -> None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from stampede_rt_channel_host.core.archive import BLOCK_INDEX_BYTES, SegmentBlocks
 
 KEPT_BYTES_MAX = 64 * 2**20
-_ENTRY_BYTES = 1024  # of a segment without blocks
+_ENTRY_BYTES = 1024  # the memory of a segment without blocks
 
 
 class FoundBlocks(NamedTuple):

@@ -19,7 +19,7 @@ RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
 BYTES_PER_WRITE = 16 * 2**20
 SLICES_PER_NOTE = 2048  # a look at this many takes about 1 ms
 GAPS_KEPT = 64
-ADVANCES_MAX = 4096  # that wait for the archive; if there are more, the recorder keeps only the latest one
+ADVANCES_MAX = 4096  # the most that wait for the archive; of more, the recorder keeps only the latest one
 PUTS_LEAST = 4096  # if more puts wait for the archive, the recorder joins the puts whose items have left memory
 Part = list[ArchivedRun] | SeqGap | Advances
 
@@ -77,8 +77,9 @@ class ChannelRecorder:
         self._instants: list[int] = []
         self._sizes: list[int] = []
         self._coming_bytes = 0
-        self._puts_max, self._bytes_max = PUTS_LEAST, BYTES_PER_WRITE  # then it forgets the lost items
-        self._advances: list[ArchivedAdvance] = []  # that are not archived
+        # Above these numbers the recorder forgets the lost items.
+        self._puts_max, self._bytes_max = PUTS_LEAST, BYTES_PER_WRITE
+        self._advances: list[ArchivedAdvance] = []  # the advances that are not archived yet
         self._advances_taken = 0  # the first of them, which a write has taken
         self._advance: int | None = None  # the latest one
         channel.record(self.archived_to)

@@ -350,5 +350,5 @@ class SegmentFiles(SegmentReads):
         if stop is not None and self._folder.is_dir():
             write_stop(self._folder, stop.at_end(self._segments, self._epoch))
         else:
-            with suppress(OSError):  # it has files
+            with suppress(OSError):  # the folder still has files
                 self._folder.rmdir()

@@ -64,7 +64,7 @@ class ChannelChanges:
     async def _owned(self, channel_id: bytes, epoch: int, verb: AccessVerb) -> HostedChannel:
         """The channel that this host owns, if the caller may make this change. Raises the errors of `bind`."""
         await self._store.bind(channel_id, epoch)
-        hosted = self._store.find(channel_id, epoch)  # not a copy
+        hosted = self._store.find(channel_id, epoch)  # finds only channels that this host owns, not copies
         check_access(verb, AccessKind.CHANNEL, hosted.record.name)
         current_account().change()
         return hosted

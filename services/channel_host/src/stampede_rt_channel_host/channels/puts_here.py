@@ -60,7 +60,7 @@ class PutsHere:
         self._on_acks, self._on_end = on_acks, on_end
         self._sent: deque[RunToPut] = deque()  # the producer bounds the unacknowledged bytes
         self._is_called = False  # whether the loop is to look at the sent runs
-        self._refusal: StampedeError | None = None  # of a run that the producer sends again
+        self._refusal: StampedeError | None = None  # the refusal of a run that the producer sends again
         self.is_over = False
         self.on_over: Callable[[], None] | None = None
         """Called once, when the stream has ended."""

@@ -27,7 +27,7 @@ MEMORY_SHARE = 4  # all rings together take at most this part of the host's memo
 KEPT_SECONDS = 10.0  # a ring without readers stays for this time
 REFRESH_SECONDS = 0.2  # the time between two refreshes of the fence and the clock in all rings
 REVIEW_SECONDS = 30.0  # the time between two comparisons of a ring with the runs of its channel
-REVIEWS_MAX = 16  # of one refresh
+REVIEWS_MAX = 16  # the most comparisons in one refresh
 
 
 class Rings:

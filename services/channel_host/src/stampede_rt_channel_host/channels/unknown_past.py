@@ -37,7 +37,7 @@ class UnknownPast:
         self._channel, self._first_seq, self._stop = channel, start_of(epoch), found.stop
         self._begun = channel.lost_before or 0
         self._since = self._begun
-        self._newest: int | None = None  # of the known items on the disk
+        self._newest: int | None = None  # the latest time of the known items on the disk
         self._is_listed = False
         if self.is_fresh:
             self._begin(found)

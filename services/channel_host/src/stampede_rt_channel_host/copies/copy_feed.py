@@ -65,7 +65,7 @@ class CopyFeed:
         self._news = asyncio.Event()
         self._heard_s = 0.0  # when the last message of the source came
         self._owes_request = False  # after this message of the source, a request is due at once
-        self._turn = asyncio.Lock()  # of the requests
+        self._turn = asyncio.Lock()  # taken while a request is written
         self._may_grant_s = 0.0  # the time at which the copy may grant more, because of `bytes_per_second`
         self.is_opened = False  # the source has accepted the copy's place
 

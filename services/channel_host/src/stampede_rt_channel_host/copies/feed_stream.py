@@ -61,9 +61,9 @@ class FeedStream:
         self._heard_s = time.monotonic()  # when this host got the last request
         self._held_next_seq = 0  # the copy has reported the items before this seq
         self._send_at_once: Callable[[], bool] | None = None  # while the feed waits for news, and no move is under way
-        self._failure: Exception | None = None  # of `_send_at_once`; ends the feed
+        self._failure: Exception | None = None  # the error of `_send_at_once`, which ends the feed
         self._source: ChannelCore  # the channel that is fed; set when the feed begins
-        self._replication: Replication | None = None  # of the channel, if the copy is a replica
+        self._replication: Replication | None = None  # the replication of the channel, if the copy is a replica
         self._host_id = b""
         self._begins_anew = False
         self._lag = LagWatch()

@@ -18,7 +18,7 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 
 Placed = tuple[RecordedChannel, FeedSource]  # a channel, and its owner
 
-MOVES_MAX = 32  # in one call
+MOVES_MAX = 32  # the most moves in one call
 CHANGE_SECONDS = 0.01  # the least time between two entries; puts of the channels wait meanwhile
 OWNER_SECONDS = 0.01  # the least time between two questions for owners, before moves begin
 DROP_SECONDS = 0.1  # the least time between two questions of a former owner, which has its items until then

@@ -29,7 +29,7 @@ READY_SECONDS_MAX = 5.0  # the longest wait of a caller that binds a new copy
 PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX = 0.1, 2.0
 REPLICA_PAUSE_SECONDS_MAX = 0.3  # a replica that has become the owner should hear of it soon
 REPORT_SECONDS = 2.0
-LOADS_MAX = 1000  # in one report
+LOADS_MAX = 1000  # the most loads in one report
 
 
 class _Copy:
@@ -39,7 +39,7 @@ class _Copy:
         self.record = record
         self.state = state
         self.task: asyncio.Task[None] | None = None
-        self.delivered_bytes = 0  # at the last report
+        self.delivered_bytes = 0  # the delivered bytes as of the last report
         self.moved_epoch = 0  # the latest epoch of an owner that has sent the copy to the next owner
 
 

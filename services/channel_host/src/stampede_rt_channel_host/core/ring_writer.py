@@ -34,7 +34,7 @@ from stampede_rt.ring.layout import (
 
 _DATA_SHARE_MAX = 4
 """A ring takes no run that is longer than a quarter of its data, because a reader needs time to copy a run."""
-_SLOT_BYTES = 512  # of data for each slot: a guess of the length of a usual run
+_SLOT_BYTES = 512  # the data for each slot: a guess of the length of a usual run
 _PAGE_BYTES = 4096
 
 

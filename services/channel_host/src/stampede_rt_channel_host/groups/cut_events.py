@@ -56,16 +56,16 @@ class CutEvents:
         self._stream = stream
         self._writer = EventWriter(context, "cut event")
         self._waiter = Waiter()
-        self._generation = 0  # of the group, as of the last look
-        self._incarnation = 0  # of the group, at the beginning of the subscription
-        self._spec_version = 0  # of the group, at the beginning of the subscription
+        self._generation = 0  # the group's generation as of the last look
+        self._incarnation = 0  # the group's, at the beginning of the subscription
+        self._spec_version = 0  # the group's, at the beginning of the subscription
         self._followed: dict[bytes, _Followed] = {}
         # the reader's cursors at the opening; None after the subscription has begun
         self._kept: dict[bytes, pb.ChannelCursor] | None = {}
         self._boundaries: deque[Boundary] = deque()  # received and not answered yet
-        self._credit = Credit(self._waiter.wake)  # in events; not used if another host decides
-        self._room = asyncio.Event()  # there is room for another boundary
-        self._cut: int | None = None  # of the last event
+        self._credit = Credit(self._waiter.wake)  # counts events; not used if another host decides
+        self._room = asyncio.Event()  # set while there is room for another boundary
+        self._cut: int | None = None  # the cut of the last event
         self._drops = ReaderDrops("", "")  # `run` enters it in the host's table
 
     async def run(self) -> None:

@@ -74,7 +74,7 @@ class HostLink:
         """`certified_name` is the name in the caller's certificate; empty without one, or if this side has made the
         call.
         """
-        self.host_id = b""  # of the other host; empty until it has sent its hello
+        self.host_id = b""  # the other host's id; empty until that host has sent its hello
         self._identity = identity
         self._cluster_id = cluster_id
         self._handler = handler

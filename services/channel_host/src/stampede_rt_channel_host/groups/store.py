@@ -31,7 +31,7 @@ GROUPS_MAX = 10_000
 GROUPS_PER_PIECE = 16
 GROUPS_PER_LOOK = 256
 ROUND_SECONDS = 0.5
-LOOK_UP_SECONDS = 30.0  # from one lookup of a group in use to the next; finds changes that the watch has missed
+LOOK_UP_SECONDS = 30.0  # between two lookups of a group in use; they find changes that the watch has missed
 LOOK_UP_SECONDS_IN_TROUBLE = 0.5  # as above, if the group may have changed or a host is silent
 IN_USE_SECONDS = 60.0  # a group without readers counts as in use for this time after the last request that named it
 

@@ -105,7 +105,7 @@ class EnqueueStream:
         if self._work.must_wait:
             await self._work.turn()
         failure = await self._failure_to_find()
-        self._requests.release()  # these runs count no longer; a run that has to wait counts again
+        self._requests.release()  # these runs do not count any more; a run that has to wait counts again
         self._work.spend_read()
         while runs:
             await self._acks.add(await self._enqueue(runs, received_s, failure))

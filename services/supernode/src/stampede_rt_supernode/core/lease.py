@@ -45,7 +45,7 @@ class _Lease:
     boot_incarnation: int
     registered_index: int
     ends_nanos: int
-    ending: bool = False  # its end is proposed, and cannot be withdrawn
+    ending: bool = False  # the end of the lease is proposed, and cannot be withdrawn
     walk: int = 0  # the number of the last walk over all live holders in which this holder was found
     # the holder's last clock report; not part of the directory, and lost with the tenure
     clock: ClockOffset | None = None

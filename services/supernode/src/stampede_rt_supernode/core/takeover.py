@@ -45,7 +45,10 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
     for channel_id in tables.replicas.channel_ids_at(host_id):
         drop_copy(tables, copied_with_id(tables, channel_id), host_id)
     inherited: list[bytes] = []
-    for channel_id, _ in tables.replicas.entries():  # not over all channels of the host, because few may have a copy
+    for (
+        channel_id,
+        _,
+    ) in tables.replicas.entries():  # faster than all channels of the host, of which few may have a copy
         channel = copied_with_id(tables, channel_id)
         heir = _heir(tables, channel) if channel.host_id == host_id else None
         if heir is not None:

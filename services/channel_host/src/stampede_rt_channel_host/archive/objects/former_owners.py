@@ -11,7 +11,7 @@ WAIT_SECONDS_MIN, WAIT_SECONDS_MAX = 0.5, 600.0
 
 
 class _Expected(NamedTuple):
-    due: float  # by the clock of the event loop
+    due: float  # the time of the next look, by the clock of the event loop
     wait_s: float
     is_former: bool
 

@@ -40,7 +40,7 @@ class MovingFiles(SegmentFiles):
         """The closed segments that have not moved yet, as of the last `look`."""
         self.former_stop: CleanStop | None = None
         """The clean stop of the last owner, if a listing of the store has told it."""
-        self._stop: CleanStop | None = None  # of this owner
+        self._stop: CleanStop | None = None  # the clean stop of this owner
 
     def known(self, epoch: int, incarnation: int) -> Mapping[int, StoredSegment] | None:
         """The segments in the store as the disk knows them; None: it may not know all of them. Raises OSError.
@@ -126,7 +126,7 @@ class MovingFiles(SegmentFiles):
         """Delete the folder of a channel that the host has given up, if it has no segments. Raises OSError."""
         if self.is_given_up and not self.is_left and not self.stored.numbers():
             self.stored.forget_known()
-            with suppress(OSError):  # it has other files
+            with suppress(OSError):  # the folder has other files
                 self._folder.rmdir()
 
     def find_again(self, found: Mapping[int, StoredSegment], archived_to: int) -> tuple[Segment, ...]:

@@ -172,7 +172,7 @@ class SegmentMover:
         failures = [await self._tried(self._look())]
         for files in (*self._recorders, *self._leaving):
             failures.append(await self._tried(self._move_waiting(files)))
-            if self._store_fails:  # the others would fail, too, perhaps after a long wait
+            if self._store_fails:  # the other calls would fail, too, perhaps after a long wait
                 break
             if self._leftovers_done(files):
                 failures.append(await self._tried(self.in_writer(files.leave)))
@@ -217,7 +217,7 @@ class SegmentMover:
             if files in self._leaving:
                 self._leaving[files] = True
         for files in opened:
-            if not self._leftovers.is_taken(files.stored.channel_id):  # it was opened meanwhile
+            if not self._leftovers.is_taken(files.stored.channel_id):  # else the channel was opened meanwhile
                 self._leaving[files] = True
                 self._wake.set()
 

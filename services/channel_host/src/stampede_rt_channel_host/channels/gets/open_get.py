@@ -32,7 +32,7 @@ class OpenGet:
         self.pending: Pending | None = None  # the query and interval of a blocking get; None for other gets
         self.continues = False  # whether the answer was cut off for its length
         self.waits_for_archive = False  # whether the answer of memory is to be completed from the archive
-        self.past: PastSummary | None = None  # of a get as of an earlier instant
+        self.past: PastSummary | None = None  # set for a get as of an earlier instant
         self._begun_at = now
         self._polled_at: int | None = None  # `hosted.changes` at the last poll; None: no poll, or an outdated one
 

@@ -157,7 +157,8 @@ class Outbox:
             self._begin(answer.emptying)
         if self._task is not None:
             self._task.cancel()
-        self._task, self._on_end, self._on_room = None, _ignore, _ignore  # they refer to the owner of this object
+        # These functions refer to the owner of this object.
+        self._task, self._on_end, self._on_room = None, _ignore, _ignore
         self._in_flight.set(0)
 
     async def _write_all(self) -> None:

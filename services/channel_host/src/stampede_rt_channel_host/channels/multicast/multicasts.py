@@ -63,7 +63,7 @@ class Multicasts:
         if found is not None and found[0] is one:
             del self._channels[hosted]
             if one.has_ended:
-                self._ending.add(found[1])  # it still tells readers so, and ends by itself
+                self._ending.add(found[1])  # the task still tells readers of the end, and ends by itself
                 found[1].add_done_callback(self._ending.discard)
             else:
                 found[1].cancel()

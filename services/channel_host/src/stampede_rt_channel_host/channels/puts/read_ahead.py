@@ -45,7 +45,7 @@ class ReadAhead:
         self._in_flight = account.charge_for(Quota.BYTES_IN_FLIGHT)
         self._received: deque[tuple[Any, float]] = deque()  # the requests read ahead, each with its monotonic time
         self._bytes = 0  # of these requests, of the one that `next` gave last, and those that `keeping` adds
-        self._given_bytes = 0  # of the request that `next` gave last, if it was read ahead
+        self._given_bytes = 0  # the bytes of the request that `next` gave last, if it was read ahead
         self._task: asyncio.Task[None] | None = None
         self._failure: Exception | None = None
         self._wanted = False  # whether `next` has been called since `start`: the task then begins no further read
@@ -129,7 +129,7 @@ class ReadAhead:
     def close(self) -> None:
         """Stop reading, and forget the requests that were read ahead."""
         self._received.clear()
-        self._failure = None  # it refers to the frame of the task, and so to this object
+        self._failure = None  # the error refers to the frame of the task, and so to this object
         self.release()
         self._count(-self._bytes)
         if self._task is not None:

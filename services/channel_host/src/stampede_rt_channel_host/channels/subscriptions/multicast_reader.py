@@ -26,7 +26,7 @@ class MulticastReader:
         self._multicasts: Multicasts | None = None
         self._channel: ChannelMulticast | None = None
         self._told_key = 0
-        self.asked_bytes = 0  # of the last repair
+        self.asked_bytes = 0  # the bytes of the last repair
         self._asked_seq: int | None = None  # the repair whose place the cursor does not have yet
         self._owed_seq: int | None = None  # the repair whose answer the reader has not got yet
 

@@ -47,7 +47,7 @@ class Subscription(ChangeObserver):
         self._groups = groups
         self._context = context
         self._stream = stream
-        self._news: asyncio.Future[bool] | None = None  # of the present or last wait; see `_wait_for_news`
+        self._news: asyncio.Future[bool] | None = None  # belongs to the present or last wait; see `_wait_for_news`
         # whether the reader must still get a progress message after the items that the channel held at its start
         self._owes_progress = False
         # the latest advance, cursor and count of skipped items that the reader has got

@@ -57,7 +57,7 @@ class OwnerFactsFeed:
     def __init__(self, source: ChannelCore, window: RetryWindow, since: int | None) -> None:
         self._source = source
         self._window = WindowFeed(window, since)
-        self._sent: tuple[Consumers | None, int] = None, 0  # of the last round: the consumers, and their changes
+        self._sent: tuple[Consumers | None, int] = None, 0  # the consumers and their changes as of the last round
         self._round: Iterator[ConsumerPlace] | None = None
         self._next_round = -(2**63)
         self._clock = 0

@@ -46,7 +46,7 @@ class Retention:
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
         self._earlier: EarlierItems | None = None  # None: all are noted, or there are no consumers
         self.consumers: Consumers | None = None
-        self.unarchived: ArchiveBacklog | None = None  # of a recorded channel: only max_bytes collects these items
+        self.unarchived: ArchiveBacklog | None = None  # set for a recorded channel: only max_bytes collects these items
         self.set_limits(limits)
 
     def set_limits(self, limits: ChannelLimits) -> None:
@@ -217,7 +217,8 @@ class Retention:
         following = None if held.oldest is None else held.next_time(held.oldest)
         instants = [self._look_after_reads, self._lease_end()]
         kept = low_of(self.unarchived)
-        waits = kept is not None and held.oldest is not None and kept[0] <= held.oldest  # until the archive has it
+        # The oldest item cannot leave by age before the archive has it.
+        waits = kept is not None and held.oldest is not None and kept[0] <= held.oldest
         if age is not None and held.oldest is not None and following is not None and not waits:
             instants.append(held.bucket_end(held.oldest, following) + age)
         return min((one for one in instants if one is not None), default=None)

@@ -156,7 +156,7 @@ class RecordedOwn(RecordedTrack):
         self.lacked = 0
         self._page = ChannelIndex()
         self._begin, self._page_end = LAST_KEY, FIRST_KEY  # the page has all items between these keys
-        self._last_time = FIRST_KEY[0]  # of the last bucket of the page
+        self._last_time = FIRST_KEY[0]  # the time of the last bucket of the page
         self._following: int | None = None  # the time of the archived bucket after the page; None: memory follows
 
     def ones(self, low: ItemKey, now: int) -> Iterator[DeliveredSlice]:

@@ -77,7 +77,7 @@ class _VisibleRead(ArchivedRead):
         super().__init__(moment, span, query, within)
         end = end_of(view.horizon.cut)
         self._border, self._last_instant = min(self._border, end), min(self._last_instant, end[0] - 1)
-        self._start = min(self._start, end[0] - 1)  # its span may reach into the interval
+        self._start = min(self._start, end[0] - 1)  # the span of the last visible item may reach into the interval
         self._view = view
 
     def _reading_of(self, items: RecordedItems) -> VisibleReading:

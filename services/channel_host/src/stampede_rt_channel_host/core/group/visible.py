@@ -105,7 +105,7 @@ class VisibleReading(Reading):
         super().__init__(shown, retention, channel.incarnation, channel.lost_before)
         self.advance, self.consumed_up_to = channel.advanced_to, self._all.newest_consumed
         self.lost_from = channel.lost_from
-        self._newest = self._all.newest  # of all items, hidden or not
+        self._newest = self._all.newest  # the newest of all items, hidden or not
         self._horizon = horizon
         self._asked: tuple[Query, ResolvedInterval, int] | None = None
 

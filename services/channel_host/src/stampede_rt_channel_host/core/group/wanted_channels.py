@@ -15,11 +15,11 @@ class WantedChannels:
     """
 
     def __init__(self, limit: int) -> None:
-        self.changes = 0  # of `asked` so far
+        self.changes = 0  # how often `asked` has changed so far
         self._limit = limit
         self._makers: dict[bytes, Counter[str]] = {}  # by channel: the number of its groups of each maker
         self._maker_of: dict[bytes, str] = {}  # by channel for which this host asks: the maker for whom it counts
-        self._asked: dict[str, dict[bytes, None]] = {}  # by maker: those channels, the newest last
+        self._asked: dict[str, dict[bytes, None]] = {}  # by maker: the channels of `_maker_of`, the newest last
         self._left_out: dict[str, dict[bytes, None]] = {}  # by maker: the other channels of the maker's groups
         self._with_count: dict[int, dict[str, None]] = {}  # by number of channels in `_asked`: the makers
         self._most = 0  # the highest key of `_with_count`

@@ -113,7 +113,7 @@ def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqu
         elif seq < fresh_from:
             queue_items.refresh(queue_items.tracked[seq])
     queue_items.next_seq = state.next_seq
-    for seq in [one.seq for one in state.items if one.is_leaving]:  # in the order in which they will leave
+    for seq in [one.seq for one in state.items if one.is_leaving]:  # in the order in which these messages will leave
         queue_items.leaving.move_to_end(seq)
     for one in state.acknowledged:
         leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)

@@ -27,7 +27,7 @@ from stampede_rt_supernode.core.validation import check_id, check_incarnation, c
 
 GROUPS_MAX = 10_000
 GROUPS_PER_CHANNEL_MAX = 1_000  # bounded, because the deletion of a channel changes all its groups in one step
-GROUPS_PER_CHANNEL_AND_CALLER_MAX = 750  # the other groups of the channel are for other callers
+GROUPS_PER_CHANNEL_AND_CALLER_MAX = 750  # fewer, so that other callers can also make groups of the channel
 
 
 def check_open_group(operation: OpenGroup) -> None:

@@ -170,7 +170,7 @@ def drop_copy(tables: Tables, channel: Copied, host_id: bytes) -> None:
     held = tables.replicas.of(id_of(channel))
     left = tuple(one for one in held if one.host_id != host_id)
     if any(one.kind is ReplicaKind.MOVE for one in held if one not in left):
-        note_lost_cuts(tables, [id_of(channel)])  # that host is no longer a witness, unless it owns a member
+        note_lost_cuts(tables, [id_of(channel)])  # the host of the copy is no longer a witness, unless it owns a member
     if left != held:
         store(tables, channel, tuple(_fed(one, {host_id}, channel.host_id) for one in left))
 

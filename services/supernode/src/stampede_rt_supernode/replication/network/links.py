@@ -91,7 +91,7 @@ class PeerLinks:
 
     def _follow(self, peers: Mapping[str, Member]) -> None:
         if self._deliver is None or self._introduce is None:
-            return  # not started, or closed
+            return  # `start` was not called yet, or `close` was
         for member_id, link in list(self._links.items()):
             if peers.get(member_id) != link.member:
                 del self._links[member_id]
