@@ -101,7 +101,7 @@ async def test_a_put_goes_to_the_replica_in_the_turn_in_which_it_comes() -> None
             assert (part.fields.state.first_seq, part.fields.state.next_seq, len(part.runs)) == (seq, seq + 1, 1)
             assert len(one.acks()) == seq - 1, "the replica has not answered yet"
             one.report()
-            await one.producer.until_written(seq)
+            assert len(one.acks()) == seq, "the ack is written in the turn in which the replica answers"
             assert one.acks()[-1].copies == 2
         await pauses()
         assert one.put(), "the task of the feed has nothing to send, and waits"

@@ -13,6 +13,10 @@ from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChang
 READY_SECONDS_MAX = 3.0
 """The longest wait of a caller that binds a channel, and of a replica that has to begin anew."""
 
+WRITES_AT_ONCE_MAX = 16
+"""The most callers that get their answers in the turn of the event loop in which a replica reports. The others get
+them from their tasks."""
+
 
 class OwnersFeed(Protocol):
     """The feed of one replica, at the owner."""
@@ -50,6 +54,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
         self._steady_nanos = steady_nanos
         self._feeds: dict[bytes, Feed] = {}
         self._changed = asyncio.Event()
+        self._watchers: dict[Callable[[bool], None], None] = {}
         self.news = asyncio.Event()
         """Set when the keeper of the replicas has work to do."""
 
@@ -159,7 +164,20 @@ class OwnedReplicas(ABC, Generic[Feed]):
         """Note that the host gives the channel or queue up for good. After `end` each wait ends at once. Idempotent."""
         self._is_last_period = True
 
+    def watch(self, look: Callable[[bool], None]) -> None:
+        """Call `look` after each change on which answers wait, until `unwatch`. It must not wait.
+
+        Its argument says whether it may write a message in this turn of the event loop.
+        """
+        self._watchers[look] = None
+
+    def unwatch(self, look: Callable[[bool], None]) -> None:
+        """Call `look` no more. Idempotent."""
+        self._watchers.pop(look, None)
+
     def wake_waits(self) -> None:
         """Let all waits look at their conditions."""
         changed, self._changed = self._changed, asyncio.Event()
         changed.set()
+        for at, look in enumerate([*self._watchers]):
+            look(at < WRITES_AT_ONCE_MAX)

@@ -69,7 +69,7 @@ class EnqueueStream:
 
         Raises InvalidArgument, Overloaded, or Unavailable (SHUTTING_DOWN). Sends the acks of judged runs first.
         """
-        self._acks = AckWriter(self._write, self._stream.spawn)
+        self._acks = AckWriter(self._context, _encoded, self._stream.spawn)
         try:
             while (received := self._read_request(*await self._requests.next())) is not None:
                 await self._take(*received)
@@ -165,8 +165,9 @@ class EnqueueStream:
         finally:
             self._rights.release(waiting)
 
-    async def _write(self, acks: list[channel_service_pb2.PutAck]) -> None:
-        await self._context.write(pb.EnqueueResponse(acks=acks).SerializeToString())
+
+def _encoded(acks: list[channel_service_pb2.PutAck]) -> bytes:
+    return pb.EnqueueResponse(acks=acks).SerializeToString()
 
 
 def _lose(waiting: tuple[HostedQueue, Enqueue], error: PermissionDenied) -> None:

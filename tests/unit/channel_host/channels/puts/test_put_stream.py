@@ -9,7 +9,6 @@ import pytest
 
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.puts.ack_writer import AckWriter
-from stampede_rt_channel_host.channels.puts.put_stream import PutStream
 from tests.support.channel_host.rig import run_of, running_host
 
 
@@ -19,19 +18,22 @@ async def test_the_reading_loop_acks_a_single_put_and_the_writer_acks_the_reques
     writers: list[Any] = []
     acks_by: list[str] = []
     written = asyncio.Semaphore(0)
-    run, write = AckWriter._run, PutStream._write
+    run, write = AckWriter._run, AckWriter.write
 
     async def noted_writer(writer: AckWriter) -> None:
         writers.append(asyncio.current_task())
         await run(writer)
 
-    async def noted_write(stream: PutStream, acks: list[pb.PutAck]) -> None:
-        acks_by.append("writer" if asyncio.current_task() in writers else "reading loop")
-        await write(stream, acks)
-        written.release()
+    async def noted_write(writer: AckWriter) -> None:
+        has_acks = bool(writer._acks)
+        if has_acks:
+            acks_by.append("writer" if asyncio.current_task() in writers else "reading loop")
+        await write(writer)
+        if has_acks:
+            written.release()
 
     monkeypatch.setattr(AckWriter, "_run", noted_writer)
-    monkeypatch.setattr(PutStream, "_write", noted_write)
+    monkeypatch.setattr(AckWriter, "write", noted_write)
     async with running_host() as rig:
         channel = await rig.open()
         head = {"channel_id": channel.channel_id, "epoch": channel.epoch}

@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Coroutine, Iterable
-from typing import Any
+from collections.abc import Callable, Iterable
 
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt_channel_host.channels.puts.held_acks import HeldAck, HeldAcks, to_nobody
+from stampede_rt_channel_host.channels.puts.held_acks import HELD_ACKS_MAX, HeldAck, HeldAcks, Spawn
+from stampede_rt_runtime.access.control import current_work
+from stampede_rt_runtime.rpc import Context, write_now
 
 # The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refused items,
 # the message stays below its size limit.
 ACKS_QUEUED_MAX = 256
-Spawn = Callable[[Coroutine[Any, Any, None]], asyncio.Task[None]]
 
 
 class AckWriter:
-    """Writes the acks of one stream. Acks that come during a write go out in the next message."""
+    """Writes the acks of one stream. Acks that become due during a write go out in the next message.
 
-    def __init__(self, write: Callable[[list[pb.PutAck]], Awaitable[None]], spawn: Spawn) -> None:
-        """`write` writes one message. `spawn` makes a task that ends with the stream."""
-        self._write_message = write
-        self._spawn = spawn
+    Over a socket an ack that has waited is written in the turn of the event loop in which it becomes due.
+    """
+
+    def __init__(self, context: Context, encode: Callable[[list[pb.PutAck]], bytes], spawn: Spawn) -> None:
+        """`encode` makes a message of `context`. `spawn` makes a task that ends with the stream."""
+        self._context = context
+        self._encode = encode
+        self._work = current_work()
         self._acks: list[pb.PutAck] = []
-        self._held: HeldAcks | None = None  # made when the first ack must wait
+        self._held = HeldAcks(self._on_due, spawn)
         self._is_writing = self._is_closed = False
         self._news = asyncio.Event()  # there are acks to write, or no more acks come
         self._room = asyncio.Event()  # a write has taken the acks
@@ -36,39 +40,39 @@ class AckWriter:
 
     async def add(self, ack: pb.PutAck | HeldAck) -> None:
         """Add an ack after all others. Waits for room. Then call `write` or `wake`."""
+        while len(self._acks) >= ACKS_QUEUED_MAX or len(self._held) >= HELD_ACKS_MAX:
+            self.wake()
+            self._room.clear()
+            await self._room.wait()
         if isinstance(ack, pb.PutAck) and not self._held:
-            await self._queue(ack)
+            self._acks.append(ack)
         else:
-            await self._holding().room()
-            self._holding().add(ack)
+            self._held.add(ack)
 
     def hold(self, acks: Iterable[pb.PutAck | HeldAck]) -> None:
         """Write the acks of one request as soon as they are due. The writer must be idle."""
         for ack in acks:
-            self._holding().add(ack)
+            self._held.add(ack)
+        self.wake()
 
     async def write(self) -> None:
         """Write all acks that are due. If another write is under way, they follow it."""
-        if self._is_writing or not self._acks:
+        if self._is_writing or not self._has_due:
             return
-        acks, self._acks = self._acks, []
-        self._room.set()
         self._is_writing = True
         try:
-            await self._write_message(acks)
+            await self._context.write(self._encode(self._take()))
         finally:
             self._is_writing = False
         self.wake()
 
     def wake(self) -> None:
         """Let a task of this writer write the acks that are due."""
-        if self._acks:
+        if self._has_due:
             self._news.set()
 
     async def finish(self) -> None:
         """Write all acks that were added, as soon as they are due."""
-        if self._held is not None:
-            await self._held.all_passed()
         self._is_closed = True
         self._news.set()
         assert self._task is not None, "a closed writer has nothing to write"
@@ -78,30 +82,35 @@ class AckWriter:
         """Write nothing more, and drop everything that refers back to this object. Idempotent."""
         if self._task is not None:
             self._task.cancel()
-        if self._held is not None:
-            self._held.close()
-        self._task, self._write_message = None, to_nobody
+        self._held.close()
+        self._task = None
 
-    def _holding(self) -> HeldAcks:
-        if self._held is None:
-            self._held = HeldAcks(self._pass_on, self._spawn)
-        return self._held
+    @property
+    def _has_due(self) -> bool:
+        return bool(self._acks) or self._held.is_due
 
-    async def _pass_on(self, acks: list[pb.PutAck]) -> None:
-        for ack in acks:
-            await self._queue(ack)
-        await self.write()
+    def _take(self) -> list[pb.PutAck]:
+        """The acks of the next message."""
+        acks, self._acks = self._acks, []
+        acks += self._held.take(ACKS_QUEUED_MAX - len(acks))
+        self._room.set()
+        return acks
 
-    async def _queue(self, ack: pb.PutAck) -> None:
-        while len(self._acks) >= ACKS_QUEUED_MAX:
-            self.wake()
-            self._room.clear()
-            await self._room.wait()
-        self._acks.append(ack)  # after the await, during which a write may replace the list
+    def _on_due(self, at_once: bool) -> None:
+        """Write the acks that have become due, if the transport takes them now. Otherwise let the task write them."""
+        write = write_now(self._context) if at_once and not self._is_writing else None
+        if write is None:
+            self._news.set()
+            return
+        self._work.spend_write()
+        write(self._encode(self._take()))
+        if self._is_closed:
+            self._news.set()
+        self.wake()
 
     async def _run(self) -> None:
-        while not (self._is_closed and not self._acks):
-            if not self._acks or self._is_writing:
+        while not (self._is_closed and not self._acks and not self._held):
+            if self._is_writing or not self._has_due:
                 self._news.clear()
                 await self._news.wait()
             else:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Callable, Coroutine
+from functools import partial
 from typing import Any, Protocol
 
 from stampede_rt.errors import NotArchived, NotReplicated, Unavailable
@@ -14,9 +15,13 @@ from stampede_rt_channel_host.channels.owned_replicas import OwnedReplicas
 from stampede_rt_channel_host.channels.puts.acks import refused
 from stampede_rt_channel_host.channels.recording import Recording
 
-PASSED_MAX = 64  # the most acks that a stream passes on together
 HELD_ACKS_MAX = 1024  # the most held acks of one stream; at this number the host stops reading its requests
 WAIT_NANOS_DEFAULT = 5_000_000_000  # for a put that states no wait
+
+
+Spawn = Callable[[Coroutine[Any, Any, None]], asyncio.Task[None]]
+Look = Callable[[bool], None]
+"""Looks whether an ack is due. The argument says whether the ack may be written in this turn of the event loop."""
 
 
 class HeldAck(Protocol):
@@ -24,10 +29,16 @@ class HeldAck(Protocol):
 
     @property
     def is_due(self) -> bool:
-        """Whether `due` returns at once."""
+        """Whether `take` may be called."""
 
-    async def due(self) -> pb.PutAck:
-        """Wait until the ack is due, and return it."""
+    def take(self) -> pb.PutAck:
+        """The ack, which is due. Call this once."""
+
+    def watch(self, look: Look, spawn: Spawn) -> Callable[[], object]:
+        """Call `look` whenever the ack may have become due. Returns a function that ends this.
+
+        `spawn` makes a task that ends with the stream.
+        """
 
 
 class AckOfDisk:
@@ -39,12 +50,26 @@ class AckOfDisk:
         self._channel = channel
         self._recording = recording
         self._ends_s = _ends_s(wait_nanos)
+        self._due: pb.PutAck | None = None
         recording.hurry()
 
     @property
     def is_due(self) -> bool:
-        """Whether `due` returns at once. False, because the ack cannot know."""
-        return False
+        """See `HeldAck`."""
+        return self._due is not None
+
+    def take(self) -> pb.PutAck:
+        """See `HeldAck`."""
+        assert self._due is not None, "the ack is due"
+        return self._due
+
+    def watch(self, look: Look, spawn: Spawn) -> Callable[[], object]:
+        """See `HeldAck`."""
+        return spawn(self._wait(look)).cancel
+
+    async def _wait(self, look: Look) -> None:
+        self._due = await self.due()
+        look(True)
 
     async def due(self) -> pb.PutAck:
         """Wait until the ack is due, and return it, with the error NOT_ARCHIVED if the disk did not take the items."""
@@ -104,20 +129,18 @@ class AckOfReplicas:
         self._next_place = next_place
         self._explain = explain
         self._ends_s = _ends_s(wait_nanos)
+        self._is_late = False  # the longest wait is over
 
     @property
     def is_due(self) -> bool:
-        """Whether `due` returns at once."""
-        return self._is_replicated() or self._period.ended is not None
+        """See `HeldAck`."""
+        return self._is_late or self._is_replicated() or self._period.ended is not None
 
-    async def due(self) -> pb.PutAck:
-        """Wait until the ack is due, and return it. After the longest wait it has the error NOT_REPLICATED."""
-        replication, ack = self._replication, self._ack
-        is_replicated = self._is_replicated() or await replication.wait_until(
-            self._is_replicated, _left_s(self._ends_s), self._period
-        )
+    def take(self) -> pb.PutAck:
+        """See `HeldAck`. After the longest wait the ack has the error NOT_REPLICATED."""
+        ack, replication = self._ack, self._replication
         ack.copies = replication.copies(self._next_place)
-        if is_replicated:
+        if self._is_replicated():
             return ack
         if (ended := self._period.ended) is not None:
             return refused(ack.first_number, ack.items, ended, ack.host_time_unix_nano, ack.incarnation)
@@ -125,70 +148,90 @@ class AckOfReplicas:
         ack.error.CopyFrom(to_error_message(self._explain(ack)))
         return ack
 
+    def watch(self, look: Look, _spawn: Spawn) -> Callable[[], object]:
+        """See `HeldAck`."""
+        timer = None
+        if self._ends_s is not None:
+            timer = asyncio.get_running_loop().call_at(self._ends_s, self._note_late, look)
+        self._replication.watch(look)
+        return partial(self._unwatch, look, timer)
+
+    def _unwatch(self, look: Look, timer: asyncio.TimerHandle | None) -> None:
+        self._replication.unwatch(look)
+        if timer is not None:
+            timer.cancel()
+
+    def _note_late(self, look: Look) -> None:
+        self._is_late = True  # not by the clock, because a timer may be early by a part of a millisecond
+        look(True)
+
+    async def due(self) -> pb.PutAck:
+        """Wait until the ack is due, and take it."""
+        if not self._is_replicated():
+            left_s = _left_s(self._ends_s)
+            await self._replication.wait_until(self._is_replicated, left_s, self._period)
+        return self.take()
+
 
 class HeldAcks:
-    """The acks of one stream that are not due, and the acks after them. Passes them to `pass_on`, in order.
+    """The acks of one stream that are not due, and the acks after them, in order."""
 
-    `pass_on` gets the acks that have become due together.
-    """
-
-    def __init__(
-        self, pass_on: Callable[[list[pb.PutAck]], Awaitable[None]],
-        spawn: Callable[[Coroutine[Any, Any, None]], asyncio.Task[None]],
-    ) -> None:  # fmt: skip
-        """`spawn` makes a task that ends with the stream."""
-        self._pass_on = pass_on
+    def __init__(self, on_due: Look, spawn: Spawn) -> None:
+        """`on_due` is called when the first ack becomes due, and must not wait. `spawn`: see `HeldAck.watch`."""
+        self._on_due = on_due
+        self._spawn = spawn
         self._acks: deque[pb.PutAck | HeldAck] = deque()
-        self._changed = asyncio.Event()
-        self._task = spawn(self._run())
+        self._unwatch: Callable[[], object] | None = None  # while the first ack is watched
 
-    def __bool__(self) -> bool:
-        return bool(self._acks)
+    def __len__(self) -> int:
+        return len(self._acks)
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the first ack is due."""
+        return bool(self._acks) and _is_due(self._acks[0])
 
     def add(self, ack: pb.PutAck | HeldAck) -> None:
-        """Add an ack after the others. Wait for `room` before the first ack of a request."""
+        """Add an ack after the others."""
         self._acks.append(ack)
-        self._note()
+        if len(self._acks) == 1:
+            self._watch_first()
 
-    async def room(self) -> None:
-        """Wait while there are HELD_ACKS_MAX."""
-        while len(self._acks) >= HELD_ACKS_MAX:
-            await self._changed.wait()
-
-    async def all_passed(self) -> None:
-        """Wait until no ack is left."""
-        while self._acks:
-            await self._changed.wait()
+    def take(self, most: int) -> list[pb.PutAck]:
+        """Take the first acks that are due, `most` at most."""
+        taken: list[pb.PutAck] = []
+        while len(taken) < most and self.is_due:
+            ack = self._acks.popleft()
+            taken.append(ack if isinstance(ack, pb.PutAck) else ack.take())
+        if taken:
+            self._watch_first()
+        return taken
 
     def close(self) -> None:
-        """Stop waiting, and drop `pass_on`, which refers to the owner of this object. Idempotent."""
-        self._task.cancel()
-        self._pass_on = to_nobody
+        """Stop waiting, and drop `on_due`, which refers to the owner of this object. Idempotent."""
+        self._stop_watch()
+        self._on_due = _ignore
 
-    async def _run(self) -> None:
-        while True:  # until the stream ends
-            while not self._acks:
-                await self._changed.wait()
-            due = [await _due(self._acks[0])]
-            while len(due) < min(len(self._acks), PASSED_MAX) and _is_due(self._acks[len(due)]):
-                due.append(await _due(self._acks[len(due)]))
-            await self._pass_on(due)
-            for _ in due:  # not earlier: `add` puts later acks behind these ones
-                self._acks.popleft()
-            self._note()
+    def _watch_first(self) -> None:
+        self._stop_watch()
+        first = self._acks[0] if self._acks else None
+        if first is None or isinstance(first, pb.PutAck) or first.is_due:
+            return
+        self._unwatch = first.watch(self._look, self._spawn)
 
-    def _note(self) -> None:
-        changed, self._changed = self._changed, asyncio.Event()
-        changed.set()
+    def _stop_watch(self) -> None:
+        if self._unwatch is not None:
+            self._unwatch()
+            self._unwatch = None
+
+    def _look(self, at_once: bool) -> None:
+        if self.is_due:
+            self._on_due(at_once)
 
 
-async def to_nobody(_: list[pb.PutAck]) -> None:
+def _ignore(_: bool) -> None:
     """Write no acks: the stream has ended."""
 
 
 def _is_due(ack: pb.PutAck | HeldAck) -> bool:
     return isinstance(ack, pb.PutAck) or ack.is_due
-
-
-async def _due(ack: pb.PutAck | HeldAck) -> pb.PutAck:
-    return ack if isinstance(ack, pb.PutAck) else await ack.due()

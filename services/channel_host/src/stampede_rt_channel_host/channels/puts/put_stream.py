@@ -91,7 +91,7 @@ class PutStream:
 
         Raises InvalidArgument for an invalid request.
         """
-        self._acks = AckWriter(self._write, self._stream.spawn)
+        self._acks = AckWriter(self._context, _encoded, self._stream.spawn)
         answer_at_once(self._context, self._take_at_once)
         try:
             while (received := self._read_request(*await self._requests.next())) is not None:
@@ -139,7 +139,7 @@ class PutStream:
             acks = [self._judge_now(put, received_s, hosted) for put in request.puts]
         due = [ack for ack in acks if isinstance(ack, pb.PutAck)]
         if len(due) == len(acks):
-            write(pb.PutResponse(acks=due).SerializeToString())
+            write(_encoded(due))
         else:
             self._acks.hold(acks)
         return True
@@ -248,8 +248,9 @@ class PutStream:
             writer=self._writer,
         )
 
-    async def _write(self, acks: list[pb.PutAck]) -> None:
-        await self._context.write(pb.PutResponse(acks=acks).SerializeToString())
+
+def _encoded(acks: list[pb.PutAck]) -> bytes:
+    return pb.PutResponse(acks=acks).SerializeToString()
 
 
 def _announced_together(hosted: HostedChannel) -> AbstractContextManager[None]:
