@@ -80,7 +80,7 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 @dataclass(frozen=True)
 class Cost:
-    """The sum over all hosts of one run. The lag of the cut is that of the slowest host."""
+    """The sum over all hosts of one run. The lag of the cut is the lag of the slowest host."""
 
     items_per_second: float
     cpu_us_per_item: float

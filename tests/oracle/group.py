@@ -227,7 +227,10 @@ class OracleGroup:
 
 
 class _Shown(OracleChannel):
-    """The items before the cut as a channel of their own. The collected items are those of the whole channel."""
+    """The items before the cut as a channel of their own.
+
+    The collected items are the items that the whole channel has collected.
+    """
 
     def __init__(self, full: OracleChannel, cut: int | None) -> None:
         self.__dict__.update(full.__dict__)

@@ -81,7 +81,7 @@ class Sending:
 
 
 class Network:
-    """Loses, repeats, reorders and changes datagrams, and adds those of other senders and of other readers."""
+    """Loses, repeats, reorders and changes datagrams, and adds datagrams of other senders and for other readers."""
 
     def __init__(self, rng: random.Random, key: bytes) -> None:
         self.rng, self.key = rng, key

@@ -1,7 +1,7 @@
 """A copy of a queue that repeats its owner's steps equals the owner at each step, and goes on as the owner did.
 
-The scenarios are those of `test_queue_against_oracle`. Copies begin at any moment, get steps in parts, get them twice,
-and begin anew. A copy that has all steps takes the queue over, and the oracle checks the rest of the scenario.
+The scenarios are the same as in `test_queue_against_oracle`. Copies begin at any moment, get steps in parts, get them
+twice, and begin anew. A copy that has all steps takes the queue over, and the oracle checks the rest of the scenario.
 """
 
 from __future__ import annotations

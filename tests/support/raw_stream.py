@@ -97,7 +97,7 @@ class RawStream:
 async def raw_stream(target: str, tls: ssl.SSLContext | None = None) -> AsyncIterator[RawStream]:
     """Yield a new connection to "unix:PATH", or to "tcp:HOST:PORT" after the greeting.
 
-    `tls`: of a TCP connection; None: that of SECURED.
+    `tls`: the TLS of a TCP connection; None: the TLS of SECURED.
     """
     if target.startswith("tcp:"):
         host, _, port = target.removeprefix("tcp:").rpartition(":")

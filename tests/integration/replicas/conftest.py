@@ -10,7 +10,7 @@ from tests.support.cluster import running_cluster
 
 @pytest.fixture
 def feeds(request: pytest.FixtureRequest) -> str:
-    """The transport of the feeds of a test's hosts: that of its parameter `feeds`, or else the best one."""
+    """The transport of the feeds of a test's hosts: the test's parameter `feeds`, or else the best transport."""
     return getattr(request, "param", "best")
 
 

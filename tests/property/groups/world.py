@@ -1,7 +1,7 @@
 """Hosts with channels and groups over them, and for each host an oracle with the messages that this host got.
 
 Every channel is a ChannelPair, so that its own oracle checks that groups do not affect it. The readers of descriptors
-are in `readers`, and those of whole groups in `listeners`.
+are in `readers`, and the readers of whole groups in `listeners`.
 """
 
 from __future__ import annotations

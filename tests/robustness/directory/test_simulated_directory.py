@@ -64,7 +64,7 @@ def digests_of(*seeds: int, hash_seed: int) -> list[str]:
 
 
 class ShortOfMemory(_Leases):
-    """A leader that uses a shorter lease than that of the cluster, which its hosts know."""
+    """A leader that uses a shorter lease than the cluster's lease, which its hosts know."""
 
     async def _take_over(self, status: ReplicationStatus) -> None:
         await super()._take_over(status)
@@ -72,7 +72,7 @@ class ShortOfMemory(_Leases):
 
 
 class ShortOfPeersMemory(_Leases):
-    """A leader that uses a shorter lease for peers than that of the cluster."""
+    """A leader that uses a shorter lease for peers than the cluster's lease."""
 
     async def _take_over(self, status: ReplicationStatus) -> None:
         await super()._take_over(status)

@@ -22,7 +22,7 @@ PASSING = (st.Unavailable, st.DeadlineExceeded, st.Overloaded)
 
 
 class Calling:
-    """Makes calls of one client: those of the blocking client in threads."""
+    """Makes calls of one client. Calls of the blocking client run in threads."""
 
     def __init__(self, seed: str, pool: ThreadPoolExecutor | None) -> None:
         self.rng = random.Random(seed)

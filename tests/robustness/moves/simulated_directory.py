@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class SimulatedDirectory(GatheredMoves):
-    """The calls of one host to the directory: those of its store, its moves, its copies and its replicas."""
+    """The calls of one host to the directory: the calls of its store, its moves, its copies and its replicas."""
 
     def __init__(self, host: Host) -> None:
         super().__init__()

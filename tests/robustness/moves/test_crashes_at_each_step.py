@@ -48,7 +48,7 @@ class Scenario:
         self, crash_at: str = "", happens: Callable[[World], None] = lambda world: None, replica_at: int = 0, *,
         third: bool = False, world: World | None = None, channel_id: bytes = b"",
     ) -> None:  # fmt: skip
-        """`world`, `channel_id`: those of a scenario with several channels."""
+        """`world`, `channel_id`: given by a scenario with several channels."""
         self.world = world or World(crash_at, happens, replica_at, third=third)
         self.channel_id = channel_id or self.world.channel_id
         self.source, self.destination = self.world.hosts[SOURCE], self.world.hosts[DESTINATION]

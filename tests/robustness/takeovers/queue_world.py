@@ -211,7 +211,7 @@ class QueueCluster(Cluster):
     def __init__(
         self, clock: VirtualClock, seed: int, count: int, policy: Policy, *, lease_nanos: int, max_deliveries: int
     ) -> None:
-        """`lease_nanos`, `max_deliveries`: those of `jobs`."""
+        """`lease_nanos`, `max_deliveries`: the settings of `jobs`."""
         self.lease_nanos, self.max_deliveries = lease_nanos, max_deliveries
         super().__init__(clock, seed, count, policy)
 

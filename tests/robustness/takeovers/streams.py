@@ -25,7 +25,7 @@ class Method(NamedTuple):
 
 
 class Connection:
-    """A connection to a host. `caller` None: that of a client. `methods`: those of the host, by path."""
+    """A connection to a host. `caller` None: a client calls. `methods`: the methods of the host, by path."""
 
     def __init__(self, cluster: Cluster, host: Host, methods: dict[str, Method], caller: Host | None = None) -> None:
         self._cluster, self._host, self._methods, self._caller = cluster, host, methods, caller

@@ -31,7 +31,7 @@ _one_at_a_time = threading.Lock()
 
 
 class ForkedPopen(subprocess.Popen[bytes]):
-    """A process. It is a fork if its command is that of a service with the environment of the tests."""
+    """A process. It is a fork if its command starts a service with the environment of the tests."""
 
     def _execute_child(self, args: Sequence[str], *others: Any) -> None:
         # Popen has made the pipes, and calls this private method to start the process.
@@ -51,7 +51,10 @@ class ForkedPopen(subprocess.Popen[bytes]):
 
 
 def _can_fork(command: Sequence[str], environment: Mapping[str, str] | None) -> bool:
-    """Whether a fork is the same process. An environment that Python reads at its start must be that of the tests."""
+    """Whether a fork is the same process.
+
+    An environment that Python reads at its start must be the environment of the tests.
+    """
     service = command[len(_WATCHED)] if tuple(command[: len(_WATCHED)]) == _WATCHED else ""
     is_same = environment is not None and _read_at_start(environment) == _loaded_environment()
     return sys.platform == "linux" and service in loaded_process.SERVICES and is_same

@@ -1,4 +1,6 @@
-"""Addresses of this machine alone, beside those of other machines: refused before anything is written."""
+"""Addresses that only this machine can call, in a list with addresses of other machines: refused before anything is
+written.
+"""
 
 from __future__ import annotations
 

@@ -299,7 +299,7 @@ def _cannot_host(error: Exception) -> InvalidArgument:
 
 
 def _credentials(given: Credentials) -> Dialer:
-    """The credentials of a host, from those of the program. Raises PermissionDenied."""
+    """The credentials of a host, from the credentials of the program. Raises PermissionDenied."""
     secret = given.secret
     if isinstance(secret, SecretReader):
         found = load_secret(secret.path) if secret.current() else None

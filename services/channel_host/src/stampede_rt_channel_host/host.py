@@ -82,14 +82,14 @@ def _of_a_host(access: AccessControl, memory_bytes_max: int) -> AccessControl:
 class ChannelHost:
     """Order of use, on one event loop: make it, `add_to` a server, `enter` once that server listens, `leave`.
 
-    `dial` opens connections for that loop, and `dial_streams` those of feeds; None: `dial`. `dial_for_lease` opens the
-    connections of the lease, which has a thread of its own. `access` judges the callers of the server; the host gives
-    it the directory's rules. `tickets` are those of the server's sockets. `refused_calls` counts the calls that the
-    server refuses. `on_serving` gets True when the host starts to serve, and False when it stops. If a task of the host
-    fails, `on_defect` gets the error, and must end the host. `explain`: see `Supernodes`. `home` is the cluster of the
-    host. `copy_bytes_per_second`: the most that each copy at this host takes from its source; 0: without a limit.
-    `archive`: the folder for recorded channels, open. `objects`: the object store to which closed files of recorded
-    channels move; None: they stay in the folder.
+    `dial` opens connections for that loop, and `dial_streams` opens the connections of feeds; None: `dial`.
+    `dial_for_lease` opens the connections of the lease, which has a thread of its own. `access` judges the callers of
+    the server; the host gives it the directory's rules. `tickets` are the tickets of the server's sockets.
+    `refused_calls` counts the calls that the server refuses. `on_serving` gets True when the host starts to serve, and
+    False when it stops. If a task of the host fails, `on_defect` gets the error, and must end the host. `explain`: see
+    `Supernodes`. `home` is the cluster of the host. `copy_bytes_per_second`: the most that each copy at this host takes
+    from its source; 0: without a limit. `archive`: the folder for recorded channels, open. `objects`: the object store
+    to which closed files of recorded channels move; None: they stay in the folder.
     """
 
     _entering: asyncio.Future[None] | None = None

@@ -10,7 +10,7 @@ from stampede_rt_runtime.values import Address, parse_address
 
 
 def process_arguments(settings: HostSettings, words: Sequence[str], base_name: str) -> list[list[str]]:
-    """The arguments of each process: `words`, which are those of the supervisor, and then the process's own settings.
+    """The arguments of each process: `words`, the supervisor's own arguments, and then the process's own settings.
 
     The last flag of a name counts, and a flag overrides the environment and the settings file. `base_name`: the name of
     process 0 without its number; empty if the certificates name the processes.
@@ -47,7 +47,10 @@ def _own_flags(settings: HostSettings, base_name: str, number: int) -> list[str]
 
 
 def _with_own_port(text: str, number: int) -> str:
-    """The address of a process: the port counts up from that of process 0. Port 0 stays, and means any free port."""
+    """The address of a process: the port counts up from the port of process 0.
+
+    Port 0 stays, and means any free port.
+    """
     base = parse_address(text)
     return str(Address(base.host, base.port + number if base.port else 0))
 

@@ -59,8 +59,8 @@ class Supervisor:
     async def run(self) -> int:
         """Keep the processes running until a stop signal. Returns the exit status.
 
-        If a process refuses to start, and was never ready before, all processes end. The status is then that of this
-        process.
+        If a process refuses to start, and was never ready before, all processes end. The status is then the exit status
+        of this process.
         """
         with self._stop_signals():
             keeping = [asyncio.create_task(self._keep(number)) for number in range(len(self._arguments))]

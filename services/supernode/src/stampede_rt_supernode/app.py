@@ -286,7 +286,7 @@ def _end_if_refused(status: ReplicationStatus, *, keeps: bool) -> None:
 
 
 def _end_watches(parts: _Parts, status: ReplicationStatus) -> None:
-    """End all watches, because this state differs from that of most members, and log the reason.
+    """End all watches, because this state differs from the state of most members, and log the reason.
 
     The log continues to run. This member still takes part in it, and counts for its majorities.
     """

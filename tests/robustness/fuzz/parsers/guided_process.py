@@ -1,6 +1,6 @@
 """`python -m ... MODULE TARGET OPTION...` runs one target of a module under atheris, with the options of libFuzzer.
 
-Atheris instruments the code that this module imports, and not that of the other targets. It does not instrument the
+Atheris instruments the code that this module imports, and not the code of the other targets. It does not instrument the
 generated messages either: that takes a minute, and protobuf parses in C anyway.
 """
 

@@ -131,7 +131,7 @@ async def _check_serves(cluster: FuzzedCluster) -> None:
     """Check that a new client can still use the real host. Hostile callers with the secret may register hosts, too.
 
     It tries for GOOD_CALL_SECONDS: other work on the machine may keep the services from a processor for longer than
-    `connect` waits. First it removes all quotas, because those of hostile operators may refuse each call.
+    `connect` waits. First it removes all quotas, because quotas that hostile operators have set may refuse each call.
     """
     await asyncio.to_thread(_remove_quotas, cluster)
     until_s = time.monotonic() + GOOD_CALL_SECONDS

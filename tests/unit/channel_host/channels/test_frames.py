@@ -1,4 +1,4 @@
-"""Messages that the host frames itself equal those of protobuf."""
+"""Messages that the host frames itself equal the messages that protobuf encodes."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ SERVICE_MODULES_MAX = 220
 
 
 def verbs(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
-    """The parser and those of its verbs."""
+    """The parser, and the parsers of its verbs."""
     yield parser
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):

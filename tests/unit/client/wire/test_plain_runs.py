@@ -1,4 +1,4 @@
-"""Runs of one item without labels equal those of protobuf, and everything else is left to protobuf."""
+"""Runs of one item without labels equal the runs that protobuf encodes, and protobuf encodes everything else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Requests that the client frames itself equal those of protobuf."""
+"""Requests that the client frames itself equal the requests that protobuf encodes."""
 
 from __future__ import annotations
 

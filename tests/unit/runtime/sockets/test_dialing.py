@@ -88,7 +88,7 @@ Opened = Callable[..., AbstractAsyncContextManager[Rig]]
 
 @pytest.fixture
 def rig(port: Open, request: pytest.FixtureRequest) -> Opened:
-    """Open a rig. `offers`: the target that the host offers; "": that of its socket."""
+    """Open a rig. `offers`: the target that the host offers; "": the target of its socket."""
     is_secured = request.node.callspec.params["port"] == TLS
 
     @asynccontextmanager

@@ -1,5 +1,5 @@
-"""Which callers a supernode serves: those of its own cluster, those of a cluster that its own cluster replaced, and
-those that name no cluster. It refuses callers of any other cluster.
+"""Which callers a supernode serves: callers of its own cluster, callers of a cluster that its own cluster replaced, and
+callers that name no cluster. It refuses callers of any other cluster.
 """
 
 from __future__ import annotations

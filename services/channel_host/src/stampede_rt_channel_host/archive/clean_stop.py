@@ -21,10 +21,10 @@ _NAME = re.compile("_".join([r"(\d{1,20})", r"(\d{1,20})", *[_INSTANT] * 3]) + r
 class CleanStop(NamedTuple):
     """The facts about a channel that its items do not have, as of the moment at which its host stopped.
 
-    `epoch` and `incarnation` are those of the channel then. `lost_from` and `lost_before` are the bounds of an earlier
-    loss, or None. `retries` is the encoded retry window of the producers. The archive had all seqs below `end_seq`, and
-    no item later than `newest`; 0 and None: it is not known. A starting host compares them with the files, and so
-    notices a damaged last block.
+    `epoch` and `incarnation` are the channel's at that moment. `lost_from` and `lost_before` are the bounds of an
+    earlier loss, or None. `retries` is the encoded retry window of the producers. The archive had all seqs below
+    `end_seq`, and no item later than `newest`; 0 and None: it is not known. A starting host compares them with the
+    files, and so notices a damaged last block.
     """
 
     incarnation: int

@@ -34,7 +34,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         self, store: ChannelStore, changes: ChannelChanges, identity: HostIdentity, access: AccessControl,
         tickets: SocketTickets | None = None,
     ) -> None:  # fmt: skip
-        """`tickets`: those of the host's sockets; None if no caller has a certificate."""
+        """`tickets`: the tickets of the host's sockets; None if no caller has a certificate."""
         self._tickets = tickets or SocketTickets()
         self._store = store
         self._changes = changes

@@ -29,7 +29,7 @@ class Moving:
     """A move under way. `elsewhere`: the error that sends callers to the new owner, as soon as there is one."""
 
     def __init__(self, name: str, puts: HeldPuts, begin: Callable[[Pieces[None]], None]) -> None:
-        """`name` is that of the channel. `begin` does work in pieces."""
+        """`name` is the channel's name. `begin` does work in pieces."""
         self._name = name
         self._puts = puts
         self._begin = begin

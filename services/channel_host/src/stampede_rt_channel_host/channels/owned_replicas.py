@@ -45,7 +45,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
     """The items or messages of puts that ended with NOT_REPLICATED."""
 
     def __init__(self, in_sync: ReplicasInSync, epoch: int, steady_nanos: Callable[[], int]) -> None:
-        """`epoch`: that of the channel or queue."""
+        """`epoch`: the epoch of the channel or queue."""
         self.since_epoch = epoch
         """This host has been the owner since this epoch."""
         self.period = ServingPeriod()

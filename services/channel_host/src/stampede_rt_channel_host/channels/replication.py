@@ -138,7 +138,9 @@ class Replication(OwnedReplicas[ReplicaFeed]):
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory of the channel beside that of `core`: the index of items that readers see, and unseen items."""
+        """The memory of the channel beside the memory of `core`: the index of items that readers see, and unseen
+        items.
+        """
         if self._view is None:
             return 0
         return self._view.shown.latest_counters().held * ITEM_OVERHEAD_BYTES + self._unseen_bytes

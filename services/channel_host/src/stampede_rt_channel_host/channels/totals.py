@@ -35,7 +35,7 @@ class ChannelTotals:
     def add_counts(self, hosted: HostedChannel, counted: Counters) -> None:
         """Add only the counters, of a channel that leaves.
 
-        Leaves out items that other hosts count: those of a copy, and those of a channel before it moved here.
+        Leaves out items that other hosts count: the items of a copy, and the items of a channel before it moved here.
         """
         self.add_delivered(hosted)
         if hosted.copy is None:
@@ -56,7 +56,7 @@ class ChannelTotals:
 
 
 def counts_of(hosted: HostedChannel, counted: Counters) -> Iterator[tuple[CountKey, int]]:
-    """The counters of one channel, each with its name and cause, those of former owners included."""
+    """The counters of one channel, each with its name and cause. They include the counts of former owners."""
     yield from _counts_of_items(counted)
     yield from _counts_of_readers(hosted)
 

@@ -230,7 +230,7 @@ class Registration:
         self._grant(sent, response.lease_ttl_nanos)
 
     async def _register(self, timeout_s: float = REGISTER_SECONDS_MAX) -> None:
-        """Register with a registration epoch above that of every other process of this host.
+        """Register with a higher registration epoch than every other process of this host.
 
         Raises StaleRegistration if a newer process of the same host is alive. Then two processes use one data folder.
         """

@@ -35,7 +35,7 @@ class AllowedMoves:
             self._allowed.popitem(last=False)
 
     def check(self, name: str, subject_id: bytes, epoch: int, to_host_id: bytes) -> None:
-        """Raises PermissionDenied if no caller named that host. `name` is that of the channel or queue."""
+        """Raises PermissionDenied if no caller named that host. `name` is the name of the channel or queue."""
         until_s = self._allowed.get((subject_id, epoch, to_host_id))
         if until_s is None or until_s < self._clock_s():
             raise PermissionDenied(

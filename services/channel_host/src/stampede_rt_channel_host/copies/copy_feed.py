@@ -228,7 +228,7 @@ class CopyFeed:
     def _record_of(self, state: pb.FeedState) -> RecordedChannel:
         """The record that the source has sent. A source must not change other channels of this host.
 
-        Raises InvalidArgument if it is that of another channel.
+        Raises InvalidArgument if it is the record of another channel.
         """
         if state.channel.channel_id != self._record.channel_id:
             raise InvalidArgument(f"the source of channel {self._record.name} sent the record of another channel")

@@ -11,7 +11,7 @@ NAMES_MAX = 4096
 
 
 class FeedCallers:
-    """Compares the names in certificates with those of the hosts in the directory, which never change."""
+    """Compares the names in certificates with the hosts' names in the directory, which never change."""
 
     def __init__(self, directory: DirectoryQueries) -> None:
         self._directory = directory

@@ -58,7 +58,7 @@ class GatheredMoves(ABC):
     async def commit(self, channel_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedChannel:
         """Make this host the owner, if the epoch is still this one. Safe to repeat. Raises StaleBinding.
 
-        `permit` is that of the present owner; empty if this host is the owner.
+        `permit` is the present owner's permit; empty if this host is the owner.
         """
         move = Commit(channel_id, epoch, request_id, permit)
         return await (self._commits.ask(move) if permit else self.commit_one(move))

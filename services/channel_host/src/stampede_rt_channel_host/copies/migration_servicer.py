@@ -40,7 +40,7 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
         draining: Draining, feeds: QueueFeeds, identity: HostIdentity, allow: Callable[[bytes, int, bytes], None],
         streams: OpenStreams,
     ) -> None:  # fmt: skip
-        """`feeds`: those of the replicas of queues at this host.
+        """`feeds`: the feeds of the replicas of queues at this host.
 
         `allow` notes the next owner of a channel or queue at an epoch, see `AllowedMoves.allow`. `streams` ends open
         streams when the host ends.

@@ -1,4 +1,4 @@
-"""The feed of a move, at the destination: first a feed like that of any copy, and then the handover by the source."""
+"""The feed of a move, at the destination: first a feed as for any copy, and then the handover by the source."""
 
 from __future__ import annotations
 

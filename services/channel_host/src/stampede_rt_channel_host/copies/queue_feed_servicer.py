@@ -18,7 +18,7 @@ from stampede_rt_runtime.rpc import Context
 
 
 class QueueFeeds:
-    """Serves the feeds of the replicas at this host. `directory`: that of queues."""
+    """Serves the feeds of the replicas at this host. `directory`: the directory of queues."""
 
     def __init__(
         self, identity: HostIdentity, queues: QueueStore, directory: ReplicaDirectory, callers: FeedCallers

@@ -1,4 +1,4 @@
-"""Keeps the replicas of the queues that one host owns. The rules are those of `replica_keeper`."""
+"""Keeps the replicas of the queues that one host owns. The rules are the same as in `replica_keeper`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class QueueReplicaKeeper(KeepingTasks):
         self, identity: HostIdentity, queues: QueueStore, directory: ReplicaDirectory,
         dial: Callable[[str], grpc.aio.Channel],
     ) -> None:  # fmt: skip
-        """`directory`: that of queues. `dial` opens connections to other hosts."""
+        """`directory`: the directory of queues. `dial` opens connections to other hosts."""
         super().__init__()
         self._identity = identity
         self._queues = queues

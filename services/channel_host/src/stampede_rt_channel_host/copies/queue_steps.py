@@ -39,7 +39,7 @@ def step_parts(step: QueueStep, now: int) -> Iterator[pb.FedQueuePart]:
 
 
 class ArrivingParts:
-    """Joins the parts of a feed. `is_whole`: the parts are those of the whole queue, until it has come."""
+    """Joins the parts of a feed. `is_whole`: the parts belong to the whole queue, until it has come."""
 
     def __init__(self) -> None:
         self.is_whole = False

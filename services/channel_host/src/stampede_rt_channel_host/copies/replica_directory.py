@@ -51,7 +51,7 @@ class ReplicaDirectory:
     """
 
     def __init__(self, supernodes: Supernodes, *, of_queues: bool = False) -> None:
-        """`of_queues`: the ids in all calls are those of queues."""
+        """`of_queues`: the ids in all calls are ids of queues."""
         self._supernodes = supernodes
         self._of_queues = of_queues
 

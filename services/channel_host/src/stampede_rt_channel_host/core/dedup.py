@@ -106,7 +106,7 @@ class KnownProducer:
     def find(self, producer_id: int, first_number: int, end: int, since: int) -> RunOutcome | None:
         """The outcome of the run with exactly these numbers, if it was recorded after `since`; otherwise None.
 
-        Raises InvalidArgument if the numbers overlap those of another run.
+        Raises InvalidArgument if the numbers overlap another run's numbers.
         """
         for first, outcome in self.runs():
             if outcome.time <= since:

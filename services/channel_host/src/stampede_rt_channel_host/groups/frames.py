@@ -34,7 +34,10 @@ def cut_part(
 
 def matches(about: pb.SubscribeMatchesResponse, found: Iterable[FoundMatch], incarnations: dict[bytes, int],
             *, without_payloads: bool) -> bytes:  # fmt: skip
-    """A response with the matches `found`, and the fields of `about`. `incarnations`: those of the members."""
+    """A response with the matches `found`, and the fields of `about`.
+
+    `incarnations`: the incarnations of the members.
+    """
     fields = [_field(_MATCHES, _match(one, incarnations, without_payloads)) for one in found]
     return b"".join((*fields, about.SerializeToString()))
 

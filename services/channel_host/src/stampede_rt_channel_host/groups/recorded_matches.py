@@ -1,4 +1,6 @@
-"""Matches of recorded channels: reads the archived items that a matcher needs, and those of its matches."""
+"""Matches of recorded channels: reads the archived items that a matcher needs, and the archived items of its
+matches.
+"""
 
 from __future__ import annotations
 

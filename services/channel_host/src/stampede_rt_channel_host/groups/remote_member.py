@@ -30,7 +30,7 @@ class RemoteMember:
     """One member at another host.
 
     `track` holds the keys of the member's items. `epoch` is the member's epoch, and `target` the address of its host,
-    as the directory last returned them. `incarnation` is that of the member, 0 while it is unknown. As soon as
+    as the directory last returned them. `incarnation` is the member's incarnation, 0 while it is unknown. As soon as
     `is_followed` is True, `track` gets the key of every item that producers put.
     """
 

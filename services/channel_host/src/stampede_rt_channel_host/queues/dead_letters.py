@@ -152,7 +152,7 @@ def _enqueue_run(item: DeadLetter, source: RecordedQueue) -> raw_run_pb2.RawEnqu
 def _run_of(item: DeadLetter, content_type: str) -> bytes:
     """The message as its producer put it.
 
-    A message without a content type gets that of its queue, because the dead-letter queue may have another one.
+    A message without a content type gets its queue's content type, because the dead-letter queue may have another one.
     """
     single = select_items(item.run.body, [item.position])
     if content_type and not item_pb2.ItemRun.FromString(single).content_type:

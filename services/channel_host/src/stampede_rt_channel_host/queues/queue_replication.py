@@ -32,7 +32,7 @@ def waits_for_replicas(policy: QueuePolicy) -> bool:
 
 
 class QueueReplication(OwnedReplicas[QueueFeed]):
-    """The replicas of one queue. The rule is that of channels, with the steps of the queue in place of items.
+    """The replicas of one queue. The rule is the same as for channels, with the steps of the queue in place of items.
 
     Acks of puts, deliveries, and results of settlements wait as actions until the replicas have the step
     (`once_replicated`). So a replica that takes over knows everything that any caller has seen.

@@ -57,7 +57,7 @@ class Command:
 class Refused:
     """The result of a refused operation, which changed nothing.
 
-    The fields are those of the StampedeError that refused it.
+    The fields have the values of the StampedeError that refused it.
     """
 
     reason: str

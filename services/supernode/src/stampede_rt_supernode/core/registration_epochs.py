@@ -31,8 +31,8 @@ def check_registration_epoch(operation: RegisterHost | RegisterPeer) -> None:
 def next_epoch(operation: RegisterHost | RegisterPeer, registrations: Iterable[HostRecord | PeerRecord | None]) -> int:
     """The registration epoch that the process gets.
 
-    `registrations`: those of the same peer or host, alive or ended, perhaps of this same process; None stands for
-    no registration. Raises StaleRegistration if another process has reached the operation's epoch.
+    `registrations`: the registrations of the same peer or host, alive or ended, perhaps of this same process; None
+    stands for no registration. Raises StaleRegistration if another process has reached the operation's epoch.
     """
     epoch = operation.registration_epoch
     others = []

@@ -36,7 +36,7 @@ class Founding:
 
     `address`: the address at which the other members reach this member.
 
-    `members`: by id, the addresses of all founders; for a member that joins, those of the members at that time.
+    `members`: by id, the addresses of all founders; for a member that joins, the addresses of the members at that time.
     """
 
     supernode_id: str

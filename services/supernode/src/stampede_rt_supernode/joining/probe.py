@@ -65,7 +65,9 @@ class Probe:
         return found is not None and found.healthy
 
     def clocks(self) -> dict[str, ClockOffset]:
-        """How far this supernode's clock is ahead of that of each member, as of the last probe that it answered."""
+        """How far this supernode's clock is ahead of each member's clock, as of the last probe that the member
+        answered.
+        """
         return {name: found.clock for name, found in self._findings.items() if found.clock is not None}
 
     async def run(self) -> None:

@@ -86,8 +86,8 @@ class ReplicationStatus:
     - `refused_by`: by id, the words of each member that says one of these three things, or that says `too_old`.
     - `other_cluster`: the words of a member of another cluster; empty if there was none.
     - `refused`: by id, the reason why this replica does not accept the latest store of another member.
-    - `diverged_at`: the position at which this replica's state was found to differ from that of most members;
-      0 if it was not.
+    - `diverged_at`: the position at which this replica's state was found to differ from the state of most members; 0 if
+      it was not.
     - `doubts`: by id, the position at which a member's state was found to differ from the leader's, while neither is
       known to be the state of most members. A follower lists only itself, a leader the others.
     - `disk_silent_seconds`: how long this replica has waited for its disk; 0 if that is 3 s or less.

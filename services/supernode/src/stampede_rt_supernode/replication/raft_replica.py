@@ -49,8 +49,9 @@ class RaftNetwork(Protocol):
 class MemberRoster:
     """The members that a replica knows.
 
-    `members` are those of the newest configuration in the log. `peers`, by id, are the other nodes to which the replica
-    keeps links. `removed` has the ids of former members, which the newest applied configuration lists as retired.
+    `members` are the members of the newest configuration in the log. `peers`, by id, are the other nodes to which the
+    replica keeps links. `removed` has the ids of former members, which the newest applied configuration lists as
+    retired.
     """
 
     members: tuple[Member, ...]

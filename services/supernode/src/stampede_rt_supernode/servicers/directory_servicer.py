@@ -236,7 +236,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
     @errors_as_status
     async def RenewHostLease(self, request: pb.RenewHostLeaseRequest, context: Context) -> pb.RenewHostLeaseResponse:
-        """Makes no log entry. A changed load gets into the log with those of other hosts, see `host_loads`."""
+        """Makes no log entry. A changed load gets into the log with the loads of other hosts, see `host_loads`."""
         self._calls.check_host(context, request.host_id)
         ttl_nanos, tenure = await self._leases.renew(
             request.host_id, request.boot_incarnation, seconds=seconds_left(context)

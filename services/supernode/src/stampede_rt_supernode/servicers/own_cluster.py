@@ -34,7 +34,7 @@ class OwnCluster:
     def judge(self, callers: str) -> StampedeError | None:
         """The error for a caller of the cluster with the id `callers`; None if the supernode serves that caller.
 
-        The supernode serves no caller while its state is still empty, or, in a restored cluster, still that of the
+        The supernode serves no caller while its state is still empty, or, in a restored cluster, still the state of the
         former cluster, because reads and updates would concern that state.
         """
         own, held = self.id(), self._replica.read(_id_of)

@@ -111,7 +111,7 @@ def test_after_a_move_to_a_replica_the_hosts_have_changed_places(log: Log) -> No
 
 
 def test_a_new_owner_numbers_its_changes_of_the_in_sync_flags_from_1(log: Log) -> None:
-    """The numbers are of the owner's own clock, which may be far behind that of the former owner."""
+    """The numbers are of the owner's own clock, which may be far behind the former owner's clock."""
     add(log, 2)
     add(log, 3)
     log.apply(deregister(1))

@@ -1,4 +1,4 @@
-"""The members whose state differs from that of most members, and how a state without a digest gets one."""
+"""The members whose state differs from the state of most members, and how a state without a digest gets one."""
 
 from __future__ import annotations
 

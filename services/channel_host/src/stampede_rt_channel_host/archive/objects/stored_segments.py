@@ -38,7 +38,7 @@ class Packed(NamedTuple):
 class StoredSegments(SegmentFolder):
     """The segments of one channel in a folder and in an object store. A segment in both counts as in the folder.
 
-    Any threads read at the same time. One thread, that of the archive's writes, calls `find`, `settle` and `remove`.
+    Any threads read at the same time. Only the thread of the archive's writes calls `find`, `settle` and `remove`.
     """
 
     def __init__(self, path: Path, cache: ChunkCache, store: SegmentStore) -> None:

@@ -83,7 +83,7 @@ def _among(
 
 
 def part_of(runs: Iterable[Run], chosen: ChosenPart) -> ArchivedPart:
-    """The loaded part. `runs` are those of all its blocks."""
+    """The loaded part. `runs` are the runs of all its blocks."""
     items = ChannelIndex()
     for run in sorted(runs, key=lambda one: one.first_seq):
         items.insert(run)

@@ -1,4 +1,4 @@
-"""The items of a recorded channel: those of a window of its archive, and after them those in memory. Pure."""
+"""The items of a recorded channel: the items of a window of its archive, and after them the items in memory. Pure."""
 
 from __future__ import annotations
 

@@ -206,7 +206,7 @@ class BaseChannel:
         self._reading.note_loss(losses.before)
 
     def holds(self, incarnation: int, seqs: Iterable[int]) -> bool:
-        """Whether the seqs of that incarnation are those of the present one. `incarnation` 0 is not compared."""
+        """Whether the seqs of that incarnation are valid in the present one. `incarnation` 0 is not compared."""
         if incarnation in (0, self._incarnation):
             return True
         ends = [one.next_seq for one in self._reading.former if one.incarnation == incarnation]

@@ -56,9 +56,10 @@ class ChannelCore(ConsumedChannel):
     def put(self, offer: Offer, now: int, seal: Seal) -> PutOutcome:
         """Accept or refuse each item of `offer`, in order, and store the accepted items as a run.
 
-        The result is the same as that of one put for each item, all at one instant. If the channel accepts any item, it
-        calls `seal` once. The channel neither changes nor keeps the offer. PutOutcome says which items have to wait.
-        Until the channel has judged these items, the caller offers no later put, so that a run has consecutive seqs.
+        The result is the same as if each item had a put of its own, all at one instant. If the channel accepts any
+        item, it calls `seal` once. The channel neither changes nor keeps the offer. PutOutcome says which items have to
+        wait. Until the channel has judged these items, the caller offers no later put, so that a run has consecutive
+        seqs.
         """
         clock, counts_consumption = self._tick(now), self._retention.consumers is not None
         if counts_consumption:

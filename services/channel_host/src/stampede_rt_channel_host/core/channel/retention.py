@@ -328,9 +328,9 @@ class Retention:
     def retry_at(self, time: int, own_end: int | None) -> int | None:
         """The instant at which the passing of time next makes room for an item at `time`.
 
-        `own_end` is the item's time plus its duration, or None. Returns the earlier of two instants: the next
-        collection of the channel with the item, and that of the channel without the item. The second may be earlier if
-        the item would belong to the oldest bucket. Returns None if only another put or a consumption makes room.
+        `own_end` is the item's time plus its duration, or None. Returns the instant of the next collection with the
+        item or without it, whichever is earlier. The latter may be earlier if the item would belong to the oldest
+        bucket. Returns None if only another put or a consumption makes room.
         """
         instants = (self._due_as_if_put(time, own_end), self.next_due())
         return min((one for one in instants if one is not None), default=None)

@@ -31,7 +31,7 @@ class ReferencedBody:
     """The body of a run of one item whose payload is the object that a program of this process put.
 
     `parts` are the encoded run, and `payload` is one of them. `bytes` joins them anew, for a reader elsewhere.
-    `attributes` and `content_type` are those of the item.
+    `attributes` and `content_type` belong to the item.
     """
 
     __slots__ = ("_length", "attributes", "content_type", "parts", "payload")

@@ -143,7 +143,7 @@ class GroupCut:
         self._confirmed = True
 
     def refresh(self, now: int) -> bool:
-        """Raise the cut to that of the reference, or to the smallest cut of the members. Returns True if it rose."""
+        """Raise the cut to the cut of the reference, or to the smallest cut of the members. Returns True if it rose."""
         reached = self._reached(now) if self._confirmed else None
         return reached is not None and self.merge_floor(reached)
 

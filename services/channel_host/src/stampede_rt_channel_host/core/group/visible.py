@@ -1,7 +1,7 @@
 """The part of a channel that a group shows: the items before the cut (paper, section 3.3). Pure.
 
-A `VisibleChannel` copies nothing; it reads the channel's own index. Its answers are those of a channel without the
-hidden items, whose clock never passes the cut.
+A `VisibleChannel` copies nothing; it reads the channel's own index. It answers like a channel without the hidden items,
+whose clock never passes the cut.
 """
 
 from __future__ import annotations

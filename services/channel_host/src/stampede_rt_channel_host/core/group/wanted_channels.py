@@ -11,7 +11,7 @@ class WantedChannels:
 
     A channel counts for one of the callers that made its groups. If there are more channels than `limit`, a channel of
     a maker with few channels replaces the newest channel of the maker with the most. So the groups of one caller do not
-    leave out those of others. No step depends on the number of channels, groups or makers.
+    leave out the groups of other callers. No step depends on the number of channels, groups or makers.
     """
 
     def __init__(self, limit: int) -> None:

@@ -73,7 +73,8 @@ class AcknowledgedDeliveries:
     def all(self, now: int, chunks_max: int | None = None) -> Iterator[Acknowledged]:
         """The acknowledgements of the last 10 minutes, by chunks. The chunk with the latest one comes last.
 
-        `chunks_max`: only those of the latest chunks, at most this many. A chunk has up to 256 acknowledgements.
+        `chunks_max`: only the acknowledgements of the latest chunks, at most this many chunks. A chunk has up to 256
+        acknowledgements.
         """
         first = 0 if chunks_max is None else max(0, len(self._chunks) - chunks_max)
         for number, chunk in islice(self._chunks.items(), first, None):

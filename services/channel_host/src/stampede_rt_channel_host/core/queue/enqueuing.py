@@ -65,7 +65,7 @@ class Enqueuing:
     def enqueue(self, run: Enqueue, now: int) -> None:
         """Judge the run. If some of its messages have to wait for room, the run waits in line.
 
-        Raises InvalidArgument if the run's numbers overlap those of another run, and Overloaded if too many runs wait.
+        Raises InvalidArgument if the run's numbers overlap another run's numbers, and Overloaded if too many runs wait.
         """
         if self._ending is not None:  # the run may repeat a run that still waits
             run.error = self._ending

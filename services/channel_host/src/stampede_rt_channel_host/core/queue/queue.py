@@ -120,7 +120,7 @@ class QueueCore:
         """Judge a run. When this method returns, the run is done, or it waits and `take_finished` returns it later.
 
         A run that its producer put before gets the same outcome again. A run whose message id is known gets the seq of
-        the first message with that id. Raises InvalidArgument if the run's numbers overlap those of another run, and
+        the first message with that id. Raises InvalidArgument if the run's numbers overlap another run's numbers, and
         Overloaded if too many runs wait.
         """
         clock = self._due_work.tick(now)

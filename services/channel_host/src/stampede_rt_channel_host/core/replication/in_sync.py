@@ -41,8 +41,8 @@ class KnownReplica(NamedTuple):
 class ReplicaChange(NamedTuple):
     """A flag for the directory to set or to clear.
 
-    The directory ignores a change whose `number` is not above that of the last change. So a change that comes late
-    never overtakes a later one.
+    The directory ignores a change whose `number` is not above the number of the last change. So a change that comes
+    late never overtakes a later one.
     """
 
     host_id: bytes

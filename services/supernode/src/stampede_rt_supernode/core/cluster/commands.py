@@ -12,7 +12,7 @@ class BeginTenure(Operation):
     """A new leader takes over the leases. The very first leader also founds the cluster.
 
     `new_cluster_id`, `new_lease_ttl_nanos`: the id of a new cluster, and the duration of its leases. `founded_anew`:
-    the cluster was restored, so the id replaces that of the former cluster. `takes_over`: whether this cluster serves
+    the cluster was restored, so the id replaces the id of the former cluster. `takes_over`: whether this cluster serves
     the hosts and other callers of that former cluster. `new_feature_level`: the first level of a new cluster.
     """
 

@@ -162,7 +162,7 @@ def expire_host(tables: Tables, operation: ExpireHost, tenure: int, now_unix_nan
 
 
 def note_host_loads(tables: Tables, operation: NoteHostLoads, tenure: int) -> int:
-    """Set the loads of hosts. Ignores another leader's loads, and those of former registrations.
+    """Set the loads of hosts. Ignores the loads of another leader and of former registrations.
 
     Returns the number of loads set.
     """

@@ -72,7 +72,10 @@ def _check_peers_room(tables: Tables, operation: RegisterPeer, replaced: list[Pe
 
 
 def _replaced(tables: Tables, operation: RegisterPeer, holder: PeerRecord | None) -> list[PeerRecord]:
-    """The live peers that the registration replaces: the peer of its id, and that of its name. Raises PEER_EXISTS."""
+    """The live peers that the registration replaces: the peer with its id, and the peer with its name.
+
+    Raises PEER_EXISTS.
+    """
     same_id = tables.peers.by_id.get(operation.peer_id)
     found = {one.peer_id: one for one in (same_id, holder) if one is not None and one.alive}
     for before in found.values():

@@ -1,7 +1,7 @@
 """Checks which policies of a queue are possible, and whether two of them agree (paper, section 3.5). Pure.
 
-The rules are those of channels. A field that is None was never stated. A stated value stays in effect until an update
-changes it. A later open may repeat the value or leave it out.
+The rules are the same as for channels. A field that is None was never stated. A stated value stays in effect until an
+update changes it. A later open may repeat the value or leave it out.
 """
 
 from __future__ import annotations

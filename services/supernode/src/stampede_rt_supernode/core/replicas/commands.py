@@ -38,7 +38,7 @@ class RemoveReplica(Operation):
 class SetReplicaInSync(Operation):
     """The owner at `epoch` reports whether a warm replica is in sync.
 
-    `host_id` and `boot_incarnation` are those of the replica's host. `change_number` grows with each change.
+    `host_id` and `boot_incarnation` belong to the replica's host. `change_number` grows with each change.
     """
 
     channel_id: bytes

@@ -137,7 +137,7 @@ class ConfirmedReads:
     def on_leader_lost(self) -> None:
         """Begin all unconfirmed reads again, and refuse the requests of followers.
 
-        Requests and answers may be lost, and those of a former leadership do not count.
+        Requests and answers may be lost. Requests and answers of a former leadership do not count.
         """
         self._echoes.clear()
         rounds, self._rounds = self._rounds, []

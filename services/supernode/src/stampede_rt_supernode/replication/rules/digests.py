@@ -1,6 +1,6 @@
 """Compares the members' digests of the applied results at one position.
 
-So each replica finds out whether its state is that of most members.
+So each replica finds out whether most members have the same state.
 
 Replicas apply the same commands in the same order. So they reach the same state, as long as they agree on the effect of
 each command. But a release that does not know a command refuses it, and the log does not show the difference.
@@ -20,7 +20,7 @@ from collections.abc import Callable, Collection
 
 from stampede_rt_supernode.replication.wire.messages import NO_DIGEST, StateDigest
 
-# How many of its own digests a replica remembers: those of the latest positions.
+# How many of its own digests a replica remembers, for the latest positions.
 DIGESTS_MAX = 4096
 # The leader names a newer position as soon as all connected members have answered for the last one. It waits
 # ASKED_SECONDS_MIN at least. After ASKED_SECONDS_MAX it no longer waits for missing answers.
@@ -33,8 +33,8 @@ class Digests:
     def __init__(self, adopt: Callable[[bytes], None]) -> None:
         """`adopt` sets the digest of this replica's state machine, if the state machine has none."""
         self._adopt = adopt
-        # The first position at which this replica's state was found to differ from that of most members; 0 as long as
-        # no difference was found. Never reset.
+        # The first position at which this replica's state was found to differ from the state of most members; 0 as long
+        # as no difference was found. Never reset.
         self.diverged_at = 0
         # The first position at which this replica's state differs from the leader's, while no digest has a majority; 0
         # if it does not differ.

@@ -74,7 +74,7 @@ def _apply(state: StoredState, state_machine: StateMachine) -> None:
 def _taken_over(state: StoredState, founder: Member, old_member_id: str) -> StoreChanges:
     last = state.entries[-1]
     # A new cluster has no other members, so the votes of the former cluster do not bind it. If a hostile member has
-    # raised the term beyond that of the last entry, the new cluster does not take that term over.
+    # raised the term beyond the term of the last entry, the new cluster does not take over the raised term.
     term = last.term + 1
     former = {old_member_id, *(member.member_id for member in _last_members(state))} - {founder.member_id}
     configuration = Configuration.of([founder], retired=sorted(former))

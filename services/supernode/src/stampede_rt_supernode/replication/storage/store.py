@@ -110,8 +110,8 @@ class StoreChanges:
 
     `entries` replace the stored entries at or after `replace_from`; if it is None, all stored entries stay. Then the
     store drops the entries before `first_index`. The last stored entry then has `last_index` and `last_term`. The
-    pieces of a snapshot come in earlier commits than its trailer, or in the same one. `promises` are those of the other
-    members, by id.
+    pieces of a snapshot come in earlier commits than its trailer, or in the same one. `promises` are the promises of
+    the other members, by id.
     """
 
     replace_from: int | None

@@ -1,6 +1,6 @@
 """The messages between members, as values. Pure. `codec` converts them from and to their wire form.
 
-The names are those of the Raft paper (Ongaro and Ousterhout 2014, figures 2 and 13), and of Ongaro's dissertation.
+The names come from the Raft paper (Ongaro and Ousterhout 2014, figures 2 and 13), and from Ongaro's dissertation.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class AppendEntries:
 class SnapshotChunk:
     """A part of an encoded snapshot. The snapshot covers the log up to `last_log_index`.
 
-    `total_bytes` and the checksum are those of the whole snapshot.
+    `total_bytes` and the checksum belong to the whole snapshot.
     """
 
     last_log_index: int
@@ -58,7 +58,7 @@ class SnapshotChunk:
 class InstallSnapshot:
     """A part of a leader's snapshot, for a member that needs entries which the leader's log no longer has.
 
-    `chunk` None: a heartbeat to such a member. The other fields are those of AppendEntries.
+    `chunk` None: a heartbeat to such a member. The other fields are as in AppendEntries.
     """
 
     term: int
