@@ -11,15 +11,15 @@ RUN := .venv/bin
 PYTHON_DIRS := client services deploy demos benchmarks tests tools web
 PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_directory_properties.py \
 	peers/test_peers_properties.py test_lease_safety.py)
-# Those with a whole cluster. A test that cannot run with rules says so: @pytest.mark.without_rules(reason). They use
-# --tb=native, because the own tracebacks of pytest may exceed the recursion of the parser of Python 3.11, which ends the run.
+# The folders of tests with a whole cluster. A test that cannot run with rules has the mark @pytest.mark.without_rules(reason). They use
+# --tb=native, because pytest's own tracebacks may exceed the recursion limit of Python 3.11's parser, which ends the run.
 ACL_TESTS = tests/contract $(shell grep -rlE 'cluster_fixture|running_cluster' --include='test_*.py' tests/integration)
 # A test may swallow the error of pytest-timeout, or hang in its teardown. Its process then writes all stacks and ends, and
-# pytest-xdist begins a new one. It would give a test that ends each process to one after the other.
+# pytest-xdist begins a new process. Without a limit, xdist would give such a test to one new process after the other.
 END_HANGS := -o faulthandler_timeout=660 -o faulthandler_exit_on_timeout=true --max-worker-restart 2
 export UV_PYTHON_DOWNLOADS := never
-# Where bytecode files are forbidden beside the sources (as in many container images), all that runs here keeps them
-# below .make. Without them each of the hundreds of processes of the tests would compile all its modules again.
+# In some places bytecode files beside the sources are forbidden, as in many container images. All programs that run
+# here then keep them below .make. Without them each of the hundreds of test processes would compile all its modules again.
 ifdef PYTHONDONTWRITEBYTECODE
 unexport PYTHONDONTWRITEBYTECODE
 export PYTHONPYCACHEPREFIX := $(CURDIR)/.make/pycache
@@ -89,7 +89,7 @@ simulate: setup  ## take-overs and moves under random faults, 2000 seeds for cha
 cycles: setup  ## 10,000 openings and closings of each kind, after which no process may have grown; CYCLES=1000 for fewer
 	$(RUN)/python -m tests.robustness.cycles --cycles $${CYCLES:-10000}
 
-mutants: setup  ## plant known faults in the directory's code, one at a time, and see that each is noticed
+mutants: setup  ## plant known faults in the directory's code, one at a time, and check that a test notices each
 	$(RUN)/python -m tests.robustness.mutants
 
 check: setup  ## lint, types, import rules, names, sizes, signposts, protobuf rules, freshness of generated files
@@ -155,5 +155,5 @@ bench-docs: setup  ## `stampede bench` into docs/benchmarks.md: some hours on a 
 	-$(RUN)/stampede bench peers --out out/bench $(BENCH)
 	$(RUN)/python tools/benchmark_docs.py out/bench
 
-clean:  ## forget everything that was made
+clean:  ## delete everything that was made
 	rm -rf .venv .tools .make out

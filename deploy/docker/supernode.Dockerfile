@@ -4,8 +4,8 @@
 
 FROM docker.io/library/python:3.11-slim-bookworm AS build
 
-# Downloads trust the authorities of the system's store, so that a network with an authority of its own needs only
-# that store mounted during the build (--volume /etc/ssl/certs:/etc/ssl/certs:ro), and nothing of it stays behind.
+# Downloads trust the authorities of the system's store. A network with an authority of its own needs only a mount of
+# that store during the build (--volume /etc/ssl/certs:/etc/ssl/certs:ro). The image keeps nothing of the store.
 ENV PIP_CERT=/etc/ssl/certs/ca-certificates.crt \
     PIP_NO_CACHE_DIR=1 \
     UV_COMPILE_BYTECODE=1 \
@@ -17,7 +17,7 @@ ENV PIP_CERT=/etc/ssl/certs/ca-certificates.crt \
 RUN python3 -m venv /opt/uv && /opt/uv/bin/pip install --quiet uv==0.13.8
 
 WORKDIR /src
-# First what seldom changes: the dependencies, each as uv.lock names it and with the hash that stands there.
+# First the dependencies, because they seldom change: each in the version and with the hash of uv.lock.
 COPY pyproject.toml uv.lock ./
 COPY client/pyproject.toml client/
 COPY services/runtime/pyproject.toml services/runtime/
@@ -38,7 +38,7 @@ RUN /opt/uv/bin/uv sync --quiet --frozen --no-dev --no-editable --python python3
 
 FROM docker.io/library/python:3.11-slim-bookworm
 
-# A number, not only a name: Kubernetes' runAsNonRoot can check nothing else.
+# A number, not only a name, because Kubernetes' runAsNonRoot can check only a number.
 RUN groupadd --gid 10001 stampede \
     && useradd --uid 10001 --gid 10001 --no-create-home --home-dir /var/lib/stampede --shell /usr/sbin/nologin stampede \
     && install --directory --owner=10001 --group=10001 --mode=0700 /var/lib/stampede
@@ -53,8 +53,8 @@ ENV PATH=/opt/stampede/bin:/usr/local/bin:/usr/bin:/bin \
     STAMPEDE_DATA_DIR=/var/lib/stampede
 EXPOSE 7590
 
-# It listens beyond the container, and without certificates that must be allowed aloud: whoever starts it sets
-# STAMPEDE_ALLOW_INSECURE_ANYWHERE=true on a network that only the cluster is on; otherwise it refuses, and says so.
+# The service listens beyond the container. Without certificates it does so only with STAMPEDE_ALLOW_INSECURE_ANYWHERE=true,
+# which is for a network of the cluster's own. Otherwise it does not start, and says why.
 HEALTHCHECK --interval=10s --timeout=5s --start-period=20s --retries=3 \
     CMD ["python3", "-m", "stampede_rt_runtime.health_check"]
 

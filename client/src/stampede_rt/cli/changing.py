@@ -27,7 +27,7 @@ def add_verbs(subparsers: Any) -> None:
     configure.add_argument("channel", help="the channel's name")
     add_limits(configure)
     configure.add_argument(
-        "--max-future", metavar="DURATION", help="refuse items that lie further in the future than this"
+        "--max-future", metavar="DURATION", help="refuse items that are further in the future than this"
     )
 
 

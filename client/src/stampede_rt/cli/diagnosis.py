@@ -230,7 +230,7 @@ def _quotas(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     count, last = sum(one.quota_refusals for one in refusing), min(one.quota_refused_ago_nanos or 0 for one in refusing)
     where = joined([f"{one.part} ({one.quota_refusals})" for one in refusing])
     advice = (
-        "`stampede quota use` tells which callers are beyond which quota, and `stampede quota set` raises one"
+        "`stampede quota use` shows which callers are beyond which quota, and `stampede quota set` raises one"
         if last <= REFUSED_LATELY_NANOS
         else ""
     )

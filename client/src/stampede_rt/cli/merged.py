@@ -155,7 +155,7 @@ class _Stream:
     def _read(self, name: str, start: Bound | None) -> None:
         """Read the channels of one name, one after the other. Runs on a thread of its own.
 
-        The watch may tell of the next channel of that name before this thread learns that the former one is deleted.
+        The watch may report the next channel of that name before this thread learns that the former channel is deleted.
         """
         while True:
             channel_id = self._ids[name]

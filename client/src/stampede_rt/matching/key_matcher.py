@@ -72,7 +72,7 @@ class KeyMatcher:
         return len(known) - len(in_time)
 
     def take(self, passed: HasPassed) -> KeyMatch | None:
-        """Take the next match; None if there is no further key, or if an item still to come may change the match."""
+        """Take the next match; None if there is no further key, or if a later item may change the match."""
         key = self._own.first_from(self.low)
         if key is None or not self._can_decide(key[0], passed):
             return None

@@ -21,7 +21,7 @@ HasPassed = Callable[[int], bool]
 
 
 class Undecided(Exception):
-    """Raised while an item that is still to come may change the partner."""
+    """Raised while an item that has not come yet may change the partner."""
 
 
 class Placed(Protocol):
@@ -77,8 +77,8 @@ class Pairing(Generic[Found]):
     def partner(self, key: ItemKey, tolerance: int) -> Found | None:
         """The partner of `key`, the first unpaired own item; None if it has none.
 
-        `other` must have passed the item's time + tolerance. Raises Undecided if an item still to come may change the
-        partner.
+        `other` must have passed the item's time + tolerance. Raises Undecided if an item that has not come yet may
+        change the partner.
         """
         # Only items below these keys may be paired: when a pair is found, the items after it do not count any more.
         end, other_end = LAST_KEY, LAST_KEY

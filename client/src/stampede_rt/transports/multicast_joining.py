@@ -74,5 +74,5 @@ def _resolved(host: str, port: int) -> tuple[Any, ...]:
     resolving.start()
     resolving.join(RESOLVE_S_MAX)
     if not found:
-        raise OSError(f"{host} has no IPv4 address, or nobody told it within {RESOLVE_S_MAX:g} s")
+        raise OSError(f"{host} has no IPv4 address, or no name server gave it within {RESOLVE_S_MAX:g} s")
     return found[0]

@@ -82,7 +82,7 @@ class SingleThreadCall:
     reading thread sends it, so a caller that sends twice must read in between, or have another thread that reads.
 
     gRPC frees a call when the last event of the call is taken, and its queue of events must not be used after that. So
-    this class counts the events that are still to come. After an interrupt at an unknown place it takes no event any
+    this class counts the events that have not come yet. After an interrupt at an unknown place it takes no event any
     more, and the call stays in memory until its channel closes.
     """
 

@@ -293,7 +293,8 @@ class LoadInfo:
     """How busy a host was, by its own report, when the directory last noted it. The note is a few seconds old or more.
 
     - `busy_permille` is the share of one core that the host's process used, in thousandths.
-    - `held_bytes` are the bytes of its channels and queues, of at most `bytes_max`; 0 if the host has not told them.
+    - `held_bytes` are the bytes of its channels and queues, of at most `bytes_max`; 0 if the host has not reported
+      them.
     - `private`: the directory places nothing there unless a caller names the host.
     """
 

@@ -27,7 +27,7 @@ class ClockOffset:
     def measured(
         cls, *, sent_unix_nano: int, took_nanos: int, told_unix_nano: int, supernode: str, held_nanos: int = 0
     ) -> ClockOffset:
-        """Return the offset, computed from a call in which a supernode told its time.
+        """Return the offset, computed from a call in which a supernode stated its time.
 
         The peer sent the request at `sent_unix_nano` of its own clock, and got the answer `took_nanos` later. The
         supernode worked on the request for `held_nanos`, and read `told_unix_nano` from its clock at the end of that

@@ -100,7 +100,7 @@ def _log_defect(kind: type[BaseException], error: BaseException | None, tracebac
 def _is_no_lost_caller(record: logging.LogRecord) -> bool:
     """Whether the record is more than gRPC's report that it could not answer a caller that has gone.
 
-    For each such call gRPC writes a traceback of 3 KB if it has not yet heard of the end of the call. Without this
+    For each such call gRPC writes a traceback of 3 KB if it does not know of the end of the call yet. Without this
     function callers without any credential could fill the log.
     """
     return record.exc_info is None or getattr(record.exc_info[0], "__name__", "") != "ExecuteBatchError"

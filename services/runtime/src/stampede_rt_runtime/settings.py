@@ -262,7 +262,7 @@ def _epilog(service: str, example: _Setting) -> str:
     return (
         f"A setting can also come from the environment: {example.flag} from ${own}, or from ${shared}, which all "
         f"services read. Certificates come from ${own.removesuffix(tail)}TLS_... only, because $STAMPEDE_TLS_... is "
-        f"for clients. A setting can also stand in the TOML file, as {example.name} in its table [{service}] or at the "
+        f"for clients. A setting can also be in the TOML file, as {example.name} in its table [{service}] or at the "
         "top. A flag wins over the environment, and the environment over the file."
     )
 
