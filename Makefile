@@ -11,8 +11,9 @@ RUN := .venv/bin
 PYTHON_DIRS := client services deploy demos benchmarks tests tools web
 PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_directory_properties.py \
 	peers/test_peers_properties.py test_lease_safety.py)
-# The folders of tests with a whole cluster. A test that cannot run with rules has the mark @pytest.mark.without_rules(reason). They use
-# --tb=native, because pytest's own tracebacks may exceed the recursion limit of Python 3.11's parser, which ends the run.
+# The folders of tests with a whole cluster. A test that cannot run with rules has the mark
+# @pytest.mark.without_rules(reason). They use --tb=native, because pytest's own tracebacks may exceed the recursion limit of
+# Python 3.11's parser, which ends the run.
 ACL_TESTS = tests/contract $(shell grep -rlE 'cluster_fixture|running_cluster' --include='test_*.py' tests/integration)
 # A test may swallow the error of pytest-timeout, or hang in its teardown. Its process then writes all stacks and ends, and
 # pytest-xdist begins a new process. Without a limit, xdist would give such a test to one new process after the other.

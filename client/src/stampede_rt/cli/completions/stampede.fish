@@ -134,7 +134,7 @@ complete -c stampede -n '_shtab_stampede_using configure' -l on-full -xka "drop_
 complete -c stampede -n '_shtab_stampede_using configure' -l replicas -x -d 'copies that can take over if the host is lost'
 complete -c stampede -n '_shtab_stampede_using configure' -l ack -xka "host disk replica" -d 'when the host acknowledges a put'
 complete -c stampede -n '_shtab_stampede_using configure' -l min-replicas -x -d 'with --ack replica, acknowledge no put with fewer in sync'
-complete -c stampede -n '_shtab_stampede_using configure' -l max-future -x -d 'refuse items that lie further in the future than this'
+complete -c stampede -n '_shtab_stampede_using configure' -l max-future -x -d 'refuse items that are further in the future than this'
 complete -c stampede -n '_shtab_stampede_using; and test $_shtab_stampede_npos -eq 0' -a get -d 'print items by time; without times the newest one'
 complete -c stampede -n '_shtab_stampede_using get' -s h -l help -d 'show this help message and exit'
 complete -c stampede -n '_shtab_stampede_using get' -l url -x -d 'front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580'

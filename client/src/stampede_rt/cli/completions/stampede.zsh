@@ -450,7 +450,7 @@ _shtab_stampede_configure_options=(
   "--replicas[copies that can take over if the host is lost]:N:"
   "--ack[when the host acknowledges a put]:ack:(host disk replica)"
   "--min-replicas[with --ack replica, acknowledge no put with fewer in sync]:N:"
-  "--max-future[refuse items that lie further in the future than this]:DURATION:"
+  "--max-future[refuse items that are further in the future than this]:DURATION:"
   ":the channel\'s name:"
 )
 
