@@ -45,7 +45,7 @@ def counting_members(group: GroupMembers) -> list[Channel]:
 def _check(info: GroupInfo) -> None:
     """Raise InvalidArgument if the cut depends on facts that the archives do not have."""
     if info.bound == "end":
-        rule = 'bound="end" counts the ends of items that came together, and archives do not show which items came together'
+        rule = 'bound="end" counts the ends of items that came together, but archives do not show which items those are'
     elif info.reference_id is None and info.idle_after_nanos is not None:
         rule = "idle_after left silent members out, and archives do not tell when"
     else:
