@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
-from stampede_rt_channel_host.archive.segment_files import SegmentFiles
-from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Slice
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles, WrittenPart
+from stampede_rt_channel_host.core.archive import ArchivedRun, Segment
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Slice, make_run
 from tests.unit.channel_host.archive.test_host_archive_writes import FILES, archive_in, recorded, refuse
 
 
@@ -207,3 +208,44 @@ def test_a_recorder_of_a_channel_that_has_moved_sizes_its_items_a_part_at_a_time
     assert coming == sorted(coming)
     assert coming[0] < coming[2] == coming[3]
     assert recorder.disk.coming >= 25 * 100
+
+
+@pytest.mark.parametrize("hole_at", [5, 25])
+def test_the_new_owner_of_a_shared_archive_leaves_all_items_before_the_last_hole_to_the_former_owner(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hole_at: int
+) -> None:
+    monkeypatch.setattr("stampede_rt_channel_host.archive.moved_items.SLICES_PER_LOOK", 10)
+
+    async def scenario() -> list[ArchivedRun]:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        channel, files = moved_channel(hole_at, 40), SegmentFiles(tmp_path / "c", {})
+        files.is_shared = True
+        files.open(2)
+        recorder = ChannelRecorder(channel, files, (), from_memory=True)
+        written: list[ArchivedRun] = []
+        write = files.write
+
+        def kept(parts: Sequence[WrittenPart], limits: ArchiveLimits) -> tuple[Segment, ...]:
+            for part in parts:
+                assert isinstance(part, list), "no gap is written over the items of the former owner"
+                written.extend(part)
+            return write(parts, limits)
+
+        monkeypatch.setattr(files, "write", kept)
+        put_at(channel, 40)  # comes after the move, and before all items were looked at
+        if recorder.note(40):
+            archive.touch(recorder, lambda: None)
+        assert await recorder.stored(40, 41, 60) == ""
+        await archive.close([recorder])
+        return written
+
+    written = asyncio.run(scenario())
+    assert [one.run.first_seq for one in written] == [*range(hole_at + 1, 41)]
+
+
+def moved_channel(hole_at: int, next_seq: int) -> ChannelCore:
+    """A channel that came with a move, without the item `hole_at`."""
+    channel = ChannelCore(Policy(max_items=1000), incarnation=7)
+    runs = [make_run(seq, [seq], None, [1], b"%d " % seq) for seq in range(1, next_seq) if seq != hole_at]
+    channel.restore(runs, after=None, next_seq=next_seq, loss=(None, None))
+    return channel

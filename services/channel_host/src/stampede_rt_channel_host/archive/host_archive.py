@@ -205,6 +205,9 @@ class HostArchive:
         """
         while self._due:
             recorder = next(iter(self._due))
+            if not recorder.begin():
+                await asyncio.sleep(0)
+                continue
             on_written = self._due.pop(recorder)
             if (job := recorder.take()).parts:
                 await self._write(recorder, on_written, job)

@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, ChannelDiskUse, DiskUse
+from stampede_rt_channel_host.archive.moved_items import MovedItems
 from stampede_rt_channel_host.archive.segment_files import Advances, ArchiveLimits, SegmentFiles, SeqGap
 from stampede_rt_channel_host.core.archive import ADVANCE_BYTES, ArchivedAdvance, ArchivedRun, ArchiveSpan, Segment
 from stampede_rt_channel_host.core.archive.seq_starts import given_between
-from stampede_rt_channel_host.core.channel import ChannelCore, Run, Slice
+from stampede_rt_channel_host.core.channel import ChannelCore, Run
 
 RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
 BYTES_PER_WRITE = 16 * 2**20
@@ -69,8 +70,8 @@ class ChannelRecorder:
         self.on_listed: Callable[[CleanStop | None], None] = _ignore
         """Is called when the object store has told which segments it has, with the clean stop of the last owner."""
         self._channel = channel
-        lacks_from = _lacks_from(channel, segments, is_shared=files.is_shared) if from_memory else channel.next_seq
-        self.archived_to = lacks_from
+        self._came = MovedItems(channel) if from_memory and files.is_shared else None
+        self.archived_to = _lacks_from(channel, segments) if from_memory else channel.next_seq
         """All seqs below this one are on stable storage, or lost to the archive."""
         # For each put that is not archived: the seq after its items, the instant of their acceptance, and its bytes.
         self._ends: list[int] = []
@@ -83,6 +84,22 @@ class ChannelRecorder:
         self._advances_taken = 0  # the first of them, which a write has taken
         self._advance: int | None = None  # the latest one
         channel.record(self.archived_to)
+        self.begin()
+
+    def begin(self) -> bool:
+        """Look for the first items to write, for about 1 ms. Returns whether they are known: then the archive calls
+        `take`.
+
+        In a shared archive the former owner adds the items that memory had before its last hole (see `MovedItems`).
+        """
+        came = self._came
+        if came is not None:
+            came.look()
+            if came.is_known:
+                self._came = None
+            if came.lacks_from > self.archived_to:
+                self._end_puts(came.lacks_from)
+        return self._came is None
 
     def _note_advance(self, now: int) -> bool:
         """Note the highest advance of the channel, if it has risen. Returns whether it has."""
@@ -238,17 +255,21 @@ class ChannelRecorder:
         self._gaps += gaps
         if len(over := self._gaps[:-GAPS_KEPT]):  # the earliest gaps become one
             self._gaps[: len(over) + 1] = [SeqGap(self._gaps[0].first_seq, self._gaps[len(over)].end_seq)]
-        self.archived_to = job.end_seq
         del self._advances[: sum(len(one.rows) for one in job.parts if isinstance(one, Advances))]
         self._advances_taken = 0
-        done = bisect_right(self._ends, job.end_seq)
+        self._end_puts(job.end_seq)
+        self.note_end("")
+
+    def _end_puts(self, end_seq: int) -> None:
+        """Note that the archive has all items below `end_seq`, or will never have them."""
+        self.archived_to = end_seq
+        done = bisect_right(self._ends, end_seq)
         self._coming_bytes -= sum(self._sizes[:done])
         del self._ends[:done]
         del self._instants[:done]
         del self._sizes[:done]
         self._expect(0)
-        self._channel.record(job.end_seq)
-        self.note_end("")
+        self._channel.record(end_seq)
 
     def note_end(self, failure: str) -> None:
         """Note that a write has ended, with a `failure` or without one. Wakes the puts that wait for stable storage."""
@@ -279,31 +300,13 @@ class ChannelRecorder:
         return "max_bytes collected items before they were written" if is_lost else ""
 
 
-def _lacks_from(channel: ChannelCore, segments: tuple[Segment, ...], *, is_shared: bool) -> int:
-    """The first seq that an archive lacks: the seq after its last item, or the seq of the first held item.
-
-    In a shared archive it is the later of the two, because the former owner adds the items before it. There the held
-    items before a hole are the former owner's, too: the items of the hole have left memory, so the former owner's
-    archive had them.
+def _lacks_from(channel: ChannelCore, segments: tuple[Segment, ...]) -> int:
+    """The first seq that an archive lacks which no other host shares: the seq after its last item, or the seq of the
+    first held item.
     """
-    archived = max((one.end_seq for one in segments), default=0)
-    if archived and not is_shared:
-        return archived
-    held = [*islice(channel.accepted_from(0), SLICES_PER_NOTE)]
-    first = held[0].first_seq if held else channel.next_seq
-    return max(archived, _after_holes(channel, held) or first) if is_shared else first
-
-
-def _after_holes(channel: ChannelCore, held: list[Slice]) -> int:
-    """The seq after the last seqs that are missing between the runs of `held` or behind them; 0: none are missing.
-
-    `held`: the first slices of the channel.
-    """
-    begins = [one.run.first_seq for one in held[1:]]
-    if len(held) < SLICES_PER_NOTE:
-        begins.append(channel.next_seq)
-    ends = [one.run.first_seq + len(one.run) for one in held]
-    return max((begin for end, begin in zip(ends, begins, strict=False) if end < begin), default=0)
+    held = next(iter(channel.accepted_from(0)), None)
+    first = channel.next_seq if held is None else held.first_seq
+    return max((one.end_seq for one in segments), default=first)
 
 
 def span_of(segments: tuple[Segment, ...]) -> ArchiveSpan:

@@ -1,0 +1,45 @@
+"""Finds out which items of a channel that has moved here the shared archive lacks. A part at a time."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+from stampede_rt_channel_host.core.channel import ChannelCore
+
+SLICES_PER_LOOK = 2048  # a look at this many takes about 1 ms
+
+
+class MovedItems:
+    """The items in the memory of a channel that came with its move, and the last hole before or among them.
+
+    Memory has lost the items of a hole. So the former owner has archived these items, and all items of lower seqs.
+    """
+
+    def __init__(self, channel: ChannelCore) -> None:
+        self._channel = channel
+        self._end = channel.next_seq
+        self._looked_to = 0
+        self.lacks_from = 0
+        """The seq after the last hole, as far as the looks have come; 0 before the first look."""
+        self.is_known = False
+        """Whether the looks have come to the end."""
+
+    def look(self) -> None:
+        """Look at the next SLICES_PER_LOOK slices at most."""
+        looked = 0
+        for one in islice(self._channel.accepted_from(self._looked_to), SLICES_PER_LOOK):
+            run = one.run  # the archive writes whole runs
+            if run.first_seq > self._looked_to:
+                self.lacks_from = min(run.first_seq, self._end)
+            self._looked_to, looked = max(self._looked_to, run.first_seq + len(run)), looked + 1
+        if looked < SLICES_PER_LOOK or self._looked_to >= self._end:
+            self.is_known = True
+            self._note_ends()
+
+    def _note_ends(self) -> None:
+        """Note a hole behind the last item, and one that has come before the first item during the looks."""
+        if self._looked_to < self._end:
+            self.lacks_from = self._end
+        first = next(self._channel.accepted_from(self.lacks_from), None)
+        if first is not None:
+            self.lacks_from = max(self.lacks_from, min(first.run.first_seq, self._end))
