@@ -237,8 +237,8 @@ class ArchivedChannel:
         moment = archive.past_moment(facts, past, span, as_of)
         if span.newest is None:
             within = archive.resolved(moment, span, query)
-            if self.is_cut:
-                return archive.nothing_left(within, as_of, self.channel.incarnation)
+            if archive.is_nothing_left(self.segments, past, has_dropped=self.is_cut):
+                return archive.nothing_left(self.segments, past, within, as_of, self.channel.incarnation)
             return run_to_end(archive.read_nothing(moment, query, within))
         return self._read(query, moment, past.segments, past.blocks_of(self._blocks_of))
 

@@ -10,7 +10,8 @@ import pytest
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
-from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles, WrittenPart
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
+from stampede_rt_channel_host.archive.written_parts import WrittenPart
 from stampede_rt_channel_host.core.archive import ArchivedRun, Segment
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Slice, make_run
 from tests.unit.channel_host.archive.test_host_archive_writes import FILES, archive_in, recorded, refuse

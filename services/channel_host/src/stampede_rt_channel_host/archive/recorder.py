@@ -11,7 +11,8 @@ from typing import NamedTuple
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, ChannelDiskUse, DiskUse
 from stampede_rt_channel_host.archive.moved_items import MovedItems
-from stampede_rt_channel_host.archive.segment_files import Advances, ArchiveLimits, SegmentFiles, SeqGap
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
+from stampede_rt_channel_host.archive.written_parts import Advances, SeqGap
 from stampede_rt_channel_host.core.archive import ADVANCE_BYTES, ArchivedAdvance, ArchivedRun, ArchiveSpan, Segment
 from stampede_rt_channel_host.core.archive.seq_starts import given_between
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
@@ -313,8 +314,10 @@ def span_of(segments: tuple[Segment, ...]) -> ArchiveSpan:
     """The times between which the segments have items."""
     lows = [one.low[0] for one in segments if one.low is not None]
     highs = [one.high[0] for one in segments if one.high is not None]
-    is_cut = bool(segments) and given_between(1, segments[0].first_seq) > 0
-    return ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=is_cut)
+    first_seq = segments[0].first_seq if segments else 1
+    is_cut = given_between(1, first_seq) > 0
+    begins_anew = first_seq > 1 and not is_cut
+    return ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=is_cut, begins_anew=begins_anew)
 
 
 def _ignore(_: CleanStop | None) -> None:

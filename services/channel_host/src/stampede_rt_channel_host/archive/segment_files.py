@@ -14,6 +14,7 @@ from stampede_rt_channel_host.archive.kept_blocks import FoundBlocks, KeptBlocks
 from stampede_rt_channel_host.archive.segment_folder import SegmentFolder, reads_of
 from stampede_rt_channel_host.archive.segment_reads import SegmentReads
 from stampede_rt_channel_host.archive.stable_writes import start_flush, sync_folder, write_all
+from stampede_rt_channel_host.archive.written_parts import Advances, SeqGap, WrittenPart
 from stampede_rt_channel_host.core.archive import (
     ADVANCE_BYTES,
     HEAD_BYTES,
@@ -42,23 +43,6 @@ longer write, the disk has no work.
 """
 SEGMENT_BYTES = 64 * 2**20
 SEGMENTS_PER_AGE = 16  # a segment ends after 1/16 of the archive's age, because the archive drops only whole segments
-
-
-class SeqGap(NamedTuple):
-    """Seqs whose items are not archived, from `first_seq` up to `end_seq`, exclusive."""
-
-    first_seq: int
-    end_seq: int
-
-
-class Advances(NamedTuple):
-    """Advances of the channel, in the order of their acceptance. `seq`: of the next item to write."""
-
-    seq: int
-    rows: tuple[ArchivedAdvance, ...]
-
-
-WrittenPart = Sequence[ArchivedRun] | SeqGap | Advances
 
 
 class ArchiveLimits(NamedTuple):
@@ -116,6 +100,7 @@ class SegmentFiles(SegmentReads):
         self._near = (0, 0)
         self._advance: ArchivedAdvance | None = None  # the latest one
         self._epoch = 0
+        self._follows_damage = False  # the archive begins with a segment that was set aside
 
     def open(self, epoch: int, incarnation: int = 0, stored: Sequence[Segment] = ()) -> OpenedArchive:
         """Find the segments, and cut the torn tail off the last one. `epoch`, `incarnation`: of the channel now.
@@ -150,7 +135,11 @@ class SegmentFiles(SegmentReads):
             if segment is not None:
                 found.append(segment)
                 following = segment.first_seq
-        self._segments = tuple(reversed(found))
+        found.reverse()
+        self._follows_damage = self._files.follows_damage(found[0].number if found else None)
+        if found and self._follows_damage:
+            found[0] = found[0]._replace(first_seq=1)
+        self._segments = tuple(found)
         return OpenedArchive(self._segments, None, torn_bytes, damaged)
 
     def _below(self, segment: Segment, following: int | None) -> Segment | None:
@@ -159,9 +148,11 @@ class SegmentFiles(SegmentReads):
             return segment
         blocks = below(self._files.blocks(segment), segment.length, following)
         short = summary(segment.number, blocks[-1].end if blocks else 0, blocks)
-        if short is None and segment.first_seq >= following:  # otherwise a damaged block, which stays
+        if short is not None:
+            return short._replace(first_seq=segment.first_seq)
+        if segment.first_seq >= following:  # otherwise a damaged block, which stays
             self._files.remove(segment.number)
-        return short
+        return None
 
     def _open_one(
         self, number: int, following: int | None, *, is_last: bool, may_be_torn: bool
@@ -278,7 +269,8 @@ class SegmentFiles(SegmentReads):
             opening += advance
         length = sum(map(len, opening))
         self._begun_at, self._written_to, self._flushed_to = head.first_accepted, length, 0
-        fresh = Segment(number, length, 0, head.first_seq, head.first_seq, None, None, 0)
+        first_seq = 1 if self._follows_damage and not self._segments else head.first_seq
+        fresh = Segment(number, length, 0, first_seq, head.first_seq, None, None, 0)
         self._segments = (*self._segments, fresh)
 
     def _end_segment(self) -> None:

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Protocol
 
 from stampede_rt_channel_host.core.archive import PlacedBlock, ReadAt, Segment, scan
+from stampede_rt_channel_host.core.archive.stored_segment import NUMBERS_PER_EPOCH
 
-SUFFIX = ".segment"
+SUFFIX, DAMAGED = ".segment", ".damaged"
 
 
 class SegmentPlace(Protocol):
@@ -92,7 +93,15 @@ class SegmentFolder:
         It stays until the channel is deleted. Raises OSError.
         """
         path = self.file_of(number)
-        path.rename(path.with_name(f"{path.name}.{time.time_ns()}.damaged"))
+        path.rename(path.with_name(f"{path.name}.{time.time_ns()}{DAMAGED}"))
+
+    def follows_damage(self, number: int | None) -> bool:
+        """Whether `set_aside` has renamed the segment that came directly before `number`. None: any segment."""
+        stems = (path.name.partition(".")[0] for path in self.path.glob(f"*{SUFFIX}.*{DAMAGED}"))
+        aside = {int(stem) for stem in stems if stem.isdecimal()}
+        if number is None or number % NUMBERS_PER_EPOCH != 1:
+            return bool(aside) if number is None else number - 1 in aside
+        return any(one < number for one in aside)
 
     def remove_all(self, numbers: Sequence[int]) -> int:
         """Delete segments, the first one first, up to one that cannot be deleted now. Returns how many have left."""

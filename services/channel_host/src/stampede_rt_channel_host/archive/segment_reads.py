@@ -34,6 +34,7 @@ from stampede_rt_channel_host.core.archive import (
     is_whole,
     part_of,
     past_of,
+    reach_of,
     window_of,
 )
 from stampede_rt_channel_host.core.channel import Run
@@ -104,7 +105,7 @@ class SegmentReads:
                 missing.append(Hole(block.head.low[0], block.head.high[0], block.head.items))
         for segment, offsets in taken.items():
             missing += holes(blocks_of(segment), offsets)
-        missing += border_holes(segments, blocks_of, taken)
+        missing += border_holes(segments, blocks_of, taken, reach_of(wanted, chosen))
         window = window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
         return window._replace(holes=missing)
 

@@ -15,6 +15,8 @@ from stampede_rt_channel_host.core.archive import (
     NextItems,
     Past,
     PastFacts,
+    Segment,
+    is_nothing_left,
     nothing_left,
     past_moment,
     read_nothing,
@@ -94,14 +96,15 @@ class PastReader:
             await asyncio.sleep(RETRY_SECONDS)
 
     async def _read(self, query: Query, as_of: int, scheduler: PieceScheduler, horizon: Horizon | None) -> PastAnswer:
-        past, is_cut = await self._past(as_of)
+        past, segments = await self._past(as_of)
         summary = _summary(past)
         channel, span = self._channel, span_of(past.segments)
         facts = PastFacts(channel.policy, channel.incarnation, past.advance, channel.lost_before, channel.lost_from)
         moment = past_moment(facts, past, span, as_of)
         within = resolved(moment, span, query)
-        if span.newest is None and is_cut:
-            return PastAnswer(nothing_left(within, as_of, channel.incarnation), False, summary)
+        has_dropped = span_of(segments).has_dropped(channel.lost_before, channel.lost_from)
+        if is_nothing_left(segments, past, has_dropped=has_dropped):
+            return PastAnswer(nothing_left(segments, past, within, as_of, channel.incarnation), False, summary)
         if horizon is not None:
             view = await self._view(RecordedView(moment, span, query, horizon), past, scheduler)
             return PastAnswer(view.answer, view.continues, summary)
@@ -116,13 +119,13 @@ class PastReader:
             await self._load(read, past, scheduler)
         return view
 
-    async def _past(self, as_of: int) -> tuple[Past, bool]:
-        """The archive as of an instant, and whether it has dropped items since. It also has the next change."""
+    async def _past(self, as_of: int) -> tuple[Past, tuple[Segment, ...]]:
+        """The archive as of an instant, and all its segments. The past also has the next change."""
         while True:
             segments, since = self._recorder.segments, self._recorder.waiting_since
             past = await self._archive.past(self._recorder.files, segments, as_of)
             if since is None or past.next_items is not None or past.next_advance is not None:
-                return past, bool(segments) and segments[0].first_seq > 1
+                return past, segments
             await self._archived(since)
 
     async def _load(self, read: ArchivedRead, past: Past, scheduler: PieceScheduler) -> None:

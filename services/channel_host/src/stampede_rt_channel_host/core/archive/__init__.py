@@ -19,6 +19,7 @@ from stampede_rt_channel_host.core.archive.archived_part import (
 from stampede_rt_channel_host.core.archive.archived_read import (
     ArchivedRead,
     WantedWindow,
+    reach_of,
     reaches,
     resolved,
     resolved_now,
@@ -45,12 +46,13 @@ from stampede_rt_channel_host.core.archive.block import (
     encode_opening,
     is_whole,
 )
-from stampede_rt_channel_host.core.archive.holes import Hole, border_holes, holes
+from stampede_rt_channel_host.core.archive.holes import Hole, Reach, border_holes, holes
 from stampede_rt_channel_host.core.archive.past import (
     NextItems,
     Past,
     PastFacts,
     RunsOf,
+    is_nothing_left,
     nothing_left,
     past_moment,
     past_of,
@@ -103,6 +105,7 @@ __all__ = [
     "Past",
     "PastFacts",
     "PlacedBlock",
+    "Reach",
     "ReadAt",
     "RunsOf",
     "Scan",
@@ -125,12 +128,14 @@ __all__ = [
     "encode_opening",
     "grown",
     "holes",
+    "is_nothing_left",
     "is_whole",
     "next_time_of",
     "nothing_left",
     "part_of",
     "past_moment",
     "past_of",
+    "reach_of",
     "reaches",
     "read_nothing",
     "resolved",

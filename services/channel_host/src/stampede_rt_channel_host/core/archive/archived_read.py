@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Match, ResolvedInterval, format_instant
-from stampede_rt_channel_host.core.archive.holes import Hole
+from stampede_rt_channel_host.core.archive.holes import Hole, Reach
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan, RecordedItems, earliest, latest
-from stampede_rt_channel_host.core.archive.window import ArchiveWindow, Wanted
+from stampede_rt_channel_host.core.archive.window import ArchiveWindow, Chosen, Wanted
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot, HoldingsSnapshot
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
@@ -61,6 +61,15 @@ class WantedWindow(NamedTuple):
     high: ItemKey
 
 
+def reach_of(window: WantedWindow, chosen: Chosen) -> Reach:
+    """The times at which a window looks, once its blocks are chosen."""
+    wanted, edge = window.wanted, chosen.edge
+    low = wanted.start if wanted.from_time is None else wanted.from_time
+    if wanted.down:
+        return Reach(low if edge is None else edge, wanted.high[0], window.high[0])
+    return Reach(low, wanted.high[0] if edge is None else edge, window.high[0])
+
+
 class ArchivedRead:
     """One read of an archive and of memory, as of `moment`.
 
@@ -75,6 +84,7 @@ class ArchivedRead:
         self.lacks = 0  # how many items are missing from the answer because the archive lacks them
         self._moment, self._span, self._query, self._within = moment, span, query, within
         self._held, self._retention = moment.look(0)
+        self._has_dropped = span.has_dropped(moment.lost_before, moment.lost_from)
         # the read needs no archived items from `_border` on, and ignores holes after `_last_instant`
         self._border, self._last_instant = self._held.floor, within.end
         self._start = within.start  # the read needs the items from here on, and the bucket before
@@ -132,7 +142,7 @@ class ArchivedRead:
             window = self._bounded(window, self._edge)
         searching_more = self._left == 0
         query = replace(self._query, limit=1) if searching_more else replace(self._query, limit=self._left)
-        reading = self._reading_of(RecordedItems(self._held, self._span, window))
+        reading = self._reading_of(RecordedItems(self._held, self._span, window, has_dropped=self._has_dropped))
         answer = yield from reading.answer(query, self._within, self._moment.clock)
         self._windows += 1
         first, last = self._within.start, self._last_instant

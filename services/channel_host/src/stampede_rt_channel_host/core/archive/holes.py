@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from itertools import pairwise
 from typing import NamedTuple
 
 from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
 from stampede_rt_channel_host.core.archive.seq_starts import given_between
+from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
+
+BlocksOf = Callable[[Segment], SegmentBlocks]
 
 
 class Hole(NamedTuple):
@@ -18,6 +20,14 @@ class Hole(NamedTuple):
     start: int
     end: int
     items: int
+
+
+class Reach(NamedTuple):
+    """The times at which a window looked, both inclusive. Memory has the items from the time `border` on."""
+
+    low: int
+    high: int
+    border: int = LAST_KEY[0]
 
 
 def holes(blocks: SegmentBlocks, taken: Set[int]) -> Iterator[Hole]:
@@ -33,34 +43,87 @@ def holes(blocks: SegmentBlocks, taken: Set[int]) -> Iterator[Hole]:
 
 
 def border_holes(
-    segments: Sequence[Segment],
-    blocks_of: Callable[[Segment], SegmentBlocks],
-    taken: Mapping[Segment, Set[int]],
+    segments: Sequence[Segment], blocks_of: BlocksOf, taken: Mapping[Segment, Set[int]], reach: Reach
 ) -> Iterator[Hole]:
-    """The holes between two segments, next to the blocks that a read took. `taken`: the offsets of these blocks.
-
-    Includes the hole before all items, if the very first block of the archive is damaged.
+    """The other holes: between two segments, next to the blocks that a read took, before all items, after all items,
+    and segments without any block that can be read. `taken`: the offsets of these blocks.
     """
-    first = segments[0] if segments else None
-    if first is not None and first.lacks and first.first_seq == 1 and first.low is not None:
-        yield Hole(MIN_INSTANT, first.low[0] - 1, first.lacks)
-    for earlier, later in pairwise(one for one in segments if one.items):
-        last = blocks_of(earlier).items_at(-1) if earlier in taken else None
-        next_one = blocks_of(later).items_at(0) if later in taken else None
-        if last is not None and last.offset in taken[earlier]:
-            next_one = next_one or blocks_of(later).items_at(0)
-        elif next_one is not None and next_one.offset in taken[later]:
-            last = last or blocks_of(earlier).items_at(-1)
-        else:
+    with_items = [one for one in segments if one.items]
+    yield from _unreadable(with_items, blocks_of, reach)
+    yield from _first_hole(segments, with_items, blocks_of, reach)
+    yield from _last_hole(segments, with_items, blocks_of, reach)
+    for earlier, later in _neighbours(with_items, blocks_of, taken):
+        last, following = blocks_of(earlier).items_at(-1), blocks_of(later).items_at(0)
+        assert last is not None, "the segment has blocks"
+        assert following is not None, "the segment has blocks"
+        if last.offset in taken.get(earlier, ()) or following.offset in taken.get(later, ()):
+            yield from _between(last, following)
+
+
+def _unreadable(with_items: Sequence[Segment], blocks_of: BlocksOf, reach: Reach) -> Iterator[Hole]:
+    """The segments within reach without any block that can be read."""
+    for one in with_items:
+        if one.low is None or one.high is None or one.low[0] > reach.high or one.high[0] < reach.low:
             continue
-        if next_one is not None and last is not None:
-            yield from _between(last, next_one)
+        if blocks_of(one).items_at(0) is None:
+            yield Hole(one.low[0], one.high[0], one.items)
+
+
+def _first_hole(
+    segments: Sequence[Segment], with_items: Sequence[Segment], blocks_of: BlocksOf, reach: Reach
+) -> Iterator[Hole]:
+    """The hole before all items. If the archive has dropped items before it, its times are not known."""
+    for one in with_items:
+        if one.high is None or reach.low > one.high[0]:
+            return
+        if (first := blocks_of(one).items_at(0)) is not None:
+            lacks, end = given_between(segments[0].first_seq, first.head.first_seq), first.head.low[0] - 1
+            if lacks:
+                yield Hole(end if given_between(1, segments[0].first_seq) else MIN_INSTANT, end, lacks)
+            return
+
+
+def _last_hole(
+    segments: Sequence[Segment], with_items: Sequence[Segment], blocks_of: BlocksOf, reach: Reach
+) -> Iterator[Hole]:
+    """The hole between all items and those in memory."""
+    for one in reversed(with_items):
+        if one.low is None or reach.high < one.low[0]:
+            return
+        if (last := blocks_of(one).items_at(-1)) is not None:
+            lacks, end = given_between(last.head.end_seq, segments[-1].end_seq), last.head.high[0]
+            if lacks and end <= reach.high:
+                yield _hole(end, end if reach.border == LAST_KEY[0] else reach.border + 1, lacks)
+            return
+
+
+def _neighbours(
+    with_items: Sequence[Segment], blocks_of: BlocksOf, taken: Mapping[Segment, Set[int]]
+) -> Iterator[tuple[Segment, Segment]]:
+    """The pairs of neighbouring segments with blocks of which the read took one."""
+    for at, one in enumerate(with_items):
+        if one not in taken:
+            continue
+        before = next((other for other in reversed(with_items[:at]) if _has_blocks(blocks_of(other))), None)
+        after = next((other for other in with_items[at + 1 :] if _has_blocks(blocks_of(other))), None)
+        if before is not None and before not in taken:
+            yield before, one
+        if after is not None:
+            yield one, after
+
+
+def _has_blocks(blocks: SegmentBlocks) -> bool:
+    return blocks.items_at(0) is not None
 
 
 def _between(earlier: PlacedBlock, later: PlacedBlock) -> Iterator[Hole]:
     before, after = earlier.head, later.head
     lacks = given_between(before.end_seq, after.first_seq)
     if lacks:
-        start, end = sorted((before.high[0], after.low[0]))
-        inner = (start + 1, end - 1) if end - start > 1 else (start, end)
-        yield Hole(*inner, lacks)
+        yield _hole(before.high[0], after.low[0], lacks)
+
+
+def _hole(before: int, after: int, lacks: int) -> Hole:
+    """The hole between two times."""
+    start, end = sorted((before, after))
+    return Hole(start + 1, end - 1, lacks) if end - start > 1 else Hole(start, end, lacks)

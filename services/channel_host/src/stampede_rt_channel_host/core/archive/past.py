@@ -20,6 +20,7 @@ from stampede_rt_channel_host.core.archive.block import (
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment, summary
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
+from stampede_rt_channel_host.core.archive.seq_starts import given_between
 from stampede_rt_channel_host.core.archive.window import BlocksOf
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot
@@ -96,7 +97,7 @@ def _cut(before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, run
     short = summary(segment.number, segment.length, kept)
     if short is None:
         return Past(tuple(before), None, following)
-    return Past((*before, short), kept, following)
+    return Past((*before, short._replace(first_seq=segment.first_seq)), kept, following)
 
 
 def _part(block: PlacedBlock, runs: Sequence[ArchivedRun], as_of: int) -> tuple[PlacedBlock | None, NextItems]:
@@ -186,10 +187,33 @@ def read_nothing(moment: ChannelSnapshot, query: Query, within: ResolvedInterval
     return (yield from reading.answer(query, within, moment.clock))
 
 
-def nothing_left(within: ResolvedInterval | None, as_of: int, incarnation: int) -> ReadAnswer:
-    """The answer if the archive has dropped all items that the host had accepted by `as_of`."""
-    detail = f"the archive has dropped the items that the host had accepted by {format_instant(as_of)}"
+def nothing_left(
+    segments: Sequence[Segment], past: Past, within: ResolvedInterval | None, as_of: int, incarnation: int
+) -> ReadAnswer:
+    """The answer if the archive, which has the `segments`, has dropped or lost all items that the host had accepted by
+    `as_of`.
+    """
+    lacks = _lacks_first(segments, past)
+    what, name = (f"lacks {lacks} of", "LOST") if lacks else ("has dropped", "COLLECTED")
+    detail = f"the archive {what} the items that the host had accepted by {format_instant(as_of)}"
     return ReadAnswer(
         slices=(), next_time=None, interval=within, complete=False, truncated=True, more=False,
-        reason=Reason("COLLECTED", detail), incarnation=incarnation,
+        reason=Reason(name, detail), incarnation=incarnation,
     )  # fmt: skip
+
+
+def is_nothing_left(segments: Sequence[Segment], past: Past, *, has_dropped: bool) -> bool:
+    """Whether the archive, which has the `segments`, has dropped or lost all items of that instant.
+
+    `has_dropped`: it has dropped items (`ArchiveSpan.has_dropped`).
+    """
+    has_items = any(one.items for one in past.segments)
+    return not has_items and (has_dropped or _lacks_first(segments, past) > 0)
+
+
+def _lacks_first(segments: Sequence[Segment], past: Past) -> int:
+    """How many items before the next ones the archive lacks, if it has none of that instant."""
+    if not segments:
+        return 0
+    next_seq = past.next_seq if past.next_items is None else past.next_items.first_seq
+    return given_between(segments[0].first_seq, next_seq)

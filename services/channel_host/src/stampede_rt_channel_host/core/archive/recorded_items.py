@@ -14,15 +14,26 @@ class ArchiveSpan:
     """The facts that an archive keeps in memory.
 
     `oldest` and `newest` are times, or None if the archive is empty. `is_cut`: the archive has dropped items before the
-    oldest one.
+    oldest one. `begins_anew`: it begins with an owner that did not know the seqs of the former owners, so it does not
+    tell whether it has dropped items.
     """
 
-    __slots__ = ("is_cut", "newest", "oldest")
+    __slots__ = ("begins_anew", "is_cut", "newest", "oldest")
 
-    def __init__(self, oldest: int | None, newest: int | None, *, is_cut: bool) -> None:
+    def __init__(self, oldest: int | None, newest: int | None, *, is_cut: bool, begins_anew: bool = False) -> None:
         self.oldest = oldest
         self.newest = newest
         self.is_cut = is_cut
+        self.begins_anew = begins_anew
+
+    def has_dropped(self, lost_before: int | None, lost_from: int | None) -> bool:
+        """Whether the archive has dropped items before the oldest one, as far as the host can know.
+
+        `lost_before`, `lost_from`: of the channel (see `Reading`). With `lost_from` the archive had items of the former
+        owners. If all items before `lost_before` may be lost, reads say LOST for them.
+        """
+        tells_loss = lost_before is not None and lost_from is None
+        return self.is_cut or (self.begins_anew and not tells_loss)
 
 
 def earliest(one: int | None, other: int | None) -> int | None:
@@ -43,7 +54,8 @@ class RecordedItems:
 
     collected_by = ARCHIVE
 
-    def __init__(self, held: HoldingsSnapshot, span: ArchiveSpan, window: ArchiveWindow) -> None:
+    def __init__(self, held: HoldingsSnapshot, span: ArchiveSpan, window: ArchiveWindow, *, has_dropped: bool) -> None:
+        """`has_dropped`: see `ArchiveSpan.has_dropped`."""
         self._held = held
         self._window = window
         self._items: ChannelIndex = window.items
@@ -51,7 +63,7 @@ class RecordedItems:
         self.overlap_nanos = held.overlap_nanos
         self.oldest = earliest(held.oldest, span.oldest)
         self.newest = latest(held.newest, span.newest)
-        self.frontier = span.oldest if span.is_cut else None
+        self.frontier = span.oldest if has_dropped else None
         self.gone_before = None if self.frontier is None else self.frontier + self.overlap_nanos
 
     @property

@@ -51,8 +51,8 @@ class Scan(NamedTuple):
 class Segment(NamedTuple):
     """The summary of a segment: its number and length, its seqs and keys, and when its items were accepted.
 
-    `low` and `high` are None if it has no items. `lacks` is the number of seqs at its beginning that are in no block,
-    because a head is damaged.
+    `low` and `high` are None if it has no items. Its blocks lack some of its seqs if a head is damaged, or if a damaged
+    segment was before it.
     """
 
     number: int
@@ -63,7 +63,6 @@ class Segment(NamedTuple):
     low: ItemKey | None
     high: ItemKey | None
     last_accepted: int
-    lacks: int = 0
 
 
 def scan(read_at: ReadAt, length: int, *, check_contents: bool, begin: int = 0, may_be_torn: bool = True) -> Scan:
@@ -138,7 +137,6 @@ def summary(number: int, length: int, blocks: Iterable[PlacedBlock]) -> Segment 
         low=min((head.low for head in with_items), default=None),
         high=max((head.high for head in with_items), default=None),
         last_accepted=max(head.last_accepted for head in heads),
-        lacks=heads[0].first_seq - first_seq,
     )
 
 

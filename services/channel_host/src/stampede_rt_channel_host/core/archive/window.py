@@ -162,7 +162,7 @@ def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) 
         else:
             blocks = blocks_of(segment)
             found = (blocks.last_end_before(start), blocks.last_start_before(start))
-            before = max(before, *(one for one in found if one is not None))
+            before = max([before, *(one for one in found if one is not None)])  # no block may be whole
     low = min(start - wanted.overlap, start if before == FIRST_KEY[0] else before)
     return low if wanted.from_time is None else max(low, wanted.from_time)
 

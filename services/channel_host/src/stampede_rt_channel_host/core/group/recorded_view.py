@@ -124,7 +124,9 @@ class RecordedView:
     def reads(self, within: ResolvedInterval | None, *, waits: bool = False) -> Iterator[ArchivedRead]:
         """The reads to perform. `within`: the interval if it is resolved already. `waits`: to set `released_by`."""
         yield from self._look_for_newest()
-        reading, clock = self.reading_of(RecordedItems(self._held, self._span, _NO_WINDOW)), self._moment.clock
+        has_dropped = self._span.has_dropped(self._moment.lost_before, self._moment.lost_from)
+        items = RecordedItems(self._held, self._span, _NO_WINDOW, has_dropped=has_dropped)
+        reading, clock = self.reading_of(items), self._moment.clock
         self.within = within = within or reading.resolve(self._query, clock)
         if within is None:
             self.answer = run_to_end(reading.answer(self._query, None, clock))

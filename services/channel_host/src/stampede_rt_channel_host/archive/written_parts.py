@@ -1,0 +1,25 @@
+"""What one write appends to the files of a channel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from stampede_rt_channel_host.core.archive import ArchivedAdvance, ArchivedRun
+
+
+class SeqGap(NamedTuple):
+    """Seqs whose items are not archived, from `first_seq` up to `end_seq`, exclusive."""
+
+    first_seq: int
+    end_seq: int
+
+
+class Advances(NamedTuple):
+    """Advances of the channel, in the order of their acceptance. `seq`: of the next item to write."""
+
+    seq: int
+    rows: tuple[ArchivedAdvance, ...]
+
+
+WrittenPart = Sequence[ArchivedRun] | SeqGap | Advances

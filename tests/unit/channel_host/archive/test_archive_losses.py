@@ -1,0 +1,210 @@
+"""Items that an archive lacks at its begin, at its end, and in segments without any whole block: readers hear LOST."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from stampede_rt.values.model import Policy, Reason
+from stampede_rt.values.timeline import Bound, Interval, Match
+from stampede_rt_channel_host.archive.clean_stop import CleanStop
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
+from stampede_rt_channel_host.archive.segment_files import SegmentFiles
+from stampede_rt_channel_host.archive.written_parts import SeqGap
+from stampede_rt_channel_host.channels.past_reads import PastReader
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.core.archive import ArchivedRead, ArchivedRun, Segment, resolved
+from stampede_rt_channel_host.core.archive.seq_starts import start_of
+from stampede_rt_channel_host.core.archive.stored_segment import object_name, segment_named
+from stampede_rt_channel_host.core.channel import ChannelCore, Query, ReadAnswer, run_to_end
+from tests.unit.channel_host.archive.test_archive_files import NO_LIMITS, decode, run_at, write
+from tests.unit.channel_host.archive.test_host_archive_writes import archive_in
+
+CLOCK = 1000
+
+
+def files_of(folder: Path, *bounds: tuple[int, int]) -> list[Path]:
+    """Write a file with two items in a block for each of these ranges of seqs. Returns the files, in order.
+
+    The host accepts the items of the first one at the instant 0, and those of the others at 600.
+    """
+    for at, (first, end) in enumerate(bounds if bounds[0][0] == 1 else ((1, 1), *bounds)):
+        files = SegmentFiles(folder, {})
+        files.open(2)
+        for seq in range(first, end, 2):
+            files.write([[ArchivedRun(min(600 * at, 600), run_at(seq))]], NO_LIMITS)
+        files.close(None)
+    return sorted(folder.glob("*.segment"))
+
+
+def ruin(path: Path) -> None:
+    """Leave no block of a file that can be read."""
+    path.write_bytes(b"\0" * path.stat().st_size)
+
+
+def opened(folder: Path, epoch: int = 2) -> tuple[SegmentFiles, tuple[Segment, ...]]:
+    files = SegmentFiles(folder, {})
+    return files, files.open(epoch).segments
+
+
+def read(
+    files: SegmentFiles, segments: tuple[Segment, ...], start: int, end: int, channel: ChannelCore | None = None,
+    *, newest_first: bool = False,
+) -> tuple[list[int], Reason | None]:  # fmt: skip
+    """The seqs and the reason of a get over the archive and the memory of `channel`."""
+    query = Query(interval=Interval(Bound(None, start), Bound(None, end)), match=Match.START, newest_first=newest_first)
+    if channel is None:
+        channel = ChannelCore(Policy(max_items=100), incarnation=7)
+        span = span_of(segments)
+        channel.restore((), after=span.newest, next_seq=segments[-1].end_seq, loss=(None, None))
+    moment, span = channel.snapshot(CLOCK), span_of(segments)
+    within = resolved(moment, span, query)
+    assert within is not None
+    one = ArchivedRead(moment, span, query, within)
+    run_to_end(one.begin())
+    while (wanted := one.next_window()) is not None:
+        run_to_end(one.take(files.load(segments, wanted, decode, lambda: None)))
+    answer = one.answer()
+    return sorted(part.first_seq + at for part in answer.slices for at in range(part.items)), answer.reason
+
+
+def check(files: SegmentFiles, segments: tuple[Segment, ...], lacks: set[int], last: int) -> None:
+    """Check that each read that lacks some of the items says LOST, and that the others do not."""
+    for start in range(1, last + 1):
+        for end in range(start, last + 1):
+            for newest_first in (False, True):
+                found, reason = read(files, segments, start, end, newest_first=newest_first)
+                wanted = {*range(start, end + 1)}
+                assert {*found} == wanted - lacks
+                assert (reason == "LOST") == bool(wanted & lacks), (start, end, newest_first, reason)
+
+
+@pytest.mark.parametrize("restarts", [1, 2])
+def test_a_first_file_without_a_whole_block_is_a_loss(tmp_path: Path, restarts: int) -> None:
+    ruin(files_of(tmp_path, (1, 5), (5, 9))[0])
+    for _ in range(restarts):
+        files, segments = opened(tmp_path)
+    check(files, segments, {1, 2, 3, 4}, 8)
+    assert segments[0].first_seq == 1, "a subscription says LOST from this seq on"
+
+
+def test_the_loss_of_the_first_file_goes_to_the_object_store_with_the_second_one(tmp_path: Path) -> None:
+    ruin(files_of(tmp_path, (1, 5), (5, 9))[0])
+    files, segments = opened(tmp_path)
+    moved = segment_named(object_name(segments[0]))
+    assert moved is not None
+    check(files, (moved,), {1, 2, 3, 4}, 8)
+
+
+def test_the_first_file_after_an_only_file_without_a_whole_block_says_lost(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path)
+    write(files, 1, 2)
+    files.close(CleanStop(7, epoch=2))
+    [path] = tmp_path.glob("*.segment")
+    ruin(path)
+    files, segments = opened(tmp_path)
+    assert segments == ()
+    segments = write(files, 5, 2)
+    check(files, segments, {1, 2, 3, 4}, 8)
+
+
+def test_the_limits_count_again_once_the_file_after_the_damaged_one_has_gone(tmp_path: Path) -> None:
+    ruin(files_of(tmp_path, (1, 5), (5, 9), (9, 13))[0])
+    files, _ = opened(tmp_path)
+    segments = files.drop_outdated(NO_LIMITS._replace(bytes_max=1), CLOCK)
+    assert span_of(segments).is_cut
+    assert read(files, segments, 1, 12)[1] == "COLLECTED"
+    _, again = opened(tmp_path)
+    assert span_of(again).is_cut
+
+
+@pytest.mark.parametrize("which", [0, 1, 2])
+def test_a_file_that_loses_all_its_blocks_after_the_start_is_a_loss(tmp_path: Path, which: int) -> None:
+    paths = files_of(tmp_path, (1, 5), (5, 9), (9, 13))
+    _, segments = opened(tmp_path)
+    ruin(paths[which])
+    lacks = {*range(1 + 4 * which, 5 + 4 * which)}
+    check(SegmentFiles(tmp_path, {}), segments, lacks, 12)
+
+
+def test_items_that_max_bytes_collected_before_all_archived_ones_are_a_loss(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path)
+    segments = files.write([SeqGap(1, 5), [ArchivedRun(1, run_at(5))]], NO_LIMITS)
+    check(files, segments, {1, 2, 3, 4}, 6)
+
+
+def test_items_that_max_bytes_collected_after_all_archived_ones_are_a_loss(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path)
+    segments = files.write([[ArchivedRun(1, run_at(1))], SeqGap(3, 7)], NO_LIMITS)
+    channel = ChannelCore(Policy(max_items=100), incarnation=7)
+    channel.restore([run_at(7)], after=6, next_seq=9, loss=(None, None))
+    for start in range(1, 9):
+        for end in range(start, 9):
+            if start > 6:
+                continue  # such a read does not ask the archive
+            found, reason = read(files, segments, start, end, channel)
+            assert found == [one for one in range(start, end + 1) if one in (1, 2, 7, 8)]
+            assert (reason == "LOST") == any(one in range(start, end + 1) for one in (3, 4, 5, 6)), (start, end)
+
+
+def past(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, channel: ChannelCore, as_of: int, epoch: int = 2
+) -> ReadAnswer:
+    """The answer of a read of everything as of an instant."""
+
+    async def scenario() -> ReadAnswer:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        files, segments = opened(tmp_path / "c", epoch)
+        reader = PastReader(archive, ChannelRecorder(channel, files, segments), channel)
+        query = Query(interval=Interval(Bound(None, 1), Bound(None, 2**62)), match=Match.START)
+        found = await reader.read(query, as_of, PieceScheduler())
+        await archive.close([])
+        return found.answer
+
+    return asyncio.run(scenario())
+
+
+@pytest.mark.parametrize("as_of", [0, 599])
+def test_a_read_as_of_the_time_of_a_damaged_first_file_says_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, as_of: int
+) -> None:
+    ruin(files_of(tmp_path / "c", (1, 5), (5, 9))[0])
+    channel = ChannelCore(Policy(max_items=100), incarnation=7)
+    channel.restore((), after=8, next_seq=9, loss=(None, None))
+    assert past(tmp_path, monkeypatch, channel, as_of).reason == "LOST"
+
+
+FIRST = start_of(2)
+CLEAN, LOST_ALL, LOST_PART = (None, None), (500, None), (500, 4)  # `lost_before` and `lost_from` of the channel
+
+
+@pytest.mark.parametrize(
+    ("bounds", "dropped", "loss", "expected"),
+    [
+        (((1, 5), (5, 9)), 0, CLEAN, "NOT_YET"),  # the archive has all items, and none was known by then
+        (((1, 5), (5, 9)), 1, CLEAN, "COLLECTED"),
+        (((1, 5), (FIRST, FIRST + 4)), 0, CLEAN, "NOT_YET"),
+        (((1, 5), (FIRST, FIRST + 4)), 0, LOST_PART, "NOT_YET"),
+        (((1, 5), (FIRST, FIRST + 4)), 1, CLEAN, "COLLECTED"),  # the limits have dropped the first epoch
+        (((1, 5), (FIRST, FIRST + 4)), 1, LOST_PART, "COLLECTED"),
+        (((FIRST, FIRST + 4),), 0, LOST_ALL, "LOST"),  # the former owner had archived nothing
+        (((FIRST, FIRST + 4), (FIRST + 4, FIRST + 8)), 1, LOST_ALL, "COLLECTED"),
+        (((1, 5), (FIRST, FIRST + 4), (start_of(3), start_of(3) + 4)), 2, CLEAN, "COLLECTED"),
+    ],
+)
+def test_a_read_before_the_first_item_of_a_later_epoch_says_what_has_become_of_the_earlier_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bounds: tuple[tuple[int, int], ...], dropped: int,
+    loss: tuple[int | None, int | None], expected: str,
+) -> None:  # fmt: skip
+    for path in files_of(tmp_path / "c", *bounds)[:dropped]:
+        path.unlink()
+    lost_before, lost_from = loss
+    channel = ChannelCore(Policy(max_items=100), incarnation=7, lost_before=lost_before)
+    channel.restore((), after=bounds[-1][1], next_seq=bounds[-1][1], loss=(lost_from, lost_before))
+    assert past(tmp_path, monkeypatch, channel, -1).reason == expected
+    files, segments = opened(tmp_path / "c")
+    found, reason = read(files, segments, 1, 3, channel)
+    assert found == ([1, 2, 3] if bounds[0][0] == 1 and not dropped else [])
+    assert reason == (expected if expected != "NOT_YET" and not found else None)
