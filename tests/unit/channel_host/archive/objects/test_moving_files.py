@@ -9,7 +9,7 @@ import pytest
 
 from stampede_rt_channel_host.archive.objects import stored_segments
 from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
-from stampede_rt_channel_host.archive.objects.segment_store import StoreError
+from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore, StoreError
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
 from stampede_rt_channel_host.core.archive import ROW_BYTES, ArchivedRun, Hole, Segment
 from tests.support.channel_host.object_stores import PREFIX, FakeStore, move, moving_files, opened_files
@@ -24,7 +24,7 @@ def found_by(files: MovingFiles) -> list[int]:
     return seqs(files, files.segments)
 
 
-def host(tmp_path: Path, name: str, store: FakeStore, epoch: int) -> MovingFiles:
+def host(tmp_path: Path, name: str, store: SegmentStore, epoch: int) -> MovingFiles:
     return opened_files(tmp_path / name, store, epoch, cut)
 
 

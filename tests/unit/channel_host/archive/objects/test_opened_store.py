@@ -1,4 +1,4 @@
-"""The contract of a store, for each kind: one in memory, a folder, and a real S3 server."""
+"""The contract of a store, for each kind: one in memory, a folder, a real S3 server, and a server of Azure blobs."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ from stampede_rt_channel_host.archive.objects.segment_store import (
     check_store,
 )
 from stampede_rt_runtime.settings import SettingsError
+from tests.support.channel_host.azure_server import CONTAINER, AzureServer, azure_server
 from tests.support.channel_host.object_stores import FakeStore
 from tests.support.channel_host.s3_server import BUCKET, S3Server, s3_server
+from tests.unit.channel_host.archive.objects.test_moving_files import found_by, host, move, write_closed
 
 
 @pytest.fixture(scope="module")
@@ -29,12 +31,20 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[S3Server]:
         yield running
 
 
-@pytest.fixture(params=["memory", "folder", "s3"])
+@pytest.fixture(scope="module")
+def azure() -> Iterator[AzureServer]:
+    with azure_server() as running:
+        yield running
+
+
+@pytest.fixture(params=["memory", "folder", "s3", "az"])
 def store(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SegmentStore:
     if request.param == "memory":
         return FakeStore()
     if request.param == "folder":
         return OpenedStore(f"file://{tmp_path}/a folder")
+    if request.param == "az":
+        return opened_in_azure(request.getfixturevalue("azure"), monkeypatch, tmp_path.name)
     return opened(request.getfixturevalue("server"), monkeypatch, tmp_path.name)
 
 
@@ -42,6 +52,12 @@ def opened(server: S3Server, monkeypatch: pytest.MonkeyPatch, prefix: str) -> Op
     for name, value in server.environment.items():
         monkeypatch.setenv(name, value)
     return OpenedStore(f"s3://{BUCKET}/{prefix}")
+
+
+def opened_in_azure(azure: AzureServer, monkeypatch: pytest.MonkeyPatch, prefix: str) -> OpenedStore:
+    for name, value in azure.environment.items():
+        monkeypatch.setenv(name, value)
+    return OpenedStore(f"az://{CONTAINER}/{prefix}")
 
 
 @pytest.mark.asyncio
@@ -85,6 +101,39 @@ async def test_the_error_for_wrong_credentials_is_clear_and_does_not_show_the_se
     with pytest.raises(SettingsError, match=r"--archive: .*s3://archives/x.*AWS_ACCESS_KEY_ID") as caught:
         await check_store(OpenedStore(f"s3://{BUCKET}/x"))
     assert server.environment["AWS_SECRET_ACCESS_KEY"] not in str(caught.value)
+
+
+@pytest.mark.parametrize("variable", ["AZURE_STORAGE_ACCOUNT_KEY", "AZURE_STORAGE_ACCOUNT_NAME"])
+@pytest.mark.asyncio
+async def test_the_error_of_azure_for_wrong_credentials_is_clear_and_does_not_show_the_key(
+    azure: AzureServer, monkeypatch: pytest.MonkeyPatch, variable: str
+) -> None:
+    opened_in_azure(azure, monkeypatch, "x")
+    monkeypatch.setenv(variable, KEY if variable.endswith("KEY") else "nobody")
+    with pytest.raises(SettingsError, match=r"--archive: .*az://archives/x.*AZURE_STORAGE_ACCOUNT_NAME") as caught:
+        await check_store(OpenedStore(f"az://{CONTAINER}/x"))
+    assert KEY not in str(caught.value)
+
+
+@pytest.mark.asyncio
+async def test_a_container_of_azure_that_does_not_exist_is_named(
+    azure: AzureServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened_in_azure(azure, monkeypatch, "x")
+    with pytest.raises(SettingsError, match=r"--archive: .*az://missing/x"):
+        await check_store(OpenedStore("az://missing/x"))
+
+
+@pytest.mark.asyncio
+async def test_a_segment_goes_to_azure_and_is_read_from_there(
+    azure: AzureServer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    store = opened_in_azure(azure, monkeypatch, tmp_path.name)
+    former = host(tmp_path, "a", store, 1)
+    write_closed(former, 1)
+    await move(former, store)
+    assert [one.bytes > 0 for one in store.find("channels/")] == [True]
+    assert found_by(host(tmp_path, "b", store, 2)) == [1, 2, 3, 4]
 
 
 @pytest.fixture
