@@ -47,6 +47,22 @@ def test_a_replay_ignores_later_items_when_it_checks_what_the_channel_takes(run:
     assert (status, json.loads(out)["items"]) == (0, {"cut/until/cam": 2}), told
 
 
+def test_a_replay_makes_no_channel_for_a_topic_without_items_in_its_interval(
+    run: Command, rt: st.Connection, tmp_path: Path
+) -> None:
+    began, path = st.now() - 30 * 10**9, tmp_path / "two.mcap"
+    early, late = rt.channel("some/early", max_age="60s"), rt.channel("some/late", max_age="60s")
+    for number in range(4):
+        early.put(b"%d" % number, time=began + number)
+        late.put(b"%d" % number, time=began + 10 * 10**9 + number)
+    late.advance(began + 20 * 10**9)
+    assert run("record", "some/*", "--since", "60s", "--for", "0s", "-o", str(path))[0] == 0
+    words = ("--to", str(began + 10**9), "--as", "part/", "--speed", "max", "--shift", "now")
+    status, out, told = run("replay", str(path), *words, "-o", "json")
+    assert (status, json.loads(out)["items"]) == (0, {"part/some/early": 4}), told
+    assert "part/some/late" not in [one.name for one in rt.channels()]
+
+
 def test_a_replay_of_a_time_between_two_items_says_so_and_makes_no_channel(
     run: Command, rt: st.Connection, tmp_path: Path
 ) -> None:

@@ -172,12 +172,13 @@ class Player(BackgroundStart, BoundToProcess):
         return Schedule.plan(start, max(start, end), self._request.speed, self._request.shift, now)
 
     def _open(self, topics: Sequence[SourceTopic], schedule: Schedule) -> None:
-        """Open all channels, and check that none of them would refuse the items.
+        """Open a channel for each topic with items to put, and check that none of them would refuse the items.
 
         Raises InvalidArgument, also if there are no items to put. Then it has opened no channel.
         """
-        firsts = [in_thread(partial(self._first_time, topic)) for topic in topics]
-        if all(one is None for one in firsts):
+        firsts = {one.name: in_thread(partial(self._first_time, one)) for one in topics}
+        topics = [one for one in topics if firsts[one.name] is not None]
+        if not topics:
             when = window_text(self._request.start, self._request.end)
             raise InvalidArgument(f"the file {self._source.path!r} has no items of the chosen topics{when}")
         taken: dict[str, str] = {}
@@ -189,7 +190,8 @@ class Player(BackgroundStart, BoundToProcess):
                 )
             policy = target_policy(topic.policy, self._request.shift is not None, schedule.lag_nanos)
             self._channels[topic.name] = PlayedChannel.open(self._session, name, policy)
-        for topic, found in zip(topics, firsts, strict=True):
+        for topic in topics:
+            found = firsts[topic.name]
             first = topic.start if found is None else found
             self._channels[topic.name].check(first, max(first, min(topic.end, self._request.end - 1)), schedule)
 
@@ -202,7 +204,7 @@ class Player(BackgroundStart, BoundToProcess):
 
     def _play_round(self, schedule: Schedule) -> None:
         request, began = self._request, time.monotonic_ns()
-        events = self._source.events(lambda name: name in self._channels, request.start, request.end)
+        events = self._source.events(request.chosen, request.start, request.end)
         while part := in_thread(partial(_some, events)):
             for due, event in part:
                 wait = (schedule.due_nanos(due) - (time.monotonic_ns() - began)) / 1e9
@@ -215,12 +217,16 @@ class Player(BackgroundStart, BoundToProcess):
     def _take(self, event: Event, schedule: Schedule) -> None:
         if isinstance(event, FileEntry):
             self._channels[event.topic.name].put(event, schedule.shifted(event.time))
-        elif isinstance(event, FileAdvance):
-            self._channels[event.channel].advance(schedule.shifted(event.time))
-        else:
-            self._channels[event.channel].note_gap(event)
-            if len(self._gaps) < GAPS_KEPT_MAX:
-                self._gaps.append(event)
+            return
+        channel = self._channels.get(event.channel)  # None: no item of this topic is played
+        if isinstance(event, FileAdvance):
+            if channel is not None:
+                channel.advance(schedule.shifted(event.time))
+            return
+        if channel is not None:
+            channel.note_gap(event)
+        if len(self._gaps) < GAPS_KEPT_MAX:
+            self._gaps.append(event)
 
     def _flush(self) -> None:
         for one in self._channels.values():
