@@ -1,4 +1,4 @@
-"""What one write appends to the files of a channel."""
+"""The items, gaps and advances that one write appends to the files of a channel."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ from stampede_rt_channel_host.core.archive.block import (
     encode_opening,
     is_whole,
 )
-from stampede_rt_channel_host.core.archive.holes import Hole, Reach, border_holes, holes
+from stampede_rt_channel_host.core.archive.holes import Hole, WindowReach, border_holes, holes
 from stampede_rt_channel_host.core.archive.past import (
     NextItems,
     Past,
@@ -105,7 +105,6 @@ __all__ = [
     "Past",
     "PastFacts",
     "PlacedBlock",
-    "Reach",
     "ReadAt",
     "RunsOf",
     "Scan",
@@ -114,6 +113,7 @@ __all__ = [
     "TimeRange",
     "Wanted",
     "WantedWindow",
+    "WindowReach",
     "border_holes",
     "choose",
     "choose_by_seq",

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Match, ResolvedInterval, format_instant
-from stampede_rt_channel_host.core.archive.holes import Hole, Reach
+from stampede_rt_channel_host.core.archive.holes import Hole, WindowReach
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan, RecordedItems, earliest, latest
 from stampede_rt_channel_host.core.archive.window import ArchiveWindow, Chosen, Wanted
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot, HoldingsSnapshot
@@ -61,13 +61,13 @@ class WantedWindow(NamedTuple):
     high: ItemKey
 
 
-def reach_of(window: WantedWindow, chosen: Chosen) -> Reach:
+def reach_of(window: WantedWindow, chosen: Chosen) -> WindowReach:
     """The times at which a window looks, once its blocks are chosen."""
     wanted, edge = window.wanted, chosen.edge
     low = wanted.start if wanted.from_time is None else wanted.from_time
     if wanted.down:
-        return Reach(low if edge is None else edge, wanted.high[0], window.high[0])
-    return Reach(low, wanted.high[0] if edge is None else edge, window.high[0])
+        return WindowReach(low if edge is None else edge, wanted.high[0], window.high[0])
+    return WindowReach(low, wanted.high[0] if edge is None else edge, window.high[0])
 
 
 class ArchivedRead:

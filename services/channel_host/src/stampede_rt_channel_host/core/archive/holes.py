@@ -22,7 +22,7 @@ class Hole(NamedTuple):
     items: int
 
 
-class Reach(NamedTuple):
+class WindowReach(NamedTuple):
     """The times at which a window looked, both inclusive. Memory has the items from the time `border` on."""
 
     low: int
@@ -43,7 +43,7 @@ def holes(blocks: SegmentBlocks, taken: Set[int]) -> Iterator[Hole]:
 
 
 def border_holes(
-    segments: Sequence[Segment], blocks_of: BlocksOf, taken: Mapping[Segment, Set[int]], reach: Reach
+    segments: Sequence[Segment], blocks_of: BlocksOf, taken: Mapping[Segment, Set[int]], reach: WindowReach
 ) -> Iterator[Hole]:
     """The other holes: between two segments, next to the blocks that a read took, before all items, after all items,
     and segments without any block that can be read. `taken`: the offsets of these blocks.
@@ -60,7 +60,7 @@ def border_holes(
             yield from _between(last, following)
 
 
-def _unreadable(with_items: Sequence[Segment], blocks_of: BlocksOf, reach: Reach) -> Iterator[Hole]:
+def _unreadable(with_items: Sequence[Segment], blocks_of: BlocksOf, reach: WindowReach) -> Iterator[Hole]:
     """The segments within reach without any block that can be read."""
     for one in with_items:
         if one.low is None or one.high is None or one.low[0] > reach.high or one.high[0] < reach.low:
@@ -70,7 +70,7 @@ def _unreadable(with_items: Sequence[Segment], blocks_of: BlocksOf, reach: Reach
 
 
 def _first_hole(
-    segments: Sequence[Segment], with_items: Sequence[Segment], blocks_of: BlocksOf, reach: Reach
+    segments: Sequence[Segment], with_items: Sequence[Segment], blocks_of: BlocksOf, reach: WindowReach
 ) -> Iterator[Hole]:
     """The hole before all items. If the archive has dropped items before it, its times are not known."""
     for one in with_items:
@@ -84,7 +84,7 @@ def _first_hole(
 
 
 def _last_hole(
-    segments: Sequence[Segment], with_items: Sequence[Segment], blocks_of: BlocksOf, reach: Reach
+    segments: Sequence[Segment], with_items: Sequence[Segment], blocks_of: BlocksOf, reach: WindowReach
 ) -> Iterator[Hole]:
     """The hole between all items and those in memory."""
     for one in reversed(with_items):
