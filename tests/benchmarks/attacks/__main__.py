@@ -21,8 +21,8 @@ import sys
 from dataclasses import dataclass
 
 from stampede_rt_bench.tables import Table
+from tests.benchmarks.attacks.attacked_cluster import TRANSPORT
 from tests.benchmarks.attacks.catalogue import CASES
-from tests.benchmarks.attacks.ground import TRANSPORT
 from tests.benchmarks.attacks.own_process import Unfinished, in_own_process
 from tests.benchmarks.attacks.trial import Found, Setup, run_trial
 

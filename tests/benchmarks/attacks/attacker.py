@@ -1,4 +1,4 @@
-"""The attacker's process: reads the ground from its standard input, and attacks until that is closed.
+"""The attacker's process: reads the attacked cluster from its standard input, and attacks until the input is closed.
 
 It prints a line once the attack is under way. With the further argument "apart" it takes only the processor time that
 no other program wants, as if it ran on another machine.
@@ -12,15 +12,15 @@ import os
 import sys
 
 from stampede_rt_runtime import open_files
+from tests.benchmarks.attacks.attacked_cluster import AttackedCluster
 from tests.benchmarks.attacks.catalogue import CASES
-from tests.benchmarks.attacks.ground import Ground
 
 UNDER_WAY = "under way"
 
 
-async def attack(name: str, ground: Ground) -> None:
+async def attack(name: str, attacked: AttackedCluster) -> None:
     """Run the attack until standard input ends."""
-    work = asyncio.create_task(_attack(name, ground))
+    work = asyncio.create_task(_attack(name, attacked))
     ended = asyncio.create_task(asyncio.to_thread(sys.stdin.read))
     await asyncio.wait({work, ended}, return_when=asyncio.FIRST_COMPLETED)
     if work.done():
@@ -29,9 +29,9 @@ async def attack(name: str, ground: Ground) -> None:
     await asyncio.wait({work}, timeout=1.0)
 
 
-async def _attack(name: str, ground: Ground) -> None:
+async def _attack(name: str, attacked: AttackedCluster) -> None:
     with contextlib.suppress(asyncio.CancelledError):
-        await CASES[name].attack(ground, lambda: print(UNDER_WAY, flush=True))
+        await CASES[name].attack(attacked, lambda: print(UNDER_WAY, flush=True))
 
 
 def main() -> None:
@@ -39,7 +39,7 @@ def main() -> None:
     if len(sys.argv) > 2:
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     open_files.raise_limit()
-    asyncio.run(attack(sys.argv[1], Ground.from_line(sys.stdin.readline())))
+    asyncio.run(attack(sys.argv[1], AttackedCluster.from_line(sys.stdin.readline())))
 
 
 if __name__ == "__main__":

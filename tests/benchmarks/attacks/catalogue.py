@@ -15,7 +15,7 @@ from tests.benchmarks.attacks import (
     readers,
     without_credential,
 )
-from tests.benchmarks.attacks.ground import Attack
+from tests.benchmarks.attacks.attacked_cluster import Attack
 
 Part = Literal["host", "supernode"]
 

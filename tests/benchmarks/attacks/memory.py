@@ -21,7 +21,7 @@ from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 from stampede_rt.wire.request_pieces import messages_of
 from stampede_rt.wire.runs import encode_run
-from tests.benchmarks.attacks.ground import NAME_VARIABLE, Ground, Uploads, all_of, for_ever
+from tests.benchmarks.attacks.attacked_cluster import NAME_VARIABLE, AttackedCluster, Uploads, all_of, for_ever
 
 MIB = 2**20
 NAME = os.environ.get(NAME_VARIABLE, "hostile")
@@ -34,14 +34,16 @@ HOUR_NANOS = 3600 * 10**9
 FIELD_999 = bytes(((999 << 3 | 2) & 127 | 128, (999 << 3 | 2) >> 7))  # bytes of a field that the contract lacks
 
 
-def stub(ground: Ground, kind: Any) -> Any:
+def stub(attacked: AttackedCluster, kind: Any) -> Any:
     """The stub of the host, over a connection of its own."""
-    return kind(ground.channel(ground.host))
+    return kind(attacked.channel(attacked.host))
 
 
-async def put_all(ground: Ground, name: str, runs: Sequence[bytes] | Any, *, runs_per_request: int = 1) -> None:
+async def put_all(
+    attacked: AttackedCluster, name: str, runs: Sequence[bytes] | Any, *, runs_per_request: int = 1
+) -> None:
     """Put runs on one stream, without puts that wait. Ignores refusals."""
-    known = await ground.bound(name)
+    known = await attacked.bound(name)
 
     async def requests() -> AsyncIterator[bytes]:
         numbered = enumerate(runs, start=1)
@@ -50,77 +52,77 @@ async def put_all(ground: Ground, name: str, runs: Sequence[bytes] | Any, *, run
             for message in messages_of(raw_run_pb2.RawPutRequest(**known, puts=puts).SerializeToString()):
                 yield message
 
-    async with ground.channel(ground.target) as channel:
+    async with attacked.channel(attacked.target) as channel:
         call = channel.stream_stream("/stampede_rt.v1.ChannelService/Put")
         with suppress(grpc.aio.AioRpcError):
-            async for _ in call(requests(), metadata=ground.metadata):
+            async for _ in call(requests(), metadata=attacked.metadata):
                 pass
 
 
-async def repeated_fields(ground: Ground, under_way: Callable[[], None]) -> None:
+async def repeated_fields(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """150 puts in which a field of 4 MiB comes twice, of which only the last one is an item's payload."""
     twice = item_pb2.ItemRun(payloads=bytes(4 * MIB)).SerializeToString() + encode_run([b"one"], times=None)
-    await _put_and_stay(ground, itertools.repeat(twice, TWICE), under_way)
+    await _put_and_stay(attacked, itertools.repeat(twice, TWICE), under_way)
 
 
-async def attributes(ground: Ground, under_way: Callable[[], None]) -> None:
+async def attributes(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """20,000 items of one byte, with the most attributes that an item may have."""
     run = encode_run([b"x"], times=None, attributes={"k": "x" * 16_000})
-    await _put_and_stay(ground, itertools.repeat(run, ATTRIBUTED_ITEMS), under_way)
+    await _put_and_stay(attacked, itertools.repeat(run, ATTRIBUTED_ITEMS), under_way)
 
 
-async def refused_runs(ground: Ground, under_way: Callable[[], None]) -> None:
+async def refused_runs(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """800 runs of 1 MiB whose payload lengths are wrong."""
     bad = item_pb2.ItemRun(payload_length_bytes=[1], payloads=bytes(MIB)).SerializeToString()
-    await _put_and_stay(ground, itertools.repeat(bad, REFUSED), under_way)
+    await _put_and_stay(attacked, itertools.repeat(bad, REFUSED), under_way)
 
 
-async def late_clock(ground: Ground, under_way: Callable[[], None]) -> None:
+async def late_clock(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """800 items of 1 MiB by a producer whose clock is an hour behind."""
     late = encode_run([bytes(MIB)], times=[st.now() - HOUR_NANOS])
-    await _put_and_stay(ground, itertools.repeat(late, REFUSED), under_way)
+    await _put_and_stay(attacked, itertools.repeat(late, REFUSED), under_way)
 
 
-async def _put_and_stay(ground: Ground, runs: Any, under_way: Callable[[], None]) -> None:
-    async with ground.connect() as rt:
+async def _put_and_stay(attacked: AttackedCluster, runs: Any, under_way: Callable[[], None]) -> None:
+    async with attacked.connect() as rt:
         await rt.channel(NAME, max_age="10s")
         under_way()
-        await put_all(ground, NAME, runs)
+        await put_all(attacked, NAME, runs)
         await for_ever()
 
 
-async def waiting_puts(ground: Ground, under_way: Callable[[], None]) -> None:
+async def waiting_puts(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """40 puts of 15 MiB into a channel that is full, on as many connections, and all wait without limit."""
-    async with ground.connect() as rt:
+    async with attacked.connect() as rt:
         await rt.channel(NAME, max_items=1, consumers=1)
-        known = await ground.bound(NAME)
-        await put_all(ground, NAME, [encode_run([b"first"], times=None)])
+        known = await attacked.bound(NAME)
+        await put_all(attacked, NAME, [encode_run([b"first"], times=None)])
         run = item_pb2.ItemRun.FromString(encode_run([bytes(WAITING_BYTES)], times=None))
         request = pb.PutRequest(**known, puts=[pb.PutRun(first_number=1, run=run)])
-        await _put_and_wait(ground, PUT_METHOD, request, under_way)
+        await _put_and_wait(attacked, PUT_METHOD, request, under_way)
 
 
-async def waiting_enqueues(ground: Ground, under_way: Callable[[], None]) -> None:
+async def waiting_enqueues(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """The same with a queue."""
-    async with ground.connect() as rt:
+    async with attacked.connect() as rt:
         await (await rt.queue(NAME, max_items=1)).put(b"first")
-        known = await queue_known(ground)
+        known = await queue_known(attacked)
         run = item_pb2.ItemRun.FromString(encode_run([bytes(WAITING_BYTES)], times=None))
         request = queue_pb.EnqueueRequest(**known, runs=[queue_pb.EnqueueRun(first_number=1, run=run)])
-        await _put_and_wait(ground, ENQUEUE_METHOD, request, under_way)
+        await _put_and_wait(attacked, ENQUEUE_METHOD, request, under_way)
 
 
-async def queue_known(ground: Ground) -> dict[str, Any]:
+async def queue_known(attacked: AttackedCluster) -> dict[str, Any]:
     """The fields that name the queue in requests to its host."""
-    async with ground.channel(ground.supernode) as channel:
+    async with attacked.channel(attacked.supernode) as channel:
         resolve: Any = QueueDirectoryServiceStub(channel).ResolveQueue  # type: ignore[no-untyped-call]
         request = queue_directory_service_pb2.ResolveQueueRequest(name=NAME)
-        record = (await resolve(request, metadata=ground.metadata)).queue
+        record = (await resolve(request, metadata=attacked.metadata)).queue
     return {"queue_id": record.queue_id, "epoch": record.epoch}
 
 
-async def _put_and_wait(ground: Ground, method: str, request: Any, under_way: Callable[[], None]) -> None:
-    uploads, messages = Uploads(ground, method), [*messages_of(request.SerializeToString())]
+async def _put_and_wait(attacked: AttackedCluster, method: str, request: Any, under_way: Callable[[], None]) -> None:
+    uploads, messages = Uploads(attacked, method), [*messages_of(request.SerializeToString())]
     for _ in range(WAITING):
         uploads.begin(messages)
     await uploads.until_stuck()
@@ -128,23 +130,23 @@ async def _put_and_wait(ground: Ground, method: str, request: Any, under_way: Ca
     await for_ever()
 
 
-async def silent_subscriptions(ground: Ground, under_way: Callable[[], None]) -> None:
+async def silent_subscriptions(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """60 subscriptions with unlimited credit, whose readers never read."""
-    async with ground.connect() as rt:
+    async with attacked.connect() as rt:
         await _held(await rt.channel(NAME, max_age="1h"))
-        opened = pb.SubscribeOpen(**await ground.bound(NAME), start=time_pb2.Bound(instant_unix_nano=MIN_INSTANT))
+        opened = pb.SubscribeOpen(**await attacked.bound(NAME), start=time_pb2.Bound(instant_unix_nano=MIN_INSTANT))
         request = pb.SubscribeRequest(open=opened, credit_bytes=2**60)
-        calls = [stub(ground, ChannelServiceStub).Subscribe(metadata=ground.metadata) for _ in range(STREAMS)]
+        calls = [stub(attacked, ChannelServiceStub).Subscribe(metadata=attacked.metadata) for _ in range(STREAMS)]
         under_way()
         await all_of(*(call.write(request) for call in calls))
         await for_ever()
 
 
-async def silent_gets(ground: Ground, under_way: Callable[[], None]) -> None:
+async def silent_gets(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """60 streams with 16 gets of all items each, whose answers no reader reads."""
-    async with ground.connect() as rt:
-        known = await held_channel(ground, rt)
-        calls = [stub(ground, ChannelServiceStub).Get(metadata=ground.metadata) for _ in range(STREAMS)]
+    async with attacked.connect() as rt:
+        known = await held_channel(attacked, rt)
+        calls = [stub(attacked, ChannelServiceStub).Get(metadata=attacked.metadata) for _ in range(STREAMS)]
         under_way()
         for call_id in range(1, 17):
             request = pb.GetRequest(call_id=call_id, interval=everything(), **known)
@@ -152,14 +154,14 @@ async def silent_gets(ground: Ground, under_way: Callable[[], None]) -> None:
         await for_ever()
 
 
-async def silent_takers(ground: Ground, under_way: Callable[[], None]) -> None:
+async def silent_takers(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """60 takers of a queue, with credit for all messages, that never read."""
-    async with ground.connect() as rt:
+    async with attacked.connect() as rt:
         queue = await rt.queue(NAME, copies=STREAMS)
         for _ in range(HELD_ITEMS):
             await queue.put(bytes(MIB))
-        known = await queue_known(ground)
-        calls = [stub(ground, QueueServiceStub).Take(metadata=ground.metadata) for _ in range(STREAMS)]
+        known = await queue_known(attacked)
+        calls = [stub(attacked, QueueServiceStub).Take(metadata=attacked.metadata) for _ in range(STREAMS)]
         under_way()
         for taker_id, call in enumerate(calls, start=1):
             opened = queue_pb.TakeOpen(taker_id=taker_id, **known)
@@ -167,11 +169,11 @@ async def silent_takers(ground: Ground, under_way: Callable[[], None]) -> None:
         await for_ever()
 
 
-async def unknown_fields(ground: Ground, under_way: Callable[[], None]) -> None:
+async def unknown_fields(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """1280 gets that wait, with 200 KiB each of fields that the contract does not have."""
-    async with ground.connect() as rt:
+    async with attacked.connect() as rt:
         await rt.channel(NAME)
-        known = await ground.bound(NAME)
+        known = await attacked.bound(NAME)
         ahead = time_pb2.Interval(
             start=time_pb2.Bound(instant_unix_nano=st.now() + HOUR_NANOS),
             end=time_pb2.Bound(instant_unix_nano=MAX_INSTANT),
@@ -180,17 +182,19 @@ async def unknown_fields(ground: Ground, under_way: Callable[[], None]) -> None:
         raw = get + FIELD_999 + _varint(UNKNOWN_BYTES) + bytes(UNKNOWN_BYTES)
         under_way()
         calls = [
-            ground.channel(ground.target).stream_stream("/stampede_rt.v1.ChannelService/Get")(metadata=ground.metadata)
+            attacked.channel(attacked.target).stream_stream("/stampede_rt.v1.ChannelService/Get")(
+                metadata=attacked.metadata
+            )
             for _ in range(GETS)
         ]
         await all_of(*(call.write(raw) for call in calls))
         await for_ever()
 
 
-async def held_channel(ground: Ground, rt: Any) -> dict[str, Any]:
+async def held_channel(attacked: AttackedCluster, rt: Any) -> dict[str, Any]:
     """The fields that name a channel with 16 MiB in requests to its host."""
     await _held(await rt.channel(NAME, max_age="1h"))
-    return await ground.bound(NAME)
+    return await attacked.bound(NAME)
 
 
 async def _held(channel: Any) -> None:

@@ -26,7 +26,7 @@ from stampede_rt.v1.group_directory_service_pb2_grpc import GroupDirectoryServic
 from stampede_rt.v1.group_service_pb2_grpc import GroupServiceStub
 from stampede_rt.v1.peer_service_pb2_grpc import PeerServiceStub
 from stampede_rt.wire.runs import encode_run
-from tests.benchmarks.attacks.ground import GOOD_CHANNEL, Ground, all_of, for_ever
+from tests.benchmarks.attacks.attacked_cluster import GOOD_CHANNEL, AttackedCluster, all_of, for_ever
 from tests.benchmarks.attacks.memory import MIB, NAME, STREAMS, everything, put_all, stub
 
 ITEMS, GETTERS = 50_000, 8
@@ -36,32 +36,32 @@ GROUP_MEMBERS = 64
 WATCHES = 2000
 
 
-async def large_gets(ground: Ground, under_way: Callable[[], None]) -> None:
+async def large_gets(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """8 callers get all of 50,000 items, again and again."""
-    async with ground.connect() as rt:
+    async with attacked.connect() as rt:
         await rt.channel(NAME, max_items=ITEMS)
-        await put_all(ground, NAME, [encode_run([b"x" * 20], times=None)] * ITEMS, runs_per_request=100)
-        known = await ground.bound(NAME)
+        await put_all(attacked, NAME, [encode_run([b"x" * 20], times=None)] * ITEMS, runs_per_request=100)
+        known = await attacked.bound(NAME)
         under_way()
-        await all_of(*(_get_again_and_again(ground, known) for _ in range(GETTERS)))
+        await all_of(*(_get_again_and_again(attacked, known) for _ in range(GETTERS)))
 
 
-async def _get_again_and_again(ground: Ground, known: dict[str, Any]) -> None:
-    call: Any = stub(ground, ChannelServiceStub).Get(metadata=ground.metadata)
+async def _get_again_and_again(attacked: AttackedCluster, known: dict[str, Any]) -> None:
+    call: Any = stub(attacked, ChannelServiceStub).Get(metadata=attacked.metadata)
     for call_id in itertools.count(1):
         await call.write(pb.GetRequest(call_id=call_id, interval=everything(), **known))
         while not (response := await call.read()).HasField("summary"):
             assert not response.HasField("error"), response.error
 
 
-async def many_subscriptions(ground: Ground, under_way: Callable[[], None]) -> None:
+async def many_subscriptions(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """3000 subscriptions to the channel of the good clients; all are read."""
-    opened = pb.SubscribeOpen(**await ground.bound(GOOD_CHANNEL))
+    opened = pb.SubscribeOpen(**await attacked.bound(GOOD_CHANNEL))
     request = pb.SubscribeRequest(open=opened, credit_bytes=2**60)
     calls: list[Any] = []
     for _ in range(SUBSCRIPTIONS // SUBSCRIPTIONS_OF_ONE_CONNECTION):
-        one = stub(ground, ChannelServiceStub)
-        calls += [one.Subscribe(metadata=ground.metadata) for _ in range(SUBSCRIPTIONS_OF_ONE_CONNECTION)]
+        one = stub(attacked, ChannelServiceStub)
+        calls += [one.Subscribe(metadata=attacked.metadata) for _ in range(SUBSCRIPTIONS_OF_ONE_CONNECTION)]
     await all_of(*(call.write(request) for call in calls))
     under_way()
     await all_of(*map(_read_all, calls))
@@ -72,65 +72,65 @@ async def _read_all(call: Any) -> None:
         pass
 
 
-async def new_channels(ground: Ground, under_way: Callable[[], None]) -> None:
+async def new_channels(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """16 callers make channels as fast as they can."""
     under_way()
     numbers = itertools.count()
-    await all_of(*(_create(ground, numbers) for _ in range(CREATORS)))
+    await all_of(*(_create(attacked, numbers) for _ in range(CREATORS)))
 
 
-async def _create(ground: Ground, numbers: itertools.count[int]) -> None:
-    open_channel: Any = DirectoryServiceStub(ground.channel(ground.supernode)).OpenChannel
+async def _create(attacked: AttackedCluster, numbers: itertools.count[int]) -> None:
+    open_channel: Any = DirectoryServiceStub(attacked.channel(attacked.supernode)).OpenChannel
     for number in numbers:
         request = directory_service_pb2.OpenChannelRequest(
             request_id=secrets.token_bytes(16), name=f"{NAME}/{number}", create=True
         )
         with suppress(grpc.aio.AioRpcError):
-            await open_channel(request, metadata=ground.metadata, timeout=10)
+            await open_channel(request, metadata=attacked.metadata, timeout=10)
 
 
-async def new_queues(ground: Ground, under_way: Callable[[], None]) -> None:
+async def new_queues(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """Queues are made one after the other."""
-    async with ground.connect() as rt:
+    async with attacked.connect() as rt:
         under_way()
         for number in itertools.count():
             with suppress(st.StampedeError):
                 await rt.queue(f"{NAME}/{number}")
 
 
-async def new_groups(ground: Ground, under_way: Callable[[], None]) -> None:
+async def new_groups(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """Groups of 64 channels are made and deleted as fast as 16 callers can."""
-    async with ground.connect() as rt:
+    async with attacked.connect() as rt:
         ids = [(await rt.channel(f"{NAME}/{number}")).info.channel_id for number in range(GROUP_MEMBERS)]
     under_way()
     numbers = itertools.count()
-    await all_of(*(_make_groups(ground, numbers, ids) for _ in range(CREATORS)))
+    await all_of(*(_make_groups(attacked, numbers, ids) for _ in range(CREATORS)))
 
 
-async def _make_groups(ground: Ground, numbers: itertools.count[int], channel_ids: list[bytes]) -> None:
-    stub: Any = GroupDirectoryServiceStub(ground.channel(ground.supernode))  # type: ignore[no-untyped-call]
+async def _make_groups(attacked: AttackedCluster, numbers: itertools.count[int], channel_ids: list[bytes]) -> None:
+    stub: Any = GroupDirectoryServiceStub(attacked.channel(attacked.supernode))  # type: ignore[no-untyped-call]
     spec = group_pb2.GroupSpec(channel_ids=channel_ids)
     for number in numbers:
         request = group_directory_service_pb2.OpenGroupRequest(
             request_id=secrets.token_bytes(16), name=f"{NAME}/{number}", spec=spec, create=True
         )
         with suppress(grpc.aio.AioRpcError):
-            made = await stub.OpenGroup(request, metadata=ground.metadata, timeout=10)
+            made = await stub.OpenGroup(request, metadata=attacked.metadata, timeout=10)
             delete = group_directory_service_pb2.DeleteGroupRequest(
                 request_id=secrets.token_bytes(16), group_id=made.group.group_id
             )
-            await stub.DeleteGroup(delete, metadata=ground.metadata, timeout=10)
+            await stub.DeleteGroup(delete, metadata=attacked.metadata, timeout=10)
 
 
-async def new_peers(ground: Ground, under_way: Callable[[], None]) -> None:
+async def new_peers(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """Peers with mailboxes are registered as fast as 16 callers can."""
     under_way()
     numbers = itertools.count()
-    await all_of(*(_register(ground, numbers) for _ in range(CREATORS)))
+    await all_of(*(_register(attacked, numbers) for _ in range(CREATORS)))
 
 
-async def _register(ground: Ground, numbers: itertools.count[int]) -> None:
-    register: Any = PeerServiceStub(ground.channel(ground.supernode)).RegisterPeer
+async def _register(attacked: AttackedCluster, numbers: itertools.count[int]) -> None:
+    register: Any = PeerServiceStub(attacked.channel(attacked.supernode)).RegisterPeer
     for number in numbers:
         request = peer_service_pb2.RegisterPeerRequest(
             request_id=secrets.token_bytes(16),
@@ -139,35 +139,35 @@ async def _register(ground: Ground, numbers: itertools.count[int]) -> None:
             boot_incarnation=1,
         )
         with suppress(grpc.aio.AioRpcError):
-            await register(request, metadata=ground.metadata, timeout=10)
+            await register(request, metadata=attacked.metadata, timeout=10)
 
 
-async def silent_watches(ground: Ground, under_way: Callable[[], None]) -> None:
+async def silent_watches(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """2000 watches of the directory and 2000 of its peers, without a reader, while channels are created and deleted."""
     calls: list[Any] = []
     for _ in range(2):
-        watch: Any = DirectoryServiceStub(ground.channel(ground.supernode)).Watch
-        peers: Any = PeerServiceStub(ground.channel(ground.supernode)).WatchPeers  # type: ignore[no-untyped-call]
+        watch: Any = DirectoryServiceStub(attacked.channel(attacked.supernode)).Watch
+        peers: Any = PeerServiceStub(attacked.channel(attacked.supernode)).WatchPeers  # type: ignore[no-untyped-call]
         for _ in range(WATCHES // 2):
-            calls.append(watch(directory_service_pb2.WatchRequest(include_hosts=True), metadata=ground.metadata))
-            calls.append(peers(peer_service_pb2.WatchPeersRequest(), metadata=ground.metadata))
+            calls.append(watch(directory_service_pb2.WatchRequest(include_hosts=True), metadata=attacked.metadata))
+            calls.append(peers(peer_service_pb2.WatchPeersRequest(), metadata=attacked.metadata))
     under_way()
-    async with ground.connect() as rt:
+    async with attacked.connect() as rt:
         for number in itertools.count():
             with suppress(st.StampedeError):
                 await (await rt.channel(f"{NAME}/{number}")).delete()
 
 
-async def silent_cuts(ground: Ground, under_way: Callable[[], None]) -> None:
+async def silent_cuts(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """60 streams of a group's cut events and 60 of its matches, with unlimited credit, without a reader."""
-    async with ground.connect() as rt:
+    async with attacked.connect() as rt:
         members = [await rt.channel(f"{NAME}/{side}", max_age="5s") for side in ("left", "right")]
         await rt.group(NAME, members)
-        async with ground.channel(ground.supernode) as channel:
+        async with attacked.channel(attacked.supernode) as channel:
             resolve: Any = GroupDirectoryServiceStub(channel).ResolveGroup  # type: ignore[no-untyped-call]
             request = group_directory_service_pb2.ResolveGroupRequest(name=NAME)
-            found = await resolve(request, metadata=ground.metadata)
-        await all_of(*_silent_readers(ground, found))
+            found = await resolve(request, metadata=attacked.metadata)
+        await all_of(*_silent_readers(attacked, found))
         under_way()
         while True:
             at = st.now()
@@ -177,16 +177,16 @@ async def silent_cuts(ground: Ground, under_way: Callable[[], None]) -> None:
             await asyncio.sleep(0.05)
 
 
-def _silent_readers(ground: Ground, found: Any) -> list[Any]:
+def _silent_readers(attacked: AttackedCluster, found: Any) -> list[Any]:
     group_id, per = found.group.group_id, found.channels[0]
     writes = []
     for _ in range(STREAMS):
-        one: Any = stub(ground, GroupServiceStub)
+        one: Any = stub(attacked, GroupServiceStub)
         cuts = group_service_pb2.SubscribeCutsOpen(group_id=group_id, decides=True)
         matches = group_service_pb2.SubscribeMatchesOpen(
             group_id=group_id, per_channel_id=per.channel_id, epoch=per.epoch
         )
-        held = (one.SubscribeCuts(metadata=ground.metadata), one.SubscribeMatches(metadata=ground.metadata))
+        held = (one.SubscribeCuts(metadata=attacked.metadata), one.SubscribeMatches(metadata=attacked.metadata))
         READERS.extend(held)
         writes.append(held[0].write(group_service_pb2.SubscribeCutsRequest(open=cuts, credit=2**31)))
         writes.append(held[1].write(group_service_pb2.SubscribeMatchesRequest(open=matches, credit_bytes=2**60)))
@@ -196,11 +196,11 @@ def _silent_readers(ground: Ground, found: Any) -> list[Any]:
 READERS: list[Any] = []  # a call without a reference would be ended
 
 
-async def health_watches(ground: Ground, under_way: Callable[[], None]) -> None:
+async def health_watches(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """4096 Watch streams of the health service, with the secret, without a reader."""
     calls = []
     for _ in range(5):
-        watch = ground.channel(ground.target).unary_stream("/grpc.health.v1.Health/Watch")
-        calls += [watch(b"", metadata=ground.metadata) for _ in range(1000)]
+        watch = attacked.channel(attacked.target).unary_stream("/grpc.health.v1.Health/Watch")
+        calls += [watch(b"", metadata=attacked.metadata) for _ in range(1000)]
     under_way()
     await for_ever()

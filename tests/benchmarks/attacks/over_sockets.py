@@ -13,7 +13,7 @@ from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
 from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
 from stampede_rt.wire.stream_frames import FrameKind, frame_of, head_of
-from tests.benchmarks.attacks.ground import Ground, all_of
+from tests.benchmarks.attacks.attacked_cluster import AttackedCluster, all_of
 from tests.support.raw_stream import RawStream, raw_stream
 
 SILENT, UNFINISHED, UNREAD = 1100, 1000, 200  # the sockets of each attack
@@ -21,29 +21,29 @@ UNREAD_MESSAGES = 10  # the messages that are not puts, for each socket of `malf
 PAUSE_SECONDS = 0.05  # between the end of a socket and the next one in its place
 
 
-async def silent_sockets(ground: Ground, under_way: Callable[[], None]) -> None:
+async def silent_sockets(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """1100 sockets that send nothing, not even the first frame. When a socket ends, the attacker opens another one."""
 
-    await again_and_again(await _target(ground), SILENT, RawStream.has_ended, under_way)
+    await again_and_again(await _target(attacked), SILENT, RawStream.has_ended, under_way)
 
 
-async def unfinished_frames(ground: Ground, under_way: Callable[[], None]) -> None:
+async def unfinished_frames(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """1000 authenticated streams of puts over sockets. Each sends a frame of 256 KiB, except for its last byte."""
 
     async def begin(stream: RawStream) -> None:
-        await stream.begin(PUT_METHOD, secret=ground.secret)
+        await stream.begin(PUT_METHOD, secret=attacked.secret)
         await stream.send_bytes(head_of(FrameKind.MESSAGE, MESSAGE_BYTES_MAX) + bytes(MESSAGE_BYTES_MAX - 1))
         await stream.has_ended()
 
-    await again_and_again(await _target(ground), UNFINISHED, begin, under_way)
+    await again_and_again(await _target(attacked), UNFINISHED, begin, under_way)
 
 
-async def malformed_frames(ground: Ground, under_way: Callable[[], None]) -> None:
+async def malformed_frames(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """200 sockets at a time that send no frames, or messages that are not puts."""
-    await again_and_again(await _target(ground), UNREAD, garbage(ground), under_way)
+    await again_and_again(await _target(attacked), UNREAD, garbage(attacked), under_way)
 
 
-def garbage(ground: Ground) -> Callable[[RawStream], Awaitable[None]]:
+def garbage(attacked: AttackedCluster) -> Callable[[RawStream], Awaitable[None]]:
     """Send no frames on the one connection, and messages that are not puts on the next one."""
     numbers = itertools.count()
 
@@ -51,7 +51,7 @@ def garbage(ground: Ground) -> Callable[[RawStream], Awaitable[None]]:
         if next(numbers) % 2:
             await stream.send_bytes(b"\xff" * 77)
         else:
-            await stream.begin(PUT_METHOD, secret=ground.secret)
+            await stream.begin(PUT_METHOD, secret=attacked.secret)
             await stream.send_bytes(frame_of(FrameKind.MESSAGE, b"\xff" * 77) * UNREAD_MESSAGES)
         await stream.has_ended()
 
@@ -79,9 +79,9 @@ async def keep_on(play: Callable[[], Awaitable[None]], pause_s: float) -> None:
         await asyncio.sleep(pause_s)
 
 
-async def _target(ground: Ground) -> str:
-    async with ground.channel(ground.host) as host:
+async def _target(attacked: AttackedCluster) -> str:
+    async with attacked.channel(attacked.host) as host:
         stub = GatekeeperServiceStub(host)
         request = gate_pb.ListDataEndpointsRequest(machine=this_machine())
-        response = await stub.ListDataEndpoints(request, metadata=ground.metadata)  # type: ignore[misc]
+        response = await stub.ListDataEndpoints(request, metadata=attacked.metadata)  # type: ignore[misc]
     return str(response.endpoints[0].target)

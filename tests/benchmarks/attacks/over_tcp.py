@@ -12,7 +12,7 @@ from stampede_rt.transports.grpc_options import PUT_METHOD
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
 from stampede_rt.wire.stream_frames import FrameKind, head_of
-from tests.benchmarks.attacks.ground import Ground, all_of
+from tests.benchmarks.attacks.attacked_cluster import AttackedCluster, all_of
 from tests.benchmarks.attacks.memory import everything, held_channel
 from tests.benchmarks.attacks.over_sockets import (
     PAUSE_SECONDS,
@@ -32,54 +32,54 @@ FLOODERS = 64  # callers that begin a handshake, leave, and begin the next one
 Play = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
-async def tcp_silent(ground: Ground, under_way: Callable[[], None]) -> None:
+async def tcp_silent(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """1100 TCP connections that send nothing, not even the first frame; as one ends, the attacker opens another one."""
-    await again_and_again(ground.data_target, SILENT, RawStream.has_ended, under_way)
+    await again_and_again(attacked.data_target, SILENT, RawStream.has_ended, under_way)
 
 
-async def tcp_unfinished(ground: Ground, under_way: Callable[[], None]) -> None:
+async def tcp_unfinished(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """1000 authenticated streams of puts over TCP. Each sends a frame of 256 KiB, except for its last byte."""
 
     async def begin(stream: RawStream) -> None:
-        await stream.begin(PUT_METHOD, secret=ground.secret)
+        await stream.begin(PUT_METHOD, secret=attacked.secret)
         await stream.send_bytes(head_of(FrameKind.MESSAGE, MESSAGE_BYTES_MAX) + bytes(MESSAGE_BYTES_MAX - 1))
         await stream.has_ended()
 
-    await again_and_again(ground.data_target, UNFINISHED, begin, under_way)
+    await again_and_again(attacked.data_target, UNFINISHED, begin, under_way)
 
 
-async def tcp_malformed(ground: Ground, under_way: Callable[[], None]) -> None:
+async def tcp_malformed(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """200 TCP connections at a time that send no frames, or messages that are not puts."""
-    await again_and_again(ground.data_target, UNREAD, garbage(ground), under_way)
+    await again_and_again(attacked.data_target, UNREAD, garbage(attacked), under_way)
 
 
-async def tcp_silent_gets(ground: Ground, under_way: Callable[[], None]) -> None:
+async def tcp_silent_gets(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """60 streams over TCP with 16 gets of all items each, whose answers no reader reads."""
-    async with ground.connect() as rt:
-        known = await held_channel(ground, rt)
+    async with attacked.connect() as rt:
+        known = await held_channel(attacked, rt)
 
         async def ask(stream: RawStream) -> None:
-            await stream.begin(GET_METHOD, secret=ground.secret)
+            await stream.begin(GET_METHOD, secret=attacked.secret)
             for call_id in range(1, GETS + 1):
                 request = pb.GetRequest(call_id=call_id, interval=everything(), **known)
                 await stream.send(FrameKind.MESSAGE, request.SerializeToString())
             await asyncio.Event().wait()
 
-        await again_and_again(ground.data_target, READERS, ask, under_way)
+        await again_and_again(attacked.data_target, READERS, ask, under_way)
 
 
-async def tcp_half_closed(ground: Ground, under_way: Callable[[], None]) -> None:
+async def tcp_half_closed(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """1000 streams of puts over TCP whose callers close only their own side, read nothing, and open the next ones."""
 
     async def half_close(stream: RawStream) -> None:
-        await stream.begin(PUT_METHOD, secret=ground.secret)
+        await stream.begin(PUT_METHOD, secret=attacked.secret)
         stream.writer.write_eof()
         await asyncio.sleep(1.0)
 
-    await again_and_again(ground.data_target, UNFINISHED, half_close, under_way)
+    await again_and_again(attacked.data_target, UNFINISHED, half_close, under_way)
 
 
-async def tls_unfinished(ground: Ground, under_way: Callable[[], None]) -> None:
+async def tls_unfinished(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """1100 connections that begin a handshake and never finish it; as one ends, the attacker opens another one."""
 
     async def begin(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -87,20 +87,20 @@ async def tls_unfinished(ground: Ground, under_way: Callable[[], None]) -> None:
         while await reader.read(2**16):
             pass
 
-    await _connections(ground, SILENT, begin, under_way)
+    await _connections(attacked, SILENT, begin, under_way)
 
 
-async def tls_hellos(ground: Ground, under_way: Callable[[], None]) -> None:
+async def tls_hellos(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """64 callers without a certificate begin handshakes and leave at once, as fast as they can."""
 
     async def begin(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.write(hello())
         await reader.read(1)
 
-    await _connections(ground, FLOODERS, begin, under_way, pause_s=0.0)
+    await _connections(attacked, FLOODERS, begin, under_way, pause_s=0.0)
 
 
-async def tls_malformed(ground: Ground, under_way: Callable[[], None]) -> None:
+async def tls_malformed(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """200 connections at a time that send no handshake, or break one off in its middle."""
     numbers = itertools.count()
 
@@ -109,7 +109,7 @@ async def tls_malformed(ground: Ground, under_way: Callable[[], None]) -> None:
         writer.write((b"\xff" * 77, first[: len(first) // 2] + b"\0" * 100, first + first)[next(numbers) % 3])
         await reader.read()
 
-    await _connections(ground, UNREAD, send, under_way)
+    await _connections(attacked, UNREAD, send, under_way)
 
 
 def hello() -> bytes:
@@ -123,9 +123,9 @@ def hello() -> bytes:
 
 
 async def _connections(
-    ground: Ground, count: int, play: Play, under_way: Callable[[], None], pause_s: float = PAUSE_SECONDS
+    attacked: AttackedCluster, count: int, play: Play, under_way: Callable[[], None], pause_s: float = PAUSE_SECONDS
 ) -> None:
-    host, _, port = ground.data_port.rpartition(":")
+    host, _, port = attacked.data_port.rpartition(":")
 
     async def one() -> None:
         reader, writer = await asyncio.open_connection(host, int(port))

@@ -15,7 +15,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import raw_run_pb2, time_pb2
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt.wire.runs import encode_run
-from tests.benchmarks.attacks.ground import GOOD_CHANNEL, Ground, all_of, for_ever
+from tests.benchmarks.attacks.attacked_cluster import GOOD_CHANNEL, AttackedCluster, all_of, for_ever
 from tests.benchmarks.attacks.memory import MIB, NAME, stub
 
 CONNECTIONS, STREAMS_OF_ONE = 5, 1000
@@ -25,25 +25,25 @@ CALLERS = 64
 FAR_NANOS = 3600 * 10**9
 
 
-async def many_streams(ground: Ground, under_way: Callable[[], None]) -> None:
+async def many_streams(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """5000 streams of puts, on which nothing is put."""
     calls: list[Any] = []
     for _ in range(CONNECTIONS):
-        one = ChannelServiceStub(ground.channel(ground.target))
-        calls += [one.Put(metadata=ground.metadata) for _ in range(STREAMS_OF_ONE)]
+        one = ChannelServiceStub(attacked.channel(attacked.target))
+        calls += [one.Put(metadata=attacked.metadata) for _ in range(STREAMS_OF_ONE)]
     await all_of(*(call.wait_for_connection() for call in calls))
     under_way()
     await for_ever()
 
 
-async def blocked_gets(ground: Ground, under_way: Callable[[], None]) -> None:
+async def blocked_gets(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """30,000 gets wait for an item of the good clients' channel an hour ahead. Refused gets are sent again."""
-    known = await ground.bound(GOOD_CHANNEL)
+    known = await attacked.bound(GOOD_CHANNEL)
     start = time_pb2.Bound(instant_unix_nano=st.now() + FAR_NANOS)
     request = pb.GetRequest(
         interval=time_pb2.Interval(start=start, end=time_pb2.Bound(instant_unix_nano=2**63 - 1)), wait_nanos=-1, **known
     )
-    calls: list[Any] = [stub(ground, ChannelServiceStub).Get(metadata=ground.metadata) for _ in range(GET_STREAMS)]
+    calls: list[Any] = [stub(attacked, ChannelServiceStub).Get(metadata=attacked.metadata) for _ in range(GET_STREAMS)]
     working = [asyncio.ensure_future(_block(call, request)) for call in calls]
     under_way()
     await all_of(*working)
@@ -58,18 +58,18 @@ async def _block(call: Any, request: pb.GetRequest) -> None:
         await call.write(request)
 
 
-async def busy_puts(ground: Ground, under_way: Callable[[], None]) -> None:
+async def busy_puts(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """64 streams put 16 items of 100 bytes at a time, and wait only for the acks."""
-    async with ground.connect() as rt:
+    async with attacked.connect() as rt:
         await rt.channel(NAME, max_items=1000)
-        known = await ground.bound(NAME)
+        known = await attacked.bound(NAME)
         under_way()
-        await all_of(*(_put_again_and_again(ground, known) for _ in range(PUT_STREAMS)))
+        await all_of(*(_put_again_and_again(attacked, known) for _ in range(PUT_STREAMS)))
 
 
-async def _put_again_and_again(ground: Ground, known: dict[str, Any]) -> None:
-    method = ground.channel(ground.host).stream_stream("/stampede_rt.v1.ChannelService/Put")
-    call: Any = method(metadata=ground.metadata)
+async def _put_again_and_again(attacked: AttackedCluster, known: dict[str, Any]) -> None:
+    method = attacked.channel(attacked.host).stream_stream("/stampede_rt.v1.ChannelService/Put")
+    call: Any = method(metadata=attacked.metadata)
     put = raw_run_pb2.RawPutRun(run=encode_run([b"x" * 100], times=None))
     request = raw_run_pb2.RawPutRequest(**known, puts=[put] * PUTS_AT_ONCE).SerializeToString()
     while True:
@@ -79,24 +79,24 @@ async def _put_again_and_again(ground: Ground, known: dict[str, Any]) -> None:
             acked += len(pb.PutResponse.FromString(await call.read()).acks)
 
 
-async def single_calls(ground: Ground, under_way: Callable[[], None]) -> None:
+async def single_calls(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """64 callers ask for a channel's status again after each answer."""
-    known = await ground.bound(GOOD_CHANNEL)
+    known = await attacked.bound(GOOD_CHANNEL)
     under_way()
-    await all_of(*(_ask_again_and_again(ground, known) for _ in range(CALLERS)))
+    await all_of(*(_ask_again_and_again(attacked, known) for _ in range(CALLERS)))
 
 
-async def _ask_again_and_again(ground: Ground, known: dict[str, Any]) -> None:
-    ask: Any = ChannelServiceStub(ground.channel(ground.target)).GetChannelStatus
+async def _ask_again_and_again(attacked: AttackedCluster, known: dict[str, Any]) -> None:
+    ask: Any = ChannelServiceStub(attacked.channel(attacked.target)).GetChannelStatus
     request = pb.GetChannelStatusRequest(channel_id=known["channel_id"])
     for _ in itertools.count():
         with suppress(grpc.aio.AioRpcError):
-            await ask(request, metadata=ground.metadata, timeout=10)
+            await ask(request, metadata=attacked.metadata, timeout=10)
 
 
-async def held_bytes(ground: Ground, under_way: Callable[[], None]) -> None:
+async def held_bytes(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """Items of 1 MiB, one after the other, into a channel of the attacker that keeps them for an hour."""
-    async with ground.connect() as rt:
+    async with attacked.connect() as rt:
         channel = await rt.channel(NAME, max_age="1h", max_bytes=2**40)
         under_way()
         while True:
@@ -104,9 +104,9 @@ async def held_bytes(ground: Ground, under_way: Callable[[], None]) -> None:
                 await channel.put(bytes(MIB), timeout=1.0)
 
 
-async def archived_bytes(ground: Ground, under_way: Callable[[], None]) -> None:
+async def archived_bytes(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """Items of 1 MiB, one after the other, into a channel of the attacker's that is recorded for ever."""
-    async with ground.connect() as rt:
+    async with attacked.connect() as rt:
         channel = await rt.channel(NAME, max_items=2, archive="forever")
         under_way()
         while True:

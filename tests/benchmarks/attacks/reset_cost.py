@@ -21,8 +21,8 @@ from typing import NamedTuple
 from stampede_rt_bench.tables import Table
 from stampede_rt_local.cluster import LocalCluster
 from tests.benchmarks.attacks import without_credential
+from tests.benchmarks.attacks.attacked_cluster import AttackedCluster
 from tests.benchmarks.attacks.bare import SERVE
-from tests.benchmarks.attacks.ground import Ground
 from tests.support.processes import started
 from tests.support.raw_http2 import RawConnection
 
@@ -64,8 +64,8 @@ async def _flood(target: str, seconds: float) -> int:
         return await call(raw, method)
 
     RawConnection.call = counted  # type: ignore[method-assign, assignment]
-    ground = Ground(frontend="", supernode="", host=target, secret="")
-    attack = asyncio.create_task(without_credential.resets(ground, lambda: None))
+    attacked = AttackedCluster(frontend="", supernode="", host=target, secret="")
+    attack = asyncio.create_task(without_credential.resets(attacked, lambda: None))
     await asyncio.wait({attack}, timeout=seconds)
     attack.cancel()
     return made

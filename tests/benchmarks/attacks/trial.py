@@ -26,10 +26,10 @@ from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import ServiceProcess
 from stampede_rt_runtime.values import Address, parse_address
+from tests.benchmarks.attacks.attacked_cluster import GOOD_CHANNEL, OPTIONS, TRANSPORT, AttackedCluster
 from tests.benchmarks.attacks.attacker import UNDER_WAY
 from tests.benchmarks.attacks.catalogue import CASES
 from tests.benchmarks.attacks.competitor import SLOT_SECONDS
-from tests.benchmarks.attacks.ground import GOOD_CHANNEL, OPTIONS, TRANSPORT, Ground
 
 MEMORY_BUDGET = "64MiB"
 FILES_SOFT = 1024
@@ -133,10 +133,10 @@ class Field:
         self.found.leases_lost += LEASE_LOST in line
 
     @property
-    def ground(self) -> Ground:
+    def attacked(self) -> AttackedCluster:
         """The addresses and the credential that the attacker gets."""
         host = self.cluster.hosts[0].address
-        return Ground(
+        return AttackedCluster(
             frontend=self.cluster.address,
             supernode=self.cluster.supernodes[0].address,
             host=host,
@@ -219,7 +219,7 @@ async def trial(name: str, seconds: float, setup: Setup) -> Found:
 
 
 async def _attacked(one: Field, seconds: float) -> None:
-    line = (await asyncio.to_thread(lambda: one.ground)).to_line()
+    line = (await asyncio.to_thread(lambda: one.attacked)).to_line()
     words = ("tests.benchmarks.attacks.attacker", one.found.name, *(["apart"] if one.setup.apart else []))
     async with _program(words, line, one.found.beside) as process:
         watching = asyncio.create_task(_watch(one, process.pid))

@@ -10,7 +10,7 @@ import grpc
 
 from stampede_rt.transports.grpc_options import PUT_METHOD
 from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX, messages_of
-from tests.benchmarks.attacks.ground import Ground, Uploads, all_of, for_ever
+from tests.benchmarks.attacks.attacked_cluster import AttackedCluster, Uploads, all_of, for_ever
 from tests.support.raw_http2 import RawConnection
 
 CHECK = "/grpc.health.v1.Health/Check"
@@ -27,9 +27,9 @@ UNARY = {
 }
 
 
-async def health_headers(ground: Ground, under_way: Callable[[], None]) -> None:
+async def health_headers(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """4096 calls of Health/Check with headers only; as one ends, another is made."""
-    raws = [await RawConnection.open(ground.host) for _ in range(CALLS // CONNECTION_CALLS)]
+    raws = [await RawConnection.open(attacked.host) for _ in range(CALLS // CONNECTION_CALLS)]
     under_way()
     while True:
         for raw in raws:
@@ -39,14 +39,14 @@ async def health_headers(ground: Ground, under_way: Callable[[], None]) -> None:
                         await raw.ended[stream].wait()
 
 
-async def unfinished_health(ground: Ground, under_way: Callable[[], None]) -> None:
+async def unfinished_health(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """50 calls of Health/Check with a message of 20 MiB each that is never finished."""
-    await _unfinished(ground, CHECK, {}, under_way)
+    await _unfinished(attacked, CHECK, {}, under_way)
 
 
-async def unfinished_puts(ground: Ground, under_way: Callable[[], None]) -> None:
+async def unfinished_puts(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """50 streams of puts with a request of 20 MiB each, of which the last piece never comes, with a client's token."""
-    uploads, messages = Uploads(ground, PUT_METHOD), [*messages_of(bytes(UNFINISHED_BYTES))][:-1]
+    uploads, messages = Uploads(attacked, PUT_METHOD), [*messages_of(bytes(UNFINISHED_BYTES))][:-1]
     for _ in range(UNFINISHED):
         uploads.begin(messages)
     await uploads.until_stuck()
@@ -54,20 +54,20 @@ async def unfinished_puts(ground: Ground, under_way: Callable[[], None]) -> None
     await for_ever()
 
 
-async def unfinished_messages(ground: Ground, under_way: Callable[[], None]) -> None:
+async def unfinished_messages(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """1000 streams of puts with a message of 256 KiB each that is never finished, with a client's token."""
-    await _unfinished(ground, PUT_METHOD, dict(ground.metadata), under_way, 1000, MESSAGE_BYTES_MAX)
+    await _unfinished(attacked, PUT_METHOD, dict(attacked.metadata), under_way, 1000, MESSAGE_BYTES_MAX)
 
 
 async def _unfinished(
-    ground: Ground,
+    attacked: AttackedCluster,
     method: str,
     metadata: dict[str, str],
     under_way: Callable[[], None],
     streams: int = UNFINISHED,
     message_bytes: int = UNFINISHED_BYTES,
 ) -> None:
-    raw = await RawConnection.open(ground.host)
+    raw = await RawConnection.open(attacked.host)
     await raw.greeted.wait()
     begun = [await raw.call(method, metadata) for _ in range(streams)]
     await all_of(*(raw.send_as_allowed(stream, message_bytes, message_bytes - 1) for stream in begun))
@@ -75,25 +75,25 @@ async def _unfinished(
     await for_ever()
 
 
-async def resets(ground: Ground, under_way: Callable[[], None]) -> None:
+async def resets(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """Calls that are reset as soon as they are made, on 10 connections."""
     under_way()
-    await all_of(*(_flood(ground) for _ in range(FLOOD_CONNECTIONS)))
+    await all_of(*(_flood(attacked) for _ in range(FLOOD_CONNECTIONS)))
 
 
-async def _flood(ground: Ground) -> None:
+async def _flood(attacked: AttackedCluster) -> None:
     while True:
         with suppress(OSError, asyncio.IncompleteReadError):
-            raw = await RawConnection.open(ground.target)
+            raw = await RawConnection.open(attacked.target)
             for _ in range(FLOOD_CALLS):
                 await raw.reset(await raw.call(CHECK))
             await asyncio.sleep(0)
             await raw.aclose()
 
 
-async def idle_connections(ground: Ground, under_way: Callable[[], None]) -> None:
+async def idle_connections(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """1100 connections on which nothing happens, to a host whose soft limit of open files is 1024."""
-    name, _, port = ground.host.rpartition(":")
+    name, _, port = attacked.host.rpartition(":")
     held = []
     for _ in range(IDLE_CONNECTIONS):
         with suppress(OSError, TimeoutError):
@@ -103,19 +103,19 @@ async def idle_connections(ground: Ground, under_way: Callable[[], None]) -> Non
     await for_ever()
 
 
-async def malformed(ground: Ground, under_way: Callable[[], None]) -> None:
+async def malformed(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
     """77 bytes that are no request, to calls of all services, by some with the secret and by some without."""
     under_way()
-    await all_of(*(_send_malformed(ground, with_secret=bool(number % 2)) for number in range(CALLERS)))
+    await all_of(*(_send_malformed(attacked, with_secret=bool(number % 2)) for number in range(CALLERS)))
 
 
-async def _send_malformed(ground: Ground, *, with_secret: bool) -> None:
-    channels = {part: ground.channel(getattr(ground, part)) for part in UNARY}
+async def _send_malformed(attacked: AttackedCluster, *, with_secret: bool) -> None:
+    channels = {part: attacked.channel(getattr(attacked, part)) for part in UNARY}
     while True:
         for part, method in _methods():
             call = channels[part].unary_unary(f"/stampede_rt.v1.{method}")
             with suppress(grpc.aio.AioRpcError):
-                await call(NO_REQUEST, metadata=ground.metadata if with_secret else (), timeout=10)
+                await call(NO_REQUEST, metadata=attacked.metadata if with_secret else (), timeout=10)
 
 
 def _methods() -> Iterator[tuple[str, str]]:

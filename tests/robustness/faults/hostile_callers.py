@@ -22,9 +22,9 @@ from stampede_rt.administration.running_cluster import PartUse, reached
 from stampede_rt.v1 import quota_pb2, quota_service_pb2
 from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.quotas.messages import KINDS, quota_from
+from tests.benchmarks.attacks.attacked_cluster import GOOD_CHANNEL, NAME_VARIABLE, AttackedCluster
 from tests.benchmarks.attacks.attacker import UNDER_WAY
 from tests.benchmarks.attacks.catalogue import CASES
-from tests.benchmarks.attacks.ground import GOOD_CHANNEL, NAME_VARIABLE, Ground
 from tests.robustness.faults.scene import RECOVERY_SECONDS_MAX, Fault, Scene
 from tests.robustness.fuzz.ports.run import MEMORY_GROWTH_MIB_MAX
 from tests.robustness.processor_waits import ProcessorWaits
@@ -174,7 +174,7 @@ def _leases_lost(scene: Scene) -> int:
 @asynccontextmanager
 async def _attacking(scene: Scene, name: str, thing: str) -> AsyncIterator[None]:
     """Run the attacker during the block, on things whose names begin with `thing`."""
-    ground = await asyncio.to_thread(_ground, scene)
+    attacked = await asyncio.to_thread(_attacked, scene)
     words = (sys.executable, "-m", "tests.benchmarks.attacks.attacker", name)
     process = await asyncio.create_subprocess_exec(
         *scene.cluster.outside.command(*words),
@@ -186,7 +186,7 @@ async def _attacking(scene: Scene, name: str, thing: str) -> AsyncIterator[None]
     assert process.stdin is not None
     assert process.stdout is not None
     try:
-        process.stdin.write(ground.to_line().encode() + b"\n")
+        process.stdin.write(attacked.to_line().encode() + b"\n")
         line = b""
         with suppress(TimeoutError):
             async with asyncio.timeout(UNDER_WAY_SECONDS):
@@ -206,12 +206,12 @@ async def _attacking(scene: Scene, name: str, thing: str) -> AsyncIterator[None]
             await process.wait()
 
 
-def _ground(scene: Scene) -> Ground:
+def _attacked(scene: Scene) -> AttackedCluster:
     cluster = scene.cluster
     assert cluster.frontend is not None
     with reached(cluster.frontend.address, None) as operator:
         token = operator.issue_client_token(ATTACKER, ["client"], valid_nanos=TOKEN_NANOS).token
-    return Ground(
+    return AttackedCluster(
         frontend=cluster.frontend.address,
         supernode=cluster.supernodes[0].address,
         host=cluster.hosts[0].address,

@@ -30,7 +30,7 @@ def why_in_doubt(member_id: str, log_index: int) -> str:
 def why_waits_for_disk(status: ReplicationStatus) -> str:
     """The reason why this supernode waits for its disk, as one sentence."""
     return (
-        f"{status.self_id!r} accepts no changes and no reads, since the disk of its data folder has not answered for "
+        f"{status.self_id!r} accepts no changes and no reads, because the disk of its data folder has not answered for "
         f"{status.disk_silent_seconds:.0f} s"
     )
 

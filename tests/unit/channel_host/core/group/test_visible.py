@@ -45,7 +45,7 @@ def test_the_clock_stops_at_the_cut() -> None:
     answer = view.read(Query(interval=parse_interval(NOW - "5ns", NOW)), horizon(18), CLOCK)
     assert answer.interval is not None
     assert (answer.interval.start, answer.interval.end) == (13, 18)
-    assert times(answer.slices) == [10]  # which lasts up to now, since nothing later is visible
+    assert times(answer.slices) == [10]  # its span lasts up to now, because no later item is visible
 
 
 def test_without_a_cut_no_item_is_visible_and_now_has_no_instant() -> None:

@@ -30,7 +30,7 @@ CHANNELS: list[grpc.aio.Channel] = []  # channels without a reference would be c
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ground:
+class AttackedCluster:
     """The addresses of a cluster with one host and one supernode, and the attacker's token or secret.
 
     `data_port`: the address of the host's TCP port for streams. `flooded`: a bare server that gets the calls of an
@@ -96,19 +96,19 @@ class Ground:
         return json.dumps(asdict(self))
 
     @classmethod
-    def from_line(cls, line: str) -> Ground:
+    def from_line(cls, line: str) -> AttackedCluster:
         return cls(**json.loads(line))
 
 
 # Attacks until it is cancelled. It calls the function once the attack is under way.
-Attack = Callable[[Ground, Callable[[], None]], Awaitable[None]]
+Attack = Callable[[AttackedCluster, Callable[[], None]], Awaitable[None]]
 
 
 class Uploads:
     """Large encoded requests on streams of their own, in pieces."""
 
-    def __init__(self, ground: Ground, method: str) -> None:
-        self._ground, self._method = ground, method
+    def __init__(self, attacked: AttackedCluster, method: str) -> None:
+        self._attacked, self._method = attacked, method
         self._calls: list[Any] = []  # a call without a reference would be cancelled
         self._sent = 0
         self._tasks: list[asyncio.Task[None]] = []
@@ -118,7 +118,9 @@ class Uploads:
         self._tasks.append(asyncio.create_task(self._send(messages)))
 
     async def _send(self, messages: Sequence[bytes]) -> None:
-        call: Any = self._ground.channel(self._ground.host).stream_stream(self._method)(metadata=self._ground.metadata)
+        call: Any = self._attacked.channel(self._attacked.host).stream_stream(self._method)(
+            metadata=self._attacked.metadata
+        )
         self._calls.append(call)
         for message in messages:
             await call.write(message)
