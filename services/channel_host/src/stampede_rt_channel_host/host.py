@@ -332,6 +332,7 @@ class ChannelHost:
 
     async def _registered(self, response: directory_service_pb2.RegisterHostResponse) -> None:
         channels, queues, scheduler = response.channels, response.queues, self.store.scheduler
+        self.store.recordings.own({one.channel_id: one.epoch for one in channels})
         await scheduler.do(
             self.store.registering(map(recorded_channel, channels), is_complete=len(channels) < CHANNELS_LISTED_MAX)
         )

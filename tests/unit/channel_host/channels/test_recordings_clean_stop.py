@@ -12,7 +12,7 @@ from stampede_rt_channel_host.archive.clean_stop import CleanStop, name_of_stop,
 from stampede_rt_channel_host.archive.objects.opened_store import OpenedStore
 from stampede_rt_channel_host.archive.objects.segment_store import LaterOwner, SegmentStore
 from stampede_rt_channel_host.core.channel import Query
-from tests.support.channel_host.object_stores import PREFIX, FakeStore, moving_files
+from tests.support.channel_host.object_stores import CHANNEL, PREFIX, FakeStore, moving_files
 from tests.support.channel_host.recorded_hosts import Host, Owner, quick_looks  # noqa: F401
 
 ALL = Query(interval=Interval(OLDEST, NOW))
@@ -170,6 +170,54 @@ async def test_after_an_item_in_the_future_the_next_owner_says_lost_from_the_las
     await second.find()
     assert (await second.read(Query(interval=Interval(Bound(None, 4), Bound(None, 5))))).reason == "LOST"
     assert (await second.read(Query(interval=Interval(Bound(None, 0), Bound(None, 1))))).reason is None
+    await stop(second)
+
+
+async def idle_run(path: Path, store: FakeStore, epoch: int, *, is_clean: bool = True) -> None:
+    """A process of the host that owns the channel in this epoch, and that no client asks for it."""
+    one = Host(path, store)
+    one.mover.own({CHANNEL: epoch})
+    if is_clean:
+        await one.archive.close([])
+    else:
+        one.archive.folder.close()
+
+
+@pytest.mark.parametrize(("runs", "reason"), [([True], None), ([True, True], None), ([True, False, True], "LOST")])
+@pytest.mark.asyncio
+async def test_a_channel_that_nobody_used_since_the_start_of_its_host_is_known_as_cleanly_stopped(
+    tmp_path: Path, runs: list[bool], reason: str | None
+) -> None:
+    """`runs`: whether each later process of the host stops cleanly."""
+    store = FakeStore()
+    first = await owner(tmp_path / "a", store, 1)
+    await first.put(1, 2)
+    await stop(first)
+    for epoch, is_clean in enumerate(runs, 2):
+        await idle_run(tmp_path / "a", store, epoch, is_clean=is_clean)
+    second = await owner(tmp_path / "b", store, 2 + len(runs))
+    assert second.hosted.channel.next_seq == 3
+    await second.put(9 * SINCE)
+    assert (await second.read(ALL)).reason == reason
+    await second.find()
+    assert not stops(store)
+    await stop(second)
+
+
+@pytest.mark.asyncio
+async def test_files_that_a_stop_has_left_behind_reach_the_store_at_an_idle_start_and_so_does_the_stop(
+    tmp_path: Path,
+) -> None:
+    store = FakeStore()
+    first = await owner(tmp_path / "a", store, 1)
+    await first.put(1, 2)
+    store.failure = "away"
+    await stop(first)
+    store.failure = ""
+    await idle_run(tmp_path / "a", store, 2)
+    second = await owner(tmp_path / "b", store, 3)
+    assert await second.times(ALL) == [1, 2]
+    assert (await second.read(all_up_to(3 * SINCE))).reason is None
     await stop(second)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
@@ -151,6 +151,13 @@ class Recordings:
         """Move closed files to the object store from now on, if there is one."""
         if self.archive is not None:
             self.archive.start()
+
+    def own(self, epochs: Mapping[bytes, int]) -> None:
+        """Note the channels that the host owns as of its registration, by their ids, with their epochs. It may never
+        serve some of them.
+        """
+        if self.archive is not None and self.archive.objects is not None:
+            self.archive.objects.mover.own(epochs)
 
     def deleted(self, record: RecordedChannel) -> None:
         """Delete the archive of a channel that was deleted in the directory, if an object store has the archive."""

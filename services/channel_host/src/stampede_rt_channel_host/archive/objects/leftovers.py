@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from stampede_rt_channel_host.archive.clean_stop import stop_named
+from stampede_rt_channel_host.archive.clean_stop import name_of_stop, read_stop, stop_named, write_stop
 from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore
 from stampede_rt_channel_host.archive.objects.stored_segments import OBJECTS
@@ -38,8 +39,31 @@ class Leftovers:
     def __init__(self, folder: Path, store: SegmentStore, open_files: Callable[[bytes], MovingFiles]) -> None:
         self._folder, self._store, self._open_files = folder, store, open_files
         self._taken: set[bytes] = set()
+        self._owned: dict[bytes, int] = {}  # the epochs, by channel id
         self._condemned: list[bytes] = []
         self._found: list[bytes] = []
+
+    def own(self, epochs: Mapping[bytes, int]) -> None:
+        """Note the channels that the host owns now, by their ids, with their epochs."""
+        self._owned = dict(epochs)
+
+    def stops(self) -> dict[str, Callable[[], None]]:
+        """The objects that tell about clean stops of channels which this host owns and has not served since its start.
+
+        Each object comes with the function to call after the host has made it. The host accepted no items of these
+        channels in the present epoch, so the note of its former stop still holds if it is of the epoch before. Blocks.
+        Raises OSError.
+        """
+        found: dict[str, Callable[[], None]] = {}
+        for channel_id, epoch in self._owned.items():
+            path = self._folder / channel_id.hex()
+            if self.is_taken(channel_id) or channel_id in self._condemned or not path.is_dir():
+                continue
+            stop = read_stop(path)
+            if stop is not None and stop.epoch == epoch - 1 and not SegmentFolder(path).numbers():
+                present = stop._replace(epoch=epoch)
+                found[f"{OBJECTS}/{path.name}/{name_of_stop(present)}"] = partial(write_stop, path, present)
+        return found
 
     def take(self, channel_id: bytes) -> None:
         """Note that the host serves the channel from now on."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from typing import NamedTuple, TypeVar
 
@@ -25,6 +25,7 @@ BACK_OFF_SECONDS_MIN, BACK_OFF_SECONDS_MAX = 1.0, 60.0
 DELETED_AT_ONCE = 100
 UPLOAD_SECONDS_LEAST, UPLOAD_BYTES_PER_SECOND = 30.0, 10**5  # a slower upload has failed
 STOP_TEXT = b"Stampede RT: the owner of the channel stopped, and the archive has all of its items.\n"
+STOPS_AT_ONCE = 8  # objects that tell about clean stops
 LOOKS_PER_DROP = 12  # after this many looks, outdated segments of idle channels leave the archive
 
 
@@ -70,6 +71,7 @@ class SegmentMover:
         """The thread of the archive's writes, the only thread that changes files."""
         self._task: asyncio.Task[None] | None = None
         self._wake = asyncio.Event()
+        self._told: set[str] = set()  # the objects that tell about clean stops
         self._moving = asyncio.Lock()  # held during the moves
 
     def start(self) -> None:
@@ -85,6 +87,10 @@ class SegmentMover:
             if not recorder.files.is_listed:
                 self._former.expect(recorder.files, is_former=False)
                 self._wake.set()
+
+    def own(self, epochs: Mapping[bytes, int]) -> None:
+        """Note the channels that the host owns now, by their ids, with their epochs."""
+        self._leftovers.own(epochs)
 
     def expect_former(self, recorder: ChannelRecorder) -> None:
         """Note that a channel has moved here, and that its former owner still moves its last files to the store."""
@@ -266,11 +272,24 @@ class SegmentMover:
             del files.stored.outdated[: len(names)]
 
     async def _note_stops(self) -> None:
-        """Make an object for each channel that has stopped cleanly, unless the store fails. Raises StoreError."""
-        for files in () if self._store_fails else (*self._recorders,):
-            name = await self.in_writer(files.name_of_stop)
-            if name is not None:
-                await self.store.create(name, STOP_TEXT)
+        """Make an object for each channel that has stopped cleanly, unless the store fails. Raises OSError."""
+        if self._store_fails:
+            return
+        served = [name for files in self._recorders if (name := await self.in_writer(files.name_of_stop)) is not None]
+        stops: dict[str, Callable[[], None]] = dict.fromkeys(served, _nothing)
+        stops.update(await self.in_writer(self._leftovers.stops))
+        left = [one for one in stops.items() if one[0] not in self._told]
+        for at in range(0, len(left), STOPS_AT_ONCE):
+            some = left[at : at + STOPS_AT_ONCE]
+            ends = await asyncio.gather(*(self._note_stop(*one) for one in some), return_exceptions=True)
+            for failure in (one for one in ends if isinstance(one, BaseException)):
+                raise failure
+
+    async def _note_stop(self, name: str, then: Callable[[], None]) -> None:
+        """Make the object of a clean stop, and then call `then` in the thread of the writes. Raises OSError."""
+        await self.store.create(name, STOP_TEXT)
+        self._told.add(name)
+        await self.in_writer(then)
 
     async def in_thread(self, call: Callable[[], Result]) -> Result:
         """Have a thread ask the store."""
@@ -298,6 +317,10 @@ class SegmentMover:
         if any(files.waiting and not files.is_left for files in (*self._recorders, *self._leaving)):
             logger.warning("closed files of the archive stay on the disk", extra={"event": "archive_store_unfinished"})
         self._threads.shutdown(wait=False)
+
+
+def _nothing() -> None:
+    """The note of a stop is on the disk already."""
 
 
 def _log_defect(task: asyncio.Task[None]) -> None:
