@@ -115,7 +115,7 @@ def s3_server(folder: Path) -> Iterator[S3Server]:
     try:
         program = build()
     except Unavailable as reason:
-        pytest.skip(f"no S3 server: {reason}; the same tests run with obstore's store in a folder")
+        pytest.skip(f"no S3 server: {reason}")
     server = S3Server(program, folder)
     server.start()
     try:

@@ -73,7 +73,7 @@ def _over_grpc(held: int, returned: list[int], runs: int) -> Points:
 
 
 def _table(lines: dict[str, Points]) -> Table:
-    table = Table(["returned", *(f"{name}, us" for name in lines), "of it for an item, us"])
+    table = Table(["returned", *(f"{name}, us" for name in lines), "gRPC, for an item, us"])
     for place, (count, _) in enumerate(next(iter(lines.values()))):
         remote = list(lines.values())[-1][place][1]
         cells = [spread(points[place][1]) for points in lines.values()]

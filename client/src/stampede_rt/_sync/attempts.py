@@ -29,7 +29,8 @@ class Locator(Protocol):
         ...
 
     def is_stale(self, error: StampedeError) -> bool:
-        """Whether `error` says that the cached channel or queue no longer exists. A new one may have its name."""
+        """Whether `error` says that the cached channel or queue no longer exists. A new channel or queue may have the
+        same name."""
         ...
 
     def forget(self, error: StampedeError | None = None) -> None:

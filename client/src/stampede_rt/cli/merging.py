@@ -28,7 +28,7 @@ class MergedItem(NamedTuple):
 
 @dataclass(slots=True)
 class _Waiting:
-    """The items of one channel that wait. `empty_since_s`: since when the channel has had none, if it has none."""
+    """The waiting items of one channel. `empty_since_s`: when the merge took up the channel, or gave out its last item."""
 
     empty_since_s: float
     has_ended: bool = False

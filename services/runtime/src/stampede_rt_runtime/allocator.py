@@ -1,4 +1,4 @@
-"""Makes this process return freed memory to the system. Works with glibc only, and else does nothing."""
+"""Makes this process return freed memory to the system. With a C library other than glibc it does nothing."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _M_ARENA_MAX = -8
 OWN_MAPPING_BYTES = 2**21
 """A block of this size or more has a mapping of its own, which ends with the block.
 
-By default the threshold rises to 32 MiB when the first large blocks are freed. From then on large blocks lie among
-small ones, and freed memory stays in the process. Usual messages have about 1 MiB at most, so they get no
-mapping. It would cost a page fault for each 4 KiB.
+By default the threshold rises to 32 MiB when the first large blocks are freed. From then on large blocks are between
+small ones, and freed memory stays in the process. Usual messages have about 1 MiB at most, so they get no mapping. A
+mapping would cost a page fault for each 4 KiB.
 """
 KEPT_BYTES_MAX = 2**24
 """The free memory at the end of an arena that stays in the process.

@@ -1,7 +1,7 @@
 """Asks a service on this machine whether it serves: `python -m stampede_rt_runtime.health_check [HOST:PORT]`.
 
 With `--live` it asks whether the process answers at all. A host without its lease and a supernode without a leader are
-alive, and not ready.
+alive, but not ready.
 
 Used by the health checks of containers, which have no other client of the standard gRPC health service. That service
 needs no secret. With certificates, this program uses the certificates of the service beside it: $STAMPEDE_HOST_TLS_CA,

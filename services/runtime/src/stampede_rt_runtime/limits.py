@@ -25,10 +25,10 @@ class Limits:
     stay open. Beside them it serves `reserved_rpcs_max` calls that only parts of the cluster make. It refuses further
     calls with RESOURCE_EXHAUSTED. If it is refusing `refusals_max` calls already, gRPC itself refuses the next.
 
-    Neither side sends a message of more than `message_bytes_max`, and no client accepts one. A server accepts messages
-    of `request_bytes_max` at most, and on each stream `unread_bytes_max` more before it reads them; over a socket
-    messages of `socket_request_bytes_max`. It accepts `calls_per_connection_max` calls on one connection. Callers open
-    further connections for further calls. The server closes a connection whose set-up takes longer than
+    Neither side sends a message of more than `message_bytes_max`, and no client accepts such a message. A server
+    accepts messages of `request_bytes_max` at most, and on each stream `unread_bytes_max` more before it reads them;
+    over a socket messages of `socket_request_bytes_max`. It accepts `calls_per_connection_max` calls on one connection.
+    Callers open further connections for further calls. The server closes a connection whose set-up takes longer than
     `handshake_millis_max`. Each side pings the other after `keepalive_millis` of silence, and closes the connection if
     no answer comes within `keepalive_timeout_millis`.
 

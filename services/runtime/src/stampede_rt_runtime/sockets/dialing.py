@@ -32,8 +32,8 @@ from stampede_rt_runtime.annotated_channel import AnnotatedChannel, Metadata
 logger = logging.getLogger(__name__)
 
 HEAD_START_S = 0.3
-"""How long a new stream waits for a TCP connection before it uses gRPC. It may last for days, so it waits longer than
-the streams of a client."""
+"""How long a new stream waits for a TCP connection before it uses gRPC. A stream between hosts may last for days, so it
+waits longer than the streams of a client."""
 ANSWERS_MAX, ANSWER_SECONDS_MAX = 256, 1.0  # a host that is drained opens a stream for each channel
 
 Endpoints = Sequence[pb.DataEndpoint]
@@ -69,7 +69,7 @@ class KnownEndpoints:
 class SocketChannel(AnnotatedChannel):
     """A connection to a host for one stream in both directions, over a socket or else over gRPC.
 
-    Once the stream has a socket, the connection of gRPC is closed.
+    When the stream has a socket, the connection of gRPC is closed.
     """
 
     def __init__(
@@ -110,7 +110,8 @@ class SocketChannel(AnnotatedChannel):
         return call
 
     async def _connected(self, metadata: Metadata) -> tuple[SocketRoute, SocketConnection | None]:
-        """A new connection, and its route. Asks the host for its sockets if nobody takes a connection at known ones."""
+        """A new connection, and its route. Asks the host for its sockets if nobody takes a connection at the known
+        sockets."""
         ask = partial(self._ask, metadata)
         if known := self._known.of(self._target):
             route = self._route()
@@ -128,7 +129,8 @@ class SocketChannel(AnnotatedChannel):
         return route
 
     def _tell(self) -> None:
-        """Log the transport, once the host has answered: a stream over gRPC begins although nobody is at its target."""
+        """Log the transport after the host's first answer: over gRPC a stream also begins if no host is at its
+        target."""
         extra = {"event": "host_stream_began", "target": self._target, "transport": self._used.value}
         logger.info("a stream to another host begins", extra=extra)
 

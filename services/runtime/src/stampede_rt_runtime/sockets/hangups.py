@@ -34,7 +34,7 @@ class HangupWatcher:
 
     def __init__(self) -> None:
         self._epoll: Any = None
-        # By the number of the socket's file. The system may give the number of a closed socket to another one.
+        # By the number of the socket's file. The system may give the number of a closed socket to a new socket.
         self._watched: dict[int, _Watched] = {}
         self._numbers: dict[int, int] = {}  # by the identity of the socket
         self._gone: deque[Callable[[], object]] = deque()  # the calls that close the sockets whose peers have gone
