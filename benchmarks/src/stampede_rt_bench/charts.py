@@ -1,7 +1,7 @@
 """Draws charts as PNG files.
 
-Colours are from the Okabe-Ito palette. A reader who sees no colours gets the same information. The first drawing imports
-matplotlib: this import takes a second, and most programs that import this module draw nothing.
+Colours are from the Okabe-Ito palette. A reader who sees no colours gets the same information. The first drawing
+imports matplotlib: this import takes a second, and most programs that import this module draw nothing.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class MergedItem(NamedTuple):
 
 @dataclass(slots=True)
 class _Waiting:
-    """The waiting items of one channel. `empty_since_s`: when the merge took up the channel, or gave out its last item."""
+    """The waiting items of one channel. `empty_since_s`: when the channel joined, or its last item came out."""
 
     empty_since_s: float
     has_ended: bool = False
