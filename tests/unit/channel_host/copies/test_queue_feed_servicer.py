@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import InvalidArgument, StaleBinding
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.copies.queue_feed_servicer import _Feed
+from stampede_rt_channel_host.copies.queue_steps import whole_parts
+from tests.support.channel_host.queue_cores import Core
 
 
 async def test_an_owner_that_feeds_one_queue_cannot_replace_the_copy_of_another() -> None:
@@ -22,5 +24,25 @@ async def test_an_owner_that_feeds_one_queue_cannot_replace_the_copy_of_another(
     request = pb.FeedQueueRequest(begins_anew=True)
     request.queue.queue_id = b"x" * 16
     with pytest.raises(InvalidArgument, match="names another queue"):
-        await _Feed(queues, record).take(request)
+        await _Feed(queues, record).take(request, lambda: True)
     assert not dropped
+
+
+async def test_a_feed_that_another_owner_has_replaced_begins_no_copy_when_its_queue_is_restored() -> None:
+    """A fixed fault: a thread restored the queue of the former owner, and it replaced the copy of the next owner."""
+    begun: list[Any] = []
+    room = SimpleNamespace(claim=lambda size: None, set=lambda size: None)
+    copies = SimpleNamespace(
+        drop=lambda queue_id: None, of=lambda queue_id: None, begin=lambda *copy: begun.append(copy),
+        restored=lambda record, state: latest.clear(),
+    )  # fmt: skip
+    queues: Any = SimpleNamespace(
+        copies=copies, memory=SimpleNamespace(charge_for=lambda owner: room), known=lambda queue_id: None
+    )
+    record: Any = SimpleNamespace(queue_id=b"q" * 16, created_by="", name="jobs", host_id=b"h" * 16)
+    core = Core()
+    request = pb.FeedQueueRequest(begins_anew=True, parts=whole_parts(core.queue.export(core.now), 1))
+    latest = ["this feed"]
+    with pytest.raises(StaleBinding):
+        await _Feed(queues, record).take(request, lambda: bool(latest))
+    assert not begun

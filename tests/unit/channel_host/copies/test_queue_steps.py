@@ -8,8 +8,9 @@ from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.copies import queue_steps
+from stampede_rt_channel_host.copies.message_histories import items_of
 from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue, step_parts, whole_parts
-from stampede_rt_channel_host.core.queue import QueueCore, QueueLimits, QueueStep
+from stampede_rt_channel_host.core.queue import QueueCore, QueueLimits, QueueStep, TakerState
 from tests.support.channel_host.queue_cores import Core
 
 
@@ -58,6 +59,37 @@ def test_no_part_is_longer_than_the_limit_of_a_host() -> None:
         lengths = [pb.FeedQueueRequest(parts=[part]).ByteSize() for part in parts]
         assert len(lengths) > 10
         assert max(lengths) <= MESSAGE_BYTES_MAX - 2**14, "there is room for the record of the queue"
+
+
+def test_a_message_with_the_copies_of_very_many_takers_fits_in_parts_within_the_limit_of_a_host() -> None:
+    """A fixed fault: such a message was one part. The other host refused it, so the queue could not move."""
+    core = Core(copies=5000)
+    journal = core.queue.journal()
+    core.put(1)
+    for number in range(1, 4001):
+        taker = TakerState(number, None, f"{number:0128}")
+        core.queue.grant(taker, 1, core.now)
+    core.dispatched()
+    for number in range(1, 1001):
+        core.ack(number, number)
+    core.nack(1001, 1001)
+    core.put(1)
+    assert journal.note(core.now)
+    (step,) = journal.steps_from(1, 10**9) or ()
+    assert step.size_bytes > 4000 * 200, "the journal counts them"
+    whole = core.queue.export(core.now)
+    parts = sent([*step_parts(step, core.now)])
+    assert max(pb.FeedQueueRequest(parts=[part]).ByteSize() for part in parts) <= MESSAGE_BYTES_MAX - 2**14
+    [arrived] = ArrivingParts().add(parts)
+    assert not isinstance(arrived, WholeQueue)
+    copy = QueueCore(core.queue.limits, incarnation=1)
+    copy.journal().apply(arrived[0], core.now)
+    assert copy.export(core.now).items == whole.items
+
+
+def test_an_entry_that_continues_no_message_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match="continues no message"):
+        [*items_of([pb.HandedMessage()])]
 
 
 def test_the_refusals_of_a_producer_fit_in_parts_within_the_limit_of_a_host() -> None:

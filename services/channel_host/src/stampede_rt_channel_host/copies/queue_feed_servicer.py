@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import migration_service_pb2 as pb
@@ -45,7 +46,7 @@ class QueueFeeds:
             while isinstance(request := await context.read(), pb.FeedQueueRequest):
                 if self._latest.get(record.queue_id) is not feed:
                     raise refusals.moved(record)
-                await feed.take(request)
+                await feed.take(request, lambda: self._latest.get(record.queue_id) is feed)
                 await context.write(feed.place())
         finally:
             if self._latest.get(record.queue_id) is feed:
@@ -90,8 +91,8 @@ class _Feed:
             next_step=copy.journal.next_step, incarnation=copy.record.incarnation, owner_epoch=copy.owner_epoch
         )
 
-    async def take(self, request: pb.FeedQueueRequest) -> None:
-        """Apply a request."""
+    async def take(self, request: pb.FeedQueueRequest, is_latest: Callable[[], bool]) -> None:
+        """Apply a request. `is_latest`: whether no other feed of the copy has begun. Raises StaleBinding (MOVED)."""
         queue_id = self._record.queue_id
         if request.HasField("queue"):
             if request.queue.queue_id != queue_id:  # the caller has shown that it owns this queue, and no other one
@@ -106,6 +107,8 @@ class _Feed:
         for arrived in self._parts.add(request.parts):
             if isinstance(arrived, WholeQueue):
                 core = await asyncio.to_thread(self._copies.restored, self._record, arrived.state)
+                if not is_latest() or self._queues.known(queue_id) is not None:  # another owner, perhaps this host
+                    raise refusals.moved(self._record)
                 self._copies.begin(self._record, core, arrived.next_step)
             elif (copy := self._copies.of(queue_id)) is not None:
                 self._copies.apply(copy, *arrived)

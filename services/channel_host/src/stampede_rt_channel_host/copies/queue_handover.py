@@ -95,13 +95,15 @@ class QueueHandovers:
         """Make the copy that stays here if the queue moves: this host takes the place of the new owner's replica.
 
         From the commit on, the directory knows this copy as in sync. This host may hear of the commit late or never.
+        Raises Overloaded if there is no room for the copy: then the queue does not move.
         """
         if not next_step:
             return
         made_nanos = time.monotonic_ns()
         core = await asyncio.to_thread(self._queues.copies.restored, hosted.record, state)
         if hosted.moving is not None:
-            hosted.moving.kept = KeptQueue(core, next_step, made_nanos)
+            charge = self._queues.copies.room_for(hosted.record, core, sum(len(run.body) for run in state.runs))
+            hosted.moving.kept = KeptQueue(core, next_step, made_nanos, charge)
 
     async def _end(self, hosted: HostedQueue, host_id: bytes, *, is_committed: bool) -> None:
         """Drop the queue if it has moved; otherwise serve it again. Asks the directory until the outcome is known."""

@@ -13,14 +13,12 @@ from typing import Any
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import queue_pb2, replica_service_pb2, subject_pb2
+from stampede_rt_channel_host.copies.message_histories import entries_of, items_of
 from stampede_rt_channel_host.copies.owner_messages import outcome_of, run_to
 from stampede_rt_channel_host.core.dedup import KeptRun
 from stampede_rt_channel_host.core.queue import (
     Acknowledged,
-    FailedDelivery,
-    ItemState,
     KnownMessage,
-    LeaseState,
     QueuedRun,
     QueueHandoff,
     QueueTally,
@@ -44,7 +42,7 @@ def parts_of(state: QueueHandoff, permit: bytes = b"", next_step: int = 0) -> It
     for run in state.runs:
         yield from _parts_of_run(run)
     yield from (pb.HandOverQueueResponse(held=some) for some in _some(map(_range_to, state.held)))
-    yield from (pb.HandOverQueueResponse(messages=some) for some in _some(map(_message_to, state.items)))
+    yield from (pb.HandOverQueueResponse(messages=some) for some in _some(entries_of(state.items)))
     acknowledged = map(_acknowledgement_to, state.acknowledged)
     yield from (pb.HandOverQueueResponse(acknowledged=some) for some in _some(acknowledged))
     by_producer = (runs for _, runs in groupby(state.producers, lambda run: run.producer_id))
@@ -112,7 +110,7 @@ class ArrivingQueue:
                 for run, body in self._runs
             ],
             held=[SeqRange(one.first_seq, one.first_seq + one.items - 1) for one in rest.held],
-            items=[*map(_message_of, rest.messages)],
+            items=[*items_of(rest.messages)],
             acknowledged=[Acknowledged(one.delivery_id, one.taker_id, one.ago_nanos) for one in rest.acknowledged],
             producers=[*chain.from_iterable(map(_runs_of, rest.producers))],
             message_ids=[KnownMessage(one.message_id, one.seq, one.ago_nanos, one.owner) for one in rest.message_ids],
@@ -182,38 +180,6 @@ def _parts_of_run(run: QueuedRun) -> Iterator[pb.HandOverQueueResponse]:
     yield pb.HandOverQueueResponse(runs=[handed])
     for at in range(0, len(rest), PART_BYTES):
         yield pb.HandOverQueueResponse(more_body=bytes(rest[at : at + PART_BYTES]))
-
-
-def _message_to(item: ItemState) -> pb.HandedMessage:
-    return pb.HandedMessage(
-        seq=item.seq,
-        deliveries=item.deliveries,
-        acknowledged=item.acknowledged,
-        leases=[pb.HandedLease(**lease._asdict()) for lease in item.leases],
-        delay_nanos=item.delay_nanos,
-        is_leaving=item.is_leaving,
-        last=None if item.last is None else pb.HandedFailure(**item.last._asdict()),
-    )
-
-
-def _message_of(message: pb.HandedMessage) -> ItemState:
-    return ItemState(
-        seq=message.seq,
-        deliveries=tuple(message.deliveries),
-        acknowledged=tuple(message.acknowledged),
-        leases=[*map(_lease_of, message.leases)],
-        delay_nanos=message.delay_nanos,
-        is_leaving=message.is_leaving,
-        last=_failure_of(message.last) if message.HasField("last") else None,
-    )
-
-
-def _lease_of(one: pb.HandedLease) -> LeaseState:
-    return LeaseState(one.delivery_id, one.taker_id, one.taker_name, one.lease_nanos, one.leased_ago_nanos)
-
-
-def _failure_of(last: pb.HandedFailure) -> FailedDelivery:
-    return FailedDelivery(last.number, last.taker_id, last.taker_name, last.ended, last.reason)
 
 
 def _producer_to(runs: Sequence[KeptRun]) -> Iterator[replica_service_pb2.FedProducer]:

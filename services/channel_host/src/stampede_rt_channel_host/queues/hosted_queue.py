@@ -120,6 +120,7 @@ class HostedQueue(ReplicatedQueue):
             self.replication.own_again(record.epoch)
         if moving is not None:  # the move has failed
             self.queue.resume(self._now())
+            moving.free()
             moving.over.set()
         self.follow_up()
 

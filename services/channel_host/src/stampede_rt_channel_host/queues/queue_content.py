@@ -6,6 +6,7 @@ import asyncio
 from typing import NamedTuple
 
 from stampede_rt.errors import Overloaded, StampedeError
+from stampede_rt_channel_host.channels.limits.memory import Charge
 from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX
 from stampede_rt_channel_host.core.queue import QueueCore, QueueJournal
 
@@ -24,12 +25,14 @@ class QueueContent(NamedTuple):
 class KeptQueue(NamedTuple):
     """The replica that the former owner of a queue becomes. `made_nanos`: the time of the hold, by a steady clock.
 
-    The leases of `core` are as of that time.
+    The leases of `core` are as of that time. `charge`: its memory beside that of the queue, with which it shares the
+    messages.
     """
 
     core: QueueCore
     next_step: int
     made_nanos: int
+    charge: Charge
 
 
 class QueueMove:
@@ -43,6 +46,12 @@ class QueueMove:
         self.kept: KeptQueue | None = None
         self.elsewhere: StampedeError | None = None
         self.over = asyncio.Event()
+
+    def free(self) -> None:
+        """Drop the copy, because the queue has not moved to another host."""
+        if self.kept is not None:
+            self.kept.charge.set(0)
+        self.kept = None
 
     async def decided(self, queue: str) -> None:
         """Wait for the end of the move, for HELD_SECONDS_MAX at most. `queue`: its name, for people.

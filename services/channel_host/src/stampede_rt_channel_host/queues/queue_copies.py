@@ -65,24 +65,41 @@ class QueueCopies:
 
     def begin(self, record: RecordedQueue, core: QueueCore, next_step: int) -> QueueCopy:
         """Keep a new copy. It replaces a former one. Raises Overloaded if there is no room for it."""
-        if len(self._copies) >= COPIES_MAX:
-            raise Overloaded(f"this host has {COPIES_MAX} replicas of queues, the limit; use another host")
+        self._check_number()
         self.drop(record.queue_id)
         charge = self._memory.charge_for(record.created_by)
         charge.claim(core.footprint_bytes)
-        copy = self._copies[record.queue_id] = QueueCopy(record, core, next_step, charge)
-        charge.set(core.footprint_bytes)
-        return copy
+        return self._added(record, QueueCopy(record, core, next_step, charge))
+
+    def room_for(self, record: RecordedQueue, core: QueueCore, shared_bytes: int) -> Charge:
+        """The memory of a copy that the owner of a queue makes while it still has the queue.
+
+        `shared_bytes`: of the messages, which the copy shares with the queue. Raises Overloaded if there is no room.
+        """
+        self._check_number()
+        charge = self._memory.charge_for(record.created_by)
+        own_bytes = max(0, core.footprint_bytes - shared_bytes)
+        charge.claim(own_bytes)
+        charge.set(own_bytes)
+        return charge
 
     def keep(self, record: RecordedQueue, kept: KeptQueue) -> None:
-        """Keep the copy that the former owner of a moved queue has made. Without room for it, keep none."""
-        try:
-            copy = self.begin(record, kept.core, kept.next_step)
-        except Overloaded as error:
-            extra = {"event": "replica_not_kept", "queue": display_name(record), "why": str(error)}
-            logger.warning("there is no room for a replica of a queue that has moved away", extra=extra)
-        else:
-            copy.heard_nanos = kept.made_nanos
+        """Keep the copy that the former owner of a moved queue has made.
+
+        This never fails, because the directory has the copy as in sync. The copy takes over the memory of the queue.
+        """
+        self.drop(record.queue_id)
+        copy = self._added(record, QueueCopy(record, kept.core, kept.next_step, kept.charge))
+        copy.heard_nanos = kept.made_nanos
+
+    def _check_number(self) -> None:
+        if len(self._copies) >= COPIES_MAX:
+            raise Overloaded(f"this host has {COPIES_MAX} replicas of queues, the limit; use another host")
+
+    def _added(self, record: RecordedQueue, copy: QueueCopy) -> QueueCopy:
+        self._copies[record.queue_id] = copy
+        copy.charge.set(copy.core.footprint_bytes)
+        return copy
 
     def apply(self, copy: QueueCopy, step: QueueStep, ago_nanos: int) -> None:
         """Repeat a step of the owner. Raises InvalidArgument if the step does not fit."""

@@ -345,4 +345,6 @@ class QueueStore:
         rest = rest_of(hosted.leaving(error))
         if error.reason == "MOVED" and hosted.moving is not None and hosted.moving.kept is not None:
             self.copies.keep(hosted.record, hosted.moving.kept)
+        elif hosted.moving is not None:
+            hosted.moving.free()
         return rest

@@ -40,9 +40,10 @@ class QueueStep(NamedTuple):
     def size_bytes(self) -> int:
         """About its memory."""
         changes = self.changes
-        entries = len(changes.items) + len(changes.acknowledged) + len(changes.producers) + len(changes.message_ids)
+        copies = sum(len(item.deliveries) + len(item.acknowledged) + len(item.leases) for item in changes.items)
+        noted = len(changes.acknowledged) + len(changes.producers) + len(changes.message_ids)
         bodies = sum(len(run.body) for run in changes.runs)
-        return _STEP_BYTES + bodies + _ENTRY_BYTES * entries + 8 * len(self.removed)
+        return _STEP_BYTES + bodies + _ENTRY_BYTES * (copies + len(changes.items) + noted) + 8 * len(self.removed)
 
 
 class QueueJournal:
