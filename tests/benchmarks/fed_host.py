@@ -25,7 +25,7 @@ from stampede_rt_channel_host.core.channel import Offer
 from stampede_rt_channel_host.groups.link import HostLink
 from stampede_rt_channel_host.host import ChannelHost
 
-STEPS_PER_PERIOD = 10  # channels put at phases of their own, so that nothing is coalesced by coming together
+STEPS_PER_PERIOD = 10  # channels put in different steps, so that a host does not join their changes into one message
 LAG_STEPS = 50  # the number of steps from one look at the cut to the next
 PAYLOAD = b"x" * 64
 NO_GROUP = "-"

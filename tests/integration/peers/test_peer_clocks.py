@@ -1,4 +1,6 @@
-"""Peers with wrong clocks, as real processes: the programs that see it, also after the loss of the leader."""
+"""Peers with wrong clocks, as real processes: the commands that report these clocks, also after the loss of the
+leader.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Matches from archives as of an instant are those that a host would have decided then with all items in memory."""
+"""Matches from archives as of an instant equal the matches that a host would have decided then with all items in
+memory.
+"""
 
 from __future__ import annotations
 

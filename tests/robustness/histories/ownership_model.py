@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from tests.robustness.histories.linearizability import NotLinearizable, Undecided, check_linearizable
 from tests.robustness.histories.operations import Operation, by_key
 
-LAG_SECONDS_MAX = 1.0  # of a replica in sync
-SLACK_SECONDS = 1.0  # for answers that were late
+LAG_SECONDS_MAX = 1.0  # the greatest lag of a replica in sync
+SLACK_SECONDS = 1.0  # the time that answers may be late
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +159,8 @@ def early_losses(operations: Iterable[Operation], slack_s: float = SLACK_SECONDS
     """The items that were known long before the last acknowledgement of an incarnation, and that a replica has lost as
     the owner.
 
-    The next incarnation has the items of a replica if its number follows. Only those count of which a reader has read
-    all items: without such a read it is unknown which items are lost.
+    The next incarnation has the items of a replica if its number follows. Only incarnations count of which a reader has
+    read all items: without such a read it is unknown which items are lost.
     """
     found: list[str] = []
     for name, history in by_key(operations).items():

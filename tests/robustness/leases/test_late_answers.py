@@ -1,5 +1,8 @@
-"""The directory's answer to a host can be late: the host's lease ended, its channel went elsewhere and it registered
-again, and only then it hears that the channel is its own."""
+"""The directory's answer to a host can be late.
+
+The host's lease has ended, another host has the channel, and the host has registered again. Then an older answer says
+that the channel is still the host's.
+"""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ EVERYTHING = WantedWindow(Wanted(FIRST_KEY[0], LAST_KEY, 0, 2**30), FIRST_KEY, L
 
 @pytest.fixture
 def quick_looks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the hosts ask a store that fails again at once."""
+    """Let the hosts ask a failing store again without a pause."""
     monkeypatch.setattr(guarded_store, "PAUSE_SECONDS", 0.0)
     monkeypatch.setattr(former_owners, "WAIT_SECONDS_MIN", 0.0)
 

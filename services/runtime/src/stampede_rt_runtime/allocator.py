@@ -26,14 +26,17 @@ KEPT_BYTES_MAX = 2**24
 With the usual 128 KiB each large message takes memory from the system and returns it, with a page fault for each 4 KiB.
 """
 ARENAS_MAX = 2
-"""The most arenas of malloc. By default each allocating thread gets an arena of its own, which keeps its freed memory.
+"""The most arenas of malloc.
+
+By default each allocating thread gets an arena of its own, which keeps its freed memory.
 """
 
 
 TRIM_SECONDS = 1.0
 """The time between two looks at the unused memory."""
 UNUSED_BYTES_MAX = 64 * 2**20
-"""If the unused memory is greater than its least amount so far by more than this, the process returns it to the system.
+"""If the unused memory is greater than its least amount so far by more than this, the process returns it to the
+system.
 """
 
 _STATM_BYTES_MAX = 256
