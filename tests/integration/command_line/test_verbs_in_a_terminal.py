@@ -162,7 +162,7 @@ def test_put_refuses_options_that_exclude_each_other(terminal: Terminal, words: 
 @pytest.mark.parametrize(
     ("words", "status", "complaint"),
     [
-        (["ls", "\udcff"], 2, "an argument is no text in UTF-8"),
+        (["ls", "\udcff"], 2, "an argument is not text in UTF-8"),
         (["move", "absent", "h1"], 1, "there is no channel absent; `stampede ls` lists the channels"),
         (["proxy", "ls", "absent"], 1, "there is no channel absent; `stampede ls` lists the channels"),
         (["get", "absent", "--format", "{seq:c}"], 2, "the format of 'seq' is not allowed"),

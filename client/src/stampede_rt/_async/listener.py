@@ -73,7 +73,7 @@ class Listener(BackgroundStart, BoundToProcess):
 
     @property
     def multicast(self) -> MulticastStats | None:
-        """The counts of datagrams of the present subscription with `via="multicast"`; None for another one."""
+        """The counts of datagrams of the present subscription; None if it does not use `via="multicast"`."""
         return self._subscription.multicast
 
     @property
@@ -96,7 +96,7 @@ class Listener(BackgroundStart, BoundToProcess):
         self._subscription.close()
 
     async def join(self, timeout: float) -> bool:
-        """Wait until the listener has ended, for at most `timeout` seconds. Returns whether it has."""
+        """Wait until the listener has ended, for at most `timeout` seconds. Returns whether the listener has ended."""
         self._session.check_process()
         return await self._background.join(timeout)
 

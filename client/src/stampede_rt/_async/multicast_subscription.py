@@ -41,7 +41,8 @@ COUNTS = ("datagrams", "items", "repairs", "repeated", "forged", "foreign", "oth
 
 
 class MulticastSubscription(Subscription):
-    """A subscription with `via="multicast"`. Its steps give the items of an ordinary one, in the same order."""
+    """A subscription with `via="multicast"`. Its steps give the items that an ordinary subscription gives, in the same
+    order."""
 
     def __init__(
         self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: Reconnecting

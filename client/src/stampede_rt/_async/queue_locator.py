@@ -140,7 +140,7 @@ class QueueLocator:
         state.cluster_id = supernodes.cluster_id
 
     def is_stale(self, error: StampedeError) -> bool:
-        """Whether a service does not know the queue that the cache names. Another queue may have the name."""
+        """Whether a service does not know the queue that the cache names. Another queue may have the same name."""
         return isinstance(error, QueueNotFound) and self._session.cache.owner(self._state.info.queue_id) is not None
 
     def forget(self, error: StampedeError | None = None) -> None:

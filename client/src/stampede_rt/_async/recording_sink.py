@@ -13,7 +13,7 @@ from stampede_rt.files.tally import ChannelTally
 from stampede_rt.files.writing import FileWriter
 from stampede_rt.transports.concurrency_async import Signal, StepLock, in_thread
 
-ENCODINGS_MAX = 16  # topics of one channel; items with a further content type share one
+ENCODINGS_MAX = 16  # the most topics of one channel, beside a shared topic for items with further content types
 Metadata = tuple[tuple[str, str], ...]
 FLUSH_S = 1.0  # the longest time for which an item waits for the end of its chunk
 
@@ -65,9 +65,9 @@ class RecordingSink:
             self.writer.add_advance(FileAdvance(tally.channel, tally.incarnation, *advance))
 
     async def seal(self, tally: ChannelTally, accepted_to: int | None, advance: int | None) -> None:
-        """End a channel at the last seq that its host has accepted; None: at the last that is written.
+        """End a channel at the last seq that its host has accepted; None: at the last written seq.
 
-        Writes the gaps that are left. A batch that comes later is not written. Raises FileError.
+        Writes the gaps that remain. A batch that comes later is not written. Raises FileError.
         """
         await self.do(partial(self._seal, tally, accepted_to, advance))
 

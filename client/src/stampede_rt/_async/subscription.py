@@ -79,7 +79,7 @@ class Subscription(BoundToProcess):
 
     @property
     def multicast(self) -> MulticastStats | None:
-        """The counts of datagrams of a subscription with `via="multicast"`; None for another one."""
+        """The counts of datagrams; None if the subscription does not use `via="multicast"`."""
         return None
 
     @classmethod

@@ -102,7 +102,7 @@ class MatchSubscription(BoundToProcess):
                     matched, size = self._ready.popleft()
                     self._window.take(size, monotonic_s())
                     return matched
-                if self._stream is not None:  # else `close` was called while it opened
+                if self._stream is not None:  # otherwise `close` was called while it opened
                     self._receive()
             raise StopIteration
 
@@ -160,7 +160,7 @@ class MatchSubscription(BoundToProcess):
                 self._take(self._responses.__next__())
             except StopIteration as end:
                 self._resume()
-                if not self._closed:  # else another part of the program called `close`
+                if not self._closed:  # otherwise another part of the program called `close`
                     raise Unavailable(f"the host at {binding.target} ended the stream of matches at once") from end
             except BaseException:
                 self._resume()

@@ -315,7 +315,7 @@ class Producer(BoundToProcess):
     def _note(self, news: channel_pb.PutAck | StampedeError) -> None:
         if isinstance(news, StampedeError):
             self._failure = news
-        elif self._unacked.awaits(news.first_number):  # else it was noted before a signal
+        elif self._unacked.awaits(news.first_number):  # otherwise the ack was counted before a signal
             self._count(news)
 
     def _count(self, ack: channel_pb.PutAck) -> None:

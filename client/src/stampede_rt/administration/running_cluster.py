@@ -45,7 +45,7 @@ class Cluster:
 
     A call that names no supernode goes to the first of `addresses` that answers.
 
-    `frontends`: the front-ends that named these addresses; empty if the operator did.
+    `frontends`: the front-ends that named these addresses; empty if the operator named them.
     """
 
     def __init__(self, endpoints: EndpointPool, addresses: list[str], frontends: Sequence[str] = ()) -> None:

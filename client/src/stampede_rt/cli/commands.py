@@ -47,7 +47,7 @@ def run(arguments: Sequence[str]) -> int:
         if os.environ.get("STAMPEDE_DEBUG"):
             raise
         if isinstance(error, UnicodeEncodeError):  # a name or text of the command line goes into a message
-            print("stampede: an argument is no text in UTF-8; only a payload may have other bytes", file=sys.stderr)
+            print("stampede: an argument is not text in UTF-8; only a payload may have other bytes", file=sys.stderr)
             return MISUSED
         what = escaped(f"{type(error).__name__}: {error}")
         print(f"stampede: a defect: {what}; set STAMPEDE_DEBUG=1 to see where", file=sys.stderr)

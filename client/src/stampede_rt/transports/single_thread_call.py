@@ -94,8 +94,8 @@ class SingleThreadCall:
         self._reading = threading.Lock()  # is held by the thread that takes events
         self._unsent: deque[bytes] = deque()
         self._is_sending = False
-        self._events = events  # that are still to come
-        self._is_lost = False  # an interrupt came at an unknown place
+        self._events = events  # the events that have not come yet
+        self._is_lost = False  # whether an interrupt came at an unknown place
         self._response: Any = None
         self._status: tuple[grpc.StatusCode, str, Sequence[Any]] | None = None
 
