@@ -72,7 +72,7 @@ async def left_gets(rig: Rig, gets: int) -> tuple[str, Work]:
 
 
 async def subscribers(rig: Rig, count: int) -> tuple[str, Work]:
-    """Each of them has a message sent."""
+    """Puts into a channel with many subscriptions, each of which gets a message."""
     channel, hosted = await opened(rig)
     client = asyncio.create_task(asked(rig, channel, "follow")())  # type: ignore[arg-type]
     async with asyncio.timeout(PATIENCE_SECONDS):

@@ -310,7 +310,7 @@ def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> 
 
 
 def digest_of(trial: DirectoryTrial) -> str:
-    """A hash of the whole run. Runs that differ anywhere drew other random numbers from then on."""
+    """A hash of the whole run. Runs that differ anywhere have other random numbers from then on."""
     random_state = trial.world.random_source.getstate()
     happened = (trial.recorder.operations, trial.ownership.puts, trial.name_ownership.grants, random_state)
     return hashlib.sha256(repr(happened).encode()).hexdigest()

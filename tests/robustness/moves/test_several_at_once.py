@@ -100,7 +100,10 @@ async def test_a_move_loses_nothing_if_the_link_between_the_hosts_breaks(step: s
 async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_while(
     step: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Longer than changes wait, so that the source ends moves when it reaches the directory again."""
+    """The directory is away for longer than changes wait.
+
+    So the source ends moves when it reaches the directory again.
+    """
     for module in (moving, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)
 
@@ -132,7 +135,7 @@ async def test_no_put_is_acknowledged_while_former_owners_are_heirs() -> None:
 async def test_a_move_that_its_source_has_ended_fails_and_the_other_moves_succeed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The entry of several moves has one whose epoch has changed meanwhile."""
+    """In the common entry of several moves, one move has an epoch that has changed meanwhile."""
     several = Several()
     commit_all: Any = SimulatedDirectory.commit_all
     ended: list[bytes] = []

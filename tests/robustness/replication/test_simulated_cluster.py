@@ -62,7 +62,7 @@ class StandsAtOnce(PreVoteElections):
 
 
 def cluster_without_faults(rules: type = PreVoteElections) -> tuple[World, str, int]:
-    """Three members without faults that have elected. Returns the world, the leader and the term."""
+    """Three members without faults that have elected a leader. Returns the world, the leader and the term."""
     world = World(1, size=3, fault_rates=FaultRates(), rules=rules)
     for member in world.members.values():
         member.start()

@@ -168,7 +168,7 @@ def test_a_supernode_of_another_cluster_is_left_out_while_ours_is_healthy() -> N
     assert failure.startswith("x1:1: belongs to another cluster, c2, and this front-end serves c1;")
 
 
-def test_supernodes_of_another_cluster_are_left_out_even_if_no_own_one_answers() -> None:
+def test_supernodes_of_another_cluster_are_left_out_even_if_no_supernode_of_the_own_cluster_answers() -> None:
     roster = SupernodeRoster(("s1:1", "s2:1"))
     roster.answered("s1:1", answer("s1"))
     for target in roster.targets():
@@ -187,7 +187,7 @@ def test_a_successor_cluster_is_accepted_when_the_own_cluster_is_gone() -> None:
     assert roster.cluster_id == "c2"
 
 
-def test_a_cluster_founded_anew_at_the_addresses_of_one_in_memory_is_taken_up() -> None:
+def test_a_front_end_takes_up_a_cluster_founded_anew_at_the_addresses_of_a_cluster_in_memory() -> None:
     roster = SupernodeRoster(("s1:1",))
     roster.answered("s1:1", answer("s1", cluster="memory-1"))
     roster.listed(members("s1", "s2", term=7, index=70))
