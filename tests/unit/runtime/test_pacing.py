@@ -191,7 +191,7 @@ async def test_responses_that_are_yielded_wait_for_the_turn_of_their_caller(monk
     waiting = CallerWork(caller)
     monkeypatch.setattr(pacing, "current_work", lambda: waiting)
     assert caller.loop_share is not None
-    caller.loop_share.stand(lambda: None)  # a step of another stream
+    caller.loop_share.enqueue(lambda: None)  # a step of another stream
 
     async def responses(_request: Any, _context: Any) -> AsyncIterator[bytes]:
         yield b"one"

@@ -82,7 +82,7 @@ def test_a_caller_beyond_its_share_gets_its_percentage_of_the_time_in_order() ->
         return woken
 
     for number in range(1000):
-        heavy.stand(step(number))
+        heavy.enqueue(step(number))
     end = loop.now + 1000 * MS
     while loop.now < end:
         loop.works(light, MS // 10)
@@ -98,7 +98,7 @@ def test_a_waiting_caller_continues_at_once_when_the_other_callers_become_idle()
     loop.works(heavy, 50 * MS)
     served: list[int] = []
     for number in range(20):
-        heavy.stand(lambda number=number: served.append(number))  # type: ignore[misc]
+        heavy.enqueue(lambda number=number: served.append(number))  # type: ignore[misc]
     loop.now += CONTENDED_NANOS
     loop.run_until(loop.now)
     loop.run_until(loop.now + 50 * MS)
@@ -119,7 +119,7 @@ def test_a_line_of_callers_takes_one_step_in_each_turn_of_the_loop_after_a_long_
         loop.works(heavy, MS // 10)
 
     for _ in range(100):
-        heavy.stand(step)
+        heavy.enqueue(step)
     loop.now += 500 * MS  # the process had no processor, or another step took long
     loop.works(light, MS // 10)
     ticks = loop.fire_due()
@@ -131,10 +131,10 @@ def test_a_long_wait_of_one_caller_does_not_delay_another() -> None:
     heavy, light, third = loop.caller(percent=1), loop.caller(), loop.caller()
     loop.works(light, MS)
     loop.works(heavy, 100 * MS)  # 10 s of its share
-    heavy.stand(lambda: None)
+    heavy.enqueue(lambda: None)
     loop.works(light, 5 * MS)
     served: list[int] = []
-    light.stand(lambda: served.append(loop.now))
+    light.enqueue(lambda: served.append(loop.now))
     began = loop.now
     loop.works(third, MS // 10)
     loop.run_until(loop.now + 20 * MS)
@@ -147,7 +147,7 @@ def test_a_caller_with_a_long_debt_waits_little_after_other_callers_are_idle() -
     loop.works(light, MS)
     loop.works(heavy, 100 * MS)
     served: list[int] = []
-    heavy.stand(lambda: served.append(loop.now))
+    heavy.enqueue(lambda: served.append(loop.now))
     loop.run_until(loop.now + 2 * CONTENDED_NANOS)
     assert len(served) == 1
     assert loop.is_quiet
@@ -158,7 +158,7 @@ def test_a_caller_behind_a_line_waits_even_if_there_is_time() -> None:
     heavy, light = loop.caller(), loop.caller()
     loop.works(light, MS)
     loop.works(heavy, 20 * MS)
-    heavy.stand(lambda: None)
+    heavy.enqueue(lambda: None)
     loop.now += 2 * CONTENDED_NANOS
     assert heavy.must_wait
 
@@ -179,8 +179,8 @@ def test_a_step_of_a_caller_within_its_share_reads_the_clock_once() -> None:
     loop.works(light, MS)
     now, loop.loop_shares.now = loop.loop_shares.now, lambda: (looks.append(1), now())[1]  # type: ignore[func-returns-value]
     assert not light.must_wait
-    light.owe(1000)
-    light.owe(1000)
+    light.spend_later(1000)
+    light.spend_later(1000)
     light.spend(2000)
     assert sum(looks) == 1
 
@@ -189,7 +189,7 @@ def test_the_debt_of_a_step_counts_at_the_end_of_the_step() -> None:
     loop = Loop()
     busy, light = loop.caller(), loop.caller()
     loop.works(light, 1)
-    busy.owe(BURST_NANOS)
+    busy.spend_later(BURST_NANOS)
     assert not busy.must_wait
     loop.works(busy, 1)
     assert busy.must_wait

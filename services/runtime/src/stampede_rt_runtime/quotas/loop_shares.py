@@ -56,7 +56,14 @@ class LoopShare:
     """
 
     __slots__ = (
-        "_before_nanos", "_busy_until", "_line", "_owed_nanos", "_second", "_shares", "_ticking", "_used_nanos",
+        "_before_nanos",
+        "_busy_until",
+        "_later_nanos",
+        "_line",
+        "_second",
+        "_shares",
+        "_ticking",
+        "_used_nanos",
         "percent",
     )  # fmt: skip
 
@@ -65,7 +72,7 @@ class LoopShare:
         self._shares = loop_shares
         self._line: deque[Callable[[], None]] = deque()
         self._ticking = False
-        self._owed_nanos = 0  # the time of the present step that is counted at its end
+        self._later_nanos = 0  # the time of the present step that is counted at its end
         self._busy_until = 0  # when the next step is due, if the caller uses exactly its percentage
         self._second = 0
         self._used_nanos = self._before_nanos = 0  # the time used in this second, and in the second before
@@ -77,29 +84,29 @@ class LoopShare:
 
     @property
     def must_wait(self) -> bool:
-        """Whether the caller's next step must `stand` in line first."""
+        """Whether the caller's next step must wait in line, see `enqueue`."""
         if self._line:
             return True
         if self._held_for(self._shares.latest) <= 0:
             return False  # no wait was due at an earlier time, so no wait is due now; `now` is the slowest call here
         return self._held_for(self._shares.now()) > 0
 
-    def stand(self, wake: Callable[[], None]) -> None:
-        """Wait in line: call `wake` when it is the caller's turn."""
+    def enqueue(self, wake: Callable[[], None]) -> None:
+        """Add a step to the caller's line. Calls `wake` when the step may run."""
         self._line.append(wake)
         self._tick_later(self._shares.now())
 
     def spend(self, nanos: int) -> None:
         """Note the time that a step of the caller took."""
         now = self._shares.now()
-        nanos, self._owed_nanos = nanos + self._owed_nanos, 0
+        nanos, self._later_nanos = nanos + self._later_nanos, 0
         self._count(nanos, now)
         if self._shares.works(self, now):
             self._busy_until = max(self._busy_until, now) + nanos * 100 // max(1, self.percent)
 
-    def owe(self, nanos: int) -> None:
+    def spend_later(self, nanos: int) -> None:
         """Note further time of the present step, whose end calls `spend`."""
-        self._owed_nanos += nanos
+        self._later_nanos += nanos
 
     def _held_for(self, now: int) -> int:
         """The nanoseconds for which the next step must wait; 0 or less: it need not wait."""

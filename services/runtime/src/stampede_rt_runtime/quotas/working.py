@@ -127,7 +127,7 @@ class CallerWork:
         """Wait for the caller's turn."""
         assert self._loop_share is not None, "an account without turns never waits"
         came: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._loop_share.stand(partial(_set_unless_done, came))
+        self._loop_share.enqueue(partial(_set_unless_done, came))
         await came
 
     def spend(self, nanos: int) -> None:
@@ -138,12 +138,12 @@ class CallerWork:
     def spend_read(self) -> None:
         """Count the time that the transport takes to read a message, at the end of the present step."""
         if self._loop_share is not None:
-            self._loop_share.owe(self._costs.read_nanos)
+            self._loop_share.spend_later(self._costs.read_nanos)
 
     def spend_write(self) -> None:
         """Count the time that the transport takes to write a message, at the end of the present step."""
         if self._loop_share is not None:
-            self._loop_share.owe(self._costs.write_nanos)
+            self._loop_share.spend_later(self._costs.write_nanos)
 
     def spend_bytes(self, count: int) -> None:
         """Count the time that the transport takes to read a number of bytes."""
