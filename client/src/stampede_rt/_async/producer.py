@@ -23,7 +23,7 @@ from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_async import Signal, Steps, sleep, when_dropped
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Ack
-from stampede_rt.values.payloads import check_attributes, check_payload
+from stampede_rt.values.payloads import check_payload, copied_attributes
 from stampede_rt.values.policy import ack_of, content_type_of
 from stampede_rt.values.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
 from stampede_rt.wire.batching import NumberedRun, RunBuilder, UnackedRuns
@@ -112,8 +112,7 @@ class Producer(BoundToProcess):
             raise InvalidArgument("this producer is closed; make another with channel.producer()")
         coding = self._state.coding
         payload = coding.encode(payload) if coding else check_payload(payload)
-        check_attributes(attributes)
-        labels = dict(attributes) if attributes else None  # the caller may change its mapping after the put
+        labels = None if attributes is None else copied_attributes(attributes)
         instant = None if time is None else parse_instant(time)
         nanos = duration if duration is None else parse_item_duration(duration)
         kind = content_type_of(content_type) or (coding.content_type if coding else "")

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from stampede_rt.errors import InvalidArgument, ItemTooLarge
 
 ITEM_BYTES_MAX = 16 * 1024 * 1024
+ATTRIBUTES_BYTES_MAX = 16 * 1024
 
 
 def check_payload(payload: object) -> bytes:
@@ -46,6 +47,25 @@ def check_attributes(attributes: Mapping[str, str] | None) -> None:
     ):
         return
     raise InvalidArgument(f"the attributes are {attributes!r}; give a mapping of text to text")
+
+
+def copied_attributes(attributes: Mapping[str, str] | None) -> dict[str, str] | None:
+    """Return a copy, because the caller may change its mapping after the call; None if there are no attributes.
+
+    Reads the mapping once. Raises InvalidArgument unless the copy has text alone, and at most ATTRIBUTES_BYTES_MAX.
+    """
+    if not isinstance(attributes, Mapping):
+        check_attributes(attributes)
+        return None
+    copy = dict(attributes)
+    check_attributes(copy)
+    length_bytes = sum(len(key.encode()) + len(value.encode()) for key, value in copy.items())
+    if length_bytes > ATTRIBUTES_BYTES_MAX:
+        raise InvalidArgument(
+            f"the attributes have {length_bytes} bytes in all, of at most {ATTRIBUTES_BYTES_MAX}; put large data into "
+            "the payload"
+        )
+    return copy or None
 
 
 def text_length_bytes(value: object) -> int | None:

@@ -17,14 +17,13 @@ from google.protobuf.unknown_fields import UnknownFieldSet
 from stampede_rt.errors import ItemTooLarge, MalformedRun
 from stampede_rt.v1 import item_pb2
 from stampede_rt.values.model import ABSENT
-from stampede_rt.values.payloads import ITEM_BYTES_MAX
+from stampede_rt.values.payloads import ATTRIBUTES_BYTES_MAX, ITEM_BYTES_MAX
 from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 from stampede_rt.wire.plain_runs import plain_run_parts, read_plain_run
 from stampede_rt.wire.varints import decode_varint, encode_varint
 
 RUN_BYTES_MAX = 224 * 1024  # a full run with its columns fits into one message to a host
 CONTENT_TYPE_BYTES_MAX = 255
-ATTRIBUTES_BYTES_MAX = 16 * 1024
 
 _FIRST_SEQ = struct.Struct("<BQ")
 _FIRST_SEQ_TAG = 7 << 3 | 1  # field 7, fixed64

@@ -136,6 +136,27 @@ def test_an_item_keeps_the_attributes_that_its_put_had() -> None:
     assert len(waiting) == 1
 
 
+class TwoFaced(dict[str, Any]):
+    """A mapping whose items are text, while its values are not."""
+
+    def items(self) -> Any:
+        return [(key, "text") for key in self.keys()]
+
+
+@pytest.mark.parametrize("attributes", [TwoFaced(n=1), {"n": "x" * 2**14}])
+def test_unusable_attributes_are_refused_and_hinder_no_later_put(attributes: Any) -> None:
+    """In an earlier version, the host or the encoder refused such an item each time, and all later puts failed."""
+    place = Place()
+    producer = producer_at(place)
+    producer.put(b"first")
+    for _ in range(2):
+        with pytest.raises(st.InvalidArgument):
+            producer.put(b"x", attributes=attributes)
+    producer.put(b"second")
+    assert producer._builder.cut().encoded
+    assert len(producer._builder) == 1
+
+
 def test_a_time_beyond_64_bits_is_refused_and_hinders_no_later_put() -> None:
     """In an earlier version, the item stayed in the run under construction, and all later puts failed."""
     place = Place()
