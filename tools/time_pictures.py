@@ -1,7 +1,7 @@
 """Draws the pictures of docs/time-model.md from real channels: `.venv/bin/python tools/time_pictures.py [ADDRESS]`.
 
 Without an address it starts a cluster. The drawn items were put into channels and read back from them. Colour-blind
-readers can distinguish the colours, and no information is in the colour alone.
+readers can distinguish the colours, and a reader who sees no colours gets the same information.
 """
 
 from __future__ import annotations

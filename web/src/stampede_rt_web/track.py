@@ -48,7 +48,7 @@ class ItemTrack:
     """The items of one channel, in the order of their times.
 
     `seq_max` is the highest seq that the channel has accepted, as far as the track knows. `ends_early` says that the
-    track is of a stretch of the past, and that the stretch has more items than were read.
+    track shows a part of the past, and that this part has more items than the page has read.
     """
 
     def __init__(self) -> None:
@@ -106,7 +106,7 @@ class ItemTrack:
     def add_late(self, items: Iterable[TrackItem], now: int) -> None:
         """Add the missing ones among `items`, each with a mark "late".
 
-        One mark "missed" then stands for all items that are still missing, and the track forgets their seqs.
+        One mark "missed" then represents all items that are still missing, and the track forgets their seqs.
         """
         for item in items:
             if item.seq in self._missing:

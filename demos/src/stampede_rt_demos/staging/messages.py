@@ -34,7 +34,7 @@ def decode(line: str) -> Message:
     except json.JSONDecodeError:
         raise BadMessage(f"no JSON: {line[:80]!r}") from None
     if not isinstance(message, dict) or message.get("event") not in EVENTS:
-        raise BadMessage(f"this line is no event of a role: {line[:80]!r}")
+        raise BadMessage(f"this line is not an event of a role: {line[:80]!r}")
     return message
 
 
@@ -48,7 +48,7 @@ def decode_start(line: str) -> int:
     try:
         start = json.loads(line)["start_unix_nano"]
     except (ValueError, KeyError, TypeError):
-        raise BadMessage(f"this line is no start: {line[:80]!r}") from None
+        raise BadMessage(f"this line is not a start: {line[:80]!r}") from None
     if type(start) is not int:
         raise BadMessage(f"the start is {start!r}; it is an int, nanoseconds since the epoch")
     return start

@@ -1,6 +1,6 @@
 """Draws the picture of the stereo demo: the last pair, and the measured and the true disparity over time.
 
-Colours are from the Okabe-Ito palette. No information is in the colour alone.
+Colours are from the Okabe-Ito palette. A reader who sees no colours gets the same information.
 """
 
 from __future__ import annotations

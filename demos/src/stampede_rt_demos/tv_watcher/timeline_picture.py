@@ -1,7 +1,7 @@
 """Draws the items of the streams on one time line, and marks the synchronised intervals.
 
-Colours are from the Okabe-Ito palette, which colour-blind readers can distinguish. No information is in the colour
-alone.
+Colours are from the Okabe-Ito palette, which colour-blind readers can distinguish. A reader who sees no colours gets
+the same information.
 """
 
 from __future__ import annotations
