@@ -42,7 +42,7 @@ class InvalidArgument(StampedeError, ValueError):
 
 
 class InvalidInterval(InvalidArgument):
-    """An interval has two instants as its bounds, and the start lies after the end."""
+    """An interval has two instants as its bounds, and the start is after the end."""
 
     reason = "INVALID_INTERVAL"
 

@@ -52,7 +52,7 @@ class Measured:
 
 
 def share(ordered: array[int] | list[int], part: float) -> float:
-    """Return the value below which `part` of the ordered values lie, in microseconds; 0 without values."""
+    """Return the value below which `part` of the ordered values are, in microseconds; 0 without values."""
     return ordered[min(len(ordered) - 1, int(part * len(ordered)))] / NANOS_PER_US if len(ordered) else 0.0
 
 

@@ -30,7 +30,7 @@ LEADER_TIMEOUT_S = 2.5  # if the leader does not answer in this time, the client
 
 
 class Discovery:
-    """Reads the directory. In a glob "*" stands for any number of characters, "?" for one.
+    """Reads the directory. In a glob "*" matches any number of characters, "?" one.
 
     A long list takes several requests, one for each page. Each request blocks for at most 10 s. The methods raise
     Unavailable and InvalidArgument.
@@ -40,7 +40,7 @@ class Discovery:
         self._session = session
 
     async def channels(self, name_glob: str = "*") -> list[ChannelInfo]:
-        """List the channels whose names match, sorted by name. In a glob "*" stands for any characters, "?" for one."""
+        """List the channels whose names match, sorted by name. In a glob "*" matches any characters, "?" one."""
         found: list[ChannelInfo] = []
         async for page in self._pages("ListChannels", directory_pb.ListChannelsRequest(name_glob=name_glob)):
             hosts = {host.host_id: host for host in page.hosts}

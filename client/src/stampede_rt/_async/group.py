@@ -135,7 +135,7 @@ class Group(Reference):
         """Return for each member the items in an interval.
 
         The client reads all members at one cut, even if several hosts own them. The arguments are as in `Channel.get`.
-        A meta-time stands for each channel's own instant: NEWEST is the time of the channel's own newest item. The
+        A meta-time means each channel's own instant: NEWEST is the time of the channel's own newest item. The
         answer maps each member to its Items.
 
         With `as_of` the answer uses the cut of that instant. All members must be recorded, and the caller must have the
@@ -233,7 +233,7 @@ class Group(Reference):
     ) -> MatchSubscription | PastMatches:
         """Match each new item of `per` with the nearest item of every other member. Returns an iterator over `Matched`.
 
-        The nearest item must lie at most `tolerance` before or after the item of `per`. The host sends a match as soon
+        The nearest item must be at most `tolerance` before or after the item of `per`. The host sends a match as soon
         as every other member has passed the time of the item of `per` + `tolerance`. If a member has no item that near,
         the host sends no match and counts the item of `per` in `unmatched`. With `partial` the reader also gets such an
         item of `per`, and `missing` names the members without an item that near.

@@ -115,8 +115,8 @@ class Reader(Reference):
     ) -> Items:
         """Return the items in an interval, by default the items whose span shares an instant with it.
 
-        `bounds`: "[]", "[)", "(]" or "()". `match`: "span", "whole" (the whole span lies in the interval) or "start"
-        (the item's time lies in it). `limit` keeps the earliest items, or with `newest_first` the latest. With `after`,
+        `bounds`: "[]", "[)", "(]" or "()". `match`: "span", "whole" (the whole span is in the interval) or "start"
+        (the item's time is in it). `limit` keeps the earliest items, or with `newest_first` the latest. With `after`,
         an item or an instant, the answer has only later items, or with `newest_first` only earlier ones. `timeout` in
         seconds: 0 answers at once, None waits without a limit. The call waits for the first match, or with `complete`
         until no more items can come into the interval. After the timeout it returns the items that are there.

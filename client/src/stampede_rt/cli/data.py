@@ -74,7 +74,7 @@ def _add_get(subparsers: Any) -> None:
         "--match",
         choices=("span", "whole", "start"),
         default="span",
-        help="items whose span shares an instant with the interval (default), lies in it, or starts in it",
+        help="items whose span shares an instant with the interval (default), is in it, or starts in it",
     )
     get.add_argument("--limit", type=parse_count, metavar="N", help="print at most N items")
     get.add_argument("--newest-first", action="store_true", help="print the latest first")

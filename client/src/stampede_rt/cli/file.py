@@ -38,7 +38,7 @@ def add_verbs(subparsers: Any) -> None:
         verbs, "recover", "copy the readable part of a torn or damaged file, and name the lost items", run_recover
     )
     recover.add_argument("path", metavar="FILE", help="an MCAP file")
-    cut = _verb(verbs, "cut", "copy the items of a stretch of time, or of some channels", run_cut)
+    cut = _verb(verbs, "cut", "copy the items of an interval, or of some channels", run_cut)
     cut.add_argument("path", metavar="FILE", help="an MCAP file")
     cut.add_argument("--from", dest="start", type=checked(parse_time), metavar="TIME", help="the first time")
     cut.add_argument("--to", dest="end", type=checked(parse_time), metavar="TIME", help="the end, exclusive")

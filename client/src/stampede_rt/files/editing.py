@@ -24,7 +24,7 @@ DAMAGES_KEPT_MAX = 1000
 class FileReport:
     """The findings of a reading of a whole file.
 
-    `damages` has the first 1000 stretches that cannot be read. `finished`: the file has the index that its writer
+    `damages` has the first 1000 parts that cannot be read. `finished`: the file has the index that its writer
     writes last. `unknown` counts messages of topics that the file does not name. `stated` is the recorder's own
     summary; None if the file has none.
     """
@@ -156,8 +156,8 @@ def _stated(reader: FileReader) -> RecordingSummary | None:
 class _Cut:
     """Keeps the events in an interval of time.
 
-    It drops a gap only if the end of the gap and the next item lie before the interval, or the start of the gap and the
-    item before it lie after the interval.
+    It drops a gap only if the end of the gap and the next item are before the interval, or the start of the gap and the
+    item before it are after the interval.
     """
 
     def __init__(self, start: int, end: int, chosen: Callable[[str], bool], take: Callable[[Any], None]) -> None:

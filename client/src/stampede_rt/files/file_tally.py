@@ -88,7 +88,7 @@ class FileTally:
             counts.gaps.append(gap)
 
     def damage(self) -> None:
-        """Note that a stretch of the file is damaged here."""
+        """Note that a part of the file is damaged here."""
         self._damaged_so_far = True
         for key, counts in self._counts.items():
             if key[1] is not None and counts.damaged_after is None:

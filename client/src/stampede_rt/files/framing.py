@@ -41,7 +41,7 @@ _FRAME = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _KNOWN_OPCODES = range(0x01, 0x10)
 _PRIVATE_OPCODES = range(0x80, 0x100)  # the opcodes of other programs; every reader skips them
-# The part of a chunk's head that holds its compression, to find chunks after a damaged stretch.
+# The part of a chunk's head that holds its compression, to find chunks after a damaged part.
 _COMPRESSION = re.compile(rb"\x04\x00\x00\x00zstd|\x03\x00\x00\x00lz4|\x00\x00\x00\x00")
 _COMPRESSION_AT = _FRAME.size + 28
 _SEARCH_BYTES = 4 * 1024 * 1024
@@ -68,7 +68,7 @@ class RecordFrame:
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """A stretch of a file that cannot be read, from the byte `offset` to `end`, exclusive, and why."""
+    """A part of a file that cannot be read, from the byte `offset` to `end`, exclusive, and why."""
 
     offset: int
     end: int
@@ -107,7 +107,7 @@ class RecordFile:
             raise FileError(f"the file {self.path!r} cannot be read: {error.strerror or error}") from error
 
     def frames(self, offset: int = len(MAGIC)) -> Iterator[RecordFrame | Damage]:
-        """Yield the records from the byte `offset` on, and the stretches that are not records. Ends at the end mark.
+        """Yield the records from the byte `offset` on, and the parts that are not records. Ends at the end mark.
 
         A file that ends without the end mark ends with a Damage of the rest, perhaps of no bytes.
         """

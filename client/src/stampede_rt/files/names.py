@@ -17,7 +17,7 @@ def _pattern(glob: str) -> re.Pattern[str]:
 
 
 def matches(glob: str, name: str) -> bool:
-    """Whether a name matches a glob: "*" stands for any characters, "?" for one."""
+    """Whether a name matches a glob: "*" matches any characters, "?" one."""
     return _pattern(glob).match(name) is not None
 
 

@@ -133,7 +133,7 @@ class FileReader:
         return self._index
 
     def contents(self) -> Iterator[Content | Damage | Attachment | Metadata]:
-        """Yield the chunks in the order of the file, damaged stretches, attachments, and metadata."""
+        """Yield the chunks in the order of the file, damaged parts, attachments, and metadata."""
         for frame in self._records.frames():
             if isinstance(frame, Damage):
                 yield frame

@@ -248,7 +248,7 @@ def _reaching_in(found: _Items, within: ResolvedInterval, now: int, facts: list[
 
 
 def _staying_in(found: _Items, within: ResolvedInterval, now: int, low: int, high: int, facts: list[int]) -> list[int]:
-    """Return the items whose whole spans lie in the interval. Only items of the last bucket can end outside of it."""
+    """Return the items whose whole spans are in the interval. Only items of the last bucket can end outside of it."""
     if low >= high:
         return []
     times, durations, bucket = found.times, found.durations, found.times[high - 1]

@@ -168,7 +168,7 @@ class Cut(Generic[Key]):
     """A cut event: `cut[channel]` has the items of a channel that became visible since the event before.
 
     - `time`: the cut, exclusive.
-    - `late[channel]`: items that lie before the cut of an earlier event, and that the host accepted after that event.
+    - `late[channel]`: items that are before the cut of an earlier event, and that the host accepted after that event.
     - `incomplete`: the members that had not reached the cut within `max_wait`.
     - `cut[channel].truncated`: some of the channel's items are missing in the event. `cut[channel].reason` says why.
     """
@@ -248,7 +248,7 @@ def parse_reference(reference: NamedChannel | str, members: Sequence[NamedChanne
 
 
 def is_named_by(named: NamedChannel | str, channel: NamedChannel) -> bool:
-    """Whether `named` stands for `channel`. `named` is a name, a handle or a descriptor."""
+    """Whether `named` names `channel`. `named` is a name, a handle or a descriptor."""
     if isinstance(named, str):
         return named == channel.info.name
     return getattr(named, "info", None) is not None and named.info.channel_id == channel.info.channel_id

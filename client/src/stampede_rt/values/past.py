@@ -63,7 +63,7 @@ def _least(mark: PastMark) -> int:
 def tell_lack(items: Items, lack: Reason | None) -> Items:
     """Note in an answer at a past cut that the cut may have been higher. Returns the answer.
 
-    A complete answer stays as it is, because it lies before the cut. An answer that names its own loss also stays as it
+    A complete answer stays as it is, because it is before the cut. An answer that names its own loss also stays as it
     is.
     """
     if lack is not None and not items.complete and items.reason not in (Reason.COLLECTED, Reason.LOST):

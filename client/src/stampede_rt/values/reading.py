@@ -46,7 +46,7 @@ class Wait:
 
     @property
     def nanos(self) -> int:
-        """Return the nanoseconds for the wire; -1 stands for no limit."""
+        """Return the nanoseconds for the wire; -1 means no limit."""
         return -1 if self.seconds is None else round(self.seconds * 1e9)
 
 

@@ -19,7 +19,7 @@ class RecordingGap:
       "DELETED" (the channel was deleted), "NOT_READ" (the recording ended first), "DAMAGED" (the file was damaged
       there), "UNEXPLAINED" (the host accepted the items, and sent neither them nor a reason). `detail` explains it.
     - `first_seq` and `last_seq` enclose the missing items; None: not known. `items` is their number; None: not known.
-    - `start` and `end` are the stretch of time in which items may be missing, in nanoseconds; None: not known.
+    - `start` and `end` are the bounds of the time in which items may be missing, in nanoseconds; None: not known.
     """
 
     channel: str

@@ -1,6 +1,6 @@
 """Instants, durations, bounds and intervals (paper, sections 3.1 and 3.2). Pure.
 
-Instants are int nanoseconds since the Unix epoch, UTC; durations are int nanoseconds. An interval is a stretch of
+Instants are int nanoseconds since the Unix epoch, UTC; durations are int nanoseconds. An interval is a part of
 continuous time, although its bounds are whole nanoseconds. The interval `(10, 11)` is therefore not empty. The interval
 `[10, 10)` is empty.
 """
@@ -38,7 +38,7 @@ DurationLike = str | timedelta
 InstantLike = int | datetime
 """An instant: int nanoseconds since the epoch, or a datetime with a timezone."""
 Bounds = Literal["[]", "[)", "(]", "()"]
-"""Says which bounds belong to the interval: a bracket stands for an inclusive bound, a parenthesis for an exclusive
+"""Says which bounds belong to the interval: a bracket means an inclusive bound, a parenthesis an exclusive
 one."""
 
 
@@ -286,8 +286,8 @@ class Match(Enum):
     """The rule by which an interval selects items (paper, section 3.2)."""
 
     SPAN = "span"  # items whose span shares an instant with the interval
-    WHOLE = "whole"  # items whose whole span lies in the interval
-    START = "start"  # items whose time lies in the interval
+    WHOLE = "whole"  # items whose whole span is in the interval
+    START = "start"  # items whose time is in the interval
 
 
 MatchLike = Literal["span", "whole", "start"] | Match

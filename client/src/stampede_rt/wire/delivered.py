@@ -41,7 +41,7 @@ def check_columns(
 class ItemCount:
     """Counts the items of the responses to one request, before the client decodes them.
 
-    `limit`: the greatest number of items that the request asks for. 0 stands for no limit.
+    `limit`: the greatest number of items that the request asks for. 0 means no limit.
     """
 
     def __init__(self, limit: int = 0) -> None:

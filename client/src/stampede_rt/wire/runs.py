@@ -53,7 +53,7 @@ A parser would copy all of it in one step, up to 20 MiB, while all other callers
 
 
 class RunColumns(NamedTuple):
-    """The columns of a producer's run, with one entry for each item. A duration of -1 stands for no duration.
+    """The columns of a producer's run, with one entry for each item. A duration of -1 means no duration.
 
     If `times` is None, the host gives the items their time. If `durations` is None, no item has a duration.
     """

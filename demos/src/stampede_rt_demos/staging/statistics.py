@@ -13,7 +13,7 @@ def percentile(values: Sequence[int], percent: float) -> int | None:
     Returns None if there are no values.
     """
     if not 0 < percent <= 100:
-        raise ValueError(f"a percentile lies above 0 and up to 100, not at {percent}")
+        raise ValueError(f"a percentile is above 0 and at most 100, not {percent}")
     ranked = sorted(values)
     return ranked[math.ceil(len(ranked) * percent / 100) - 1] if ranked else None
 

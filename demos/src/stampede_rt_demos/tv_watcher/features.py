@@ -47,7 +47,7 @@ class MotionMeter:
         if before is None:
             return Motion(0.0, False)
         if before.shape != frame.shape:
-            raise ValueError(f"a frame of {frame.shape} comes after a frame of {before.shape}; the size must not change")
+            raise ValueError(f"the frame has {frame.shape}, the frame before {before.shape}; the size must not change")
         energy = float(np.abs(frame - before).mean())
         cut = self._is_cut(energy)
         if not cut:

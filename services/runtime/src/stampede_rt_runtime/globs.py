@@ -1,4 +1,4 @@
-"""Patterns over names: `*` stands for any run of characters, `?` for one character. Pure.
+"""Patterns over names: `*` matches any run of characters, `?` one character. Pure.
 
 Callers send patterns. The time of a match is at most in proportion to the name's length times the number of stars.
 """
@@ -17,7 +17,7 @@ _KEPT_MAX = 4096
 def matcher(glob: str) -> Callable[[str], bool]:
     """A function that tells whether a name matches `glob`.
 
-    Every name matches an empty `glob`. Brackets stand for themselves.
+    Every name matches an empty `glob`. Brackets match themselves.
     """
     beginning = glob.removesuffix("*")
     # most patterns have only a star at the end; an expression takes 0.1 ms to compile

@@ -101,7 +101,7 @@ _shtab_stampede_context_commands() {
 
 _shtab_stampede_file_commands() {
   local _commands=(
-    cut:'copy the items of a stretch of time, or of some channels'
+    cut:'copy the items of an interval, or of some channels'
     info:'print the contents of a file, by its index'
     merge:'write the items of several files to one, each item once'
     recover:'copy the readable part of a torn or damaged file, and name the lost items'
@@ -686,7 +686,7 @@ _shtab_stampede_get_options=(
   "--before[the newest item before this time]:TIME:"
   "--all[all held items]"
   "--bounds[the bounds that belong to the interval\: \"\[\]\" (default), \"\[)\", \"(\]\", \"()\"]:BOUNDS:([] [) (] ())"
-  "--match[items whose span shares an instant with the interval (default), lies in it, or starts in it]:match:(span whole start)"
+  "--match[items whose span shares an instant with the interval (default), is in it, or starts in it]:match:(span whole start)"
   "--limit[print at most N items]:N:"
   "--newest-first[print the latest first]"
   "--timeout[wait this long for an item, e.g. 500ms\; default 0s]:DURATION:"

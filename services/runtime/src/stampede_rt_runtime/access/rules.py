@@ -18,7 +18,7 @@ from stampede_rt_runtime.globs import matcher
 RULES_MAX = 1000
 GLOB_CHARACTERS_MAX = 256
 _NAMES = re.compile(r"[A-Za-z0-9._/*?-]+", re.ASCII)
-# a name that begins with "@" stands for a group of callers without names of their own
+# a name that begins with "@" means a group of callers without names of their own
 _WHO = re.compile(r"@?[A-Za-z0-9._/*?-]+", re.ASCII)
 _CALLERS_KEPT_MAX = _JUDGEMENTS_KEPT_MAX = 8192
 

@@ -42,7 +42,7 @@ def machine_of(peer: str) -> str:
 
 
 def _network(address: IPv4Address | IPv6Address) -> str:
-    """The text that stands for the machine of an address: a machine usually has all addresses of a /64 of IPv6."""
+    """The text that represents the machine of an address: a machine usually has all addresses of a /64 of IPv6."""
     if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
         address = address.ipv4_mapped
     if address.is_loopback:
