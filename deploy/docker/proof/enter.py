@@ -85,7 +85,7 @@ def inside(root: Path, target: str) -> Path:
 
 
 def give_up_rights(uid: int, gid: int, groups: list[int]) -> None:
-    """Drop all capabilities for good, and become the user of the plan."""
+    """Drop all capabilities permanently, and become the user of the plan."""
     last = int(Path("/proc/sys/kernel/cap_last_cap").read_text())
     for capability in range(last + 1):
         prctl(PR_CAPBSET_DROP, capability)

@@ -47,7 +47,7 @@ def remove_member(
 def _leaderless(known: Sequence[SupernodeRecord]) -> Unavailable:
     return Unavailable(
         f"no supernode leads, and only a leader removes a member: start supernodes until {len(known) // 2 + 1} of "
-        f"{', '.join(one.supernode_id for one in known)} serve, or, if they are lost for good, restore the cluster "
+        f"{', '.join(one.supernode_id for one in known)} serve, or, if they are permanently lost, restore the cluster "
         "from the folder of a remaining one, or from a backup (stampede supernode init --restore)"
     )
 

@@ -44,7 +44,7 @@ def administer(argv: Sequence[str]) -> int:
     add.add_argument(
         "--valid-hours", type=_hours, default=1.0, metavar="HOURS", help="how many hours the token is valid; default 1"
     )
-    remove = _verb(verbs, "remove", "remove a supernode for good; its id is never used again", _run_remove)
+    remove = _verb(verbs, "remove", "remove a supernode permanently; its id is never used again", _run_remove)
     remove.add_argument("id", help="the supernode's id, see `stampede supernode status`")
     snapshot = _verb(
         verbs, "snapshot", "make a supernode write a snapshot now; with --out fetch it as a backup", run_snapshot

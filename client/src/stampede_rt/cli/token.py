@@ -42,7 +42,7 @@ def add_verbs(subparsers: Any) -> None:
         metavar="DURATION",
         help="how long the token is valid, at most 30 days; default 1h",
     )
-    revoke = add_verb(verbs, "revoke", "revoke a token for good: all services refuse it from then on", run_revoke)
+    revoke = add_verb(verbs, "revoke", "revoke a token permanently: all services refuse it from then on", run_revoke)
     revoke.add_argument(
         "token",
         metavar="SERIAL|FILE",

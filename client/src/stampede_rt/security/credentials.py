@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 def secret_file() -> Path:
     """Return the path of the secret: the path in `$STAMPEDE_SECRET_FILE`, or the path of the user's own secret file.
 
-    The latter is `stampede/secret` below `$XDG_CONFIG_HOME`, or below `~/.config`.
+    The user's own file is `stampede/secret` below `$XDG_CONFIG_HOME`, or below `~/.config`.
     """
     named = os.environ.get("STAMPEDE_SECRET_FILE")
     if named:

@@ -124,7 +124,7 @@ class AccessServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def RevokeCredential(self, request, context):
-        """Revoke a certificate or client token for good. All services refuse it, and within 2 s end the streams that were
+        """Revoke a certificate or client token permanently. All services refuse it, and within 2 s end the streams that were
         opened with it. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000 revocations), NO_QUORUM,
         VERSION_MISMATCH.
         """

@@ -52,7 +52,7 @@ class AccessServiceStub:
     CheckAccess: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.CheckAccessRequest, _access_service_pb2.CheckAccessResponse]
     """Check whether a client of a name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
     RevokeCredential: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.RevokeCredentialRequest, _access_service_pb2.RevokeCredentialResponse]
-    """Revoke a certificate or client token for good. All services refuse it, and within 2 s end the streams that were
+    """Revoke a certificate or client token permanently. All services refuse it, and within 2 s end the streams that were
     opened with it. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000 revocations), NO_QUORUM,
     VERSION_MISMATCH.
     """
@@ -87,7 +87,7 @@ class AccessServiceAsyncStub(AccessServiceStub):
     CheckAccess: _aio.UnaryUnaryMultiCallable[_access_service_pb2.CheckAccessRequest, _access_service_pb2.CheckAccessResponse]  # type: ignore[assignment]
     """Check whether a client of a name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
     RevokeCredential: _aio.UnaryUnaryMultiCallable[_access_service_pb2.RevokeCredentialRequest, _access_service_pb2.RevokeCredentialResponse]  # type: ignore[assignment]
-    """Revoke a certificate or client token for good. All services refuse it, and within 2 s end the streams that were
+    """Revoke a certificate or client token permanently. All services refuse it, and within 2 s end the streams that were
     opened with it. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000 revocations), NO_QUORUM,
     VERSION_MISMATCH.
     """
@@ -155,7 +155,7 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _access_service_pb2.RevokeCredentialRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.RevokeCredentialResponse, _abc.Awaitable[_access_service_pb2.RevokeCredentialResponse]]:
-        """Revoke a certificate or client token for good. All services refuse it, and within 2 s end the streams that were
+        """Revoke a certificate or client token permanently. All services refuse it, and within 2 s end the streams that were
         opened with it. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000 revocations), NO_QUORUM,
         VERSION_MISMATCH.
         """

@@ -79,7 +79,7 @@ class SupernodeRoster:
             self._fail(
                 node,
                 f"belongs to another cluster, {answer.cluster_id}, and this front-end serves {self.cluster_id}; if "
-                f"{self.cluster_id} is lost for good, start the front-end again",
+                f"{self.cluster_id} is permanently lost, start the front-end again",
             )
             return False
         measured = answer.round_trip_nanos

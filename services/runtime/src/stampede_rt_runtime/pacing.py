@@ -208,7 +208,7 @@ class PacingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
                 await asyncio.wait({serving})
             except asyncio.CancelledError:  # the caller has gone, maybe with many streams: they end a few at a time
                 if not self._ends.admits(caller):
-                    # a second cancellation may come here; without `serving.cancel` the stream would stay for good
+                    # a second cancellation may come here; without `serving.cancel` the stream would stay for ever
                     with contextlib.suppress(asyncio.CancelledError):
                         await self._ends.turn(caller)
                 serving.cancel()

@@ -82,7 +82,7 @@ _shtab_stampede_certs_commands() {
     init:'make the cluster'"'"'s authority in a folder that only this user may open'
     issue:'make the certificate of one part, or renew it'
     renew:'make certificates anew: same parts, addresses and lifetimes, same files'
-    revoke:'make all services refuse certificates, for good'
+    revoke:'make all services refuse certificates permanently'
     show:'print the owners of certificates, and when they end'
   )
   _describe 'stampede certs commands' _commands
@@ -180,7 +180,7 @@ _shtab_stampede_supernode_commands() {
     add:'make a token that lets one supernode join, and print the command for it'
     init:'Found a cluster of one supernode. Do this once.'
     join:'Join a running cluster under a new id.'
-    remove:'remove a supernode for good; its id is never used again'
+    remove:'remove a supernode permanently; its id is never used again'
     snapshot:'make a supernode write a snapshot now; with --out fetch it as a backup'
     status:'list the supernodes, which one leads, and their state'
   )
@@ -190,7 +190,7 @@ _shtab_stampede_supernode_commands() {
 _shtab_stampede_token_commands() {
   local _commands=(
     issue:'make a token; for operators and holders of the cluster'"'"'s secret'
-    revoke:'revoke a token for good: all services refuse it from then on'
+    revoke:'revoke a token permanently: all services refuse it from then on'
   )
   _describe 'stampede token commands' _commands
 }

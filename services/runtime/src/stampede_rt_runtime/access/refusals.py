@@ -36,7 +36,7 @@ def over(caller: Caller) -> StampedeError:
     """The error for a credential that ended during a call, or after it had opened the connection.
 
     The caller should try again, because it reads renewed certificates and tokens from its files. A call that brings an
-    ended token is refused for good, see `check_not_over`.
+    ended token is refused for ever, see `check_not_over`.
     """
     if caller.kind is CallerKind.CERTIFICATE:
         text = f"the certificate of {caller} has expired; renew it (stampede certs renew), and connect again"
