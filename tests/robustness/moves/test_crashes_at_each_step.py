@@ -77,14 +77,15 @@ class Scenario:
             if run.ack is not None and not run.ack.HasField("error"):
                 self.acknowledged.append(number)
 
-    async def move(self) -> StampedeError | None:
+    async def move(self, *, is_of_drain: bool = False) -> StampedeError | None:
         """Move the channel, with a put in each turn of the loop. Returns the error of a move that failed."""
         await self.source.store.bind(self.channel_id, 1)
         for _ in range(ITEMS):
             self.put()
         assert len(self.acknowledged) == ITEMS
         self.world.allow(DESTINATION, channel_id=self.channel_id)
-        move = asyncio.create_task(self.destination.incoming.move_here(*self.world.placed(self.channel_id)))
+        placed = self.world.placed(self.channel_id)
+        move = asyncio.create_task(self.destination.incoming.move_here(*placed, is_of_drain=is_of_drain))
         while not move.done():
             self.put()
             await asyncio.sleep(0)

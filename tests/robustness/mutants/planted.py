@@ -253,6 +253,15 @@ MUTANTS = (
         noticed_by="tests/robustness/moves/test_streams_of_moves.py",
     ),
     Mutant(
+        name="an_idle_channel_is_handed_over_and_not_held",
+        file=f"{HOST}/copies/handing_over.py",
+        edits=(
+            ("            self._move.hold()\n", "            pass\n"),
+            ("if not self._move.is_held or not self._is_level():", "if not self._is_level():"),
+        ),
+        noticed_by="tests/robustness/moves/test_early_holds.py",
+    ),
+    Mutant(
         name="a_release_at_any_epoch",
         file=f"{SUPERNODE}/core/moves/several.py",
         edits=(("(channel.host_id, channel.epoch) == (host_id, move.epoch)", "channel.host_id == host_id"),),

@@ -48,7 +48,7 @@ class FeedRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[FeedOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., sent_nanos: _Optional[int] = ..., subscriptions: _Optional[int] = ..., ready: bool = ..., hold: bool = ..., committed_epoch: _Optional[int] = ..., released: bool = ..., held_next_seq: _Optional[int] = ...) -> None: ...
 
 class FeedOpen(_message.Message):
-    __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts", "move_id", "another_may_follow")
+    __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts", "move_id", "another_may_follow", "hand_over_when_idle")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
@@ -57,6 +57,7 @@ class FeedOpen(_message.Message):
     OWNER_FACTS_FIELD_NUMBER: _ClassVar[int]
     MOVE_ID_FIELD_NUMBER: _ClassVar[int]
     ANOTHER_MAY_FOLLOW_FIELD_NUMBER: _ClassVar[int]
+    HAND_OVER_WHEN_IDLE_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     host_id: bytes
@@ -65,7 +66,8 @@ class FeedOpen(_message.Message):
     owner_facts: bool
     move_id: bytes
     another_may_follow: bool
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ..., owner_facts: bool = ..., move_id: _Optional[bytes] = ..., another_may_follow: bool = ...) -> None: ...
+    hand_over_when_idle: bool
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ..., owner_facts: bool = ..., move_id: _Optional[bytes] = ..., another_may_follow: bool = ..., hand_over_when_idle: bool = ...) -> None: ...
 
 class FeedPlace(_message.Message):
     __slots__ = ("incarnation", "next_seq", "floor_resets", "owner_until_unix_nano", "owner_epoch")

@@ -104,3 +104,26 @@ async def test_enough_questions_for_a_whole_call_do_not_wait() -> None:
     calls = GatheredCalls(directory.ask, 3, interval_s=3600)
     assert await calls.ask(1) == 1
     assert await asyncio.gather(*await asked(calls, 2, 3, 4)) == [4, 9, 16]
+
+
+@pytest.mark.parametrize(("took_s", "waits_s"), [(0.001, 0.01), (0.005, 0.02), (1.0, 0.05)])
+async def test_after_a_long_call_more_questions_wait_for_each_other(
+    took_s: float, waits_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop, now_s, waits = asyncio.get_running_loop(), 0.0, []
+
+    async def ask(questions: Sequence[int]) -> list[int | StampedeError]:
+        nonlocal now_s
+        now_s += took_s
+        return [*questions]
+
+    async def sleep(seconds: float) -> None:
+        waits.append(seconds)
+
+    monkeypatch.setattr(gathered_calls, "sleep", sleep)
+    calls = GatheredCalls(ask, 8, interval_s=0.01)
+    with monkeypatch.context() as patch:
+        patch.setattr(loop, "time", lambda: now_s)
+        assert await calls.ask(1) == 1
+        assert await calls.ask(2) == 2
+    assert [one + took_s for one in waits] == pytest.approx([waits_s] if waits_s > took_s else [])

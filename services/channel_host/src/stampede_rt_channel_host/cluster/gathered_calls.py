@@ -16,6 +16,12 @@ Answer = TypeVar("Answer")
 
 logger = logging.getLogger(__name__)
 
+LONG_CALL_PARTS = 4
+LONG_CALL_INTERVAL_S_MAX = 0.05
+"""After a long call the directory has much to do, so the next call waits for more questions. It begins LONG_CALL_PARTS
+times as long after the former one began, LONG_CALL_INTERVAL_S_MAX at most.
+"""
+
 
 class GatheredCalls(Generic[Question, Answer]):
     """Questions that come while a call is under way go together into the next call. So a lone question never waits.
@@ -31,7 +37,8 @@ class GatheredCalls(Generic[Question, Answer]):
     ) -> None:
         """`interval_s`: the least time between two calls.
 
-        Questions that come earlier wait, and go together into the next call.
+        Questions that come earlier wait, and go together into the next call. The time
+        is longer after a long call. 0: no call waits.
         """
         self._ask = ask
         self._most = most
@@ -66,9 +73,19 @@ class GatheredCalls(Generic[Question, Answer]):
             await sleep(wait_s)
         self._not_before_s = asyncio.get_running_loop().time() + self._interval_s
 
-    async def _answers(self, questions: Sequence[Question]) -> Sequence[Answer | StampedeError]:
+    async def _timed(self, questions: Sequence[Question]) -> Sequence[Answer | StampedeError]:
+        begun_s = asyncio.get_running_loop().time()
         try:
             return await self._ask(questions)
+        finally:
+            if self._interval_s:
+                took_s = asyncio.get_running_loop().time() - begun_s
+                distance_s = min(LONG_CALL_PARTS * took_s, LONG_CALL_INTERVAL_S_MAX)
+                self._not_before_s = max(self._not_before_s, begun_s + distance_s)
+
+    async def _answers(self, questions: Sequence[Question]) -> Sequence[Answer | StampedeError]:
+        try:
+            return await self._timed(questions)
         except StampedeError as error:
             return [error] * len(questions)
         except Exception as error:

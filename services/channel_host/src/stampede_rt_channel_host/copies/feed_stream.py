@@ -25,6 +25,7 @@ from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
 from stampede_rt_channel_host.cluster.identity import ID_BYTES
 from stampede_rt_channel_host.copies.feed_responses import FeedResponses
+from stampede_rt_channel_host.copies.handing_over import HandingOver
 from stampede_rt_channel_host.copies.messages import opened_to, place_of
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
 from stampede_rt_channel_host.core.channel import CATCH_UP_NANOS, ChannelCore, ChannelFeed, FeedPart, LagWatch
@@ -69,7 +70,9 @@ class FeedStream:
         self._lag = LagWatch()
         self._moves = moves
         self._move: OutgoingMove | None = None
-        self._has_handed_off = self._is_released = False
+        self._handing_over: HandingOver | None = None  # of the move
+        self._opened: pb.FeedOpened | None = None  # goes into the next message
+        self._is_released = False
 
     def wake(self) -> None:
         """Note that the channel has changed. Sends the change in this turn of the event loop if the copy has all else.
@@ -111,6 +114,7 @@ class FeedStream:
         )
         if opening.move_id:
             self._move = self._moves.begin(hosted, opening.host_id, opening.target)
+            self._handing_over = HandingOver(hosted, self._move, feed, when_idle=opening.hand_over_when_idle)
         else:
             hosted.fed.add(copy)
         self._observe(hosted, opening, feed)
@@ -233,8 +237,10 @@ class FeedStream:
         return is_free
 
     async def _greet(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
-        opened = opened_to(self._source.losses, begins_anew=feed.begins_anew or self._begins_anew)
-        await self._write(self._responses.bare(hosted, self._source, feed, opened))
+        """Tell how the feed begins. In the feed of a move, the first part tells it."""
+        self._opened = opened_to(self._source.losses, begins_anew=feed.begins_anew or self._begins_anew)
+        if self._move is None:
+            await self._write(self._bare(hosted, feed))
 
     async def _serve(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
         await self._greet(hosted, feed)
@@ -246,13 +252,13 @@ class FeedStream:
             now = self._store.now()
             part = feed.take(now, max(0, min(self._credit.left, MESSAGE_BYTES_MAX)))
             self._check_lag(hosted, feed, now)
-            if part is not None:
-                encoded, part = self._encoded(hosted, part), None  # frees the runs before the message is written
+            handoff = None if self._handing_over is None else self._handing_over.due(now)
+            encoded = self._next_message(hosted, feed, part, handoff)
+            part = None  # frees the runs before the message is written
+            if handoff is not None:
+                await self._hand_off(encoded)
+            elif encoded:
                 await self._write(encoded)
-            elif self._owes_handoff(hosted, feed):
-                await self._hand_off(hosted, feed)
-            elif self._responses.owes_sign(hosted):
-                await self._write(self._responses.bare(hosted, self._source, feed))
             else:
                 await self._wait_for_news(hosted, feed)
 
@@ -278,23 +284,23 @@ class FeedStream:
                 "the channel again"
             )
 
-    def _owes_handoff(self, hosted: HostedChannel, feed: ChannelFeed) -> bool:
-        """Whether all changes wait, and the copy and the replicas in sync have everything.
+    def _next_message(
+        self, hosted: HostedChannel, feed: ChannelFeed, part: FeedPart | None, handoff: pb.FeedHandoff | None
+    ) -> bytes:
+        """The message that is due; empty if there is none."""
+        if part is not None:
+            return self._encoded(hosted, part, handoff)
+        if handoff is not None or self._opened is not None or self._responses.owes_sign(hosted):
+            return self._bare(hosted, feed, handoff)
+        return b""
 
-        Raises Unavailable if too few of them are in sync.
-        """
-        if self._move is None or not self._move.is_held or self._has_handed_off or feed.owner is None:
-            return False
-        if self._replication is not None and not self._replication.is_level:
-            self._replication.check_movable()
-            return False
-        return feed.next_seq == self._source.next_seq and feed.owner.is_complete(self._store.now())
+    async def _hand_off(self, encoded: bytes) -> None:
+        """Write the message that hands the channel over."""
+        await self._write(encoded)
 
-    async def _hand_off(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
-        assert self._move is not None, "only a move is handed over"
-        self._has_handed_off = True
-        handoff = pb.FeedHandoff(host_time_unix_nano=self._store.now(), permit=self._move.permit)
-        await self._write(self._responses.bare(hosted, self._source, feed, handoff=handoff))
+    def _bare(self, hosted: HostedChannel, feed: ChannelFeed, handoff: pb.FeedHandoff | None = None) -> bytes:
+        opened, self._opened = self._opened, None
+        return self._responses.bare(hosted, self._source, feed, opened, handoff)
 
     def _check_lag(self, hosted: HostedChannel, feed: ChannelFeed, now: int) -> None:
         """End the feed of a replica or move if the copy stays behind. A proxy shows its readers its age instead."""
@@ -318,9 +324,10 @@ class FeedStream:
         write(self._encoded(hosted, part))
         return part.next_seq == self._source.next_seq
 
-    def _encoded(self, hosted: HostedChannel, part: FeedPart) -> bytes:
+    def _encoded(self, hosted: HostedChannel, part: FeedPart, handoff: pb.FeedHandoff | None = None) -> bytes:
         """The message with a part, which is written now."""
-        about = self._responses.of(hosted, self._source, part)
+        opened, self._opened = self._opened, None
+        about = self._responses.of(hosted, self._source, part, opened, handoff)
         delivery = hosted.deliveries.encode(part.slices, about, without_payloads=False, readers=1)
         self._credit.spend(delivery.charge_bytes)
         self._work.spend_write()

@@ -20,6 +20,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.copy_feed import WINDOW_BYTES
+from stampede_rt_channel_host.copies.early_holds import EarlyHolds
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.move_feed import MoveFeed
@@ -62,25 +63,27 @@ class IncomingMoves:
         self._bytes_per_second = bytes_per_second
         self._moves: dict[bytes, asyncio.Task[Moved]] = {}  # by channel
         self._slots = MoveSlots(f"to host {identity.name}")
+        self._early = EarlyHolds()
         self._is_closing = False
 
-    async def move_here(self, record: RecordedChannel, source: FeedSource) -> Moved:
+    async def move_here(self, record: RecordedChannel, source: FeedSource, *, is_of_drain: bool = False) -> Moved:
         """Make this host the owner of a channel, which `source` owns. Joins a move of this channel that is under way.
 
-        The move continues if the caller is cancelled. Raises the errors of MigrationService.MoveHere.
+        `is_of_drain`: the source holds the channel early if it is idle, because other channels wait for their turn. The
+        move continues if the caller is cancelled. Raises the errors of MigrationService.MoveHere.
         """
         if record.host_id == self._identity.host_id:
             return Moved(await self._store.bind(record.channel_id, record.epoch), 0)
-        return await asyncio.shield(self._moves.get(record.channel_id) or self._begun(record, source))
+        return await asyncio.shield(self._moves.get(record.channel_id) or self._begun(record, source, is_of_drain))
 
-    def _begun(self, record: RecordedChannel, source: FeedSource) -> asyncio.Task[Moved]:
+    def _begun(self, record: RecordedChannel, source: FeedSource, is_of_drain: bool) -> asyncio.Task[Moved]:
         if self._is_closing:
             raise refusals.SHUTTING_DOWN
         if not source.target:
             raise Unavailable(f"the host of channel {record.name} is lost, and so are its items; open the channel")
         self._store.recordings.check_move(record)
         self._slots.take(record)
-        move = asyncio.create_task(self._move(record, source), name=f"move of {record.name}")
+        move = asyncio.create_task(self._move(record, source, is_of_drain), name=f"move of {record.name}")
         self._moves[record.channel_id] = move
         move.add_done_callback(lambda done: self._over(record, done))
         return move
@@ -104,16 +107,25 @@ class IncomingMoves:
         await asyncio.gather(*moves, return_exceptions=True)
         await self._streams.aclose()
 
-    async def _move(self, record: RecordedChannel, source: FeedSource) -> Moved:
+    def _may_hold_early(self, record: RecordedChannel, source: FeedSource) -> bool:
+        """Whether the source may hold the channel unasked. Puts must not wait for an archive or for a slow copy."""
+        is_slow = bool(self._bytes_per_second) or not self._early.may(source.target, time.monotonic())
+        return not (is_slow or record.policy.is_recorded or record.policy.replicas)
+
+    async def _move(self, record: RecordedChannel, source: FeedSource, is_of_drain: bool) -> Moved:
         state = self._keeper.pause(record.channel_id)
+        is_early = is_of_drain and self._may_hold_early(record, source)
         feed = MoveFeed(
             self._store, record, state, self._identity.host_id, self._keeper.target, self._bytes_per_second,
             WINDOW_BYTES if self._slots.under_way <= WIDE_WINDOWS_MAX else NARROW_WINDOW_BYTES,
+            may_hold_early=is_early,
         )  # fmt: skip
         feeding = asyncio.create_task(self._feed(feed, source), name=f"feed of {record.name}")
         try:
             return await self._take_over(record, source, state, feed, feeding)
         finally:
+            if is_early:
+                self._early.took(source.target, feed.last_message_seconds, time.monotonic())
             feeding.cancel()
             await asyncio.gather(feeding, return_exceptions=True)
             self._keeper.resume(record, state)
@@ -141,9 +153,9 @@ class IncomingMoves:
         self, record: RecordedChannel, source: FeedSource, state: CopyState, feed: MoveFeed, feeding: asyncio.Task[None]
     ) -> Moved:
         await _unless_ended(feeding, asyncio.ensure_future(state.caught_up_once()))
-        await self._prepare_archive(record, state)
-        held_at = time.monotonic_ns()
-        feed.hold()
+        if not feed.handoff.done():
+            await self._prepare_archive(record, state)
+            feed.hold()
         inheritance = await _handoff(record.name, feed, feeding)
         await self._prepare_archive(record, state)  # the policy may have changed before the changes were held
         state.may_inherit = inheritance
@@ -154,7 +166,7 @@ class IncomingMoves:
         feed.committed(hosted.epoch)
         await self._archived(hosted)
         await self._remove_heir(hosted)
-        blackout_nanos = time.monotonic_ns() - held_at
+        blackout_nanos = time.monotonic_ns() - feed.held_nanos
         hosted.end_move()
         feed.released()
         await asyncio.wait({feeding}, timeout=RELEASED_SECONDS_MAX)  # so that the source hears of it

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
+from functools import partial
 
 from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
 from stampede_rt.v1 import migration_service_pb2 as pb
@@ -109,19 +110,19 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
             blackout_nanos=blackout_nanos,
         )
 
-    async def _move_channel_here(self, channel_id: bytes) -> Moved:
+    async def _move_channel_here(self, channel_id: bytes, *, is_of_drain: bool = False) -> Moved:
         _check_channel_id(channel_id)
         record, source = await self._directory.owner_of(channel_id)
         check_known(AccessKind.CHANNEL, record.name, by_id=True)
         check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, record.name)
         current_account().change()
-        return await self._moves.move_here(record, source)
+        return await self._moves.move_here(record, source, is_of_drain=is_of_drain)
 
     @errors_as_status
     async def MoveEachHere(self, requests: AsyncIterator[pb.MoveEachHereRequest], context: Context) -> None:  # type: ignore[override]
         """Make this host the owner of the channels of another host, which drains."""
         async with self._streams.serve(context) as stream:
-            await MovesOfDrain(stream, context, self._move_channel_here).run()
+            await MovesOfDrain(stream, context, partial(self._move_channel_here, is_of_drain=True)).run()
 
     async def _move_queue_here(self, queue_id: bytes) -> pb.MoveHereResponse:
         check_queue_id(queue_id)

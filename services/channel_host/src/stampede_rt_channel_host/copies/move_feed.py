@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+import time
+from math import inf
 from typing import Any
 
 from stampede_rt.v1 import replica_service_pb2 as pb
@@ -24,18 +26,25 @@ class MoveFeed(CopyFeed):
 
     def __init__(
         self, store: ChannelStore, record: RecordedChannel, state: CopyState, host_id: bytes, target: str,
-        bytes_per_second: int = 0, window_bytes: int = WINDOW_BYTES,
+        bytes_per_second: int = 0, window_bytes: int = WINDOW_BYTES, *, may_hold_early: bool = False,
     ) -> None:  # fmt: skip
-        """See `CopyFeed`."""
+        """See `CopyFeed`. `may_hold_early`: the source holds an idle channel without being asked."""
         super().__init__(
             store, record, state, host_id, target, bytes_per_second, owner_facts=True, window_bytes=window_bytes
         )
         self.handoff: asyncio.Future[Inheritance] = asyncio.get_running_loop().create_future()
         self.permit = b""
+        self.held_nanos = 0
+        """When the changes of the channel began to wait, as far as this host knows."""
+        self.last_message_seconds = inf
+        """How long the message with the handoff took, at most."""
+        self._may_hold_early = may_hold_early
+        self._came_nanos = time.monotonic_ns()  # when the latest message came, or this object began to wait for one
         self._step: dict[str, Any] = {}
 
     def hold(self) -> None:
         """Have the source hold all changes, and hand the channel over."""
+        self.held_nanos = time.monotonic_ns()
         self._tell(hold=True)
 
     def committed(self, epoch: int) -> None:
@@ -53,6 +62,7 @@ class MoveFeed(CopyFeed):
     def _opening(self, source: FeedSource) -> pb.FeedOpen:
         opening = super()._opening(source)
         opening.move_id, opening.another_may_follow = secrets.token_bytes(16), True
+        opening.hand_over_when_idle = self._may_hold_early
         return opening
 
     def _request(self, opening: pb.FeedOpen | None = None, *, grants: bool = True) -> pb.FeedRequest:
@@ -75,8 +85,13 @@ class MoveFeed(CopyFeed):
     async def _take(self, response: FedResponse) -> None:
         if self.handoff.done():  # the copy has become the owner, or soon will; the rest are signs of life, and the end
             return
+        has_handoff = response.fields.state.HasField("handoff")
+        before, self._came_nanos = self._came_nanos, time.monotonic_ns()
+        if has_handoff:
+            self.held_nanos = self.held_nanos or self._came_nanos
+            self.last_message_seconds = (self._came_nanos - before) / 1e9
         await super()._take(response)
-        if response.fields.state.HasField("handoff"):
+        if has_handoff:
             handoff = response.fields.state.handoff
             self.permit = handoff.permit
             self.handoff.set_result(Inheritance(handoff.host_time_unix_nano))

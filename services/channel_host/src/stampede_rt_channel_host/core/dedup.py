@@ -190,6 +190,12 @@ class RetryWindow:
         """The number of known producers."""
         return len(self.producers)
 
+    @property
+    def latest_time(self) -> int | None:
+        """The time of the latest record; None if the window is empty."""
+        latest = next(reversed(self.producers.values()), None)
+        return None if latest is None else latest.latest
+
     def adopt(self, run: KeptRun) -> None:
         """Record a run that the window of the channel's owner has, unless this window has it already."""
         numbers = run.producer_id, run.first_number, run.outcome.items

@@ -35,8 +35,8 @@ class WindowFeed:
                 return found
             found += self._of(producer_id, producer)
         self._recorded = self._window.recorded
-        latest = next(reversed(self._window.producers.values()), None)
-        self._left_at = self._left_at if latest is None else latest.latest
+        latest = self._window.latest_time
+        self._left_at = self._left_at if latest is None else latest
         self._sent = {at: one for at, one in self._sent.items() if self._window.producers.get(at) is one[0]}
         return found
 
