@@ -51,6 +51,20 @@ def test_after_the_end_of_the_loop_no_call_waits_for_it() -> None:
         pass
 
 
+def test_a_call_knows_whether_it_interrupts_a_step_of_the_loop_or_a_look() -> None:
+    turns = Turns()
+
+    async def step() -> bool:
+        return turns.is_mine
+
+    with asyncio.Runner(loop_factory=turns.loop) as runner:
+        assert runner.run(step())
+    turns.loop_ended()
+    assert not turns.is_mine
+    with turns.lock:
+        assert turns.is_mine
+
+
 def test_a_signal_handler_looks_while_its_thread_looks() -> None:
     turns = Turns()
     looked: list[bool] = []

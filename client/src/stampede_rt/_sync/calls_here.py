@@ -13,7 +13,7 @@ from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.embedding import AnswerHere, HostHere, PutHere
 from stampede_rt.errors import StampedeError
-from stampede_rt.transports.concurrency_sync import result_of, thread_id
+from stampede_rt.transports.concurrency_sync import monotonic_s, result_of, thread_id
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Item, Items
 from stampede_rt.values.reading import ReadQuery
@@ -26,6 +26,16 @@ def may_be_here(session: Session, state: ChannelState) -> bool:
         return False
     binding = session.cache.binding(state.info.channel_id, thread_id())
     return binding is None or binding.target == here.target
+
+
+def end_of_call_s(session: Session, timeout_s: float | None) -> float:
+    """Return the time at which a call that may wait for a host must end, by `monotonic_s`. None: it has no end.
+
+    A call that interrupts the host of this process must not wait at all: `__del__` may run on the host's thread.
+    """
+    if session.here is not None and session.here.is_interrupted:
+        return monotonic_s()
+    return float("inf") if timeout_s is None else monotonic_s() + timeout_s
 
 
 def newest_here(session: Session, state: ChannelState) -> Item | None:

@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any
 from weakref import WeakMethod
 
+from stampede_rt._sync.calls_here import end_of_call_s
 from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.run_streams import RunStream, open_run_stream
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
@@ -105,8 +106,8 @@ class Producer(BoundToProcess):
         `timeout` in seconds is the longest wait, by default 10; None waits without a limit, as a channel with
         on_full="block" may need. The other arguments are as in `Channel.put`. If a put raises or is cancelled, the
         producer does not send its item. Raises DeadlineExceeded after the timeout, InvalidArgument, ItemTooLarge,
-        CodecError; Unavailable if the host cannot be reached for 10 s. A signal handler may put, too. If it interrupts
-        another put and there is no room, it gets DeadlineExceeded at once.
+        CodecError; Unavailable if the host cannot be reached for 10 s. A signal handler may put, too. Without room it
+        gets DeadlineExceeded at once if it interrupts a put, as does `__del__` on the thread of a host of this process.
         """
         self._session.check_process()
         if self._finished:
@@ -130,7 +131,7 @@ class Producer(BoundToProcess):
             self._count_interrupting(length_bytes)
             return
         self._interrupting_bytes = 0
-        deadline_s = float("inf") if timeout is None else clock.monotonic() + timeout
+        deadline_s = end_of_call_s(self._session, timeout)
         while self._stream is None or self._failure is not None or not self._builder.has_room(length_bytes):
             self._send(deadline_s)
 
@@ -141,7 +142,7 @@ class Producer(BoundToProcess):
         after the timeout, and Unavailable if the host cannot be reached for 10 s.
         """
         self._session.check_process()
-        deadline_s = float("inf") if timeout is None else clock.monotonic() + timeout
+        deadline_s = end_of_call_s(self._session, timeout)
         if self._steps.is_interrupted:
             raise _interrupting("flush")
         self._send_all(deadline_s)
@@ -152,9 +153,8 @@ class Producer(BoundToProcess):
 
     def close(self) -> None:
         """Close the stream. Items without an ack may be lost; call `flush` first."""
-        if self._session.inherited:
-            return
-        self._steps.run(self._end_stream)
+        if not self._session.inherited:
+            self._steps.run(self._end_stream)
 
     def _end_stream(self) -> None:
         self._generation += 1

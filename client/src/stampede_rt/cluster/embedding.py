@@ -148,6 +148,12 @@ class HostHere(Protocol):
         """The address at which others reach the host."""
         ...
 
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether the calling code interrupts a step of the host on its thread, as `__del__` may. The host goes on when
+        the call ends, so the call must not wait for it."""
+        ...
+
     def start(self, timeout_s: float) -> None:
         """Start the host on a thread of its own, and wait until the directory knows it. Raises StampedeError."""
         ...

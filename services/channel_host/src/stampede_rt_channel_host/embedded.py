@@ -82,6 +82,11 @@ class EmbeddedHost:
         return "" if self._served is None else self._served.advertise
 
     @property
+    def is_interrupted(self) -> bool:
+        """See `HostHere`."""
+        return self._turns.is_mine
+
+    @property
     def is_alive(self) -> bool:
         """Whether the thread of the host runs, in this process."""
         return self._process == os.getpid() and self._thread.is_alive()

@@ -33,6 +33,11 @@ class Turns:
         made.set_debug(False)
         return made
 
+    @property
+    def is_mine(self) -> bool:
+        """Whether the calling thread holds the lock: it runs a step of the loop, or looks."""
+        return self.lock._is_owned()  # type: ignore[attr-defined, no-any-return]
+
     def give_way(self) -> None:
         """Let the loop run if it waits for the lock. A thread calls this method before it takes the lock."""
         if self._is_awaited:

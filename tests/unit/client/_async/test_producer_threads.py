@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -10,7 +12,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt._sync import producer as producer_module
 from stampede_rt._sync.channel_state import ChannelState
-from stampede_rt._sync.producer import Producer
+from stampede_rt._sync.producer import IN_FLIGHT_BYTES_MAX, Producer
 from stampede_rt._sync.session import Session
 from stampede_rt.cluster.binding import Binding, BindingCache
 from stampede_rt.status import from_error_message, to_error_message
@@ -25,7 +27,7 @@ class Place:
     """A session with one channel at one place, and the stream to it."""
 
     closed = inherited = False
-    here = None
+    here: Any = None
 
     def __init__(self) -> None:
         self.cache, self.endpoints = BindingCache(), self
@@ -155,6 +157,20 @@ def test_unusable_attributes_are_refused_and_hinder_no_later_put(attributes: Any
     producer.put(b"second")
     assert producer._builder.cut().encoded
     assert len(producer._builder) == 1
+
+
+def test_a_put_that_interrupts_the_host_of_its_process_never_waits_for_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In an earlier version, `__del__` on the thread of the host waited for acks that this thread had to bring."""
+    place = Place()
+    producer = producer_at(place)
+    monkeypatch.setattr(producer._moved, "wait", pytest.fail)
+    place.here = SimpleNamespace(is_interrupted=True, target="elsewhere")
+    with suppress(st.DeadlineExceeded):
+        for _ in range(2000):
+            producer.put(bytes(100_000), timeout=None)
+    with pytest.raises(st.DeadlineExceeded):
+        producer.flush(None)
+    assert producer._unacked.length_bytes >= IN_FLIGHT_BYTES_MAX
 
 
 def test_a_time_beyond_64_bits_is_refused_and_hinders_no_later_put() -> None:
