@@ -1,7 +1,8 @@
 """A program that has nothing to do with the cluster, and takes as much processor time as an attacker took.
 
-It reads the attacker's processor time from its standard input, as seconds in each SLOT_SECONDS, and takes the same,
-again and again until standard input is closed. It prints a line when it begins.
+It reads a JSON list from its standard input: the seconds of processor time that the attacker took in each slot of
+SLOT_SECONDS. It takes the same time in each slot, and repeats the list until its standard input is closed. It prints a
+line when it begins.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ SLOT_SECONDS = 0.05
 
 
 def take(slots: list[float]) -> None:
-    """Take this processor time in each slot, without end."""
+    """Take the stated seconds of processor time in each slot, and begin again after the last slot. Never returns."""
     begins_s = time.monotonic()
     for busy_s in cycle(slots):
         until_s = time.thread_time() + busy_s
@@ -37,7 +38,7 @@ def main() -> None:
     for _ in range(count):
         multiprocessing.Process(target=take, args=(share,), daemon=True).start()
     print(UNDER_WAY, flush=True)
-    threading.Thread(target=sys.stdin.read).start()  # the others end with this process
+    threading.Thread(target=sys.stdin.read).start()  # at the end of the input this process ends its children
 
 
 if __name__ == "__main__":

@@ -87,8 +87,8 @@ def test_a_client_above_its_quota_gets_an_error_with_advice_and_keeps_its_stream
             f"channel 'quotas/video': {CLIENT} has 0 bytes in flight at this port and wants "
         )
         assert caught.value.message.endswith(
-            "its quota bytes-in-flight is 0; put and read less at once, or have an operator raise it (stampede quota "
-            f"set {CLIENT} bytes-in-flight=LIMIT)"
+            "its quota bytes-in-flight is 0; put and read less at once, or have an operator raise the quota (stampede "
+            f"quota set {CLIENT} bytes-in-flight=LIMIT)"
         )
         channel.put(b"next")
         assert next(subscription).payload == b"next"
@@ -184,7 +184,7 @@ def test_a_client_has_as_many_groups_and_peers_as_its_quotas(cluster: LocalClust
             request = peer_pb.RegisterPeerRequest(
                 request_id=secrets.token_bytes(16), peer_id=secrets.token_bytes(16), boot_incarnation=1
             )
-            with pytest.raises(grpc.RpcError, match="grouper has registered 1 peers that still exist; its quota peers"):
+            with pytest.raises(grpc.RpcError, match="grouper has registered 1 peers that still exist; its quota"):
                 register(request, metadata=(("authorization", f"Bearer {token}"),), timeout=10)
         uses = [row for row in operator.rows("use", "grouper") if row["quota"] in ("groups", "peers")]
         assert {(row["quota"], row["used"], row["limit"]) for row in uses} == {("groups", 1, 1), ("peers", 1, 1)}

@@ -59,7 +59,7 @@ func dial(target string) *grpc.ClientConn {
 // open goes the whole way once: front-end -> supernode -> gatekeeper -> data endpoint.
 func open(ctx context.Context, address, name string) (context.Context, channel) {
 	bound := must(v1.NewFrontendServiceClient(dial(address)).Bind(ctx, &v1.BindRequest{ProtocolVersion: 1}))
-	ctx = metadata.AppendToOutgoingContext(ctx, "stampede-cluster-id", bound.ClusterId)  // others refuse this client
+	ctx = metadata.AppendToOutgoingContext(ctx, "stampede-cluster-id", bound.ClusterId)  // servers of other clusters refuse this client
 	directory := v1.NewDirectoryServiceClient(dial(bound.Supernodes[0].Endpoint.Target)) // the best one comes first
 	minute, request := int64(time.Minute), make([]byte, 16)
 	must(rand.Read(request)) // repeating a request id repeats the answer, not the operation

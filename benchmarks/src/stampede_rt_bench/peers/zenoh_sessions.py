@@ -1,4 +1,4 @@
-"""Configures and opens sessions of Zenoh. Multicast is off, so that two measurements side by side do not connect."""
+"""Configures and opens sessions of Zenoh. Multicast is off, so that two measurements on one network do not connect."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Mode = Literal["client", "peer", "router"]
 
 
 def open_session(mode: Mode, address: str, *, listens: bool, shared_memory: bool = False) -> Any:
-    """Return a session that listens at the address or connects to it. The publisher gives items their time."""
+    """Return a session that listens at the address or connects to it. It adds the time to each item that it puts."""
     import zenoh
 
     config = zenoh.Config()

@@ -55,8 +55,8 @@ def test_a_caller_makes_as_many_channels_as_its_quota_and_deletions_make_room() 
         log.apply(by("cam", open_channel(f"c{number}")))
     error = refusal(log.apply(by("cam", open_channel("c12"))))
     assert error.message == (
-        "cam has created 2 channels that still exist; its quota channels is 2; delete some, or have an operator raise "
-        "it (stampede quota set cam channels=LIMIT)"
+        "cam has created 2 channels that still exist; its quota of channels is 2; delete some, or have an operator "
+        "raise the quota (stampede quota set cam channels=LIMIT)"
     )
     assert error.metadata == {"quota": "channels", "subject": "cam", "used": "2", "limit": "2"}
     log.apply(delete(log.directory.tables.channel_ids["c10"]))
@@ -102,8 +102,8 @@ def test_live_peers_have_a_quota_and_a_peer_that_registers_again_counts_once() -
     log.apply(by("cam", register_peer(2)))
     error = refusal(log.apply(by("cam", register_peer(3))))
     assert error.message == (
-        "cam has registered 2 peers that still exist; its quota peers is 2; let some leave, or have an operator raise "
-        "it (stampede quota set cam peers=LIMIT)"
+        "cam has registered 2 peers that still exist; its quota of peers is 2; let some leave, or have an operator "
+        "raise the quota (stampede quota set cam peers=LIMIT)"
     )
     assert error.retryable, "the lease of a peer may end"
     assert not isinstance(log.apply(by("cam", register_peer(4, "one", proof=1, boot=2))), Refused)

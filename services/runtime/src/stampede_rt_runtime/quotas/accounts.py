@@ -177,7 +177,7 @@ class Account:
         wanted = f" and wants {more} more" if more > 1 else ""
         return Overloaded(
             f"{self.subject} has {used} {what}{wanted}; its quota {quota} is {limit}; {way_out}, or have an operator "
-            f"raise it (stampede quota set {self.subject} {quota}=LIMIT)",
+            f"raise the quota (stampede quota set {self.subject} {quota}=LIMIT)",
             metadata={"quota": str(quota), "subject": self.subject, "used": str(used), "limit": str(limit)},
         )
 

@@ -9,9 +9,9 @@ from stampede_rt_supernode.core.commands import Creation
 
 
 class Creators:
-    """The number of present things of one kind that each caller has created.
+    """For each caller the number of things of one kind that it has created and that still exist.
 
-    Callers without a known name do not count.
+    Things of callers without a known name are not counted.
     """
 
     def __init__(self) -> None:
@@ -21,7 +21,7 @@ class Creators:
         return self._made[name]
 
     def largest(self, callers_max: int) -> list[tuple[str, int]]:
-        """The callers with the most things, and their numbers."""
+        """Up to `callers_max` callers with the most things, and the number of things of each."""
         return self._made.most_common(callers_max)
 
     def note(self, name: str, step: int) -> None:
@@ -34,14 +34,14 @@ class Creators:
     def check(self, operation: Creation, kind: str, *, created: str = "created", way_out: str = "delete some") -> None:
         """Check that the caller may create another thing. Raises Overloaded.
 
-        `kind`, such as "channels", `created` and `way_out` are words of the error text.
+        The error text contains `kind` (such as "channels"), `created` and `way_out`.
         """
         made, limit = self._made[operation.created_by], operation.created_max
         if limit is None or made < limit:
             return
         name = operation.created_by
         raise Overloaded(
-            f"{name} has {created} {made} {kind} that still exist; its quota {kind} is {limit}; {way_out}, or have an "
-            f"operator raise it (stampede quota set {name} {kind}=LIMIT)",
+            f"{name} has {created} {made} {kind} that still exist; its quota of {kind} is {limit}; {way_out}, or have "
+            f"an operator raise the quota (stampede quota set {name} {kind}=LIMIT)",
             metadata={"quota": kind, "subject": name, "used": str(made), "limit": str(limit)},
         )

@@ -49,8 +49,9 @@ class HostRecord:
     of its last registration. A lease, and the entry that ends a lease, belong to one registration.
     `lease_ended_unix_nano`: for a lost host, when its lease ended, by the leader's clock; None for other hosts.
     `registration_epoch` grows with each process that replaces another, see `registration_epochs`. `load`: its load as
-    the leader last noted it; None if the host registered, and has since been, below LOADS_LEVEL. `move_key`: the key of
-    its permits, see `move_permits`; empty if it registered below MOVES_LEVEL.
+    the leader last noted it; None if the feature level has been below LOADS_LEVEL since the host registered.
+    `move_key`: the key of its permits, see `move_permits`; empty if the host registered while the feature level was
+    below MOVES_LEVEL.
     """
 
     host_id: bytes

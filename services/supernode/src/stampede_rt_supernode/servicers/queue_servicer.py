@@ -142,7 +142,10 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
         )
 
     async def _checked(self, context: Context, queue: str, stated: queue_pb2.QueueSpec) -> QueueSpec:
-        """The stated policy. Raises InvalidArgument, also for replicas below QUEUE_REPLICAS_LEVEL."""
+        """The stated policy.
+
+        Raises InvalidArgument, also if it has replicas and the feature level is below QUEUE_REPLICAS_LEVEL.
+        """
         spec = queue_spec_from(stated)
         check_max_bytes("queue", queue, spec.max_bytes)
         if (spec.replicas, spec.ack, spec.min_replicas) != (None, None, None):

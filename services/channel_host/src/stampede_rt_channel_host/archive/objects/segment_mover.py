@@ -302,7 +302,7 @@ class SegmentMover:
     async def finish(self) -> None:
         """Move the closed segments, and tell the next owners about clean stops, because the host stops.
 
-        A move that is under way ends first. From now on nothing moves but by another call.
+        A move that is under way ends first. From now on files move only when `finish` or `move_all` is called again.
         """
         async with self._moving:
             if self._task is not None:

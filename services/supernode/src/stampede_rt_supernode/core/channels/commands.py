@@ -13,7 +13,8 @@ from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 class OpenChannel(Creation):
     """Get or create a channel. `host_name`: the host that shall own it; empty if the caller does not care.
 
-    `beside`: the name of another channel, at whose host it shall be if there is room; empty if the caller names none.
+    `beside`: the name of another channel; empty if the caller names none. The host of that other channel gets the
+    opened channel, if the host has room and the opened channel needs an owner.
     A new channel gets `new_channel_id` and `new_incarnation`. If the owner of an existing channel is not alive, the
     channel gets a new owner and `new_incarnation`.
     """
@@ -63,7 +64,8 @@ class ChannelUpdated(Success):
 class ChannelDeleted(Success):
     """The channel as it was before its deletion.
 
-    `freed_groups`: the names of the groups that were deleted with it; None below FREED_GROUPS_LEVEL.
+    `freed_groups`: the names of the groups that the directory deleted because the channel was their reference or their
+    last member. None if the feature level is below FREED_GROUPS_LEVEL.
     """
 
     channel: ChannelRecord

@@ -57,6 +57,6 @@ class GroupUpdated(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupDeleted(Success):
-    """The group of that name is deleted. `name` is empty below FREED_GROUPS_LEVEL."""
+    """The group `name` is deleted. `name` is empty if the feature level is below FREED_GROUPS_LEVEL."""
 
     name: str = ""

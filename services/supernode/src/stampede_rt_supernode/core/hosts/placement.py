@@ -34,8 +34,8 @@ def least_loaded(tables: Tables, hosts: Iterable[HostRecord], count: Callable[[H
 
     Three kinds of hosts come after the others, in this order: hosts that own far more than the others (SHARE_FACTOR),
     hosts without room, and full hosts. Among hosts with about the same load it is the one with the lowest `count`, and
-    among these the first one. If no load is known, as below LOADS_LEVEL, only `count` decides. Private hosts are left
-    out.
+    among these the first one. If no load is known, only `count` decides: no load is known while the feature level is
+    below LOADS_LEVEL. Private hosts are left out.
     """
     among = [host for host in hosts if not is_private(host)]
     if all(host.load is None for host in among):
@@ -92,7 +92,8 @@ def is_full(tables: Tables, host: HostRecord) -> bool:
 def has_all_channels(host: HostRecord) -> bool:
     """Whether the host owns as many channels as a host can.
 
-    Hosts without a known load are never checked here: below LOADS_LEVEL replicas of earlier releases do not check.
+    Does not check hosts without a known load: while the feature level is below LOADS_LEVEL, supernodes of earlier
+    releases do not check either.
     """
     return host.load is not None and host.channels >= CHANNELS_PER_HOST_MAX
 

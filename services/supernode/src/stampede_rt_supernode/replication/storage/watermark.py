@@ -1,11 +1,11 @@
 """The number of commits of a store, in a file beside the database.
 
 SQLite treats a damaged frame of its write-ahead log as the end of the log, and reports no error: committed entries are
-lost in silence. So every commit is also counted, in the database and in this file. A database with fewer commits than
-the file is damaged.
+lost in silence. So the store counts its commits, and writes their number to the database and to this file. If the
+number in the database is lower than the number in the file, the database is damaged.
 
-The file is forced to the disk about once a second, not with every commit. After a power failure its number may
-therefore be too low by the commits of about a second. If the database has lost only some of these commits, the check
+The store syncs the file about once a second, and not at every commit. After a power failure the number in the file may
+therefore be too low by the commits of about a second. If the database has lost no more than these commits, the store
 does not notice the loss. It detects every greater loss.
 """
 
@@ -24,7 +24,7 @@ _RECORD = struct.Struct("<QI")
 
 
 class Watermark:
-    """The number of commits in the file beside a database. Only one object may write the file."""
+    """The file with the number of commits of a database. Only one object may write the file."""
 
     def __init__(self, path: Path) -> None:
         """Open or create the file. Raises OSError."""
@@ -32,9 +32,9 @@ class Watermark:
         self._forced_at = float("-inf")
 
     def read(self) -> int:
-        """The number noted last; 0 if there is none, or if this file itself is damaged.
+        """The number noted last; 0 if there is none, or if the file is damaged.
 
-        A damaged file does not mean that the database is damaged.
+        Damage to the file does not mean that the database is damaged.
         """
         record = os.pread(self._file, _RECORD.size, 0)
         if len(record) != _RECORD.size:
@@ -43,13 +43,13 @@ class Watermark:
         return int(commits) if checksum == zlib.crc32(b"%d" % commits) else 0
 
     def note(self, commits: int) -> None:
-        """Note the number of commits in the database. Blocks on the disk about once a second."""
+        """Write the number of commits in the database to the file. Syncs the file, and blocks, about once a second."""
         os.pwrite(self._file, _RECORD.pack(commits, zlib.crc32(b"%d" % commits)), 0)
         if time.monotonic() - self._forced_at >= FORCE_SECONDS:
             os.fdatasync(self._file)
             self._forced_at = time.monotonic()
 
     def close(self) -> None:
-        """Force the number to the disk and close the file."""
+        """Sync and close the file."""
         os.fdatasync(self._file)
         os.close(self._file)

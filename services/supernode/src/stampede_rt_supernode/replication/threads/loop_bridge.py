@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 
 class LoopBridge:
-    """Calls functions on a loop. Its users bound the number of calls by their limits for proposals and messages."""
+    """Calls functions on a loop. The limits for proposals and messages also limit the number of waiting calls."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
@@ -18,7 +18,7 @@ class LoopBridge:
         self._lock = threading.Lock()
 
     def post(self, call: Callable[[], None]) -> None:
-        """Run `call` on the loop. Callable on any thread. Drops the call if the loop has ended."""
+        """Have the loop run `call` soon. Callable on any thread. Drops all waiting calls if the loop is closed."""
         with self._lock:
             self._calls.append(call)
             if self._scheduled:

@@ -24,14 +24,14 @@ class Result(Protocol[T_co]):
 
 
 class RunInBackground(Protocol):
-    """Has another thread do work. That thread finishes each call's work before it begins the next."""
+    """Gives work to another thread, which does the work of one call after the other."""
 
     def __call__(self, work: Callable[[], T], /) -> Result[T]:
-        """Begin the work. Never blocks."""
+        """Give `work` to the thread. Never blocks."""
 
 
 def run_inline(work: Callable[[], T], /) -> Result[T]:
-    """Do the work at once, on this thread."""
+    """Do the work on the caller's thread, before this function returns: a RunInBackground without a second thread."""
     finished: Future[T] = Future()
     finished.set_result(work())
     return finished
@@ -40,10 +40,10 @@ def run_inline(work: Callable[[], T], /) -> Result[T]:
 class WorkerThread:
     """One thread for long work. During the work Python switches between threads every SWITCH_SECONDS.
 
-    The log's thread waits for the disk many times in a step. After each wait it also waits until the computing thread
-    gives way. With Python's default switch interval of 5 ms, the longest step during the encoding of 100,000 channels
-    took 200 ms; now it takes 20 ms. Without long work Python keeps the default interval, because more switches cost the
-    service a tenth of its speed.
+    The log's thread waits for the disk many times in one step of the replica. After each wait it also waits until the
+    worker thread releases Python's global lock. With Python's default switch interval of 5 ms, the longest step during
+    the encoding of 100,000 channels took 200 ms; now it takes 20 ms. Without long work Python keeps the default
+    interval, because more switches cost the service a tenth of its speed.
     """
 
     def __init__(self) -> None:
@@ -54,7 +54,7 @@ class WorkerThread:
         return self._executor.submit(_giving_way, work)
 
     def close(self) -> None:
-        """Begin no more work. Work under way continues, but its result is dropped."""
+        """Begin no more work. Does not wait for the work that has begun: nobody uses its result."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
