@@ -15,11 +15,11 @@ from stampede_rt_channel_host.archive.segment_files import SegmentFiles
 from stampede_rt_channel_host.archive.written_parts import SeqGap
 from stampede_rt_channel_host.channels.past_reads import PastReader
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
-from stampede_rt_channel_host.core.archive import ArchivedRead, ArchivedRun, Segment, resolved
+from stampede_rt_channel_host.core.archive import ArchivedRead, ArchivedRun, Hole, Segment, resolved
 from stampede_rt_channel_host.core.archive.seq_starts import start_of
 from stampede_rt_channel_host.core.archive.stored_segment import object_name, segment_named
 from stampede_rt_channel_host.core.channel import ChannelCore, Query, ReadAnswer, run_to_end
-from tests.unit.channel_host.archive.test_archive_files import NO_LIMITS, decode, run_at, write
+from tests.unit.channel_host.archive.test_archive_files import ALL, NO_LIMITS, decode, run_at, write
 from tests.unit.channel_host.archive.test_host_archive_writes import archive_in
 
 CLOCK = 1000
@@ -147,6 +147,17 @@ def test_items_that_max_bytes_collected_after_all_archived_ones_are_a_loss(tmp_p
             found, reason = read(files, segments, start, end, channel)
             assert found == [one for one in range(start, end + 1) if one in (1, 2, 7, 8)]
             assert (reason == "LOST") == any(one in range(start, end + 1) for one in (3, 4, 5, 6)), (start, end)
+
+
+def test_a_loss_stays_if_the_next_host_has_written_nothing_else(tmp_path: Path) -> None:
+    files_of(tmp_path, (1, 5))
+    for parts in ([SeqGap(5, 5, 300)], [[ArchivedRun(600, run_at(5))]]):
+        files, segments = opened(tmp_path)
+        segments = files.write(parts, NO_LIMITS)
+        files.close(None)
+    assert [one.items for one in segments] == [4, 0, 2]
+    window = files.load(segments, ALL, decode, lambda: None)
+    assert window.holes == [Hole(1, 299, 0)]  # the items of 1 to 4 were accepted at the instant 0
 
 
 def past(

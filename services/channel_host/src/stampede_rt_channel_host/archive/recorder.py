@@ -84,6 +84,7 @@ class ChannelRecorder:
         self._advances: list[ArchivedAdvance] = []  # the advances that are not archived yet
         self._advances_taken = 0  # the first of them, which a write has taken
         self._advance: int | None = None  # the latest one
+        self._lost_before: int | None = None  # see `note_loss`; None: it is on the disk
         channel.record(self.archived_to)
         self.begin()
 
@@ -200,9 +201,15 @@ class ChannelRecorder:
             channel.incarnation, channel.advanced_to, channel.lost_from, channel.lost_before, self.encoded_retries()
         )
 
+    def note_loss(self, lost_before: int) -> None:
+        """Note that the former owner was lost with items before this instant. The next write says so."""
+        self._lost_before = lost_before
+
     def take(self) -> WriteJob:
         """The next items to write, in seq order, with gaps where memory has lost items."""
         parts: list[Part] = []
+        if self._lost_before is not None:
+            parts.append(SeqGap(self.archived_to, self.archived_to, self._lost_before))
         if self._advances:  # before the items that the host accepted after them
             parts.append(Advances(self.archived_to, tuple(self._advances)))
             self._advances_taken = len(self._advances)
@@ -251,7 +258,8 @@ class ChannelRecorder:
     def written(self, job: WriteJob, segments: tuple[Segment, ...]) -> None:
         """Note that a job is on stable storage."""
         self.keep(segments)
-        gaps = [one for one in job.parts if isinstance(one, SeqGap)]
+        self._lost_before = None
+        gaps = [one for one in job.parts if isinstance(one, SeqGap) and one.lost_before is None]
         self.unarchived += sum(one.end_seq - one.first_seq for one in gaps)
         self._gaps += gaps
         if len(over := self._gaps[:-GAPS_KEPT]):  # the earliest gaps become one

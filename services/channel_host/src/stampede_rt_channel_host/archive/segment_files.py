@@ -208,7 +208,8 @@ class SegmentFiles(SegmentReads):
             self._advance = part.rows[-1]
             return
         if isinstance(part, SeqGap):
-            self._append_block(*encode_gap(part.first_seq, part.end_seq, self._near, self._begun_at), limits)
+            accepted = self._begun_at if part.lost_before is None else part.lost_before
+            self._append_block(*encode_gap(part.first_seq, part.end_seq, self._near, accepted), limits)
             return
         waiting: list[ArchivedRun] = []
         size = 0

@@ -9,10 +9,14 @@ from stampede_rt_channel_host.core.archive import ArchivedAdvance, ArchivedRun
 
 
 class SeqGap(NamedTuple):
-    """Seqs whose items are not archived, from `first_seq` up to `end_seq`, exclusive."""
+    """Seqs whose items are not archived, from `first_seq` up to `end_seq`, exclusive.
+
+    `lost_before`: the seqs of the items are not known. A host was lost with them, and they lie before this instant.
+    """
 
     first_seq: int
     end_seq: int
+    lost_before: int | None = None
 
 
 class Advances(NamedTuple):

@@ -126,11 +126,14 @@ class Recording:
         self._on_archived = on_archived
         # while the host does not know which items the object store has
         self._unknown = None if opened.files.is_known else UnknownPast(channel, opened.files.epoch, opened.found)
-        if channel.next_seq == 1 and (opened.found.segments or opened.found.stop is not None):
+        is_restored = channel.next_seq == 1 and bool(opened.found.segments or opened.found.stop is not None)
+        if is_restored:
             restore_channel(channel, opened.found, opened.newest, cut)
         self.recorder = ChannelRecorder(
             channel, opened.files, opened.found.segments, opened.disk, from_memory=from_memory
         )
+        if is_restored and opened.found.stop is None and channel.lost_before is not None:
+            self.recorder.note_loss(channel.lost_before)
         self.recorder.on_listed = self._listed
         archive.record(self.recorder, has_moved=from_memory)
 

@@ -233,6 +233,12 @@ class ArchivedRead:
             return None
         self.lacks = count = sum(one.items for one in lacking)
         start, end = min(one.start for one in lacking), max(one.end for one in lacking)
+        if not count:
+            return Reason(
+                "LOST",
+                f"the archive may lack items between {format_instant(start)} and {format_instant(end)}: the channel's "
+                "host was lost before it had archived them",
+            )
         return Reason(
             "LOST",
             f"the archive lacks {count} items between {format_instant(start)} and {format_instant(end)}: max_bytes "

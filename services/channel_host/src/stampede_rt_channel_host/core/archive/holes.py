@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from typing import NamedTuple
 
@@ -15,7 +16,10 @@ BlocksOf = Callable[[Segment], SegmentBlocks]
 
 
 class Hole(NamedTuple):
-    """A hole: items that an archive lacks. Their times lie between `start` and `end`, unless they came late."""
+    """A hole: items that an archive lacks. Their times lie between `start` and `end`, unless they came late.
+
+    `items` is 0 if an owner was lost, and nobody knows which items it had.
+    """
 
     start: int
     end: int
@@ -58,6 +62,9 @@ def border_holes(
         assert following is not None, "the segment has blocks"
         if last.offset in taken.get(earlier, ()) or following.offset in taken.get(later, ()):
             yield from _between(last, following)
+            for lost_before in _losses(segments, earlier, later, blocks_of):
+                # the last items before it may have times in the future
+                yield _hole(min(last.head.high[0], earlier.last_accepted), lost_before, 0)
 
 
 def _unreadable(with_items: Sequence[Segment], blocks_of: BlocksOf, reach: WindowReach) -> Iterator[Hole]:
@@ -110,6 +117,19 @@ def _neighbours(
             yield before, one
         if after is not None:
             yield one, after
+
+
+def _losses(segments: Sequence[Segment], earlier: Segment, later: Segment, blocks_of: BlocksOf) -> Iterator[int]:
+    """The losses of hosts that `later` and the segments without items between the two tell."""
+    first = bisect_right(segments, earlier.number, key=_number)
+    for one in segments[first : bisect_right(segments, later.number, key=_number)]:
+        lost_before = blocks_of(one).lost_before if one is later or not one.items else None
+        if lost_before is not None:
+            yield lost_before
+
+
+def _number(segment: Segment) -> int:
+    return segment.number
 
 
 def _has_blocks(blocks: SegmentBlocks) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import accumulate
 from typing import Any, NamedTuple, overload
 
-from stampede_rt_channel_host.core.archive.block import ADVANCES, ITEMS, PACKED_HEAD_BYTES, pack_head, unpack_head
+from stampede_rt_channel_host.core.archive.block import ADVANCES, GAP, ITEMS, PACKED_HEAD_BYTES, pack_head, unpack_head
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 
@@ -133,6 +133,13 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         """The position of the first block with an item that the host accepted after `instant`, or None."""
         at = bisect_right(self._accepted, instant)
         return self._columns.places[at] if at < len(self._columns.places) else None
+
+    @property
+    def lost_before(self) -> int | None:
+        """The instant before which the former owner was lost with items, if a gap before all items says so."""
+        places = self._columns.places
+        first = (self[at].head for at in range(places[0] if places else len(self)))
+        return next((one.first_accepted for one in first if one.kind == GAP and one.first_seq == one.end_seq), None)
 
     @property
     def of_advances(self) -> Sequence[PlacedBlock]:
