@@ -65,10 +65,21 @@ def _system_call() -> Any:
     return call
 
 
+@functools.cache
+def _buffer_calls() -> tuple[Any, Any]:
+    """PyObject_GetBuffer and PyBuffer_Release, as objects of this module alone.
+
+    Those of `ctypes.pythonapi` belong to the whole process. If a thread sets their argument types while another thread
+    calls them, Python may use types that it has freed.
+    """
+    get = ctypes.PYFUNCTYPE(ctypes.c_int, ctypes.py_object, ctypes.POINTER(_Buffer), ctypes.c_int)
+    release = ctypes.PYFUNCTYPE(None, ctypes.POINTER(_Buffer))
+    return get(("PyObject_GetBuffer", ctypes.pythonapi)), release(("PyBuffer_Release", ctypes.pythonapi))
+
+
 def address_of(memory: mmap.mmap) -> int:
     """Return the address of a mapping. It is valid as long as the mapping is open."""
-    get, release = ctypes.pythonapi.PyObject_GetBuffer, ctypes.pythonapi.PyBuffer_Release
-    get.argtypes, release.argtypes = (ctypes.py_object, ctypes.POINTER(_Buffer), ctypes.c_int), (ctypes.c_void_p,)
+    get, release = _buffer_calls()
     buffer = _Buffer()
     get(memory, ctypes.byref(buffer), 0)
     address = int(buffer.address)
