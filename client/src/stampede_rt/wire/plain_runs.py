@@ -13,6 +13,8 @@ _TIMES_TAG = 1 << 3 | 2
 _DURATIONS_TAG = 2 << 3 | 2
 _LENGTHS_TAG = 3 << 3 | 2
 _PAYLOADS_TAG = 6 << 3 | 2
+_SEQ = struct.Struct("<BQ")
+_SEQ_TAG = 7 << 3 | 1
 
 
 class PlainRun(NamedTuple):
@@ -52,6 +54,23 @@ def read_plain_run(raw: bytes | memoryview, run_bytes: int | None = None) -> Pla
     if not is_plain or length != payload_bytes or begin + length != (len(raw) if run_bytes is None else run_bytes):
         return None
     return PlainRun(time, duration, length)
+
+
+def read_sealed_run(sealed: bytes) -> tuple[int, PlainRun] | None:
+    """The seq and the columns of such a run with the fields of a host (`seal_run`). None for all other bytes."""
+    end = len(sealed) - _SEQ.size
+    if end < _COLUMN.size:
+        return None
+    tag, seq = _SEQ.unpack_from(sealed, end)
+    if tag != _SEQ_TAG:
+        return None
+    run = read_plain_run(sealed, end)
+    if run is not None:
+        return None if run.time is None else (seq, run)
+    end -= _COLUMN.size
+    tag, size, time = _COLUMN.unpack_from(sealed, end)
+    run = read_plain_run(sealed, end) if tag == _TIMES_TAG and size == 8 else None
+    return None if run is None or run.time is not None else (seq, run._replace(time=time))
 
 
 def _number_at(raw: bytes | memoryview, at: int, tag: int) -> tuple[int, int | None]:

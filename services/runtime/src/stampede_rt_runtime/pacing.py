@@ -142,6 +142,12 @@ class PacedContext:
         if not self._writes.admits(self._caller):
             await self._writes.turn(self._caller)
 
+    @property
+    def write_now(self) -> Callable[[bytes], None] | None:
+        """See `SocketContext`. None over gRPC."""
+        write: Callable[[bytes], None] | None = getattr(self._context, "write_now", None)
+        return write
+
     def answer_at_once(self, take: Callable[[bytes | memoryview, Callable[[bytes], None]], bool]) -> None:
         """See `SocketContext`. Streams over gRPC cannot do this.
 

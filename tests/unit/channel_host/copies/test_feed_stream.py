@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from stampede_rt.errors import InvalidArgument, Overloaded
 from stampede_rt.v1 import channel_service_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt.values.policy import parse_policy
@@ -157,6 +158,34 @@ async def test_a_replica_answers_a_part_in_the_turn_in_which_it_comes() -> None:
         held = copied._held()
         assert held is not None
         assert held.channel.next_seq == 2
+
+
+async def test_a_replica_reports_no_part_that_it_cannot_store() -> None:
+    async with fed() as one, running_host() as other:
+        copied = CopyFeed(
+            other.host.store, one.hosted.record, CopyState(lambda: 0), REPLICA, "replica:1", owner_facts=True
+        )
+        sent: list[pb.FeedRequest] = []
+        call: Any = SimpleNamespace(write_now=sent.append)
+        await copied._take(parts_in(one.feed.written()[:1])[0])
+        [part] = parts_in(one.put())
+        held = copied._held()
+        assert held is not None
+        part.fields.state.first_seq += 1
+        part.fields.state.next_seq += 1
+        with pytest.raises(InvalidArgument, match="the feed continues at seq 2"):
+            copied._take_at_once(call, part)
+        part.fields.state.first_seq -= 1
+        part.fields.state.next_seq -= 1
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(held, "make_room", _refuse)
+            with pytest.raises(Overloaded):
+                copied._take_at_once(call, part)
+        assert sent == []
+
+
+def _refuse(_: int) -> None:
+    raise Overloaded("the host has no room")
 
 
 @pytest.mark.parametrize("state", ["a long part", "a request under way", "a full socket"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.copies import queue_feed
 from stampede_rt_channel_host.copies.queue_feed import QueueFeedStream
+from stampede_rt_runtime.sockets.dialing import HostStream
 
 LIMIT_S = 20
 
@@ -78,3 +80,108 @@ def test_a_copy_continues_only_if_its_owner_has_all_steps_of_the_copy(
     feed = QueueFeedStream(hosted, replication, lambda: 0, b"owner", b"replica", "replica:1")
     place = pb.FeedQueueResponse(next_step=next_step, incarnation=incarnation, owner_epoch=owner_epoch)
     assert feed._continues(place) is continues
+
+
+class AtOnceStream(HostStream):
+    """A stream over a socket to the replica. It keeps the requests. The test gives the answers."""
+
+    def __init__(self) -> None:
+        self.sent: list[pb.FeedQueueRequest] = []
+        self.take: Callable[[Any], bool] | None = None
+        self._first: asyncio.Queue[pb.FeedQueueResponse] = asyncio.Queue()
+
+    @property
+    def write_now(self) -> Callable[[Any], None]:
+        return self.sent.append
+
+    def answer_at_once(self, take: Callable[[Any], bool]) -> None:
+        self.take = take
+
+    async def read(self) -> object:
+        return await self._first.get()
+
+    async def write(self, request: Any) -> None:
+        self.sent.append(request)
+
+    async def begin(self, next_step: int) -> None:
+        """Let the feed read the first answer, and wait for news."""
+        self._first.put_nowait(pb.FeedQueueResponse(next_step=next_step))
+        for _ in range(10):
+            await asyncio.sleep(0)
+
+
+class AtOnceRig:
+    """A feed over a socket, whose journal has small steps."""
+
+    def __init__(self) -> None:
+        self.steps = 0
+        self.reports: list[int] = []
+        journal = SimpleNamespace(next_step=1, steps_from=self._steps_from)
+        replication: Any = SimpleNamespace(journal=journal, report=lambda host, feed, step: self.reports.append(step))
+        hosted: Any = SimpleNamespace(record=SimpleNamespace(message=b""))
+        self.feed = QueueFeedStream(hosted, replication, lambda: 0, b"o" * 16, b"h" * 16, "localhost:1")
+        self.call = AtOnceStream()
+        self.tasks = [
+            asyncio.ensure_future(one) for one in (self.feed._send_steps(self.call), self.feed._read(self.call))
+        ]
+
+    def _steps_from(self, first: int, most: int) -> list[Any]:
+        return [SimpleNamespace(number=number, size_bytes=1) for number in range(first, self.steps + 1)]
+
+    def add_step(self) -> int:
+        """Add a step. Returns the number of requests that go out in this turn of the event loop."""
+        self.steps += 1
+        before = len(self.call.sent)
+        self.feed.wake()
+        return len(self.call.sent) - before
+
+    async def end(self) -> None:
+        for task in self.tasks:
+            task.cancel()
+        await asyncio.wait(self.tasks)
+
+
+@pytest.fixture
+def small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(queue_feed, "step_parts", lambda step, now: [pb.FedQueuePart(next_step=step.number + 1)])
+
+
+@pytest.mark.usefixtures("small_steps")
+async def test_a_step_goes_out_in_the_turn_in_which_the_queue_makes_it() -> None:
+    rig = AtOnceRig()
+    await rig.call.begin(1)
+    assert rig.add_step() == 1
+    assert rig.add_step() == 0, "the replica has not reported the last step"
+    for _ in range(5):
+        await asyncio.sleep(0)
+    assert rig.feed.next_step == 3, "the task of the feed has sent it"
+    assert rig.call.take is not None
+    assert rig.call.take(pb.FeedQueueResponse(next_step=3))
+    assert rig.reports[-1] == 3
+    assert rig.add_step() == 1
+    await rig.end()
+
+
+@pytest.mark.usefixtures("small_steps")
+async def test_an_error_while_a_step_is_sent_ends_the_feed_and_not_the_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = AtOnceRig()
+    await rig.call.begin(1)
+
+    def fail(*_: object, **__: object) -> Any:
+        raise RuntimeError("no request")
+
+    monkeypatch.setattr(QueueFeedStream, "_request", fail)
+    assert rig.add_step() == 0
+    with pytest.raises(RuntimeError, match="no request"):
+        await asyncio.wait_for(rig.tasks[0], LIMIT_S)
+    await rig.end()
+
+
+@pytest.mark.usefixtures("small_steps")
+async def test_the_feed_of_a_silent_replica_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(queue_feed, "ANSWER_SECONDS_MAX", 0.05)
+    monkeypatch.setattr(queue_feed, "REQUEST_SECONDS", 0.01)
+    rig = AtOnceRig()
+    with pytest.raises(TimeoutError):
+        await asyncio.wait_for(rig.tasks[0], LIMIT_S)
+    await rig.end()

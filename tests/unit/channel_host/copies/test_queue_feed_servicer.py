@@ -9,7 +9,7 @@ import pytest
 
 from stampede_rt.errors import InvalidArgument, StaleBinding
 from stampede_rt.v1 import migration_service_pb2 as pb
-from stampede_rt_channel_host.copies.queue_feed_servicer import _Feed
+from stampede_rt_channel_host.copies.queue_feed_servicer import STEPS_AT_ONCE_MAX, _Feed
 from stampede_rt_channel_host.copies.queue_steps import whole_parts
 from tests.support.channel_host.queue_cores import Core
 
@@ -46,3 +46,19 @@ async def test_a_feed_that_another_owner_has_replaced_begins_no_copy_when_its_qu
     with pytest.raises(StaleBinding):
         await _Feed(queues, record).take(request, lambda: bool(latest))
     assert not begun
+
+
+def test_a_feed_takes_only_steps_at_once() -> None:
+    """The other host may need a thread for a whole queue."""
+    room = SimpleNamespace(claim=lambda size: None, set=lambda size: None)
+    copies = SimpleNamespace(drop=lambda queue_id: None, of=lambda queue_id: None)
+    queues: Any = SimpleNamespace(
+        copies=copies, memory=SimpleNamespace(charge_for=lambda owner: room), known=lambda queue_id: None
+    )
+    record: Any = SimpleNamespace(queue_id=b"q" * 16, created_by="")
+    feed = _Feed(queues, record)
+    assert feed.take_steps(pb.FeedQueueRequest())
+    assert not feed.take_steps(pb.FeedQueueRequest(begins_anew=True))
+    assert not feed.take_steps(pb.FeedQueueRequest(parts=[pb.FedQueuePart()] * (STEPS_AT_ONCE_MAX + 1)))
+    feed._parts.begin_anew()
+    assert not feed.take_steps(pb.FeedQueueRequest())

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
 from stampede_rt.v1 import item_pb2
-from stampede_rt.wire.plain_runs import plain_run_parts, read_plain_run
+from stampede_rt.wire.plain_runs import plain_run_parts, read_plain_run, read_sealed_run
+from stampede_rt.wire.run_slices import sealed_columns
 from stampede_rt.wire.runs import encode_run, parse_run, seal_run
 
 instants = some.integers(-(2**63), 2**63 - 1)
@@ -60,3 +62,26 @@ def test_a_plain_run_has_the_columns_of_any_other_run() -> None:
     assert (found.times, found.durations, found.lengths) == ((5,), (7,), (3,))
     found = parse_run(encode_run((b"",), times=None))
     assert (found.times, found.durations, found.lengths) == (None, None, (0,))
+
+
+@pytest.mark.parametrize("time", [None, 5])
+@pytest.mark.parametrize("duration", [None, 7])
+def test_a_sealed_run_of_one_item_reads_as_its_columns_and_its_seq(time: int | None, duration: int | None) -> None:
+    plain = b"".join(plain_run_parts(b"abc", time, duration))
+    sealed = seal_run(plain, 9, None if time is not None else (6,))
+    assert read_sealed_run(sealed) == (9, (6 if time is None else time, duration, 3))
+    columns = sealed_columns(sealed)
+    assert columns is not None
+    assert (columns.first_seq, [*columns.times], [*columns.lengths]) == (9, [6 if time is None else time], [3])
+
+
+def test_other_sealed_runs_are_not_plain() -> None:
+    for raw in (
+        b"",
+        encode_run((b"a",), times=(1,)),
+        seal_run(encode_run((b"a",), times=None), 7),
+        seal_run(encode_run((b"a", b"b"), times=(1, 2)), 7),
+        seal_run(encode_run((b"a",), times=(1,), attributes={"k": "v"}), 7),
+        seal_run(encode_run((b"a",), times=(1,)), 7, (2,)),
+    ):
+        assert read_sealed_run(raw) is None

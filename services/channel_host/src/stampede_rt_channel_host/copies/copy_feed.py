@@ -185,13 +185,21 @@ class CopyFeed:
             return False
         self._heard_s = asyncio.get_running_loop().time()
         self._follow(response.fields)
-        self._store_last(response.fields.state, [run_of(bytes(body)) for body in response.runs])
-        write = call.write_now if self._owes_request else None
-        if write is not None:
+        state, write = response.fields.state, call.write_now
+        is_new = self._owner_facts and self._state.caught_up and state.next_seq != self._reported_seq
+        answer = partial(self._report, write, state.next_seq) if write is not None and is_new else None
+        self._store_last(state, [run_of(bytes(body)) for body in response.runs], answer)
+        if self._owes_request and write is not None:
             write(self._next_request())
         elif self._owes_request:
             self._news.set()
         return True
+
+    def _report(self, write: Callable[[pb.FeedRequest], None], next_seq: int) -> None:
+        """Tell the source that this host holds all items before `next_seq`, because it stores them in this step."""
+        request = self._next_request()
+        request.held_next_seq = self._reported_seq = next_seq
+        write(request)
 
     async def _answer(self, write: Write) -> None:
         """Send the request that is due. The task that reads does this itself: puts at the source wait for it."""
@@ -253,12 +261,12 @@ class CopyFeed:
             await asyncio.sleep(0)
         self._store_last(state, [run_of(bytes(body)) for body in rest])
 
-    def _store_last(self, state: pb.FeedState, runs: Sequence[Run]) -> None:
-        """Apply the last runs of a part, and then the source's state."""
+    def _store_last(self, state: pb.FeedState, runs: Sequence[Run], answer: Callable[[], None] | None = None) -> None:
+        """Apply the last runs of a part, and then the source's state. `answer`: see `_store_runs`."""
         beginning = self._beginning_of(state)
         collection, advance = collection_of(state), advance_of(state)
         charge_bytes = self._store_runs(
-            runs, **beginning, next_seq=state.next_seq, collection=collection, advance=advance
+            runs, answer, **beginning, next_seq=state.next_seq, collection=collection, advance=advance
         )
         self._note(state, charge_bytes)
 
@@ -267,12 +275,18 @@ class CopyFeed:
         owner = owner_of(state.owner, self._store.now()) if state.HasField("owner") else None
         return {"first_seq": state.first_seq, "cleared": cleared_of(state), "owner": owner}
 
-    def _store_runs(self, runs: Sequence[Run], **part: Any) -> int:
-        """Apply a part of the feed with `runs`. Returns the bytes that they cost the source's credit."""
+    def _store_runs(self, runs: Sequence[Run], answer: Callable[[], None] | None = None, **part: Any) -> int:
+        """Apply a part of the feed with `runs`. Returns the bytes that they cost the source's credit.
+
+        Calls `answer` once nothing can fail any more: puts wait for the answer, and the source goes on meanwhile.
+        """
         held, now = self._held(), self._store.now()
         if held is None:
             raise Unavailable("the copy was dropped")
         held.make_room(sum(len(run.body) + len(run) * ITEM_OVERHEAD_BYTES for run in runs))
+        if answer is not None:
+            _core(held).check_place(part["first_seq"])
+            answer()
         _core(held).apply(runs=runs, now=now, **{"collection": None, "advance": None} | part)
         held.fed_part(now)
         return sum(sum(run.lengths) + len(run) * ITEM_OVERHEAD_BYTES for run in runs)

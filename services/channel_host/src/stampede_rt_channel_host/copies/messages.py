@@ -7,6 +7,7 @@ from array import array
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import item_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt.wire.plain_runs import read_sealed_run
 from stampede_rt.wire.run_slices import SealedColumns, sealed_columns
 from stampede_rt_channel_host.copies.owner_messages import owner_to
 from stampede_rt_channel_host.core.channel import (
@@ -116,6 +117,10 @@ def advance_of(state: pb.FeedState) -> int | None:
 
 def run_of(body: bytes) -> Run:
     """The run of a feed, as the copy stores it. Raises InvalidArgument if the source sends no valid run."""
+    if (one := read_sealed_run(body)) is not None:
+        seq, (time, duration, length) = one
+        assert time is not None, "a sealed run has times"
+        return make_run(seq, (time,), None if duration is None else (duration,), (length,), body)
     found = sealed_columns(body) or _parsed(body)
     items = len(found.lengths)
     if not items or len(found.times) != items or (found.durations and len(found.durations) != items):

@@ -5,7 +5,7 @@ Times become durations on the wire, because the clocks of two hosts differ.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import groupby
 
 from google.protobuf.message import DecodeError
@@ -18,16 +18,6 @@ from stampede_rt_channel_host.channels.channel_status import counters_to
 from stampede_rt_channel_host.core.channel import ConsumerPlace, Counters, FedPlaces, OwnerPart
 from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.run_outcome import ItemRefusal, RunOutcome, RunPart
-
-_COLLECTED = {"age": "age", "count": "count", "bytes": "bytes", "consumption": "consumption"}
-_REJECTED = {
-    "TOO_OLD": "too_old",
-    "IN_FUTURE": "in_future",
-    "ITEM_TOO_LARGE": "too_large",
-    "CHANNEL_FULL": "full",
-    "MALFORMED_RUN": "malformed",
-    "OVERLOADED": "overloaded",
-}
 
 
 def owner_to(part: OwnerPart, now: int) -> pb.OwnerFacts:
@@ -140,13 +130,21 @@ def _counters_of(message: channel_pb2.ChannelCounters, late: int) -> Counters:
     return Counters(
         accepted=message.accepted,
         held=message.held,
-        collected=_of_names(message, "collected_by_", _COLLECTED),
-        rejected=_of_names(message, "rejected_", _REJECTED),
+        collected={
+            "age": message.collected_by_age,
+            "count": message.collected_by_count,
+            "bytes": message.collected_by_bytes,
+            "consumption": message.collected_by_consumption,
+        },
+        rejected={
+            "TOO_OLD": message.rejected_too_old,
+            "IN_FUTURE": message.rejected_in_future,
+            "ITEM_TOO_LARGE": message.rejected_too_large,
+            "CHANNEL_FULL": message.rejected_full,
+            "MALFORMED_RUN": message.rejected_malformed,
+            "OVERLOADED": message.rejected_overloaded,
+        },
         accepted_bytes=message.accepted_bytes,
         held_bytes=message.held_bytes,
         late=late,
     )
-
-
-def _of_names(message: channel_pb2.ChannelCounters, prefix: str, names: Mapping[str, str]) -> dict[str, int]:
-    return {cause: getattr(message, prefix + name) for cause, name in names.items()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import grpc
@@ -20,12 +21,14 @@ from stampede_rt_channel_host.copies.queue_steps import STEPS_PER_REQUEST, step_
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_replication import QueueReplication
 from stampede_rt_channel_host.queues.refusals import display_name
+from stampede_rt_runtime.sockets.dialing import HostStream
 
 logger = logging.getLogger(__name__)
 
 REQUEST_SECONDS = 0.2  # a replica that is silent for a second is out of sync
 ANSWER_SECONDS_MAX = 3.0
 WRITE_SECONDS_MAX = 10.0
+AT_ONCE_BYTES_MAX = 2**18  # a larger step is left to the task of the feed
 
 
 class QueueFeedStream:
@@ -43,11 +46,23 @@ class QueueFeedStream:
         self._target = target
         self._news = asyncio.Event()
         self._sent_record = b""
+        self._held_step = 0  # the replica has reported the steps before this one
+        self._heard_s = 0.0  # loop time of the last answer of the replica
+        self._send_at_once: Callable[[], bool] | None = None  # while the feed waits for a step
+        self._failure: Exception | None = None  # of `_send_at_once`; ends the feed
         self.next_step = replication.journal.next_step
 
     def wake(self) -> None:
-        """The queue has a new step."""
-        self._news.set()
+        """Note that the queue has a new step. Sends it in this turn of the event loop if the replica has all others.
+
+        Raises nothing, because the queue has made the step: an error ends the feed.
+        """
+        try:
+            is_sent = self._send_at_once is not None and self._send_at_once()
+        except Exception as error:  # noqa: BLE001 - the task of the feed raises it
+            self._failure, self._send_at_once, is_sent = error, None, False
+        if not is_sent:
+            self._news.set()
 
     async def run(self, channel: grpc.aio.Channel) -> None:
         """Feed the replica until the stream ends. Raises StampedeError."""
@@ -89,7 +104,7 @@ class QueueFeedStream:
         """Continue at the place of the copy, or send the whole queue."""
         replication = self._replication
         if self._continues(place):
-            self.next_step = place.next_step
+            self.next_step = self._held_step = place.next_step
             replication.report(self._host_id, self, place.next_step)
             return
         if not await replication.begin_anew(self._host_id):
@@ -113,7 +128,12 @@ class QueueFeedStream:
 
     async def _send_steps(self, call: Any) -> None:
         owes_sign = True  # the replica must hear of the owner at least this often
+        self._heard_s = asyncio.get_running_loop().time()
         while True:  # until an error ends the stream, or the caller cancels it
+            if self._failure is not None:
+                raise self._failure
+            if asyncio.get_running_loop().time() - self._heard_s > ANSWER_SECONDS_MAX:
+                raise TimeoutError
             self._news.clear()
             steps = self._replication.journal.steps_from(self.next_step, PART_BYTES)
             if steps is None:
@@ -128,16 +148,29 @@ class QueueFeedStream:
                 await self._write(call, self._request(parts=parts))
             if steps:
                 self.next_step = steps[-1].number + 1
-            owes_sign = not steps and await self._is_silent()
+            owes_sign = not steps and await self._is_silent(call)
 
-    async def _is_silent(self) -> bool:
-        """Wait for a new step, for REQUEST_SECONDS at most. Returns whether none came."""
+    async def _is_silent(self, call: Any) -> bool:
+        """Wait for a step that is not sent at once, for REQUEST_SECONDS at most. Returns whether none came."""
+        self._send_at_once = partial(self._send_now, call) if isinstance(call, HostStream) else None
         try:
             async with asyncio.timeout(REQUEST_SECONDS):
                 await self._news.wait()
         except TimeoutError:
             return True
+        finally:
+            self._send_at_once = None
         return False
+
+    def _send_now(self, call: HostStream) -> bool:
+        """Send the new step if the replica has all earlier ones, and the transport takes it at once."""
+        write = call.write_now if self._held_step >= self.next_step else None
+        steps = None if write is None else self._replication.journal.steps_from(self.next_step, PART_BYTES)
+        if write is None or not steps or len(steps) > 1 or steps[0].size_bytes > AT_ONCE_BYTES_MAX:
+            return False
+        write(self._request(parts=step_parts(steps[0], self._now())))
+        self.next_step = steps[0].number + 1
+        return True
 
     async def _write(self, call: Any, request: pb.FeedQueueRequest) -> None:
         async with asyncio.timeout(WRITE_SECONDS_MAX):
@@ -145,10 +178,20 @@ class QueueFeedStream:
 
     async def _read(self, call: Any) -> None:
         while True:  # until an error ends the stream, or the caller cancels it
-            async with asyncio.timeout(ANSWER_SECONDS_MAX):
-                answer = self._answer(await call.read())
-            if answer.next_step:
-                self._replication.report(self._host_id, self, answer.next_step)
+            self._take(self._answer(await call.read()))  # `_send_steps` notices a silent replica
+            if isinstance(call, HostStream):
+                call.answer_at_once(self._take_at_once)
+
+    def _take_at_once(self, response: object) -> bool:
+        """Take an answer in the turn of the event loop in which it comes, because callers wait for it."""
+        self._take(self._answer(response))
+        return True
+
+    def _take(self, answer: pb.FeedQueueResponse) -> None:
+        self._heard_s = asyncio.get_running_loop().time()
+        if answer.next_step:
+            self._held_step = answer.next_step
+            self._replication.report(self._host_id, self, answer.next_step)
 
     def _plain(self, error: BaseException) -> BaseException:
         """The product's error for a broken stream; any other error stays as it is."""

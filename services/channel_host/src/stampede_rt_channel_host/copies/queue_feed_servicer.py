@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import migration_service_pb2 as pb
+from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.cluster.records import recorded_queue
 from stampede_rt_channel_host.copies.feed_callers import FeedCallers
 from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue
 from stampede_rt_channel_host.copies.replica_directory import ReplicaDirectory
+from stampede_rt_channel_host.core.queue import QueueStep
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.queue_store import QueueStore
-from stampede_rt_runtime.rpc import Context
+from stampede_rt_runtime.rpc import Context, answer_at_once
+
+AT_ONCE_BYTES_MAX = 2**18  # a longer request, or one with more steps, is left to the task that reads the feed
+STEPS_AT_ONCE_MAX = 16
 
 
 class QueueFeeds:
@@ -41,16 +47,32 @@ class QueueFeeds:
         record = recorded_queue(first.queue)
         await self._check(record, first.owner_host_id)
         feed = self._latest[record.queue_id] = _Feed(self._queues, record)
+        answer_at_once(context, partial(self._take_at_once, feed))
         try:
             await context.write(feed.place())
             while isinstance(request := await context.read(), pb.FeedQueueRequest):
-                if self._latest.get(record.queue_id) is not feed:
-                    raise refusals.moved(record)
+                self._check_latest(feed)
                 await feed.take(request, lambda: self._latest.get(record.queue_id) is feed)
                 await context.write(feed.place())
         finally:
             if self._latest.get(record.queue_id) is feed:
                 del self._latest[record.queue_id]
+
+    def _take_at_once(self, feed: _Feed, raw: bytes | memoryview, write: Callable[[bytes], None]) -> bool:
+        """Repeat a few steps in the turn of the event loop in which they come, because callers of the owner wait."""
+        if len(raw) > AT_ONCE_BYTES_MAX:
+            return False
+        request: pb.FeedQueueRequest = parse(pb.FeedQueueRequest, bytes(raw), "FeedQueueRequest")
+        self._check_latest(feed)
+        if not feed.take_steps(request):
+            return False
+        write(feed.place().SerializeToString())
+        return True
+
+    def _check_latest(self, feed: _Feed) -> None:
+        """Raises StaleBinding (MOVED) if a later feed may change the copy."""
+        if self._latest.get(feed.record.queue_id) is not feed:
+            raise refusals.moved(feed.record)
 
     async def _check(self, record: RecordedQueue, owner_host_id: bytes) -> None:
         """Raises StaleBinding (MOVED) unless the caller owns the queue, and this host has a replica of it."""
@@ -73,18 +95,19 @@ class QueueFeeds:
 
 
 class _Feed:
-    """One feed. `record`: the queue as its owner knows it."""
+    """One feed."""
 
     def __init__(self, queues: QueueStore, record: RecordedQueue) -> None:
         self._queues = queues
         self._copies = queues.copies
-        self._record = record
+        self.record = record
+        """The queue as its owner knows it."""
         self._parts = ArrivingParts()
         self._room = queues.memory.charge_for(record.created_by)
 
     def place(self) -> pb.FeedQueueResponse:
         """The place of the copy."""
-        copy = self._copies.of(self._record.queue_id)
+        copy = self._copies.of(self.record.queue_id)
         if copy is None:
             return pb.FeedQueueResponse()
         return pb.FeedQueueResponse(
@@ -93,30 +116,53 @@ class _Feed:
 
     async def take(self, request: pb.FeedQueueRequest, is_latest: Callable[[], bool]) -> None:
         """Apply a request. `is_latest`: whether no other feed of the copy has begun. Raises StaleBinding (MOVED)."""
-        queue_id = self._record.queue_id
+        for arrived in self._arrivals(request):
+            if isinstance(arrived, WholeQueue):
+                core = await asyncio.to_thread(self._copies.restored, self.record, arrived.state)
+                # another owner, perhaps this host
+                if not is_latest() or self._queues.known(self.record.queue_id) is not None:
+                    raise refusals.moved(self.record)
+                self._copies.begin(self.record, core, arrived.next_step)
+            else:
+                self._repeat(*arrived)
+        self._note(self.record.queue_id)
+
+    def take_steps(self, request: pb.FeedQueueRequest) -> bool:
+        """Apply a request that has a few steps. Returns False, and does nothing, if it has more, or a part of a queue.
+
+        Does not wait.
+        """
+        if request.begins_anew or self._parts.is_whole or len(request.parts) > STEPS_AT_ONCE_MAX:
+            return False
+        for arrived in self._arrivals(request):
+            assert not isinstance(arrived, WholeQueue), "no whole queue is on its way"
+            self._repeat(*arrived)
+        self._note(self.record.queue_id)
+        return True
+
+    def _arrivals(self, request: pb.FeedQueueRequest) -> Iterator[WholeQueue | tuple[QueueStep, int]]:
+        """Check a request, and take its parts in. Returns the things that are complete now."""
+        queue_id = self.record.queue_id
         if request.HasField("queue"):
             if request.queue.queue_id != queue_id:  # the caller has shown that it owns this queue, and no other one
                 raise InvalidArgument("the feed of a queue names another queue; open a feed for each queue")
-            self._record = recorded_queue(request.queue)
+            self.record = recorded_queue(request.queue)
         if request.begins_anew:
             self._copies.drop(queue_id)
             self._parts.begin_anew()
         elif self._queues.known(queue_id) is not None:
-            raise refusals.moved(self._record)
+            raise refusals.moved(self.record)
         self._room.claim(request.ByteSize())
-        for arrived in self._parts.add(request.parts):
-            if isinstance(arrived, WholeQueue):
-                core = await asyncio.to_thread(self._copies.restored, self._record, arrived.state)
-                if not is_latest() or self._queues.known(queue_id) is not None:  # another owner, perhaps this host
-                    raise refusals.moved(self._record)
-                self._copies.begin(self._record, core, arrived.next_step)
-            elif (copy := self._copies.of(queue_id)) is not None:
-                self._copies.apply(copy, *arrived)
-        self._note(queue_id)
+        return self._parts.add(request.parts)
+
+    def _repeat(self, step: QueueStep, ago_nanos: int) -> None:
+        copy = self._copies.of(self.record.queue_id)
+        if copy is not None:
+            self._copies.apply(copy, step, ago_nanos)
 
     def _note(self, queue_id: bytes) -> None:
         copy = self._copies.of(queue_id)
         if copy is not None:
-            self._copies.heard(copy, self._record)
+            self._copies.heard(copy, self.record)
             self._queues.in_use.set()  # so that this host watches who owns its queues
         self._room.set(self._parts.size_bytes)

@@ -37,7 +37,8 @@ class WindowFeed:
         self._recorded = self._window.recorded
         latest = self._window.latest_time
         self._left_at = self._left_at if latest is None else latest
-        self._sent = {at: one for at, one in self._sent.items() if self._window.producers.get(at) is one[0]}
+        if len(self._sent) > len(self._window.producers):  # the window has forgotten some
+            self._sent = {at: one for at, one in self._sent.items() if self._window.producers.get(at) is one[0]}
         return found
 
     def _changed(self) -> list[tuple[int, KnownProducer]]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.core.channel.base_channel import FREED_ENTRIES_PER_CALL
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.fed_holdings import FedHoldings
 from stampede_rt_channel_host.core.channel.feeding import Collection, FeedPlace
@@ -103,8 +104,7 @@ class FedChannel(ChannelCore):
 
         Raises InvalidArgument if the parts before this one are missing.
         """
-        if first_seq > self.next_seq:
-            raise InvalidArgument(f"the feed continues at seq {first_seq}, and the copy is at seq {self.next_seq}")
+        self.check_place(first_seq)
         if next_seq < self.next_seq:
             return
         self._tick(now)
@@ -119,8 +119,14 @@ class FedChannel(ChannelCore):
         if collection is not None:
             self._held.follow(collection)
             self._reading.consumed_up_to = collection.newest_consumed
+            self._held.free(FREED_ENTRIES_PER_CALL)
         if advance is not None:
             self._acceptance.advance = self._reading.advance = advance
+
+    def check_place(self, first_seq: int) -> None:
+        """Raises InvalidArgument if the parts of the feed before the seq `first_seq` are missing."""
+        if first_seq > self.next_seq:
+            raise InvalidArgument(f"the feed continues at seq {first_seq}, and the copy is at seq {self.next_seq}")
 
     def configure(self, policy: Policy, now: int) -> None:
         """Take over another policy. Items leave only when the feed says so. Raises InvalidArgument."""

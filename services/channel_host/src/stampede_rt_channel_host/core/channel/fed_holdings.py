@@ -51,7 +51,15 @@ class FedHoldings(Holdings):
         self.collected_end, self.collected_by = collection.collected_end, collection.collected_by
         self.newest_consumed, self.came_up_to = collection.newest_consumed, collection.came_up_to
 
+    def _one_below(self, key: ItemKey) -> OldestItems | None:
+        """The only item below `key`, found without a walk; None: there is none, or there may be more."""
+        oldest = self.index.oldest_item(self.floor)
+        if oldest is None or oldest.last is None or (oldest.last.first_time, oldest.last.first_seq) >= key:
+            return None
+        rest = oldest.rest
+        return oldest if rest is None or (rest.first_time, rest.first_seq) >= key else None
+
     def _collect_below(self, key: ItemKey) -> None:
-        oldest: OldestItems = self.oldest_items(below(key), self._blocks.whole_below(key))
+        oldest = self._one_below(key) or self.oldest_items(below(key), self._blocks.whole_below(key))
         if oldest.items:
             self._leave(oldest, self.last_cause)

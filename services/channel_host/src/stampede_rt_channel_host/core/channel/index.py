@@ -240,6 +240,12 @@ class ChannelIndex:
         entry = self._by_time.last
         return None if entry is None else Slice(entry.run, entry.hi - 1, entry.hi)
 
+    @property
+    def last_run(self) -> OneRun | None:
+        """The item that came last, if it is a run of its own; otherwise None."""
+        entry = self._by_seq.last
+        return entry if isinstance(entry, OneRun) else None
+
     def has_below(self, floor: ItemKey, entries: int = 1) -> bool:
         """Whether all items of the first `entries` entries are below `floor`. False if the index has fewer entries."""
         last = self._by_time.first if entries == 1 else self._by_time.nth(entries - 1)

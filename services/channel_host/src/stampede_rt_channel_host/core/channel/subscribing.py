@@ -269,7 +269,14 @@ def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes:
             cursor.mark_done(shared.end_seq)
             return shared.batch
     before = cursor.delivered
-    batch = _next_batch(held, limits, cursor, limit_bytes)
+    newest = held.index.last_run if limit_bytes > 0 and is_last and place + 1 == owed[1] else None
+    if newest is not None and newest.first_seq == place and (newest.first_time, place) >= held.floor:
+        # the usual case of a reader who has everything else
+        cursor.delivered += 1
+        cursor.mark_done(owed[1])
+        batch = SubscriptionBatch(slices=[DeliveredSlice(Slice(newest, 0, 1), held.next_time(newest.first_time))])
+    else:
+        batch = _next_batch(held, limits, cursor, limit_bytes)
     if is_last and batch.gap is None and batch.slices:
         charge_bytes = sum(one.slice.charge_bytes for one in batch.slices)
         shared = SharedBatch(batch, cursor.delivered - before, charge_bytes, batch.slices[-1].slice.end_seq)
