@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from stampede_rt.errors import DeadlineExceeded
+from stampede_rt.errors import DeadlineExceeded, Unavailable
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.copies.drain_requests import DrainRequests
 from stampede_rt_channel_host.copies.moves_of_drains import NAMED_MAX
@@ -61,6 +61,48 @@ async def test_no_message_names_a_channel_twice_or_one_that_was_given_up_or_too_
     later = [one for names in channel.named[1:] for one in names]  # the first message was under way before
     assert sorted(later) == sorted(CHANNELS[1:])
     assert max(map(len, channel.named)) <= NAMED_MAX
+
+
+class BrokenOnce(Channel):
+    """The first stream breaks. Its task that writes ends a little later."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.is_written, self.breaks, self.ends = asyncio.Event(), asyncio.Event(), asyncio.Event()
+        self.ends_slowly = True
+
+    async def write(self, request: pb.MoveEachHereRequest) -> None:
+        self.is_written.set()
+        try:
+            await super().write(request)
+        except asyncio.CancelledError:
+            if self.ends_slowly:
+                self.ends_slowly = False
+                self.is_open.set()
+                await self.ends.wait()
+            raise
+
+    async def read(self) -> pb.MoveEachHereResponse:
+        if not self.breaks.is_set():
+            await self.breaks.wait()
+            raise Unavailable("the stream is broken")
+        return await super().read()
+
+
+async def test_a_request_that_comes_while_a_broken_stream_ends_is_asked_in_the_next_stream() -> None:
+    """In an earlier version, it failed with the error of the broken stream."""
+    channel: Any = BrokenOnce()
+    requests = DrainRequests("host", channel)
+    first = asyncio.ensure_future(requests.take(CHANNELS[0], 5.0))
+    await channel.is_written.wait()
+    channel.breaks.set()
+    with pytest.raises(Unavailable):
+        await first
+    second = asyncio.ensure_future(requests.take(CHANNELS[1], 5.0))
+    await asyncio.sleep(0.0)
+    channel.ends.set()
+    assert await second
+    await requests.aclose()
 
 
 @pytest.mark.parametrize("channels", [1, NAMED_MAX, NAMED_MAX + 1])

@@ -132,6 +132,31 @@ async def test_a_caller_that_takes_no_answers_gets_no_more_moves() -> None:
     assert len(begun) == len(caller.outcomes) == 4 * UNANSWERED_MAX
 
 
+async def test_repeated_requests_for_slow_moves_take_no_room_from_other_channels() -> None:
+    """In an earlier version, each repetition took room of the stream until the move ended, and others got none."""
+    slow = asyncio.Event()
+    begun: list[bytes] = []
+
+    async def move(channel_id: bytes) -> None:
+        begun.append(channel_id)
+        if channel_id.startswith(b"slow"):
+            await slow.wait()
+
+    caller = Caller()
+    async with served(caller, move) as stream:
+        for _ in range(UNANSWERED_MAX):
+            caller.name(b"slow a", b"slow b")
+        caller.name(b"quick")
+        await turns()
+        assert [*caller.outcomes] == [b"quick"]
+        slow.set()
+        await turns()
+        caller.name(b"slow a")
+        caller.close()
+        await stream
+    assert begun == [b"slow a", b"slow b", b"quick", b"slow a"]
+
+
 async def test_a_request_with_too_many_channels_ends_the_stream() -> None:
     caller = Caller()
     caller.name(*(b"%d" % at for at in range(NAMED_MAX + 1)))

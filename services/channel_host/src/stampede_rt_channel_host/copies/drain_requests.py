@@ -76,8 +76,8 @@ class DrainRequests:
             self._stream = None
             writing.cancel()
             call.cancel()
+            self._fail(failure)  # before the next await: a request that comes meanwhile begins another stream
             await asyncio.gather(writing, return_exceptions=True)
-            self._fail(failure)
 
     async def _write(self, call: Any) -> None:
         while True:  # until `_run` cancels this task; the task that reads gets the error of a broken stream

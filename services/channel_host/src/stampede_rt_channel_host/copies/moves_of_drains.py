@@ -25,6 +25,7 @@ class MovesOfDrain:
         self._move = move
         self._room = asyncio.Semaphore(UNANSWERED_MAX)
         self._moves: set[asyncio.Task[None]] = set()
+        self._under_way: set[bytes] = set()  # the channels of these moves
         self._outcomes: list[pb.MoveOutcome] = []
         self._news = asyncio.Event()
         self._is_closed = False  # the caller names no further channels
@@ -52,7 +53,10 @@ class MovesOfDrain:
                     f"the request names {len(request.channel_ids)} channels; name {NAMED_MAX} at most"
                 )
             for channel_id in request.channel_ids:
+                if channel_id in self._under_way:  # the caller asks again every 2 s; one outcome answers all
+                    continue
                 await self._room.acquire()
+                self._under_way.add(channel_id)
                 move = self._stream.spawn(self._move_one(channel_id))
                 self._moves.add(move)
                 move.add_done_callback(self._over)
@@ -65,6 +69,7 @@ class MovesOfDrain:
             await self._move(channel_id)
         except StampedeError as error:
             outcome.error.CopyFrom(to_error_message(error))
+        self._under_way.discard(channel_id)
         self._outcomes.append(outcome)
 
     def _over(self, move: asyncio.Task[None]) -> None:
