@@ -142,7 +142,7 @@ docs: setup  ## the site of the documentation, in out/site; see it with: python3
 	$(RUN)/python tools/docs_site.py
 	NO_MKDOCS_2_WARNING=1 $(UV) tool run --quiet $(MKDOCS) mkdocs build --quiet --strict
 
-bench: setup  ## items per second and latency beside bare gRPC
+bench: setup  ## items per second and latency, compared with bare gRPC
 	$(RUN)/python -m tests.benchmarks.hot_path
 
 bench-moves: setup  ## 100 moves of a channel and a queue under load: a table of the pauses that producers and readers notice

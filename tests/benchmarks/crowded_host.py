@@ -1,10 +1,12 @@
-"""The CPU cost of one put for a host, beside many others: `python -m tests.benchmarks.crowded_host [--runs 5]`.
+"""The CPU cost of one put for a host with many other channels and calls.
+
+    python -m tests.benchmarks.crowded_host [--runs 5]
 
 Others are gets that are blocked on the channel and that the put cannot release, channels in which nothing happens, and
 consumers. The channels are a host's own, called as its streams call them; no gRPC is between.
 
-The last row is of a cluster of processes: how long a client takes to open a new channel and put its first item, beside
-others that were opened before.
+The last row is of a cluster of processes: how long a client takes to open a new channel and put its first item, when
+many channels are open already.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Put, newest, interval get and subscribe over gRPC, beside bare grpcio moving the same bytes in the same run.
+"""Put, newest, interval get and subscribe over gRPC, compared with bare grpcio that moves the same bytes.
 
     python -m tests.benchmarks.hot_path [--seconds 1.0] [--rounds 5]
 

@@ -1,4 +1,6 @@
-"""Streams over TCP beside gRPC, with and without certificates: `python -m tests.benchmarks.tcp_streams`.
+"""Streams over TCP compared with streams over gRPC, with and without certificates.
+
+    python -m tests.benchmarks.tcp_streams
 
 Prints the CPU time of the client and of the host for one operation of the blocking client, in us, and its median time.
 The transports take turns. A loaded machine changes the times much, and the CPU times less.

@@ -1,4 +1,4 @@
-"""A channel of the core beside one of the oracle. Each step runs on both, and all their visible results must agree."""
+"""A channel of the core and one of the oracle. Each step runs on both, and all their visible results must agree."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A queue's core beside the oracle. Each step runs on both, and all their visible results must agree."""
+"""A queue's core and the oracle. Each step runs on both, and all their visible results must agree."""
 
 from __future__ import annotations
 

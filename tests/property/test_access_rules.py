@@ -1,4 +1,4 @@
-"""The rules of access beside a simple judge that looks at every rule, and compares names character by character."""
+"""The rules of access and a simple judge agree. The judge looks at every rule, and at each character of a name."""
 
 from __future__ import annotations
 

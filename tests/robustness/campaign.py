@@ -220,7 +220,7 @@ class _Campaign:
             await self._cluster.all_serve()
 
     async def run(self, title: str, body: Callable[[], Awaitable[None]]) -> Findings:
-        """Run `body` beside the callers, hosts and probe, and then judge the histories."""
+        """Run `body` while the callers, hosts and probe run, and then judge the histories."""
         began = time.monotonic()
         try:
             async with self._background(began) as work:

@@ -47,7 +47,7 @@ class RelayedCluster:
 
 @contextmanager
 def running_relayed_cluster(hosts: int = 0, feed_transport: str = "best") -> Iterator[RelayedCluster]:
-    """Yield the cluster and its relay. Both have ended after the block. `hosts`: those beside the relayed one."""
+    """Yield the cluster and its relay. Both have ended after the block. `hosts`: the number of further hosts."""
     with running_cluster(hosts=hosts, supernodes=1, feed_transport=feed_transport) as cluster:
         # the host listens at another address, because the relay must have its port for sockets
         port, inner_port, data_port = free_ports(3)

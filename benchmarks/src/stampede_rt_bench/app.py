@@ -104,7 +104,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_peers(kinds)
     _add_growth(kinds)
     _add_capacity(kinds)
-    text = "our match beside the synchroniser of ROS message_filters, on the same recorded inputs"
+    text = "our match and the synchroniser of ROS message_filters compared, on the same recorded inputs"
     matching = kinds.add_parser("matching", help=text, description=text)
     matching.add_argument(
         "--seconds", type=_between(15, 3600), default=60, help="the length of each recording (default: 60)"
@@ -158,7 +158,7 @@ def _add_limits(kinds: Any) -> None:
 
 
 def _add_peers(kinds: Any) -> None:
-    text = "the same work on Redis streams, NATS, JetStream and Zenoh, each with its real server, beside ours"
+    text = "the same work on Redis streams, NATS, JetStream and Zenoh, each with its real server, compared with ours"
     peers = kinds.add_parser("peers", help=text, description=f"Measure {text}.")
     peers.add_argument(
         "--system",

@@ -1,1 +1,1 @@
-"""The cost of recorded channels beside a plain writer and two other systems."""
+"""The cost of recorded channels compared with a plain writer and two other systems."""

@@ -1,4 +1,6 @@
-"""The cost of recorded channels beside a plain writer and two other systems: `python -m tests.benchmarks.archive_cost`.
+"""The cost of recorded channels compared with a plain writer and two other systems.
+
+    python -m tests.benchmarks.archive_cost
 
 All figures are from one run on this machine, in the folder of --folder: medians of --rounds rounds, with the least and
 the greatest. In each round all writers write, one after the other. Takes about five minutes. --files N also reads from

@@ -1,4 +1,4 @@
-"""The times from a put to its reader: with and without an archive, and beside long reads of the archive."""
+"""The times from a put to its reader: with and without an archive, and during long reads of the archive."""
 
 from __future__ import annotations
 

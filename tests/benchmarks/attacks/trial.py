@@ -1,4 +1,4 @@
-"""One attack on a cluster of processes of its own, with good clients beside it, and what it took from them."""
+"""One attack on a cluster of processes of its own, and what good clients lost while it went on."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Good:
 class Found:
     """The effects of one attack. Memory is the resident set of the watched process, in MiB.
 
-    `competing`: the good clients beside a program that takes as much processor time as the attacker took, and makes no
+    `competing`: the good clients during a program that takes as much processor time as the attacker took, and makes no
     calls.
     """
 
@@ -83,7 +83,7 @@ class Found:
 
     @property
     def p99_ratio(self) -> float:
-        """The time of a put beside the attack divided by that without it, at the 99th percentile."""
+        """The time of a put during the attack divided by the time without it, at the 99th percentile."""
         return self.longer(self.beside)
 
     def longer(self, beside: Good) -> float:
@@ -102,8 +102,8 @@ class Setup:
 
     `bare`: the address of a bare server that the attack floods instead of the host. With `good_go_there` the good
     clients call it, too; see `bare.py`. `apart`: the attacker gets only idle processor time, as if it ran on another
-    machine. Otherwise the good clients are measured also beside a program that takes as much processor time as the
-    attacker took. Without `compares` they are measured only beside the attack. That is enough for a test of rules that
+    machine. Otherwise the good clients are measured also during a program that takes as much processor time as the
+    attacker took. Without `compares` they are measured only during the attack. That is enough for a test of rules that
     do not depend on the time of a put.
     """
 
@@ -195,7 +195,7 @@ def run_trial(name: str, seconds: float, setup: Setup) -> Found:
 
 
 async def trial(name: str, seconds: float, setup: Setup) -> Found:
-    """Good clients alone, then for that long beside the attack once it is under way, then the memory that stays.
+    """Good clients alone, then for the same time during the attack once it is under way, then the memory that stays.
 
     Then alone again, so that other load of the machine counts in both. See `Setup.compares`.
     """

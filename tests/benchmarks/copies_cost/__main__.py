@@ -1,4 +1,4 @@
-"""The costs of copies and moves, each beside the same work without them, in turns.
+"""The costs of copies and moves, each compared with the same work without them, in turns.
 
     python -m tests.benchmarks.copies_cost --only ack|proxy|feed|drain [--rounds 5]
 

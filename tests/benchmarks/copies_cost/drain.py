@@ -1,4 +1,4 @@
-"""The time to drain a host with 1,000 channels and 1 GB, beside the copy of 1 GB over a bare stream of gRPC."""
+"""The time to drain a host with 1,000 channels and 1 GB, compared with the copy of 1 GB over a bare stream of gRPC."""
 
 from __future__ import annotations
 

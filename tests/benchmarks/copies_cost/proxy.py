@@ -1,4 +1,4 @@
-"""The CPU time that a proxy costs the owner of a channel, beside the CPU time of one more subscriber."""
+"""The CPU time that a proxy costs the owner of a channel, compared with the CPU time of one more subscriber."""
 
 from __future__ import annotations
 

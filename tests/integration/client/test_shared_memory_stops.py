@@ -1,4 +1,4 @@
-"""Reads from shared memory beside stopped processes, groups and proxies, with real processes."""
+"""Reads from shared memory while processes are stopped, and of groups and proxies, with real processes."""
 
 from __future__ import annotations
 

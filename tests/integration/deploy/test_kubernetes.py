@@ -1,4 +1,4 @@
-"""The manifests of deploy/kubernetes, beside Kubernetes' schemas, the images and the services."""
+"""The manifests of deploy/kubernetes, compared with Kubernetes' schemas, the images and the services."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The samples of settings files in deploy/settings, beside the services that print them and read them."""
+"""Each sample of a settings file in deploy/settings: its service prints the same text, and starts with it."""
 
 from __future__ import annotations
 

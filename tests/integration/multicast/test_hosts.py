@@ -1,4 +1,4 @@
-"""Multicast beside hosts that move channels and are killed, and programs that send datagrams to the group."""
+"""Multicast while hosts move channels or are killed, and while programs send datagrams to the group."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ PROGRESS_ITEMS = 50
 
 
 class Load:
-    """Puts and gets on threads, a subscription beside them, and new connections. Keeps the failures."""
+    """Puts, gets and a subscription on threads, and new connections. Keeps the failures."""
 
     def __init__(self, address: str, tls: st.TlsFiles) -> None:
         self._address = address

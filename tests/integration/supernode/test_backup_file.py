@@ -38,7 +38,7 @@ def test_a_whole_backup_replaces_the_former_file(tmp_path: Path, part_bytes: int
 def test_a_damaged_backup_does_not_replace_the_former_file(tmp_path: Path, data: bytes) -> None:
     out = tmp_path / "backup"
     out.write_bytes(b"older")
-    with pytest.raises(StampedeError, match="came damaged"):
+    with pytest.raises(StampedeError, match="the received backup is damaged"):
         write_backup(responses(data), out)
     assert out.read_bytes() == b"older"
     assert list(tmp_path.iterdir()) == [out]

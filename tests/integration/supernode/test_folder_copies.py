@@ -1,4 +1,4 @@
-"""A copy of a supernode's data folder is started beside the supernode, before it, or after it."""
+"""A copy of a supernode's data folder is started before the supernode, or while the supernode runs."""
 
 from __future__ import annotations
 

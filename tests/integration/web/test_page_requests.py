@@ -1,4 +1,4 @@
-"""`stampede web` as a process beside a real cluster: its answers to the page's requests."""
+"""The process of `stampede web` with a real cluster: its answers to the page's requests."""
 
 from __future__ import annotations
 

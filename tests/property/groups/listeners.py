@@ -1,4 +1,4 @@
-"""The readers of whole groups of a World: cut events and matches, each beside an oracle that predicts them."""
+"""The readers of whole groups of a World: cut events and matches, each with an oracle that predicts them."""
 
 from __future__ import annotations
 

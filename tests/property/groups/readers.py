@@ -1,4 +1,4 @@
-"""The readers of descriptors in a World's groups, each beside an oracle that predicts the answers."""
+"""The readers of descriptors in a World's groups, each with an oracle that predicts the answers."""
 
 from __future__ import annotations
 

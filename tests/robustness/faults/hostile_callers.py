@@ -33,8 +33,8 @@ from tests.robustness.real_cluster.placed_process import FaultHadNoEffect, Place
 from tests.support.supernode.processes import clean_environment
 
 BESIDE_CHANNELS_MIB_MAX = MEMORY_GROWTH_MIB_MAX - 64
-"""The growth of a host beside its channels and queues, whose budget is 64 MiB. A host that kept 1 MiB for each of 60
-streams exceeded it."""
+"""The most growth of a host without its channels and queues, whose budget is 64 MiB. A host that kept 1 MiB for each of
+60 streams exceeded it."""
 ATTACK_SECONDS, UNDER_WAY_SECONDS, END_SECONDS, BACK_SECONDS = 4.0, 120.0, 10.0, 20.0
 GOOD_ITEMS_MAX = 50_000
 PERIOD_SECONDS, CALL_SECONDS = 0.02, 10.0
@@ -62,7 +62,7 @@ _numbers = itertools.count(1)
 
 @dataclass
 class Puts:
-    """The puts of a good client beside an attack: the time that each took, and the seqs of the acknowledged ones."""
+    """The puts of a good client during an attack: the time that each took, and the seqs of the acknowledged ones."""
 
     channel: Any
     took_ms: list[float] = field(default_factory=list)

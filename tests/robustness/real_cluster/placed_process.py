@@ -43,7 +43,7 @@ class PlacedProcess:
         self.start_seconds = 0.0  # the time of the last start, from the launch to the ready line
 
     def flags(self) -> Sequence[str]:
-        """The flags of the process, beside its address and certificates."""
+        """The flags of the process, without those for its address and certificates."""
         raise NotImplementedError
 
     def listen_flags(self) -> list[str]:

@@ -119,7 +119,7 @@ class Probe:
 
 
 async def with_background(work: Sequence[Awaitable[None]], body: Callable[[], Awaitable[None]]) -> None:
-    """Run `body` beside endless `work`. A failure of either ends both, and is raised."""
+    """Run `body` while `work` runs without end. A failure of either ends both, and is raised."""
     tasks = [asyncio.ensure_future(one) for one in work]
     main = asyncio.ensure_future(body())
     try:

@@ -1,4 +1,4 @@
-"""Hosts with an archive in an object store, and owners of a recorded channel at them, without processes."""
+"""Hosts with an archive in an object store, and owners of a recorded channel at these hosts, in the test's process."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def decode(body: bytes) -> Run:
 
 
 class Host:
-    """One host with its archive, which writes items of one payload byte. `seal_seconds`: see ObjectSettings."""
+    """One host with an archive. The payload of each item is its seq, as text."""
 
     def __init__(self, path: Path, store: SegmentStore, bytes_max: int = 2**30) -> None:
         folder = ArchiveFolder(path)
@@ -141,7 +141,7 @@ class Owner:
         return self.host.clock
 
     async def put(self, *times: int, at: int | None = None) -> None:
-        """Accept items with these times, each when its time has come, or `at`. Then write them."""
+        """Accept items with these times, and write them. The host accepts each at its time, or all at the time `at`."""
         for time in times:
             self.host.clock = max(self.host.clock + 1, time) if at is None else at
             offer = Offer(times=[time], durations=None, lengths=[7])
@@ -150,7 +150,7 @@ class Owner:
         await self.host.archive.write_all()
 
     async def find(self) -> None:
-        """The store is back, and the host looks at it."""
+        """Have the host look at the store, which must be back."""
         assert not await self.host.mover.move_all()
 
     async def read(self, query: Query) -> ReadAnswer:

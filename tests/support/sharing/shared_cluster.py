@@ -1,8 +1,9 @@
 """Clusters for test files that run one after another: `cluster = shared_cluster_fixture(hosts=2)` in each of the files.
 
-The start of a cluster costs as much CPU time as a hundred short tests. Files that only use a cluster, and never stop,
-freeze or configure a part of it, share one. The cluster ends with the last test of their share (`shares`). Between two
-files it loses all channels, queues and groups.
+The start of a cluster costs as much CPU time as a hundred short tests. So a file shares a cluster if its tests only use
+the cluster, and never stop, freeze or configure a part of it. The files that share one cluster are called a share (see
+`shares`). The cluster ends after the last test of its share. Between two files the fixture deletes all channels, queues
+and groups.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ class FollowedChannel:
     async def refresh(self, window: Window, stats: ChannelStats | None) -> None:
         """Read the new items, and older ones if the window begins before the track.
 
-        If the window ends before the track, read only the first PAGE_ITEMS items, and keep them beside the track.
+        If the window ends before the track, read only the first PAGE_ITEMS items, and keep them apart from the track.
 
         Does nothing within REFRESH_NANOS after the last call that read. If a read fails, the track stays as it is, and
         `failure` says why.

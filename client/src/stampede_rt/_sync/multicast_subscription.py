@@ -37,7 +37,7 @@ _log = logging.getLogger("stampede_rt")
 
 AGAIN_S = 60.0  # if datagrams do not reach this reader, it stops using multicast for this time, which doubles each time
 AGAIN_S_MAX = 3600.0
-REPAIR_BYTES_MAX = 2**18  # the most bytes of items that one repair asks for, beside the last item
+REPAIR_BYTES_MAX = 2**18  # the most bytes of items that one repair asks for, without the last item
 COUNTS = ("datagrams", "items", "repairs", "repeated", "forged", "foreign", "other_key")
 
 

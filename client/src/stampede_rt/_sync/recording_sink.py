@@ -14,7 +14,7 @@ from stampede_rt.files.tally import ChannelTally
 from stampede_rt.files.writing import FileWriter
 from stampede_rt.transports.concurrency_sync import Signal, StepLock, in_thread
 
-ENCODINGS_MAX = 16  # the most topics of one channel, beside a shared topic for items with further content types
+ENCODINGS_MAX = 16  # the most topics of one channel; items with further content types share one more
 Metadata = tuple[tuple[str, str], ...]
 FLUSH_S = 1.0  # the longest time for which an item waits for the end of its chunk
 

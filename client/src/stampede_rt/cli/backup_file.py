@@ -52,5 +52,6 @@ def _copy(responses: Iterator[pb.TakeSnapshotResponse], facts: pb.TakeSnapshotRe
         tail = joined[-SHA256_BYTES:]
     if size_bytes != facts.size_bytes or not digest.digest() == tail == facts.sha256:
         raise StampedeError(
-            f"the backup came damaged: {size_bytes} of {facts.size_bytes} bytes, or with another checksum; try again"
+            f"the received backup is damaged: it has {size_bytes} of {facts.size_bytes} bytes, or a wrong checksum; "
+            "try again"
         )

@@ -1,4 +1,4 @@
-"""The TCP port of a host, beside the port of gRPC: its address, and the first bytes of a connection to it."""
+"""The second TCP port of a host, for streams without gRPC: its address, and the first bytes of a connection to it."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ LOOK_SECONDS = 0.05
 
 
 class Faults:
-    """Runs on a thread beside the roles. `events`: nanoseconds since the start, and a text about the event."""
+    """Runs on a thread while the roles run. `events`: nanoseconds since the start, and a text about the event."""
 
     def __init__(self, cluster: LocalCluster, rt: st.Connection, start: int, length: int) -> None:
         self._cluster, self._rt = cluster, rt

@@ -95,7 +95,7 @@ def _run(settings: DevSettings, began: float) -> int:
 def _page(
     settings: DevSettings, cluster: LocalCluster, on_line: Callable[[ServiceProcess, str], None]
 ) -> Iterator[str | None]:
-    """Run the page beside the cluster, and give its URL; None without --web. If the page ends, the cluster goes on."""
+    """Run the page and yield its URL; None without --web. If the page ends, the cluster goes on."""
     if not settings.web:
         yield None
         return

@@ -4,8 +4,8 @@ With `--live` it asks whether the process answers at all. A host without its lea
 alive, but not ready.
 
 Used by the health checks of containers, which have no other client of the standard gRPC health service. That service
-needs no secret. With certificates, this program uses the certificates of the service beside it: $STAMPEDE_HOST_TLS_CA,
-..._CERTIFICATE and ..._KEY name them, or the same variables with FRONTEND or SUPERNODE for HOST.
+needs no secret. With certificates, this program uses the certificates of the service on this machine:
+$STAMPEDE_HOST_TLS_CA, ..._CERTIFICATE and ..._KEY name them, or the same variables with FRONTEND or SUPERNODE for HOST.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _LOOPBACK_OF_WILDCARD = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 
 
 def own_address(argv: Sequence[str], environ: Mapping[str, str]) -> str:
-    """The address in `argv`, or else the address at which the service beside this program listens ($STAMPEDE_LISTEN).
+    """The address in `argv`, or else the address at which the service on this machine listens ($STAMPEDE_LISTEN).
 
     Raises ValueError if there is no address, or if no caller can call it.
     """
@@ -51,7 +51,7 @@ def own_address(argv: Sequence[str], environ: Mapping[str, str]) -> str:
 
 
 def open_channel(target: str, files: TlsFiles | None) -> grpc.Channel:
-    """A channel to the service beside this program. Raises PermissionDenied or CertificateError if `files` are
+    """A channel to the service on this machine. Raises PermissionDenied or CertificateError if `files` are
     unusable.
 
     The called address need not be in the certificate, because the certificate is this machine's own.

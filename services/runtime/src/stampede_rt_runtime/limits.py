@@ -22,7 +22,7 @@ class Limits:
     """The limits of a server and its connections.
 
     A server serves `concurrent_rpcs_max` calls at a time. `streams_max` of them may be streams, which may
-    stay open. Beside them it serves `reserved_rpcs_max` calls that only parts of the cluster make. It refuses further
+    stay open. In addition it serves `reserved_rpcs_max` calls that only parts of the cluster make. It refuses further
     calls with RESOURCE_EXHAUSTED. If it is refusing `refusals_max` calls already, gRPC itself refuses the next.
 
     Neither side sends a message of more than `message_bytes_max`, and no client accepts such a message. A server

@@ -13,7 +13,7 @@ from stampede_rt_runtime.server import ServiceServer
 
 @contextlib.asynccontextmanager
 async def background(server: ServiceServer, *work: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
-    """Run `work` beside the caller's `with` block. If any of it ends, the service stops.
+    """Run `work` while the caller's `with` block runs. If any of it ends, the service stops.
 
     Raises the StampedeError of the work, or an ExceptionGroup if the work has failed in another way.
     """

@@ -112,7 +112,7 @@ class SupernodeSettings(ServiceSettings):
         here = [member for member in self.members if is_loopback(member.partition("=")[2])]
         if here and len(here) < len(self.members):
             raise ValueError(
-                f"--members names {', '.join(here)}, which only its own machine can call, beside members of other "
+                f"--members names {', '.join(here)}, which only its own machine can call, and also members of other "
                 "machines; give each the address at which the others reach it"
             )
         if self.members and parse_address(self.listen).port == 0:

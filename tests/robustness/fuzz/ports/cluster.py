@@ -57,7 +57,7 @@ class FuzzedCluster:
 
     @property
     def metadata(self) -> Metadata:
-        """The metadata with the caller's credential, beside its certificate."""
+        """The metadata with the credential that the caller has in addition to its certificate."""
         return () if self._tls else (("authorization", f"Bearer {self.processes.secret.text}"),)
 
     def channel(self, address: str, role: Role) -> grpc.aio.Channel:

@@ -1,4 +1,4 @@
-"""One run against one port: a cluster of its own, hostile callers, and a good client beside them."""
+"""One run against one port: a cluster of its own, hostile callers, and a good client at the same time."""
 
 from __future__ import annotations
 

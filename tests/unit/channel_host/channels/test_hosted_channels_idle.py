@@ -37,7 +37,7 @@ def idle_channel(number: int, sweep: Sweep, memory: MemoryBudget, limits: TimeLi
 
 
 async def used_bytes() -> int:
-    """Return the memory of CHANNELS idle channels, beside a channel that has used all that a channel may have."""
+    """Return the memory of CHANNELS idle channels. An earlier channel has filled the caches that all channels share."""
     sweep, limits = Sweep(lambda: S), TimeLimits()
     memory = MemoryBudget(2**30, sweep.reclaim)
     kept = [idle_channel(0, sweep, memory, limits)]  # fills the caches

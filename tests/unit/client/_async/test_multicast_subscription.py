@@ -1,4 +1,4 @@
-"""A reader of datagrams beside a host that the test plays: its stream, its datagrams and its connection."""
+"""A reader of datagrams. The test plays the host: its stream, its datagrams and its connection."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Both clients reach a TCP port of a host beside gRPC, and never wait long for it."""
+"""Both clients reach the second TCP port of a host, and never wait long for it."""
 
 from __future__ import annotations
 

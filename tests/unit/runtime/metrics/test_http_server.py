@@ -1,4 +1,4 @@
-"""The page of metrics reaches Prometheus, also beside callers that misbehave."""
+"""The page of metrics reaches Prometheus, also while other callers misbehave."""
 
 from __future__ import annotations
 

@@ -70,9 +70,9 @@ _shtab_stampede_bench_commands() {
     capacity:'Measure rates, latencies and memory of one host, to choose the size of a cluster; docs/capacity.md explains them.'
     growth:'Measure the cost of a put and a get as channels, items, readers, groups and payloads grow.'
     limits:'Measure the figures of bare grpcio, raw sockets and a copy in memory on this machine.'
-    matching:'our match beside the synchroniser of ROS message_filters, on the same recorded inputs'
+    matching:'our match and the synchroniser of ROS message_filters compared, on the same recorded inputs'
     paper:'The figures of the paper, measured on this machine:'
-    peers:'Measure the same work on Redis streams, NATS, JetStream and Zenoh, each with its real server, beside ours.'
+    peers:'Measure the same work on Redis streams, NATS, JetStream and Zenoh, each with its real server, compared with ours.'
   )
   _describe 'stampede bench commands' _commands
 }

@@ -1,4 +1,4 @@
-"""The copies of other hosts' channels at this host. The store's table has them beside the host's own channels."""
+"""The copies of other hosts' channels at this host. The store's table has them, and also the host's own channels."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory of the channel beside the memory of `core`: the index of items that readers see, and unseen
+        """The memory of the channel, without the memory of `core`: the index of items that readers see, and unseen
         items.
         """
         if self._view is None:

@@ -44,7 +44,7 @@ class OpenStream:
             self._task.cancel()
 
     def spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        """Run `work` beside the handler, and count it for the stream's caller. A failure of `work` ends the stream.
+        """Run `work` while the handler runs, and count it for the stream's caller. A failure of `work` ends the stream.
 
         The handler must await or cancel the returned task. Another caller's call may spawn it, for example a put that
         releases a get. Therefore `work` gets the context variables of the handler.

@@ -40,7 +40,7 @@ from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
 
 REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
-_FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
+_FRAMING_BYTES_MAX = 4096  # the fields of such a request, without the runs
 _ENDING = ("OVERLOADED", "SHUTTING_DOWN")  # if the queue cannot be used for these reasons, the stream ends
 
 

@@ -248,7 +248,7 @@ def is_denied() -> bool:
 
 
 def current_work() -> CallerWork:
-    """A new CallerWork for the present call's caller: for the call, for a task beside it, or for one stream."""
+    """A new CallerWork for the present call's caller: for the call, for a task of the call, or for one stream."""
     call = _CURRENT.get()
     return CallerWork(unlimited()) if call is None else CallerWork(call.account, call.costs)
 

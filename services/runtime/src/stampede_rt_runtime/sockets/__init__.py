@@ -1,1 +1,1 @@
-"""Streams over sockets of their own, beside the gRPC server (`socket_stream.proto`, decision 0157)."""
+"""Streams over sockets of their own, in addition to the gRPC server (`socket_stream.proto`, decision 0157)."""

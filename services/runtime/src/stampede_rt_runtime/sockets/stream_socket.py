@@ -25,7 +25,7 @@ from stampede_rt_runtime.sockets.tickets import Proof
 FRAME_SECONDS_MAX = 11.0  # from the first byte of a frame to its last one, while the service reads
 STALL_SECONDS_MAX = 30.0  # the longest time for which a peer may take no bytes from the service
 LINGER_SECONDS = 2.0  # the time that a peer has to read the status after the end of its stream
-_MESSAGE_OVERHEAD_BYTES = 64  # the memory of a waiting message beside its bytes
+_MESSAGE_OVERHEAD_BYTES = 64  # the memory of a waiting message, without its bytes
 _JOINED_BYTES_MAX = 2**16  # up to this length a copy of a message takes less time than a second system call
 
 LOCAL_PEER = "unix:"

@@ -42,8 +42,8 @@ class Command:
     """One entry of the log. A command with the `op_id` of a remembered command only repeats that command's result.
 
     `time_unix_nano`: the time of the supernode that proposes the command. `as_of_index`: the log position of that
-    supernode's state when the request came; 0 if it is unknown. `caller`: the name of the caller; empty if the caller
-    has no name of its own.
+    supernode's state when it received the request; 0 if it is unknown. `caller`: the name of the caller; empty if the
+    caller has no name of its own.
     """
 
     op_id: bytes

@@ -2,9 +2,9 @@
 
 An open of an existing thing makes no log entry, so no supernode remembers the request. If the caller first tried at
 another supernode, that attempt may still be under way. It may arrive after the thing was deleted, and would create it
-again, although no caller wants it any more. So every attempt carries the log position that the state had when the
-request came. If the name has become free since, the directory creates nothing. A caller that still waits sends the
-request again. A caller that has its answer does not send it again.
+again, although no caller wants it any more. So each supernode puts a log position into the command that it proposes:
+the position of its state when it received the request. If the name has become free since, the directory creates
+nothing. A caller that still waits sends the request again. A caller that has its answer does not send it again.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ def check_not_late(
 ) -> None:
     """Raises Unavailable with reason AMBIGUOUS if the thing to create may have been deleted since the request.
 
-    `thing`: its kind and name; it must not exist now. `as_of_index`: the log position of the state when the request
-    came; 0 if it is unknown, and then the check passes. `frees`: whether a result means that the name became free.
-    O(entries since the request). The directory knows deletions as long as it remembers their answers. A request from
-    before that time counts as late.
+    `thing`: its kind and name; it must not exist now. `as_of_index`: the log position of the
+    supernode's state when it received the request; 0 if it is unknown, and then the check passes. `frees`: whether a
+    result means that the name became free. O(entries since the request). The directory knows of a deletion for as long
+    as it keeps the answer. A request is also late if the directory has forgotten answers that are newer than it.
     """
     if as_of_index == 0:
         return

@@ -66,8 +66,8 @@ def check_glob(glob: str) -> None:
         raise InvalidArgument(f"the pattern has {len(glob)} characters; {GLOB_CHARACTERS_MAX} at most")
     if _GLOB.fullmatch(glob) is None:
         raise InvalidArgument(
-            f"{glob!r} can match no name: names have only A-Z, a-z, 0-9, '.', '_', '/' and '-'; beside these a pattern "
-            "has '*' for any run of characters and '?' for one"
+            f"{glob!r} can match no name: names have only A-Z, a-z, 0-9, '.', '_', '/' and '-'; a pattern may "
+            "also have '*' for any run of characters and '?' for one"
         )
 
 

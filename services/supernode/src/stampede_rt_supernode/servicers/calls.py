@@ -95,7 +95,7 @@ class DirectoryCalls:
     ) -> S:
         """The result of `operation`. Raises the errors of `check_operation`, `check_age` and `Submission.submit`.
 
-        `as_of_index`: the result of `applied_index` when the request came; None if the request came just now.
+        `as_of_index`: the result of `applied_index` when this supernode received the request; None: take it now.
         """
         check_id(op_id, "request_id")
         check_operation(operation)

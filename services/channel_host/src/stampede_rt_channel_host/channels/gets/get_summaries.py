@@ -1,4 +1,4 @@
-"""The summary of a get's answer: all that the host says beside the items."""
+"""The summary of a get's answer: all facts in the answer except the items."""
 
 from __future__ import annotations
 

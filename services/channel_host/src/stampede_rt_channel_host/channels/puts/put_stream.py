@@ -39,7 +39,7 @@ from stampede_rt_runtime.rpc import Context, answer_at_once
 
 REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
 RUNS_AT_ONCE_MAX = 16  # the most that one turn answers; producers join at most this many in a request
-_FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
+_FRAMING_BYTES_MAX = 4096  # the fields of such a request, without the runs
 
 
 class _ReceivedRequest(NamedTuple):

@@ -145,7 +145,7 @@ def _advances(
 
 
 class PastFacts(NamedTuple):
-    """The facts about a channel at an earlier instant that reads need beside its items.
+    """The facts about a channel at an earlier instant that reads need in addition to its items.
 
     `advance` was the highest instant of an advance. `lost_before` and `lost_from`: see `Reading`.
     """

@@ -23,7 +23,7 @@ from stampede_rt_channel_host.core.channel.values import Counters
 from stampede_rt_channel_host.core.ring_writer import RingFacts
 
 FREED_ENTRIES_PER_CALL = 32
-"""The most index entries of outdated items that one put or read frees beside its own work."""
+"""The most index entries of outdated items that one put or read frees in addition to its own work."""
 
 
 class BaseChannel:

@@ -237,7 +237,7 @@ class Retention:
 
         Returns True if an item was collected. Looks at the items to collect and one slice more. So the cost of each
         item is the same, however many are collected together. If all leases have ended, collects all items except the
-        newest bucket, because a new consumer begins with the newest item. Collects nothing beside BACKLOG_ENTRIES_MAX.
+        newest bucket, because a new consumer begins with the newest item. Respects BACKLOG_ENTRIES_MAX.
         """
         self._has_more_consumed, self._look_after_reads = False, None
         consumers, held = self.consumers, self._held

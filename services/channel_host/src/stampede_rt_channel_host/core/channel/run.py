@@ -16,7 +16,7 @@ ABSENT = -1
 """The value for "no duration" in a column of durations."""
 
 ITEM_OVERHEAD_BYTES = 64
-"""The bytes that an item counts against max_bytes beside its payload."""
+"""The bytes that an item counts against max_bytes in addition to its payload."""
 
 
 class Body(Protocol):

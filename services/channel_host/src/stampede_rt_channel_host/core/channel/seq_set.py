@@ -14,7 +14,7 @@ _LAST = MAX_INSTANT
 
 
 class SeqSet:
-    """A set that has all seqs below `below`, and ranges of seqs above `below`.
+    """A set that has all seqs that are less than `below`, and ranges of seqs that are greater than `below`.
 
     `add` costs amortised O(log ranges), and O(1) if the seqs come in order.
     """
@@ -28,8 +28,8 @@ class SeqSet:
         """
         self.below = below
         self.size = below - 1  # the number of seqs in the set
-        # Pairs of first seq and end, with gaps between them, all above `below`. Not a dict: a large dict grows in one
-        # long step.
+        # Pairs of first seq and end, with gaps between them. All are greater than `below`. Not a dict: a large dict
+        # grows in one long step.
         self._ranges: Any = SortedList()
         for first, end in ranges:
             self.add(first, end)
@@ -49,9 +49,9 @@ class SeqSet:
         return len(self._ranges)
 
     def until(self, first: int, end: int, ranges_max: int) -> int:
-        """A seq up to which one step may add the seqs from `first` on. It is `end` or lower.
+        """The end of the part of `first` to `end` that one step may add, so that the step joins few ranges.
 
-        A step that adds the seqs up to there joins about `ranges_max` ranges at most.
+        The result is `end`, or less if a step up to `end` would join more than about `ranges_max` ranges.
         """
         if len(self._ranges) <= ranges_max:
             return end
@@ -61,7 +61,7 @@ class SeqSet:
     def touching(self, first: int, end: int) -> Iterator[tuple[int, int]]:
         """The ranges that share a seq with the range from `first` up to `end`, or that are next to it.
 
-        The first one may be the range of all seqs below `below`.
+        The first one may be the range of all seqs that are less than `below`.
         """
         if first <= self.below and self.below > 1:
             yield 1, self.below
@@ -101,7 +101,7 @@ class SeqSet:
         return self.size - before
 
     def _absorb(self, first: int, end: int) -> tuple[int, int]:
-        """Remove the ranges that touch `first` to `end`. Returns the range that covers all of them."""
+        """Remove the ranges that touch `first` to `end`. Returns the range that covers them and `first` to `end`."""
         touched = [one for one in self.touching(first, end) if one[0] > self.below]
         for low, high in touched:
             self._ranges.remove((low, high))
@@ -122,7 +122,7 @@ BLOCK_SEQS = 1024
 """`CountedSeqs` counts the seqs of a set in blocks of this many."""
 
 BLOCKS_FORGOTTEN_MAX = 64
-"""The most blocks below `below` that one `add` forgets."""
+"""The most blocks that one `add` forgets, of those whose seqs are all less than `below`."""
 
 
 class CountedSeqs(SeqSet):
@@ -132,7 +132,7 @@ class CountedSeqs(SeqSet):
 
     def __init__(self) -> None:
         super().__init__()
-        # for each block of BLOCK_SEQS seqs not below `below`: how many are in the set
+        # for each block with a seq of `below` or greater: how many seqs of the block are in the set
         self._blocks: dict[int, int] = {}
         self._first_block = 0
 

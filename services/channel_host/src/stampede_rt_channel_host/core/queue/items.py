@@ -36,7 +36,7 @@ class QueuedRun:
 
     @property
     def label_bytes(self) -> int:
-        """The most bytes that a part of the run takes on the wire beside its payloads: columns, type, attributes."""
+        """The most bytes that a part of the run takes on the wire without its payloads: columns, type, attributes."""
         return len(self.body) - sum(self.lengths)
 
 

@@ -10,7 +10,7 @@ from stampede_rt.values.queueing import QueuePolicy
 
 BLOCK, REJECT, DROP_OLDEST = "block", "reject", "drop_oldest"
 ITEM_OVERHEAD_BYTES = 64
-"""The bytes that a message counts against max_bytes beside its payload."""
+"""The bytes that a message counts against max_bytes in addition to its payload."""
 ITEM_BYTES_MAX = 16 * 2**20
 """The largest payload of a message in any queue."""
 # the limits that a policy states as numbers, perhaps as None

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 KEPT_NANOS = 600_000_000_000  # how long a queue remembers an id
 OVERHEAD_BYTES = 192
-"""About how many bytes an id takes beside its characters."""
+"""About how many bytes an id takes in addition to its characters."""
 KNOWN_BYTES_MAX = 16 * 2**20
 """The most bytes that the ids of one queue take: about 70,000 ids of 36 characters."""
 SHED_PARTS = 256

@@ -37,13 +37,13 @@ def _check_open_not_late(state: DirectoryState, operation: OpenChannel, as_of_in
         )
 
 
-_open_by_level_of_creators = on_tables_with_creator(open_channel)
+_open_with_creator = on_tables_with_creator(open_channel)
 
 
 def _open(state: DirectoryState, operation: OpenChannel, time_unix_nano: int) -> ChannelOpened:
     if state.feature_level < LOADS_LEVEL:
         operation = replace(operation, beside="")
-    return _open_by_level_of_creators(state, operation, time_unix_nano)
+    return _open_with_creator(state, operation, time_unix_nano)
 
 
 def _delete(state: DirectoryState, operation: DeleteChannel, time_unix_nano: int) -> ChannelDeleted:

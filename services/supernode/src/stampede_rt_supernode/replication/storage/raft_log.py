@@ -29,7 +29,7 @@ WRITE_BOUNDS_SECONDS = (0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.
 # The most promises that the log remembers. No cluster has this number of members, so the log drops only promises of
 # non-members.
 PROMISES_MAX = 64
-# The memory that an entry takes beside its command, in bytes, as an estimate.
+# The memory that an entry takes in addition to its command, in bytes, as an estimate.
 ENTRY_BYTES = 200
 
 
