@@ -22,6 +22,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.copies.copy_feed import RUNS_PER_TURN, CopyFeed
 from stampede_rt_channel_host.copies.fed_responses import FedResponse, read_response
 from stampede_rt_channel_host.copies.feed_stream import FeedStream
+from stampede_rt_channel_host.core.channel import ChannelFeed
 from stampede_rt_channel_host.core.replication import KnownReplica
 from stampede_rt_runtime import pacing
 from tests.support.channel_host.held_transport import HeldStream, held_stream
@@ -115,6 +116,33 @@ async def test_the_items_that_come_while_the_replica_lacks_one_go_out_together()
         count = len(one.feed.written())
         [part] = parts_in((await one.feed.until_written(count + 1))[count:])
         assert (part.fields.state.first_seq, part.fields.state.next_seq) == (2, 4)
+
+
+async def test_the_feed_of_a_proxy_looks_once_for_each_item(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[int] = []
+    take = ChannelFeed.take
+
+    def noted(feed: ChannelFeed, now: int, limit_bytes: int) -> Any:
+        looks.append(limit_bytes)
+        return take(feed, now, limit_bytes)
+
+    async with running_host() as rig:
+        record = rig.directory.add_channel("a", rig.host.identity.host_id, policy_to_spec(parse_policy()))
+        feed = await held_stream(rig.sockets, "/stampede_rt.v1.ReplicaService/Feed")
+        opening = pb.FeedOpen(channel_id=record.channel_id, epoch=record.epoch, host_id=REPLICA, target="proxy:1")
+        feed.send(pb.FeedRequest(open=opening, credit_bytes=WINDOW_BYTES, sent_nanos=1).SerializeToString())
+        await feed.until_written(1)
+        producer = await held_stream(rig.sockets, "/stampede_rt.v1.ChannelService/Put")
+        await pauses()
+        monkeypatch.setattr(ChannelFeed, "take", noted)
+        for number in (1, 2, 3):
+            head = put_head(record.channel_id, record.epoch, 7)
+            producer.send(put_request(head, number, run_parts((b"x",), times=None), 10**9))
+            await feed.until_written(1 + number)
+            await pauses()
+        assert len(looks) == 3
+        producer.close()
+        feed.close()
 
 
 async def test_an_error_while_a_part_is_sent_ends_the_feed_and_not_the_put(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -144,6 +144,10 @@ class SharedDeliveries:
             self._forget(key)
         return shared.delivery
 
+    def encode_once(self, slices: Sequence[DeliveredSlice], about: bytes) -> Delivery:
+        """As `encode`, for a message that no other reader gets."""
+        return self._encode(slices, about, without_payloads=False)
+
     def _encode(self, slices: Sequence[DeliveredSlice], about: bytes, without_payloads: bool) -> Delivery:
         self.encodings += 1
         payload_bytes = 0 if without_payloads else sum(one.slice.payload_bytes for one in slices)

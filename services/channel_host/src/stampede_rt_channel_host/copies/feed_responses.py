@@ -65,6 +65,8 @@ class FeedResponses:
         """The cuts that have changed since the copy got them. With this part, the copy has all items before them."""
         copy = hosted.copy
         floors = self._floors_of(hosted.record.channel_id) if copy is None else [*copy.floors.values()]
+        if not floors:
+            return []
         new = [one for one in floors[:FLOORS_MAX] if self._sent_floors.get(one.group_id) != one]
         self._sent_floors |= {one.group_id: one for one in new}
         return new

@@ -254,12 +254,14 @@ class FeedStream:
             self._check_lag(hosted, feed, now)
             handoff = None if self._handing_over is None else self._handing_over.due(now)
             encoded = self._next_message(hosted, feed, part, handoff)
+            # a proxy that has all items needs no second look
+            has_all = feed.owner is None and part is not None and part.next_seq == self._source.next_seq
             part = None  # frees the runs before the message is written
             if handoff is not None:
                 await self._hand_off(encoded)
             elif encoded:
                 await self._write(encoded)
-            else:
+            if not encoded or (has_all and not self._news.is_set()):
                 await self._wait_for_news(hosted, feed)
 
     async def _wait_for_news(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
@@ -328,7 +330,7 @@ class FeedStream:
         """The message with a part, which is written now."""
         opened, self._opened = self._opened, None
         about = self._responses.of(hosted, self._source, part, opened, handoff)
-        delivery = hosted.deliveries.encode(part.slices, about, without_payloads=False, readers=1)
+        delivery = hosted.deliveries.encode_once(part.slices, about)
         self._credit.spend(delivery.charge_bytes)
         self._work.spend_write()
         return delivery.encoded
