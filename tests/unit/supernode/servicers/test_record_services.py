@@ -161,6 +161,18 @@ async def test_a_copy_is_added_listed_and_removed(node: Node) -> None:
     assert list((await resolved(node, "left")).proxy_host_ids) == []
 
 
+async def test_a_copy_without_a_free_host_is_refused_without_an_entry_in_the_log(node: Node) -> None:
+    """In an earlier version, each of the owner's repeated requests was an entry that all supernodes wrote to disk."""
+    left, _ = await two_channels(node)
+    added = await node.replicas.AddReplica(add_request(1, left, kind=WARM))
+    index = node.log.index
+    assert (await reason_of(node.replicas.AddReplica(add_request(2, left, kind=WARM)))).reason == "NO_HOST"
+    wrong_epoch = add_request(3, left, kind=WARM, epoch=7)
+    assert (await reason_of(node.replicas.AddReplica(wrong_epoch))).reason == "WRONG_EPOCH"
+    assert node.log.index == index
+    assert await node.replicas.AddReplica(add_request(1, left, kind=WARM)) == added, "the request comes again"
+
+
 async def test_a_channel_passes_to_the_replica_in_sync_when_the_lease_of_its_owner_ends(node: Node) -> None:
     left, _ = await two_channels(node)
     before = await resolved(node, "left")

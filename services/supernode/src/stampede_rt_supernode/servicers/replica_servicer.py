@@ -21,6 +21,7 @@ from stampede_rt_supernode.codecs.replica_codec import (
     replica_record,
 )
 from stampede_rt_supernode.core.cluster.feature_levels import QUEUE_REPLICAS_LEVEL
+from stampede_rt_supernode.core.command_table import subject_of
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.records import HostRecord, QueueRecord, ReplicaRecord
 from stampede_rt_supernode.core.replicas.commands import (
@@ -32,6 +33,7 @@ from stampede_rt_supernode.core.replicas.commands import (
     SetReplicaInSync,
 )
 from stampede_rt_supernode.core.replicas.things import Copied, copied_by_id
+from stampede_rt_supernode.core.replicas.transitions import check_has_host
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
 from stampede_rt_supernode.servicers.queue_servicer import check_queue_known
@@ -56,6 +58,7 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
             source_host_id=request.source_host_id,
             acknowledged=request.acknowledged,
         )
+        await self._calls.read(context, lambda one: _check_has_host(one, operation, request.request_id))
         added = await self._calls.submit(context, operation, ReplicaAdded, request.request_id)
         return pb.AddReplicaResponse(replica=replica_record(added.replica), host=host_record(added.host))
 
@@ -132,6 +135,15 @@ class _Found:
     replicas: tuple[ReplicaRecord, ...]
     hosts: tuple[HostRecord, ...]  # the owner, then the hosts of the copies
     applied_index: int
+
+
+def _check_has_host(directory: Directory, operation: AddReplica, request_id: bytes) -> None:
+    """Refuse a copy for which no host is free, without an entry in the log: its owner asks again and again.
+
+    A request that comes again gets its former answer.
+    """
+    if directory.kept_answers.find(request_id, subject_of(operation)) is None:
+        check_has_host(directory.tables, operation)
 
 
 def _find(directory: Directory, thing_id: bytes, *, is_of_queue: bool) -> _Found:

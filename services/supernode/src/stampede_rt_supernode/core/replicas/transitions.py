@@ -68,6 +68,14 @@ def check_epoch(channel: Copied, epoch: int) -> None:
         )
 
 
+def check_has_host(tables: Tables, operation: AddReplica) -> None:
+    """Raises the errors of `add_replica` about the channel or queue, and about hosts. Changes nothing."""
+    check_add_replica(operation)
+    thing = copied_by_id(tables, operation.channel_id, is_of_queue=operation.is_of_queue)
+    check_epoch(thing, operation.epoch)
+    _choose_host(tables, thing, operation.host_id)
+
+
 def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
     """Add a copy. If the host has a copy of the same kind already, returns that copy."""
     check_add_replica(operation)
