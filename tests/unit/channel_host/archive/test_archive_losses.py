@@ -161,15 +161,15 @@ def test_a_loss_stays_if_the_next_host_has_written_nothing_else(tmp_path: Path) 
 
 
 def past(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, channel: ChannelCore, as_of: int, epoch: int = 2
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, channel: ChannelCore, as_of: int, *, start: int = 1
 ) -> ReadAnswer:
-    """The answer of a read of everything as of an instant."""
+    """The answer of a read of everything from `start` on, as of an instant."""
 
     async def scenario() -> ReadAnswer:
         archive = archive_in(tmp_path / "a", monkeypatch)
-        files, segments = opened(tmp_path / "c", epoch)
+        files, segments = opened(tmp_path / "c")
         reader = PastReader(archive, ChannelRecorder(channel, files, segments), channel)
-        query = Query(interval=Interval(Bound(None, 1), Bound(None, 2**62)), match=Match.START)
+        query = Query(interval=Interval(Bound(None, start), Bound(None, 2**62)), match=Match.START)
         found = await reader.read(query, as_of, PieceScheduler())
         await archive.close([])
         return found.answer
@@ -185,6 +185,32 @@ def test_a_read_as_of_the_time_of_a_damaged_first_file_says_lost(
     channel = ChannelCore(Policy(max_items=100), incarnation=7)
     channel.restore((), after=8, next_seq=9, loss=(None, None))
     assert past(tmp_path, monkeypatch, channel, as_of).reason == "LOST"
+
+
+@pytest.mark.parametrize(("as_of", "reason"), [(-1, "NOT_YET"), (550, "LOST"), (650, "LOST")])
+def test_a_read_as_of_an_instant_says_lost_for_the_items_after_the_last_known_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, as_of: int, reason: str
+) -> None:
+    files, _ = opened(tmp_path / "c")
+    files.write([[ArchivedRun(0, run_at(1))], SeqGap(3, 7), [ArchivedRun(600, run_at(601))]], NO_LIMITS)
+    files.write([SeqGap(603, 605)], NO_LIMITS)
+    files.close(None)
+    channel = ChannelCore(Policy(max_items=100), incarnation=7)
+    channel.restore((), after=602, next_seq=605, loss=(None, None))
+    late = {-1: 0, 550: 500, 650: 640}[as_of]
+    assert past(tmp_path, monkeypatch, channel, as_of, start=late).reason == reason
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_a_hole_after_a_first_file_without_a_whole_block_is_a_loss(tmp_path: Path, newest_first: bool) -> None:
+    [first] = files_of(tmp_path, (1, 5))
+    files, _ = opened(tmp_path)
+    segments = files.write([SeqGap(5, 9), [ArchivedRun(600, run_at(9))]], NO_LIMITS)
+    ruin(first)
+    files = SegmentFiles(tmp_path, {})
+    for start, end in ((2, 3), (6, 6), (6, 9), (1, 10)):
+        assert read(files, segments, start, end, newest_first=newest_first)[1] == "LOST"
+    assert read(files, segments, 9, 10, newest_first=newest_first) == ([9, 10], None)
 
 
 FIRST = start_of(2)

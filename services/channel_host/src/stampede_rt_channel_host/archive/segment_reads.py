@@ -105,7 +105,10 @@ class SegmentReads:
                 missing.append(Hole(block.head.low[0], block.head.high[0], block.head.items))
         for segment, offsets in taken.items():
             missing += holes(blocks_of(segment), offsets)
-        missing += border_holes(segments, blocks_of, taken, reach_of(wanted, chosen))
+        reach = reach_of(wanted, chosen)
+        if past is not None:  # the items that it lacks came up to then
+            reach = reach._replace(border=max(reach.border, past.as_of))
+        missing += border_holes(segments, blocks_of, taken, reach)
         window = window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
         return window._replace(holes=missing)
 

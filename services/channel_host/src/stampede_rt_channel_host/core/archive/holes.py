@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from typing import NamedTuple
 
 from stampede_rt.values.timeline import MIN_INSTANT
@@ -54,17 +54,34 @@ def border_holes(
     """
     with_items = [one for one in segments if one.items]
     yield from _unreadable(with_items, blocks_of, reach)
-    yield from _first_hole(segments, with_items, blocks_of, reach)
-    yield from _last_hole(segments, with_items, blocks_of, reach)
+    if not taken:
+        yield from _first_hole(segments, _readable(with_items, blocks_of), blocks_of)
+        yield from _last_hole(segments, _readable(reversed(with_items), blocks_of), blocks_of, reach)
     for earlier, later in _neighbours(with_items, blocks_of, taken):
-        last, following = blocks_of(earlier).items_at(-1), blocks_of(later).items_at(0)
-        assert last is not None, "the segment has blocks"
-        assert following is not None, "the segment has blocks"
-        if last.offset in taken.get(earlier, ()) or following.offset in taken.get(later, ()):
-            yield from _between(last, following)
-            for lost_before in _losses(segments, earlier, later, blocks_of):
-                # the last items before it may have times in the future
-                yield _hole(min(last.head.high[0], earlier.last_accepted), lost_before, 0)
+        if earlier is None:
+            yield from _first_hole(segments, later, blocks_of)
+        elif later is None:
+            yield from _last_hole(segments, earlier, blocks_of, reach)
+        else:
+            yield from _holes_between(segments, (earlier, later), blocks_of, taken)
+
+
+def _holes_between(
+    segments: Sequence[Segment],
+    pair: tuple[Segment, Segment],
+    blocks_of: BlocksOf,
+    taken: Mapping[Segment, Set[int]],
+) -> Iterator[Hole]:
+    """The holes between the last block of a segment and the first one of another, if the read took one of them."""
+    earlier, later = pair
+    last, following = blocks_of(earlier).items_at(-1), blocks_of(later).items_at(0)
+    assert last is not None, "the segment has blocks"
+    assert following is not None, "the segment has blocks"
+    if last.offset in taken.get(earlier, ()) or following.offset in taken.get(later, ()):
+        yield from _between(last, following)
+        for lost_before in _losses(segments, earlier, later, blocks_of):
+            # the last items before it may have times in the future
+            yield _hole(min(last.head.high[0], earlier.last_accepted), lost_before, 0)
 
 
 def _unreadable(with_items: Sequence[Segment], blocks_of: BlocksOf, reach: WindowReach) -> Iterator[Hole]:
@@ -76,47 +93,43 @@ def _unreadable(with_items: Sequence[Segment], blocks_of: BlocksOf, reach: Windo
             yield Hole(one.low[0], one.high[0], one.items)
 
 
-def _first_hole(
-    segments: Sequence[Segment], with_items: Sequence[Segment], blocks_of: BlocksOf, reach: WindowReach
-) -> Iterator[Hole]:
-    """The hole before all items. If the archive has dropped items before it, its times are not known."""
-    for one in with_items:
-        if one.high is None or reach.low > one.high[0]:
-            return
-        if (first := blocks_of(one).items_at(0)) is not None:
-            lacks, end = given_between(segments[0].first_seq, first.head.first_seq), first.head.low[0] - 1
-            if lacks:
-                yield Hole(end if given_between(1, segments[0].first_seq) else MIN_INSTANT, end, lacks)
-            return
+def _first_hole(segments: Sequence[Segment], one: Segment | None, blocks_of: BlocksOf) -> Iterator[Hole]:
+    """The hole before all items. If the archive has dropped items before it, its times are not known.
+
+    `one`: the first segment with blocks that can be read.
+    """
+    if one is not None and (first := blocks_of(one).items_at(0)) is not None:
+        lacks, end = given_between(segments[0].first_seq, first.head.first_seq), first.head.low[0] - 1
+        if lacks:
+            yield Hole(end if given_between(1, segments[0].first_seq) else MIN_INSTANT, end, lacks)
 
 
 def _last_hole(
-    segments: Sequence[Segment], with_items: Sequence[Segment], blocks_of: BlocksOf, reach: WindowReach
+    segments: Sequence[Segment], one: Segment | None, blocks_of: BlocksOf, reach: WindowReach
 ) -> Iterator[Hole]:
-    """The hole between all items and those in memory."""
-    for one in reversed(with_items):
-        if one.low is None or reach.high < one.low[0]:
-            return
-        if (last := blocks_of(one).items_at(-1)) is not None:
-            lacks, end = given_between(last.head.end_seq, segments[-1].end_seq), last.head.high[0]
-            if lacks and end <= reach.high:
-                yield _hole(end, end if reach.border == LAST_KEY[0] else reach.border + 1, lacks)
-            return
+    """The hole between all items and those in memory. `one`: the last segment with blocks that can be read."""
+    if one is not None and (last := blocks_of(one).items_at(-1)) is not None:
+        lacks, end = given_between(last.head.end_seq, segments[-1].end_seq), last.head.high[0]
+        if lacks and end <= reach.high:
+            yield _hole(end, end if reach.border == LAST_KEY[0] else reach.border + 1, lacks)
 
 
 def _neighbours(
     with_items: Sequence[Segment], blocks_of: BlocksOf, taken: Mapping[Segment, Set[int]]
-) -> Iterator[tuple[Segment, Segment]]:
-    """The pairs of neighbouring segments with blocks of which the read took one."""
+) -> Iterator[tuple[Segment | None, Segment | None]]:
+    """The pairs of neighbouring segments with blocks of which the read took one. None: there is no such segment."""
     for at, one in enumerate(with_items):
         if one not in taken:
             continue
-        before = next((other for other in reversed(with_items[:at]) if _has_blocks(blocks_of(other))), None)
-        after = next((other for other in with_items[at + 1 :] if _has_blocks(blocks_of(other))), None)
-        if before is not None and before not in taken:
+        before = _readable(reversed(with_items[:at]), blocks_of)
+        if before is None or before not in taken:
             yield before, one
-        if after is not None:
-            yield one, after
+        yield one, _readable(with_items[at + 1 :], blocks_of)
+
+
+def _readable(segments: Iterable[Segment], blocks_of: BlocksOf) -> Segment | None:
+    """The first of the segments with blocks of items that can be read, or None."""
+    return next((one for one in segments if blocks_of(one).items_at(0) is not None), None)
 
 
 def _losses(segments: Sequence[Segment], earlier: Segment, later: Segment, blocks_of: BlocksOf) -> Iterator[int]:
@@ -130,10 +143,6 @@ def _losses(segments: Sequence[Segment], earlier: Segment, later: Segment, block
 
 def _number(segment: Segment) -> int:
     return segment.number
-
-
-def _has_blocks(blocks: SegmentBlocks) -> bool:
-    return blocks.items_at(0) is not None
 
 
 def _between(earlier: PlacedBlock, later: PlacedBlock) -> Iterator[Hole]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from stampede_rt.values.model import Policy, Reason
-from stampede_rt.values.timeline import ResolvedInterval, format_instant
+from stampede_rt.values.timeline import MIN_INSTANT, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.archive.block import (
     ArchivedAdvance,
     ArchivedRun,
@@ -51,6 +51,7 @@ class Past(NamedTuple):
     `last_blocks` are the blocks of the last segment if it was cut off; otherwise None. The head of a cut block
     describes only its first items. `next_items`: None if the archive has no later items. `advance` is the highest
     advance at that instant, and `next_advance` the time at which the host accepted a higher one; each may be None.
+    `as_of` is the instant.
     """
 
     segments: tuple[Segment, ...]
@@ -58,6 +59,7 @@ class Past(NamedTuple):
     next_items: NextItems | None
     advance: int | None = None
     next_advance: int | None = None
+    as_of: int = MIN_INSTANT
 
     @property
     def next_seq(self) -> int:
@@ -84,7 +86,7 @@ def past_of(
             past, reached = _cut(segments[:at], segment, blocks, runs_of, as_of), segments[: at + 1]
             break
     advance, next_advance = _advances(reached, blocks_of, advances_of, as_of)
-    return past._replace(advance=advance, next_advance=next_advance)
+    return past._replace(advance=advance, next_advance=next_advance, as_of=as_of)
 
 
 def _cut(before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, runs_of: RunsOf, as_of: int) -> Past:
@@ -95,9 +97,13 @@ def _cut(before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, run
     if first is not None:
         kept = kept.followed_by([first])
     short = summary(segment.number, segment.length, kept)
-    if short is None:
-        return Past(tuple(before), None, following)
-    return Past((*before, short._replace(first_seq=segment.first_seq)), kept, following)
+    # the archive lacks the items between the kept ones and the next ones, if there are any
+    if short is not None:
+        short = short._replace(first_seq=segment.first_seq, end_seq=max(short.end_seq, following.first_seq))
+        return Past((*before, short), kept, following)
+    if before:
+        before = [*before[:-1], before[-1]._replace(end_seq=max(before[-1].end_seq, following.first_seq))]
+    return Past(tuple(before), None, following)
 
 
 def _part(block: PlacedBlock, runs: Sequence[ArchivedRun], as_of: int) -> tuple[PlacedBlock | None, NextItems]:
