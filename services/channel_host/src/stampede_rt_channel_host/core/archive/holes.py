@@ -56,32 +56,28 @@ def border_holes(
     yield from _unreadable(with_items, blocks_of, reach)
     if not taken:
         yield from _first_hole(segments, _readable(with_items, blocks_of), blocks_of)
-        yield from _last_hole(segments, _readable(reversed(with_items), blocks_of), blocks_of, reach)
+        if any(one.low is not None and one.low[0] <= reach.high for one in with_items[-1:]):
+            yield from _last_hole(segments, _readable(reversed(with_items), blocks_of), blocks_of, reach)
     for earlier, later in _neighbours(with_items, blocks_of, taken):
         if earlier is None:
             yield from _first_hole(segments, later, blocks_of)
         elif later is None:
             yield from _last_hole(segments, earlier, blocks_of, reach)
         else:
-            yield from _holes_between(segments, (earlier, later), blocks_of, taken)
+            yield from _holes_between(segments, earlier, later, blocks_of)
 
 
 def _holes_between(
-    segments: Sequence[Segment],
-    pair: tuple[Segment, Segment],
-    blocks_of: BlocksOf,
-    taken: Mapping[Segment, Set[int]],
+    segments: Sequence[Segment], earlier: Segment, later: Segment, blocks_of: BlocksOf
 ) -> Iterator[Hole]:
-    """The holes between the last block of a segment and the first one of another, if the read took one of them."""
-    earlier, later = pair
+    """The holes between the last block of a segment and the first one of another."""
     last, following = blocks_of(earlier).items_at(-1), blocks_of(later).items_at(0)
     assert last is not None, "the segment has blocks"
     assert following is not None, "the segment has blocks"
-    if last.offset in taken.get(earlier, ()) or following.offset in taken.get(later, ()):
-        yield from _between(last, following)
-        for lost_before in _losses(segments, earlier, later, blocks_of):
-            # the last items before it may have times in the future
-            yield _hole(min(last.head.high[0], earlier.last_accepted), lost_before, 0)
+    yield from _between(last, following)
+    for lost_before in _losses(segments, earlier, later, blocks_of):
+        # the last items before it may have times in the future
+        yield _hole(min(last.head.high[0], earlier.last_accepted), lost_before, 0)
 
 
 def _unreadable(with_items: Sequence[Segment], blocks_of: BlocksOf, reach: WindowReach) -> Iterator[Hole]:
@@ -117,14 +113,27 @@ def _last_hole(
 def _neighbours(
     with_items: Sequence[Segment], blocks_of: BlocksOf, taken: Mapping[Segment, Set[int]]
 ) -> Iterator[tuple[Segment | None, Segment | None]]:
-    """The pairs of neighbouring segments with blocks of which the read took one. None: there is no such segment."""
+    """The pairs of neighbouring segments with blocks of which the read took the last or the first one.
+
+    None: there is no such segment. Looks at no other segments, which may be in a store that is away.
+    """
+    former: Segment | None = None  # of which the read took the last block
     for at, one in enumerate(with_items):
         if one not in taken:
             continue
-        before = _readable(reversed(with_items[:at]), blocks_of)
-        if before is None or before not in taken:
-            yield before, one
-        yield one, _readable(with_items[at + 1 :], blocks_of)
+        if _took(blocks_of(one), 0, taken[one]):
+            before = _readable(reversed(with_items[:at]), blocks_of)
+            if before is None or before is not former:
+                yield before, one
+        if _took(blocks_of(one), -1, taken[one]):
+            former = one
+            yield one, _readable(with_items[at + 1 :], blocks_of)
+
+
+def _took(blocks: SegmentBlocks, at: int, offsets: Set[int]) -> bool:
+    """Whether the read took the block of items at this position; 0: the first one, -1: the last one."""
+    block = blocks.items_at(at)
+    return block is not None and block.offset in offsets
 
 
 def _readable(segments: Iterable[Segment], blocks_of: BlocksOf) -> Segment | None:
