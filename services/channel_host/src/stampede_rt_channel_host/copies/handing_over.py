@@ -33,6 +33,8 @@ class HandingOver:
             return None
         if is_early:
             self._move.hold()
+            if not self._has_everything(now):  # the hold has noted the outcomes of runs that wait for room
+                return None
         if not self._move.is_held or not self._is_level():
             return None
         self._is_over = True
