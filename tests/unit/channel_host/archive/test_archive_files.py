@@ -10,7 +10,7 @@ import pytest
 
 from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
-from stampede_rt_channel_host.archive.clean_stop import CleanStop
+from stampede_rt_channel_host.archive.clean_stop import CleanStop, read_stop
 from stampede_rt_channel_host.archive.recorder import span_of
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
 from stampede_rt_channel_host.archive.written_parts import SeqGap
@@ -150,6 +150,25 @@ def test_a_stop_counts_as_clean_only_if_no_other_owner_has_served_the_channel_si
 def test_an_unreadable_note_of_a_stop_is_ignored(tmp_path: Path, text: bytes) -> None:
     (tmp_path / "stopped-cleanly").write_bytes(text)
     assert SegmentFiles(tmp_path, {}).open(0, 7).stop is None
+
+
+def test_a_flipped_bit_in_the_note_of_a_stop_is_never_taken_for_another_fact(tmp_path: Path) -> None:
+    stop = CleanStop(incarnation=7, advance=15, lost_from=11, lost_before=13, retries=b"\xff\0", epoch=1)
+    files = SegmentFiles(tmp_path / "a", {})
+    files.open(1)
+    write(files, 1, 1)
+    files.close(stop)
+    path = tmp_path / "a" / "stopped-cleanly"
+    note = path.read_bytes()
+    for at in range(len(note)):
+        for bit in range(8):
+            path.write_bytes(note[:at] + bytes([note[at] ^ 1 << bit]) + note[at + 1 :])
+            assert read_stop(path.parent) is None, (at, bit)
+
+
+def test_the_note_of_a_stop_of_an_earlier_release_counts(tmp_path: Path) -> None:
+    (tmp_path / "stopped-cleanly").write_text('{"incarnation": 7, "retries": "", "epoch": 1, "end_seq": 3, "newest": 2}')
+    assert read_stop(tmp_path) == CleanStop(7, epoch=1, end_seq=3, newest=2)
 
 
 def test_a_folder_names_the_process_that_stopped_last_with_all_items_written(tmp_path: Path) -> None:

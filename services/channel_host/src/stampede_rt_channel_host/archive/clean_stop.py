@@ -9,6 +9,7 @@ from base64 import b64decode, b64encode
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
+from zlib import crc32
 
 from stampede_rt_channel_host.archive.stable_writes import sync_folder
 from stampede_rt_channel_host.core.archive import Segment
@@ -84,18 +85,25 @@ def stop_named(name: str) -> CleanStop | None:
 
 def write_stop(folder: Path, stop: CleanStop) -> None:
     """Write the note, and bring it to stable storage. Raises OSError."""
-    facts = {**stop._asdict(), "retries": b64encode(stop.retries).decode()}
-    with (folder / _FILE).open("w") as file:
-        json.dump(facts, file)
+    facts = json.dumps({**stop._asdict(), "retries": b64encode(stop.retries).decode()}).encode()
+    with (folder / _FILE).open("wb") as file:
+        file.write(b"%08x %b" % (crc32(facts), facts))
         file.flush()
         os.fsync(file.fileno())
     sync_folder(folder)
 
 
 def read_stop(folder: Path) -> CleanStop | None:
-    """The note, or None if it is missing or cannot be read. Raises OSError."""
+    """The note, or None if it is missing, damaged or cannot be read. Raises OSError.
+
+    A note without a checksum is of an earlier release.
+    """
     try:
-        facts = json.loads((folder / _FILE).read_bytes())
+        content = (folder / _FILE).read_bytes()
+        checksum, _, text = (b"", b"", content) if content.startswith(b"{") else content.partition(b" ")
+        if checksum and checksum != b"%08x" % crc32(text):
+            return None
+        facts = json.loads(text)
         stop = CleanStop(**{**facts, "retries": b64decode(facts["retries"])})
     except (FileNotFoundError, ValueError, TypeError, KeyError):
         return None
