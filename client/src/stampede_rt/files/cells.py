@@ -25,7 +25,7 @@ def cells_of(payload: bytes, content_type: str) -> Row:
     media = content_type.partition(";")[0].strip().lower()
     try:
         if media == JSON:
-            return dict(_flat("value", json.loads(payload), 0))
+            return _row_of(json.loads(payload))
         if media == NPY:
             return _array_cells(payload)
     except (ValueError, RecursionError, TypeError, SyntaxError) as error:
@@ -34,6 +34,15 @@ def cells_of(payload: bytes, content_type: str) -> Row:
         f"it has the content type {content_type or 'none'!r}; tables take {JSON} and {NPY}; export it as MCAP, or "
         "choose other channels"
     )
+
+
+def _row_of(value: Any) -> Row:
+    row: Row = {}
+    for name, cell in _flat("value", value, 0):
+        if name in row:  # such as the key "a.b" beside the key "b" of the object "a"
+            raise FileError(f"two of its keys would be the column {name!r}; export it as MCAP")
+        row[name] = cell
+    return row
 
 
 def _flat(name: str, value: Any, depth: int) -> Iterator[tuple[str, Cell]]:

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from stampede_rt.files.json_text import read_json
 from stampede_rt.values.model import Item
 from stampede_rt.values.recording import RecordingGap, incarnation_of, whole_number
 
@@ -184,7 +185,7 @@ class ReadFacts:
         runs: dict[tuple[str, int], list[Mapping[str, Any]]] = {}
         try:
             for message in messages:
-                found._take(json.loads(message), runs)
+                found._take(read_json(message), runs)
         except (KeyError, TypeError, AttributeError, RecursionError, UnicodeDecodeError) as error:
             raise ValueError(f"the facts of a chunk cannot be read: {type(error).__name__}: {error}") from error
         found._runs = {key: _expanded(parts) for key, parts in runs.items()}

@@ -35,6 +35,7 @@ from stampede_rt.files.entries import (
     Topic,
 )
 from stampede_rt.files.framing import MAGIC, Damage, RecordFile, RecordFrame
+from stampede_rt.files.json_text import read_json
 from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary, incarnation_of
 
 SUMMARY_NAME = "stampede.summary"  # the name of the metadata record with the counts
@@ -326,8 +327,8 @@ def summary_fields(summary: RecordingSummary) -> dict[str, str]:
 def summary_of(path: str, values: dict[str, str]) -> RecordingSummary:
     """Return the summary in a metadata record. Raises FileError if it is damaged."""
     try:
-        channels: list[Any] = json.loads(values["channels"])
-        absent = tuple(str(one) for one in json.loads(values.get("absent", "[]")))
+        channels: list[Any] = read_json(values["channels"])
+        absent = tuple(str(one) for one in read_json(values.get("absent", "[]")))
         found = tuple(RecordedCounts.from_json(one) for one in channels)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise FileError(f"the summary of the file {path!r} is damaged: {error}") from error

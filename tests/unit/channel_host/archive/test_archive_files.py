@@ -167,8 +167,8 @@ def test_a_flipped_bit_in_the_note_of_a_stop_is_never_taken_for_another_fact(tmp
 
 
 def test_the_note_of_a_stop_of_an_earlier_release_counts(tmp_path: Path) -> None:
-    (tmp_path / "stopped-cleanly").write_text('{"incarnation": 7, "retries": "", "epoch": 1, "end_seq": 3, "newest": 2}')
-    assert read_stop(tmp_path) == CleanStop(7, epoch=1, end_seq=3, newest=2)
+    (tmp_path / "stopped-cleanly").write_text('{"incarnation": 7, "retries": "", "epoch": 1, "end_seq": 3}')
+    assert read_stop(tmp_path) == CleanStop(7, epoch=1, end_seq=3)
 
 
 def test_a_folder_names_the_process_that_stopped_last_with_all_items_written(tmp_path: Path) -> None:

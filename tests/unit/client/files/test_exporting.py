@@ -118,6 +118,7 @@ def test_gaps_of_the_file_are_reported(tmp_path: Path) -> None:
         (b"\xff\xd8", "image/jpeg", "content type 'image/jpeg'; tables take"),
         (b"{", JSON, "cannot be decoded as application/json"),
         (b"[" * 100_000, JSON, "cannot be decoded"),
+        (b'{"a.b": 1, "a": {"b": 2}}', JSON, "two of its keys would be the column 'value.a.b'"),
         (b"\x93NUMPY\x01\x00", NPY, "cannot be decoded as application/x-npy"),
         (npy(np.zeros(3))[:-20], NPY, "does not fit its length"),
         (npy(0).replace(b"()", b"(9" + b"9" * 12 + b",)").replace(b" " * 14, b"", 1), NPY, "does not fit its length"),

@@ -145,6 +145,8 @@ def test_a_chunk_is_not_unpacked_beyond_its_stated_length(tmp_path: Path, kind: 
         json.dumps({"version": 9, "runs": [], "gaps": [], "advances": []}).encode(),
         json.dumps({"version": 1, "runs": [{"topic": "cam"}], "gaps": [], "advances": []}).encode(),
         json.dumps({"version": 1, "runs": [], "gaps": [7], "advances": []}).encode(),
+        json.dumps({"version": 1, "runs": [], "gaps": [], "advances": [], "half of a pair": "\ud800"}).encode(),
+        b'{"version": 1, "runs": [], "gaps": [], "advances": [], "half of a pair": "\xed\xa0\x80"}',
     ],
 )
 def test_hostile_facts_are_reported_as_damage(tmp_path: Path, facts: bytes) -> None:
