@@ -81,8 +81,8 @@ kill-moves: setup  ## kill -9 and SIGSTOP of source, destination and leader at e
 	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/moves/test_real_processes.py tests/robustness/moves/test_real_replicas.py
 	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/takeovers/test_queue_moves_at_each_step.py
 
-kill-uploads: setup  ## kill -9 at each of the 18 steps of a segment to an object store (needs Go): about 3 minutes
-	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/archives/test_killed_movers.py
+kill-uploads: setup  ## kill -9 at each of the 34 steps of a segment to an object store, and of a stop (needs Go): about 8 minutes
+	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/archives/test_killed_movers.py tests/robustness/archives/test_killed_stops.py
 
 simulate: setup  ## take-overs and moves under random faults, 2000 seeds for channels and for queues: about an hour; SEEDS=100 for fewer
 	$(RUN)/python -m tests.robustness.takeovers --at-once $${AT_ONCE:-2} --seeds $${SEEDS:-2000} --first $${FIRST:-0}

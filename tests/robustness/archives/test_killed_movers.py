@@ -33,13 +33,15 @@ ARCHIVE_BYTES, PAYLOAD_BYTES = 2**20, 100_000
 class Mover:
     """A host with an archive in a store, which closes files after a second, and the plan for its death."""
 
-    def __init__(self, cluster: LocalCluster, folder: Path) -> None:
+    def __init__(self, cluster: LocalCluster, folder: Path, name: str = "mover") -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.name = name
         self.plan, self.archive = folder / "plan", folder / "archive"
-        words = ["--plan", str(self.plan), "--listen", "localhost:0", "--name", "mover", "--drain-seconds", "0"]
+        words = ["--plan", str(self.plan), "--listen", "localhost:0", "--name", name, "--drain-seconds", "0"]
         words += ["--frontend", cluster.address, "--secret-file", str(cluster.secret_file)]
         words += ["--archive", f"s3://{BUCKET}/rig", "--archive-folder", str(self.archive)]
         self.process = ServiceProcess(
-            "host mover", "tests.robustness.archives.stepped_mover", [*words, "--archive-move-seconds", "1"]
+            f"host {name}", "tests.robustness.archives.stepped_mover", [*words, "--archive-move-seconds", "1"]
         )
         self.process.start()
         self.process.wait_ready(READY_S)
