@@ -1,0 +1,111 @@
+"""Random histories of owners that stop, crash and take over, with a store that fails at times: every item or LOST."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+
+from stampede_rt.errors import Unavailable
+from stampede_rt.values.timeline import Bound, Interval
+from stampede_rt_channel_host.core.channel import Query, ReadAnswer
+from tests.support.channel_host.object_stores import FakeStore
+from tests.support.channel_host.recorded_hosts import Host, Owner, quick_looks  # noqa: F401
+
+HISTORIES, STEPS, EPOCHS = 60, 14, 6
+LONG = 61 * 10**9
+"""After this time a host closes its file."""
+
+pytestmark = pytest.mark.usefixtures("quick_looks")
+
+
+class History:
+    """One channel, and its owners. `times` are those of all items, and `told` is the story for a person.
+
+    `forgotten`: items that were missing before an owner that was killed. The archive knows only the latest loss.
+    """
+
+    def __init__(self, path: Path, seed: int) -> None:
+        self.path, self.dice = path, random.Random(seed)
+        self.store = FakeStore()
+        self.clock = 0
+        self.times: list[int] = []
+        self.told: list[str] = []
+        self.before: set[int] = set()  # the times of the items of former owners
+        self.forgotten: set[int] = set()
+
+    async def run(self) -> None:
+        for epoch in range(1, EPOCHS + 1):
+            await self._serve(epoch)
+
+    async def _serve(self, epoch: int) -> None:
+        """One owner, at one of three hosts, from its start to its end."""
+        place = self.dice.choice("abc")
+        one = Host(self.path / place, self.store)
+        one.clock = self.clock = self.clock + 1000
+        self.store.failure = "away" if epoch > 1 and self.dice.random() < 0.25 else ""
+        self.told.append(f"epoch {epoch} at {place}, store {self.store.failure or 'here'}")
+        owner = await Owner(one, epoch).serve()
+        for _ in range(self.dice.randrange(STEPS)):
+            await self._step(owner)
+        if self.dice.random() < 0.3:
+            self.store.failure = ""
+        self.clock = one.clock
+        is_clean = self.dice.random() < 0.5
+        if not is_clean or self.store.failure:
+            self.forgotten |= self.before - {*await self._found(owner)}
+        self.before = {*self.times}
+        if is_clean:
+            self.told.append(f"stop, store {self.store.failure or 'here'}")
+            await owner.recordings.close(0)
+        else:
+            self.told.append("kill")
+            owner.recording.recorder.files._end_segment()
+            one.archive.folder.close()
+
+    async def _step(self, owner: Owner) -> None:
+        what = self.dice.choice(["put", "put", "move", "away", "back", "check"])
+        if what == "put":
+            time = owner.host.clock + 1
+            self.times.append(time)
+            self.told.append(f"put {time}")
+            await owner.put(time)
+        elif what == "move":
+            self.told.append("move")
+            owner.host.clock += LONG
+            await owner.host.mover.move_all()
+            await owner.host.mover.move_all()
+        elif what == "check":
+            await self._check(owner)
+        else:
+            self.store.failure = "away" if what == "away" else ""
+            self.told.append(what)
+
+    async def _found(self, owner: Owner) -> list[int]:
+        """The times of all items that this owner finds; none while it does not reach the store."""
+        try:
+            return await owner.times(_between(0, owner.host.clock))
+        except Unavailable:
+            return []
+
+    async def _check(self, owner: Owner) -> None:
+        """All found items are true ones, each once, and each stretch without a true item says why."""
+        if self.store.failure or owner.recording._unknown is not None:
+            return
+        found = await self._found(owner)
+        assert len(found) == len(set(found)), "\n".join(self.told)
+        assert set(found) <= set(self.times), "\n".join(self.told)
+        for time in {*self.times} - {*found} - self.forgotten:
+            answer: ReadAnswer = await owner.read(_between(time, time))
+            assert answer.reason == "LOST", "\n".join([*self.told, f"{time}: {answer.reason}"])
+
+
+def _between(start: int, end: int) -> Query:
+    return Query(interval=Interval(Bound(None, start), Bound(None, end)))
+
+
+@pytest.mark.parametrize("seed", range(HISTORIES))
+@pytest.mark.asyncio
+async def test_no_item_is_lost_in_silence_doubled_or_invented(tmp_path: Path, seed: int) -> None:
+    await History(tmp_path, seed).run()
