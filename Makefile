@@ -12,8 +12,8 @@ PYTHON_DIRS := client services deploy demos benchmarks tests tools web
 PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_directory_properties.py \
 	peers/test_peers_properties.py test_lease_safety.py)
 # The folders of tests with a whole cluster. A test that cannot run with rules has the mark
-# @pytest.mark.without_rules(reason). They use --tb=native, because pytest's own tracebacks may exceed the recursion limit of
-# Python 3.11's parser, which ends the run.
+# @pytest.mark.without_rules(reason). The target test-acl uses --tb=native: pytest's own tracebacks may exceed the recursion
+# limit of Python 3.11's parser, and such an excess ends the run.
 ACL_TESTS = tests/contract $(shell grep -rlE 'cluster_fixture|running_cluster' --include='test_*.py' tests/integration)
 # A test may swallow the error of pytest-timeout, or hang in its teardown. Its process then writes all stacks and ends, and
 # pytest-xdist begins a new process. Without a limit, xdist would give such a test to one new process after the other.
@@ -44,14 +44,14 @@ $(UV):
 demo: setup  ## the TV watcher: a real film through a real cluster, with a picture at the end
 	$(RUN)/stampede demo tv-watcher --picture out/tv-watcher.png
 
-demos: setup  ## all demos; the TV watcher and stereo with client tokens and rules of access, and with certificates and rules
+demos: setup  ## all demos; the TV watcher and stereo run twice with rules of access: with client tokens, and with certificates
 	for name in tv-watcher stereo; do for with in "" --certificates; do $(RUN)/stampede demo $$name $$with; done; done
 	$(RUN)/stampede demo rover
 
 test: setup  ## the whole test suite
 	timeout --kill-after=30 3000 $(RUN)/pytest -n 5 --dist loadfile --no-loadscope-reorder $(END_HANGS)
 
-test-acl: setup  ## the tests with a whole cluster, as a client whom rules of access judge
+test-acl: setup  ## the tests with a whole cluster; rules of access restrict the client of the tests
 	STAMPEDE_TEST_ACL=1 $(RUN)/pytest -n 2 --dist loadfile --tb=native $(END_HANGS) $(ACL_TESTS)
 
 contract: setup  ## the contract over every transport with both clients, also where the suite leaves a transport out: about 12 minutes
@@ -81,13 +81,13 @@ kill-moves: setup  ## kill -9 and SIGSTOP of source, destination and leader at e
 	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/moves/test_real_processes.py tests/robustness/moves/test_real_replicas.py
 	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/takeovers/test_queue_moves_at_each_step.py
 
-kill-uploads: setup  ## kill -9 at each of the 34 steps of a segment to an object store, and of a stop (needs Go): about 8 minutes
+kill-uploads: setup  ## kill -9 at each of the 34 steps in which a segment moves to an object store, or a host stops (needs Go): about 8 minutes
 	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/archives/test_killed_movers.py tests/robustness/archives/test_killed_stops.py
 
-simulate: setup  ## take-overs and moves under random faults, 2000 seeds for channels and for queues: about an hour; SEEDS=100 for fewer
+simulate: setup  ## take-overs and moves under random faults, 2000 seeds for channels and 2000 for queues: about an hour; SEEDS=100 for fewer
 	$(RUN)/python -m tests.robustness.takeovers --at-once $${AT_ONCE:-2} --seeds $${SEEDS:-2000} --first $${FIRST:-0}
 
-cycles: setup  ## 10,000 openings and closings of each kind, after which no process may have grown; CYCLES=1000 for fewer
+cycles: setup  ## open and close subscriptions, connections, channels and proxies 10,000 times each: no process may grow; CYCLES=1000 for fewer
 	$(RUN)/python -m tests.robustness.cycles --cycles $${CYCLES:-10000}
 
 mutants: setup  ## plant known faults in the directory's code, one at a time, and check that a test notices each
@@ -119,7 +119,7 @@ stubs: setup  ## generate the stubs, the synchronous client, the completion scri
 	$(RUN)/python tools/command_pages.py
 	$(RUN)/python tools/signposts.py
 
-robustness: setup  ## faults that really happen, for 25 minutes, with a report in out/robustness.md
+robustness: setup  ## inject real faults into real clusters, for 25 minutes, with a report in out/robustness.md
 	$(RUN)/pytest -m slow -n 2
 	GRPC_VERBOSITY=NONE $(RUN)/python -m tests.robustness --report out/robustness.md
 	$(RUN)/python -m tests.robustness.archives --rounds 10

@@ -62,8 +62,8 @@ def pytest_collection() -> Generator[None, None, None]:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the tests of FIRST_OF_ALL first, in its order. The rest stays as it is.
 
-    With STAMPEDE_TEST_ACL the tests run as a client whom rules of access judge (`make test-acl`). Then skip the tests
-    that say why they cannot: @pytest.mark.without_rules("its services know no rules").
+    With STAMPEDE_TEST_ACL rules of access restrict the client of the tests (`make test-acl`). Then skip the tests with
+    a mark that says why they cannot run so: @pytest.mark.without_rules("its services know no rules").
     """
     if os.environ.get("STAMPEDE_TEST_ACL"):
         for item in items:

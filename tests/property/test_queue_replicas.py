@@ -1,4 +1,4 @@
-"""A copy of a queue that repeats its owner's steps equals the owner at each step, and goes on as the owner did.
+"""A copy of a queue repeats the owner's steps, and equals the owner after each. It can continue as the next owner.
 
 The scenarios are the same as in `test_queue_against_oracle`. Copies begin at any moment, get steps in parts, get them
 twice, and begin anew. A copy that has all steps takes the queue over, and the oracle checks the rest of the scenario.
@@ -72,7 +72,7 @@ class ReplicatedPair(QueuePair):
             self.seen[self.journal.next_step] = self.clock, contents(self.core, self.clock)
 
     def feed(self, copy: Copy, back: int, bytes_max: int) -> None:
-        """Send some steps, perhaps with steps that the copy has already."""
+        """Send some steps to the copy. It may have some of them already."""
         steps = self.journal.steps_from(max(self._oldest(), copy.journal.next_step - back), bytes_max)
         assert steps is not None
         for step in steps:
@@ -85,7 +85,7 @@ class ReplicatedPair(QueuePair):
         return self.journal.next_step - len(self.journal._steps)
 
     def hand_over(self) -> None:
-        """Make a copy with all steps the owner. The former owner sends it nothing more."""
+        """Send all steps to a copy, and then make it the owner. The former owner sends it nothing more."""
         while self.takers:
             self.leave(0, drain=False)
         while self.waiting:

@@ -1,4 +1,4 @@
-"""After cancellation, closing and broken streams, the client misses, doubles, hangs and leaks nothing."""
+"""After a cancelled, closed or broken stream the client loses and duplicates no item, and does not hang or leak."""
 
 from __future__ import annotations
 

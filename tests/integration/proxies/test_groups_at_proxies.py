@@ -52,7 +52,7 @@ def test_a_proxy_shows_only_the_items_before_the_cut(rt: Any) -> None:
 
     eventually(lambda: shown() == [b"10", b"20"], "the items before the time of the other channel")
     pair.second.put(b"b", time=base + 35)
-    eventually(lambda: shown() == [b"10", b"20", b"30"], "the cut has come on")
+    eventually(lambda: shown() == [b"10", b"20", b"30"], "the cut has advanced")
 
 
 def test_a_read_at_a_later_cut_than_the_proxy_knows_goes_to_the_owner(rt: Any) -> None:
@@ -67,7 +67,7 @@ def test_a_read_at_a_later_cut_than_the_proxy_knows_goes_to_the_owner(rt: Any) -
         assert seen is None or answer.cut > seen.time
 
 
-def test_subscriptions_through_a_group_move_to_proxies_without_a_gap_or_a_double(rt: Any) -> None:
+def test_subscriptions_through_a_group_move_to_proxies_without_gaps_or_duplicates(rt: Any) -> None:
     pair = Pair(rt)
     with produced(pair.first) as producing, produced(pair.second), reading(pair.group[pair.first], 6) as readers:
         passes(producing, 50)
@@ -75,10 +75,10 @@ def test_subscriptions_through_a_group_move_to_proxies_without_a_gap_or_a_double
         eventually(lambda: all(one.subscriptions for one in rt.proxies(pair.first)), "readers have moved there")
         passes(producing, 100)
         rt.remove_proxy(pair.first, "h2")
-        eventually(lambda: len(rt.proxies(pair.first)) == 1, "one is left")
+        eventually(lambda: len(rt.proxies(pair.first)) == 1, "one proxy is left")
         passes(producing, 100)
         goal = producing.last - 20
-        eventually(lambda: all(one.last >= goal for one in readers), "all have come on")
+        eventually(lambda: all(one.last >= goal for one in readers), "all readers have read further")
     for reader in readers:
         assert reader.error is None
         assert reader.seqs == [*range(reader.seqs[0], reader.seqs[-1] + 1)]

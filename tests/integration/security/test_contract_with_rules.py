@@ -1,4 +1,4 @@
-"""A part of the contract's tests as a client whom rules of access judge. `make test-acl` runs all of them in this way.
+"""A part of the contract's tests, with rules of access that restrict their client. `make test-acl` runs all of them so.
 
 tests/integration/security/test_secured_contract.py plays others with certificates and rules.
 """

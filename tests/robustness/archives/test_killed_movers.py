@@ -1,4 +1,4 @@
-"""kill -9 of a real host at each step of the way of a segment to a real S3 server.
+"""kill -9 of a real host at each step in which it moves a segment to a real S3 server.
 
 `make test` tries some steps. `make kill-uploads` tries all.
 """
@@ -131,7 +131,7 @@ def settled(mover: Mover, put: Put) -> None:
 
 @pytest.mark.timeout(120)
 @pytest.mark.parametrize("step", MOVING if EVERY_STEP else ["has made the object"])
-def test_a_kill_during_a_move_to_the_store_loses_and_doubles_nothing(
+def test_a_kill_during_a_move_to_the_store_loses_and_duplicates_nothing(
     mover: Mover, rt: st.Connection, step: str
 ) -> None:
     put = Put(rt.channel(f"moving/{[*MOVING].index(step)}", max_items=8, archive="7d"))
@@ -159,7 +159,7 @@ def test_a_kill_while_old_objects_are_dropped_costs_no_later_item(mover: Mover, 
 
 @pytest.mark.timeout(120)
 @pytest.mark.parametrize("step", STARTING if EVERY_STEP else ["takes the objects over"])
-def test_a_kill_while_a_host_opens_an_archive_loses_and_doubles_nothing(
+def test_a_kill_while_a_host_opens_an_archive_loses_and_duplicates_nothing(
     mover: Mover, rt: st.Connection, step: str
 ) -> None:
     put = Put(rt.channel(f"starting/{[*STARTING].index(step)}", max_items=8, archive="7d"))

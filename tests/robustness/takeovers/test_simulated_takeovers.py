@@ -20,7 +20,7 @@ IDLE_SECONDS = 10.0
 
 
 @pytest.mark.parametrize("block", range(BLOCKS))
-def test_a_channel_loses_and_doubles_nothing_and_no_caller_is_stuck_under_faults(block: int) -> None:
+def test_a_channel_loses_and_duplicates_nothing_and_no_caller_is_stuck_under_faults(block: int) -> None:
     acknowledged = changes = 0
     for seed in range(block, SEEDS_IN_SUITE, BLOCKS):
         try:

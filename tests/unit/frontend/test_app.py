@@ -14,7 +14,7 @@ from stampede_rt_frontend.app import main
         (("--supernodes", "a:1", "--listen", "0.0.0.0:0"), "--allow-insecure-anywhere"),
     ],
 )
-def test_bad_settings_end_with_one_line_and_code_2(
+def test_a_front_end_with_bad_settings_prints_one_line_and_exits_with_2(
     argv: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("stampede_rt_runtime.main.set_up_logging", lambda level, form: None)

@@ -182,7 +182,7 @@ async def host_gone(supernode: Supernode, number: int) -> None:
         (("--members", ",".join(f"s{n}=localhost:{n}" for n in range(1, 11)), "--id", "s1"), "9 at most"),
     ],
 )
-def test_bad_settings_end_with_one_line_and_code_2(
+def test_a_supernode_with_bad_settings_prints_one_line_and_exits_with_2(
     argv: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("stampede_rt_runtime.main.set_up_logging", lambda level, form: None)

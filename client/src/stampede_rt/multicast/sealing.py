@@ -1,7 +1,8 @@
-"""Seals and opens datagrams, and signs and checks messages. Pure, but needs the library `cryptography`.
+"""Encrypts and decrypts datagrams, and signs and checks messages. Pure, but needs the library `cryptography`.
 
-All readers of a channel have one key, and nobody without the right to read has it. The key cannot prove that the host
-has sent a datagram. Therefore the host also signs each message, and no reader can make an item for another one.
+All readers of a channel have one key. The host gives the key only to readers that have the right to read. The key
+cannot prove that the host has sent a datagram, because each reader could make one. Therefore the host also signs each
+message.
 """
 
 from __future__ import annotations
@@ -42,9 +43,9 @@ class Rejected(Enum):
 
 
 class Sealer:
-    """Seals the parts of one stream under one key.
+    """Encrypts the parts of one stream with one key.
 
-    `key` has KEY_BYTES random bytes, and only this object seals with it.
+    `key` has KEY_BYTES random bytes, and only this object encrypts with it.
     """
 
     def __init__(self, stream_id: bytes, key_number: int, key: bytes) -> None:
@@ -52,7 +53,7 @@ class Sealer:
         self._number = 0
 
     def seal(self, part: bytes) -> bytes:
-        """The datagram of an encoded part."""
+        """The encrypted datagram of an encoded part."""
         self._number += 1  # the nonce: no two datagrams under one key have the same
         head = HEAD.pack(MARK, self._stream_id, self._key_number, self._number)
         return head + self._cipher.encrypt(_nonce(self._number), part, head)

@@ -54,7 +54,7 @@ def test_the_blocks_of_a_write_share_few_system_calls_and_start_for_the_disk_bef
     assert segments[-1].length == sum(path.stat().st_size for path in tmp_path.glob("*.segment"))
 
 
-def test_a_write_that_fails_between_two_of_its_system_calls_loses_and_doubles_no_item(
+def test_a_write_that_fails_between_two_of_its_system_calls_loses_and_duplicates_no_item(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files, _ = opened(tmp_path)

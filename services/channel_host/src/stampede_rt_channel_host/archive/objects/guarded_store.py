@@ -16,8 +16,8 @@ PAUSE_SECONDS = 1.0
 class GuardedStore:
     """Passes calls on to a store. While the store fails, one call at a time tries it, and the others fail at once.
 
-    So a store that does not answer blocks one thread of the archive, and not all of them. A store that refuses a call
-    has answered: it may refuse to delete objects, and still give them. Any thread may use it.
+    So a store that does not answer blocks one thread of the archive, and not all of them. A refused call is not a
+    failure of the store: a store may refuse to delete objects, and still serve reads. Any thread may use this object.
     """
 
     def __init__(self, store: SegmentStore, clock: Callable[[], float] = time.monotonic) -> None:
@@ -31,7 +31,7 @@ class GuardedStore:
         self._is_away = self._is_tried = False
 
     async def create(self, name: str, content: bytes | bytearray) -> bool:
-        """See `SegmentStore`. Always tries: the caller has pauses of its own."""
+        """See `SegmentStore`. Always tries the store: the caller makes pauses between its calls."""
         try:
             made = await self._store.create(name, content)
         except StoreError as error:
@@ -76,7 +76,10 @@ class GuardedStore:
                 self._is_tried = False
 
     def _enter(self) -> bool:
-        """Whether this call tries a store that has failed. Raises StoreError if another call does."""
+        """Return whether this call tries a store that has failed.
+
+        Raises StoreError if another call tries the store, or if it failed less than PAUSE_SECONDS ago.
+        """
         with self._lock:
             if not self._is_away:
                 return False

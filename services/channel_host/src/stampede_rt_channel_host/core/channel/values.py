@@ -23,8 +23,9 @@ class Offer:
     """A run that a producer wants to put. All columns have the same length, at least 1; -1 marks an absent duration.
 
     If `times` is None, the channel gives all items one time when it accepts them. `since` is the time at which the
-    first item began to wait for room, by the host's clock, or None if it has not waited. Items without times that wait
-    count as put at `since` when the channel looks for room. Otherwise a channel of one item would never have room.
+    first item began to wait for room, by the host's clock, or None if it has not waited. If the
+    waiting items have no times, the channel treats them as put at `since` when it looks for room. Otherwise a channel
+    of one item would never have room.
     """
 
     times: Sequence[int] | None
@@ -148,11 +149,11 @@ class ReadAnswer(NamedTuple):
 
     `next_time` is the time of the bucket after the last item, or None if the last item is in the newest bucket. The
     reader needs `next_time` to compute the ends of the last spans. `interval` is None if the channel could not resolve
-    a meta-time. `complete`: no more items can come into the interval. `truncated`: at the beginning of the interval, or
-    of the part that `after` and `newer_than` leave, items may be missing that were collected or lost. `more`: the limit
-    cut items off. `reason` (with its `detail`) says why the answer is empty or partial. `next_times`, with overlap: if
-    the answer leaves items out between two slices, the time of the bucket after the first of these. The key is the time
-    of that slice's last item, and its `end_seq`.
+    a meta-time. `complete`: no more items can come into the interval. `truncated`: collected or lost items may
+    be missing at the beginning of the interval, or at the beginning of the part that `after` and `newer_than` select.
+    `more`: the limit cut items off. `reason` (with its `detail`) says why the answer is empty or partial. `next_times`
+    is for channels with overlap. It has an entry for each slice after which the answer leaves items out: the time of
+    the bucket after that slice. The key is the time of the slice's last item, and the slice's `end_seq`.
     """
 
     slices: Sequence[Slice]  # large answers are `SlicesInParts`

@@ -18,7 +18,8 @@ CONTENT_TYPE_BYTES_MAX = 255
 ON_FULL = ("drop_oldest", "block", "reject")
 ACKS = ("host", "disk", "replica")
 LIMITS = ("max_age_nanos", "max_items", "max_bytes", "consumers")
-# The values of unstated fields after a limit was stated. content_type is not here: unstated, it has no effect on items.
+# The values of fields that nobody stated before a limit was stated. content_type is not here: without a stated
+# content_type the channel does not change the type of items.
 IN_EFFECT_UNSTATED = {  # by field
     "max_bytes": 256 * 2**20,
     "on_full": "drop_oldest",
@@ -58,7 +59,7 @@ def stated(policy: Policy) -> dict[str, int | str]:
 
 
 def check_ranges(channel: str, policy: Policy) -> None:
-    """Raises InvalidArgument if a stated field of `policy` is possible for no channel. `channel`: its name or id."""
+    """Raises InvalidArgument if a stated field has a value that every channel refuses. `channel`: its name or id."""
     for name, (low, high, allowed) in _RANGES.items():
         value = getattr(policy, name)
         if value is not None and not low <= value <= high:
@@ -86,8 +87,8 @@ def check_policy(channel: str, policy: Policy) -> None:
     least, most = policy.max_age_nanos, policy.max_age_unconsumed_nanos
     if most is not None and (least is None or most < least):
         text = (
-            "max_age_unconsumed keeps items longer than max_age for consumers that lag; state both, and a "
-            "max_age_unconsumed that is not below max_age"
+            "max_age_unconsumed keeps items longer than max_age for consumers that lag; state both, with "
+            "max_age_unconsumed equal to max_age or greater"
         )
         raise _invalid(channel, "max_age_unconsumed_nanos", text)
     if policy.ack == "disk" and not policy.is_recorded:
@@ -102,10 +103,13 @@ def _check_replicas(channel: str, policy: Policy) -> None:
         text = 'ack="replica" waits for replicas, and the channel has none; state replicas of 1 or more with it'
         raise _invalid(channel, "ack", text)
     if replicas and policy.is_recorded:
-        text = "a channel with replicas cannot have an archive yet; leave replicas and ack out, or the archive"
+        text = (
+            "a channel with replicas cannot have an archive yet; leave out either replicas and ack, or archive and "
+            "archive_bytes"
+        )
         raise _invalid(channel, "replicas", text)
     if waits and policy.min_replicas is not None and policy.min_replicas > replicas:
-        text = f"min_replicas is {policy.min_replicas}, and the channel has {replicas}; state at most {replicas}"
+        text = f"min_replicas is {policy.min_replicas}, and replicas is {replicas}; state {replicas} or less"
         raise _invalid(channel, "min_replicas", text)
 
 
@@ -136,9 +140,10 @@ def agree(channel: str, held: Policy, asked: Policy) -> Policy:
 
     Raises ChannelExists, which names the field in conflict.
 
-    A field that was stated before may only be repeated or left out. A field that was never stated is taken over from
-    `asked` while the channel is provisional (`is_provisional`). Later it must equal the value in effect, because
-    another value would collect items of other callers without their knowledge.
+    The caller may only repeat a field that was stated before, or leave it out. While the channel is provisional
+    (`is_provisional`), it takes over each field of `asked` that was never stated. Later `asked` must have the value in
+    effect, because another value would collect items of other callers without their knowledge. The channel takes over
+    content_type later, too.
     """
     for name, value in stated(asked).items():
         before = getattr(held, name)

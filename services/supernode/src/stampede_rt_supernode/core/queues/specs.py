@@ -19,7 +19,7 @@ ON_FULL = ("block", "reject", "drop_oldest")
 LIMITS = ("max_items", "max_bytes")
 # The policy of a mailbox for which the peer states none.
 MAILBOX_UNSTATED = QueueSpec(max_items=1024)
-# The values of unstated fields. content_type is not here: unstated, it has no effect on messages.
+# The values of unstated fields. content_type is not here: without it the queue does not change the type of messages.
 IN_EFFECT_UNSTATED = {
     "max_bytes": 256 * 2**20,
     "on_full": "block",
@@ -43,7 +43,7 @@ _RANGES = {  # by field: the least and the greatest value, and the text of this 
 
 
 def check_queue_spec(queue: str, spec: QueueSpec) -> None:
-    """Raises InvalidArgument if a stated field is possible for no queue. `queue`: its name or id."""
+    """Raises InvalidArgument if a stated field has a value that every queue refuses. `queue`: its name or id."""
     for name, (low, high, allowed) in _RANGES.items():
         value = getattr(spec, name)
         if value is not None and not low <= value <= high:
@@ -65,7 +65,7 @@ def check_replicas(queue: str, spec: QueueSpec) -> None:
         text = 'a replica takes over without a loss only if puts wait for it; state ack="replica" with replicas'
         raise _invalid(queue, "replicas", text)
     if waits and spec.min_replicas is not None and spec.min_replicas > replicas:
-        text = f"min_replicas is {spec.min_replicas}, and the queue has {replicas}; state at most {replicas}"
+        text = f"min_replicas is {spec.min_replicas}, and replicas is {replicas}; state {replicas} or less"
         raise _invalid(queue, "min_replicas", text)
 
 
