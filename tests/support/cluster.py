@@ -55,6 +55,14 @@ def judges_tests() -> bool:
     return bool(os.environ.get("STAMPEDE_TEST_ACL"))
 
 
+@contextmanager
+def acting_as_operator(cluster: LocalCluster) -> Iterator[None]:
+    """Let the clients that connect in the block act as operators, also under `make test-acl`."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(SECRET_VARIABLE, str(cluster.secret_file))
+        yield
+
+
 def find_secret_of(cluster: LocalCluster, patch: pytest.MonkeyPatch) -> None:
     """Let the clients in this process find the secret or token of `cluster`, and not of one that started later."""
     patch.setenv(SECRET_VARIABLE, _secret_files[cluster.address])

@@ -13,7 +13,7 @@ from stampede_rt.cli.commands import run
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceProcess
 from tests.integration.proxies.readers import all_saw, eventually, passes, produced, reading
-from tests.support.cluster import cluster_fixture
+from tests.support.cluster import acting_as_operator, cluster_fixture
 
 cluster = cluster_fixture(hosts=2, supernodes=1)
 numbers = itertools.count()
@@ -24,7 +24,6 @@ def hosts_of(rt: Any, names: list[str]) -> set[str]:
     return {one.host for one in rt.channels() if one.name in names}
 
 
-@pytest.mark.without_rules("it acts as an operator")
 def test_a_drained_host_owns_nothing_and_members_of_a_group_stay_together(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         names = [f"cam/{next(numbers)}" for _ in range(12)]
@@ -33,27 +32,32 @@ def test_a_drained_host_owns_nothing_and_members_of_a_group_stay_together(cluste
         for channel in channels:
             channel.put(b"x")
         assert len(group.newest()) == 2
-        drained = rt.drain("h1")
+        with acting_as_operator(cluster), st.connect(cluster.address, transport="grpc") as operator:
+            drained = operator.drain("h1")
         assert (drained.host, drained.left) == ("h1", {})
         assert drained.moved >= len(names)
         assert hosts_of(rt, names) == {"h2"}
         assert [channel.newest().payload for channel in channels] == [b"x"] * len(names)
 
 
-@pytest.mark.without_rules("it acts as an operator")
 def test_stampede_move_and_stampede_host_drain_move_channels(
     cluster: LocalCluster, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = rt.channel(f"cam/{next(numbers)}", host="h1")
         channel.put(b"x")
-        assert run(["host", "drain", "h1", "-o", "json", "--url", cluster.address]) == 0
+        with acting_as_operator(cluster):
+            assert run(["host", "drain", "h1", "-o", "json", "--url", cluster.address]) == 0
         assert json.loads(capsys.readouterr().out)["left"] == {}
         assert run(["move", channel.name, "h1", "-o", "json", "--url", cluster.address]) == 0
         moved = json.loads(capsys.readouterr().out)
         assert (moved["channel"], moved["host"], moved["held"]) == (channel.name, "h1", 1)
-        with pytest.raises(st.HostNotFound, match="no live host 'h9'"):
-            rt.drain("h9")
+        with (
+            acting_as_operator(cluster),
+            st.connect(cluster.address, transport="grpc") as operator,
+            pytest.raises(st.HostNotFound, match="no live host 'h9'"),
+        ):
+            operator.drain("h9")
 
 
 def test_a_cluster_without_load_is_balanced(cluster: LocalCluster, capsys: pytest.CaptureFixture[str]) -> None:
