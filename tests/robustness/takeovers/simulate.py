@@ -1,8 +1,8 @@
 """Take-overs and moves of a channel with replicas under random faults.
 
 Producers put numbered items one after the other, and put an item again until it is acknowledged. A reader reads all
-items. No acknowledged or seen item may be lost, with the exception of those that `ack="host"` allows; none may be there
-twice, two hosts never serve the channel, and nobody is stuck when the faults are over.
+items. No acknowledged or seen item may be lost, with the exception of those that `ack="host"` allows, and none may be
+there twice. Two hosts never serve the channel at the same time. When the faults are over, nobody is stuck.
 """
 
 from __future__ import annotations

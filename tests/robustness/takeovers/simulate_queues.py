@@ -1,9 +1,9 @@
 """Take-overs and moves of a queue with replicas under random faults.
 
 Producers put numbered messages, and put a message again until it is acknowledged. Takers ack, give back and terminate
-messages, or let their leases end. No acknowledged message may be lost, none may come back after its ack, leases and
-counts of deliveries go on, dead letters arrive once, two hosts never serve a queue, and nobody is stuck when the faults
-are over.
+messages, or let their leases end. No acknowledged message may be lost, and none may come back after its ack. The next
+owner keeps leases and counts of deliveries. Dead letters arrive once. Two hosts never serve a queue at the same time.
+When the faults are over, nobody is stuck.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tests.robustness.takeovers.queue_ledger import Ledger
 from tests.robustness.takeovers.queue_world import QueueCluster, serving_queue
 from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 
-HEALED_SECONDS = 120.0  # the leases that takers let end, and then deliveries to other takers
+HEALED_SECONDS = 120.0  # enough for leases to end that takers let end, and then for deliveries to other takers
 PRODUCERS, TAKERS, PAUSE_SECONDS = 2, 2, 0.15
 LOOK_SECONDS = 0.2
 WITH_CLOCKS = (QueueReplication.__init__, MemoryBudget.__init__, AllowedMoves.__init__)
@@ -86,7 +86,7 @@ class QueueTrial:
             await asyncio.sleep(self.rng.uniform(0, 2 * PAUSE_SECONDS))
 
     async def look(self) -> None:
-        """See again and again that one host serves each queue."""
+        """Check again and again that at most one host serves each queue."""
         while True:
             await asyncio.sleep(LOOK_SECONDS)
             for queue_id in (self.cluster.jobs_id, self.cluster.dead_id):
@@ -137,8 +137,9 @@ class QueueTrial:
         return found
 
     def judge(self) -> int:
-        """Check that nothing is lost that must not be. Returns the number of messages that were lost with all copies
-        of a queue.
+        """Check the messages of the last incarnation: all must be acked or dead letters, and none may be both.
+
+        Returns the number of messages that were lost with all copies of a queue.
         """
         cluster = self.cluster
         dead, last = self.dead.messages(), self.jobs.of(cluster.queue(cluster.jobs_id).incarnation)

@@ -1,4 +1,4 @@
-"""No verb prints control characters from its arguments, because scripts pass on the output of other programs."""
+"""No verb prints control characters from its arguments. A script may take an argument from another program's output."""
 
 from __future__ import annotations
 

@@ -155,8 +155,9 @@ DIMENSIONS: Mapping[str, Dimension] = {
     "readers": Dimension(
         "Readers of a channel",
         "readers",
-        f"{_OWN} The put is counted until the host has made the message for each reader. "
-        "A stalled reader is one more reader, which takes nothing.",
+        f"{_OWN} The time of a put ends when the host has made the message for each reader. "
+        "A stalled reader is one more reader, which takes nothing. The part for one reader is the time of a put, "
+        "divided by the number of readers.",
         lambda sizes: measure_readers(powers(1, sizes.readers_max), sizes.operations, sizes.runs),
     ),
     "groups": Dimension(

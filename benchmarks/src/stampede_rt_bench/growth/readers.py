@@ -76,7 +76,7 @@ class _Store:
 
 
 def measure_readers(counts: Sequence[int], operations: int, runs: int) -> dict[int, dict[str, Spread]]:
-    """By the number of readers: the cost of a put, its part for one reader, and the cost of a get of the newest."""
+    """By the number of readers: the cost of a put, that cost for each reader, and the cost of a get of the newest."""
     return {count: asyncio.run(_with_readers(count, operations, runs)) for count in counts}
 
 

@@ -49,7 +49,7 @@ def conduct(seconds: int, progress: Progress) -> RoverReport:
 
 
 def _start_roles(roles: RoleProcesses, cluster: LocalCluster, seconds: int, progress: Progress) -> None:
-    """Start the rover, and when its channels and group are there, the consumers."""
+    """Start the rover. When its channels and group exist, start the consumers."""
     progress.say("Starting the rover, a host in a process of its own, and 2 consumers ...")
     roles.start("rover", role_command("rover", "rig", cluster.address, seconds))
     _wait_ready(roles, 1)

@@ -54,7 +54,7 @@ class ChangeRing:
     def begin(self, index: int) -> None:
         """Set the log position of the changes that `note` appends from now on.
 
-        It must not be below the former position.
+        `index` must not be below the index of the last call.
         """
         self._index = index
 

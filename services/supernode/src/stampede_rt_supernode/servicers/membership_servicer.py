@@ -150,8 +150,8 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
 
     def _newcomer(self, request: pb.AddSupernodeRequest) -> tuple[Member, str]:
         if request.protocol_version != PROTOCOL_VERSION:
-            text = f"the supernode speaks version {request.protocol_version} of the wire contract, this one"
-            raise VersionMismatch(f"{text} {PROTOCOL_VERSION}; install the same release on both")
+            text = f"the newcomer speaks version {request.protocol_version} of the wire contract, and this supernode"
+            raise VersionMismatch(f"{text} speaks version {PROTOCOL_VERSION}; install the same release on both")
         highest, level = max(1, request.highest_feature_level), self._replica.feature_level
         if highest < level:
             raise VersionMismatch(too_old(request.supernode_id, highest, level))
