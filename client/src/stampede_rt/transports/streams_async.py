@@ -62,6 +62,7 @@ class ServerStream(Generic[Response]):
                 async with asyncio.timeout(SILENCE_S_MAX):
                     response = await anext(responses)
                 yield response
+                del response  # it may be a view of the memory into which the next one is read
         except StopAsyncIteration:
             pass
         except TimeoutError:

@@ -99,6 +99,7 @@ class ServerStream(Generic[Response]):
                 with self._limit(SILENCE_S_MAX) as overdue:
                     response = next(self._call)
                 yield response
+                del response  # it may be a view of the memory into which the next one is read
         except StopIteration:
             pass
         except grpc.RpcError as error:

@@ -56,7 +56,8 @@ def put_pieces(
     """
     run_bytes = sum(map(len, run))
     put = _numbers_of(first_number, wait_nanos) + _RUN_TAG + encode_varint(run_bytes)
-    return [head, _PUTS_TAG, encode_varint(len(put) + run_bytes + len(tail)), put, *run, tail]
+    begin = b"".join((head, _PUTS_TAG, encode_varint(len(put) + run_bytes + len(tail)), put))
+    return [begin, *run, tail] if tail else [begin, *run]
 
 
 def _numbers_of(first_number: int, wait_nanos: int | None) -> bytes:

@@ -263,7 +263,9 @@ def test_later_messages_do_not_change_earlier_ones(pair: tuple[socket.socket, Fa
     assert received == sent
 
 
-@pytest.mark.parametrize(("parts", "size", "messages"), [(4, 2**18, 1), (1000, 300, 1), (5, 2**20, 5), (3, 10, 1)])
+@pytest.mark.parametrize(
+    ("parts", "size", "messages"), [(4, 2**18, 1), (1000, 300, 1), (58, 18_000, 1), (5, 2**20, 5), (3, 10, 1)]
+)
 def test_a_request_in_parts_arrives_as_one_message(
     pair: tuple[socket.socket, FarEnd], parts: int, size: int, messages: int
 ) -> None:
@@ -273,6 +275,20 @@ def test_a_request_in_parts_arrives_as_one_message(
     found = [far.message() for _ in range(messages)]
     whole = found[0] if messages == 1 else b"".join(piece_in(one).content for one in found)
     assert whole == b"".join(request)
+
+
+def test_a_full_request_of_medium_items_is_sent_without_a_copy_of_its_payloads() -> None:
+    heads, payloads = [b"head"] * 20, [bytes(18_000) for _ in range(57)]
+    [frame] = socket_sync._buffers_of([*heads, *payloads])
+    assert [id(part) for part in frame[-57:]] == [id(payload) for payload in payloads]
+    [frame] = socket_sync._buffers_of([bytes(300)] * 400)  # to join short parts takes less time
+    assert len(frame) == 2
+
+
+@pytest.mark.parametrize("sent_bytes", range(1, 12))
+def test_the_rest_of_a_write_begins_after_the_sent_bytes(sent_bytes: int) -> None:
+    parts = [b"abc", b"", b"defg", b"hijkl"]
+    assert b"".join(socket_sync._after(parts, sent_bytes)) == b"abcdefghijkl"[sent_bytes:]
 
 
 @pytest.mark.parametrize("last", [frame_of(FrameKind.STATUS, encode_status(InvalidArgument("no"))), b"", None])
