@@ -22,7 +22,7 @@ from stampede_rt.security.tls_contexts import client_context
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_runtime import roles
 from stampede_rt_runtime.identity import Role
-from stampede_rt_runtime.rpc import answer_at_once, errors_as_status
+from stampede_rt_runtime.rpc import answer_at_once, errors_as_status, takes_parts
 from stampede_rt_runtime.server import ServiceServer, serving
 from stampede_rt_runtime.sockets.stream_socket import StreamSocket
 from stampede_rt_runtime.tls import load_tls
@@ -55,8 +55,10 @@ class Streams:
         server.add_registered_method_handlers(SERVICE, handlers)
 
     async def echo(self, _requests: Any, context: Any) -> None:
+        """Return each message, a very long one in parts."""
         while (message := await context.read()) is not grpc.aio.EOF:
-            await context.write(message)
+            is_long = len(message) > 100_000 and takes_parts(context)
+            await context.write((message[:10], b"", message[10:]) if is_long else message)
 
     async def at_once(self, _requests: Any, context: Any) -> None:
         """Answer short messages at once, the others later, and fail at "defect"."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+from collections.abc import Iterable
 from typing import Any
 
 from stampede_rt.v1 import socket_stream_pb2
@@ -26,6 +27,9 @@ class HeldTransport:
 
     def write(self, data: bytes) -> None:
         self.frames += [frame for frame in self._reader.feed(data) if frame[0] != FrameKind.ALIVE]
+
+    def writelines(self, parts: Iterable[bytes]) -> None:
+        self.write(b"".join(parts))
 
     def get_extra_info(self, _name: str) -> HeldTransport:
         return self

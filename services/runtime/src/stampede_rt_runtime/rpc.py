@@ -42,6 +42,11 @@ def write_now(context: Context) -> Callable[[bytes], None] | None:
     return write
 
 
+def takes_parts(context: Context) -> bool:
+    """Whether `context.write` also takes the parts of an encoded message, which must not change any more."""
+    return getattr(context, "takes_parts", False) is True
+
+
 def errors_as_status(method: Method) -> Method:
     """Wraps `method` so that a StampedeError ends the RPC with the status of that error.
 

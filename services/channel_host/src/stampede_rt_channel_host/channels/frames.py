@@ -20,6 +20,8 @@ from stampede_rt_channel_host.core.channel import ColumnRun, DeliveredSlice, Rea
 MESSAGE_BYTES_MAX = 2**20  # the most bytes of runs in one message; a message with a single run may have more
 SHARED_BYTES_MAX = 4 * 2**20  # the most memory of the deliveries that a host keeps until other readers take them
 KEPT_DELIVERY_BYTES = 1024  # the approximate memory of a kept delivery besides its bytes
+JOINED_BYTES_MAX = 2**16  # up to this length a join takes less time than to send parts
+PART_BYTES_MIN = 1024  # on average; to join shorter parts takes less time
 MESSAGE_RUNS_MAX = 512  # the most runs in one message, so that the host makes it within two milliseconds
 
 _LENGTH_DELIMITED = 2
@@ -90,12 +92,34 @@ def get_error(call_id: int, error: error_pb2.Error) -> Iterator[EncodedMessage]:
     yield EncodedMessage(b"".join((head, _GET_ERROR, encode_varint(len(encoded)), encoded)), 0, True)
 
 
-class Delivery(NamedTuple):
-    """One message of a subscription, its payload bytes, and the bytes that it costs the reader's credit."""
+@dataclass(slots=True)
+class Delivery:
+    """One message of a subscription, its payload bytes, and the bytes that it costs the reader's credit.
 
-    encoded: bytes
+    `parts`: the encoded message. Joined, they are `encoded`. Stored runs are parts of their own, so a transport that
+    sends parts sends the stored bytes.
+    """
+
+    parts: Sequence[bytes]
     payload_bytes: int
     charge_bytes: int
+
+    @property
+    def length_bytes(self) -> int:
+        """The length of the message."""
+        return sum(map(len, self.parts))
+
+    @property
+    def encoded(self) -> bytes:
+        """The whole message. Its parts are joined once, for all readers."""
+        if len(self.parts) != 1:
+            self.parts = (b"".join(self.parts),)
+        return self.parts[0]
+
+    @property
+    def has_long_parts(self) -> bool:
+        """Whether to send the parts takes less time than to join them."""
+        return self.length_bytes > max(JOINED_BYTES_MAX, PART_BYTES_MIN * len(self.parts))
 
 
 _Key = tuple[tuple[DeliveredSlice, ...], bytes, bool]  # runs compare by identity
@@ -152,11 +176,11 @@ class SharedDeliveries:
         self.encodings += 1
         payload_bytes = 0 if without_payloads else sum(one.slice.payload_bytes for one in slices)
         charge_bytes = sum(one.slice.charge_bytes for one in slices)
-        return Delivery(_subscribe_response(slices, about, without_payloads), payload_bytes, charge_bytes)
+        return Delivery(_subscribe_parts(slices, about, without_payloads), payload_bytes, charge_bytes)
 
     def _keep(self, key: _Key, delivery: Delivery, readers_left: int) -> None:
         run_bytes = sum(len(run.body) for run in {one.slice.run for one in key[0]})
-        kept_bytes = len(delivery.encoded) + run_bytes + KEPT_DELIVERY_BYTES
+        kept_bytes = delivery.length_bytes + run_bytes + KEPT_DELIVERY_BYTES
         while self._shared and self.kept_bytes + kept_bytes > self._bytes_max:
             self._forget(next(iter(self._shared)))
         self._shared[key] = _Shared(delivery, kept_bytes, readers_left)
@@ -166,15 +190,16 @@ class SharedDeliveries:
         self.kept_bytes -= self._shared.pop(key).kept_bytes
 
 
-def _subscribe_response(slices: Sequence[DeliveredSlice], about: bytes, without_payloads: bool) -> bytes:
-    """The encoded response. Its fields need no order, because protobuf accepts any order on the wire."""
+def _subscribe_parts(slices: Sequence[DeliveredSlice], about: bytes, without_payloads: bool) -> list[bytes]:
+    """The encoded response in parts. Its fields need no order, because protobuf accepts any order on the wire."""
     parts = [about]
     for part, next_time in slices:
         _add_run(parts, _SUBSCRIBE_RUNS, run_bytes(part, without_payloads=without_payloads), next_time)
-    return b"".join(parts)
+    return parts
 
 
 def _add_run(parts: list[bytes], tag: bytes, body: bytes, next_time: int | None) -> None:
     length = encode_varint(len(body))
     end = b"" if next_time is None else _NEXT_TIME.pack(_NEXT_TIME_TAG, next_time)
-    parts += (tag, encode_varint(1 + len(length) + len(body) + len(end)), _RUN, length, body, end)
+    begin = b"".join((tag, encode_varint(1 + len(length) + len(body) + len(end)), _RUN, length))
+    parts += (begin, body, end) if end else (begin, body)

@@ -27,6 +27,7 @@ class SocketContext:
     """Reads and writes the messages of one stream, and ends it with a status."""
 
     costs = SOCKET_COSTS
+    takes_parts = True  # see `rpc.takes_parts`
 
     def __init__(
         self,
@@ -49,7 +50,10 @@ class SocketContext:
         return raw if raw is EOF or self._decode is None else self._decode(raw)
 
     async def write(self, message: Any) -> None:
-        """Write a message. Returns when the system has taken it. Raises InternalError if the caller has gone."""
+        """Write a message. Returns when the system has taken it. Raises InternalError if the caller has gone.
+
+        A method without a serializer may pass the parts of an encoded message.
+        """
         await self._connection.write(message if self._encode is None else self._encode(message))
 
     def answer_at_once(self, take: AtOnce) -> None:

@@ -6,7 +6,7 @@ import asyncio
 import os
 import socket
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from grpc.aio import EOF, InternalError
@@ -199,8 +199,8 @@ class StreamSocket(asyncio.BufferedProtocol):
             self._resume()
         return message
 
-    async def write(self, message: bytes) -> None:
-        """Write a message. Returns when the system has taken it. Raises InternalError if the peer has gone."""
+    async def write(self, message: bytes | Sequence[bytes]) -> None:
+        """Write a message, or its parts. Returns when the system has taken it. Raises InternalError if the peer has gone."""
         if self.is_over or self._is_closing:
             raise InternalError("the stream has ended")
         self._write_message(message)
@@ -332,12 +332,13 @@ class StreamSocket(asyncio.BufferedProtocol):
         else:
             raise InvalidArgument(f"a frame of kind {kind} came out of place; see socket_stream.proto")
 
-    def _write_message(self, message: bytes) -> None:
-        if len(message) <= _JOINED_BYTES_MAX:
+    def _write_message(self, message: bytes | Sequence[bytes]) -> None:
+        if isinstance(message, bytes) and len(message) <= _JOINED_BYTES_MAX:
             self._write(frame_of(FrameKind.MESSAGE, message))
-        else:
-            self._write(head_of(FrameKind.MESSAGE, len(message)))
-            self._transport.write(message)
+            return
+        parts = (message,) if isinstance(message, bytes) else message
+        self._has_written = True
+        self._transport.writelines((head_of(FrameKind.MESSAGE, sum(map(len, parts))), *parts))
 
     def _write(self, data: bytes) -> None:
         self._has_written = True

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import ssl
 from collections import OrderedDict, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from stampede_rt.transports.tls_layer import TlsLayer
@@ -117,8 +117,12 @@ class TlsStream(asyncio.BufferedProtocol):
 
     def write(self, data: bytes) -> None:
         """Encrypt and send."""
+        self.writelines((data,))
+
+    def writelines(self, parts: Iterable[bytes]) -> None:
+        """Encrypt and send the parts of a message."""
         try:
-            self._transport.write(self._tls.seal((data,)))
+            self._transport.write(self._tls.seal(parts))
         except ssl.SSLError:  # the peer has ended its TLS
             self._transport.abort()
 

@@ -7,6 +7,7 @@ no delay, and a busy stream sends large messages.
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from functools import lru_cache
 
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
@@ -26,7 +27,7 @@ from stampede_rt_channel_host.channels.subscriptions.multicast_reader import Mul
 from stampede_rt_channel_host.channels.subscriptions.reader_drops import ReaderDrops
 from stampede_rt_channel_host.core.channel import Gap, SavedCursor, SubscriptionBatch
 from stampede_rt_runtime.access.control import current_work
-from stampede_rt_runtime.rpc import Context
+from stampede_rt_runtime.rpc import Context, takes_parts
 
 # after this time without a message, the reader gets a progress message; the contract says at least every 5 s
 PROGRESS_SECONDS = 4.0
@@ -46,6 +47,7 @@ class Subscription(ChangeObserver):
         self._store = store
         self._groups = groups
         self._context = context
+        self._takes_parts = takes_parts(context)
         self._stream = stream
         self._news: asyncio.Future[bool] | None = None  # belongs to the present or last wait; see `_wait_for_news`
         # whether the reader must still get a progress message after the items that the channel held at its start
@@ -186,9 +188,9 @@ class Subscription(ChangeObserver):
         if not part.is_empty:
             items = sum(one.slice.items for one in part.slices)
             delivery = self._delivery_of(part, cursor, now, without_payloads=without_payloads)
-            del part  # so that the runs are not kept in memory while the message is written
+            del part  # so that a joined message does not keep its runs in memory while it is written
             self._work.spend_write()
-            await self._write(delivery.encoded)
+            await self._write(delivery.parts if self._takes_parts and delivery.has_long_parts else delivery.encoded)
             self._hosted.count_delivered(items, delivery.payload_bytes)
         elif part.more:
             await asyncio.sleep(0)
@@ -267,7 +269,7 @@ class Subscription(ChangeObserver):
             if timer is not None:
                 timer.cancel()
 
-    async def _write(self, message: bytes) -> None:
+    async def _write(self, message: bytes | Sequence[bytes]) -> None:
         try:
             async with asyncio.timeout(WRITE_SECONDS_MAX):
                 await self._context.write(message)
