@@ -200,7 +200,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         return message
 
     async def write(self, message: bytes | Sequence[bytes]) -> None:
-        """Write a message, or its parts. Returns when the system has taken it. Raises InternalError if the peer has gone."""
+        """Write a message or its parts. Returns when the system has taken it. Raises InternalError if the peer left."""
         if self.is_over or self._is_closing:
             raise InternalError("the stream has ended")
         self._write_message(message)
