@@ -45,7 +45,7 @@ class Prometheus:
         return [(one["metric"], float(one["value"][1])) for one in found]
 
     def until(self, query: str, holds: Callable[[list[float]], bool]) -> list[float]:
-        """Ask until `holds`. Returns the values."""
+        """Ask until `holds` returns True for the values. Returns the values."""
         end_s, values = time.monotonic() + SECONDS, list[float]()
         while time.monotonic() < end_s:
             try:

@@ -138,7 +138,7 @@ async def test_a_newest_subscription_never_goes_back_and_counts_skipped_items(ri
     reader.call.cancel()
 
 
-async def test_a_stream_without_items_has_heartbeats(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_stream_without_items_has_signs_of_life(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     assert subscription.PROGRESS_SECONDS < 5
     monkeypatch.setattr(subscription, "PROGRESS_SECONDS", 0.02)
     channel = await rig.open()

@@ -90,7 +90,8 @@ def test_a_verb_prints_the_fields_that_the_page_names(
 
 
 # Commands that go on until Ctrl-C, or wait for long, with their statuses after Ctrl-C. NAME is a channel without news.
-# `put` that reads a payload loads gRPC after its input, so tests/unit/client/cli/test_standard_input.py has it.
+# A `put` that reads a payload from standard input loads gRPC only after it has read the payload. So the test of this
+# command is in tests/unit/client/cli/test_standard_input.py.
 UNENDING: dict[str, tuple[int, ...]] = {
     "echo NAME": (130,),
     "sub NAME": (130,),

@@ -51,7 +51,7 @@ def matching(left: GroupedChannel, group: group_pb2.GroupRecord, **fields: Any) 
 
 
 @pytest.mark.parametrize("kind", ["items", "cuts", "matches"])
-async def test_a_busy_stream_has_heartbeats(host: Host, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_busy_stream_has_signs_of_life(host: Host, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(writing, "SIGN_OF_LIFE_SECONDS", 0.05)
     monkeypatch.setattr(subscription, "PROGRESS_SECONDS", 0.05)
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
@@ -186,7 +186,7 @@ async def test_readers_through_a_group_are_counted_in_the_status_of_the_channel(
     await until_counted(right, subscriptions=0)
 
 
-async def test_the_bytes_of_a_match_count_for_the_channel_that_each_item_is_from(host: Host) -> None:
+async def test_the_bytes_of_each_item_of_a_match_count_for_the_channel_of_the_item(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     matches = matching(left, group)

@@ -60,7 +60,7 @@ def _add_create_arguments(verb: argparse.ArgumentParser) -> None:
         "--reference",
         default="oldest",
         metavar="CHANNEL",
-        help="the channel whose cut is the group's; default: the smallest cut of all",
+        help="the channel whose cut becomes the cut of the group; default: the smallest cut of all members",
     )
     verb.add_argument(
         "--bound",
@@ -75,7 +75,7 @@ def _add_create_arguments(verb: argparse.ArgumentParser) -> None:
         "--max-lead",
         default="5s",
         metavar="DURATION",
-        help='with --bound end: the cut is at most this far after the start; default "5s"',
+        help='with --bound end: the cut is at most this far after the start of the newest item; default "5s"',
     )
 
 
@@ -93,7 +93,7 @@ def _add_get_arguments(verb: argparse.ArgumentParser) -> None:
         type=checked(parse_bound_text),
         help='a time, or now, newest or oldest, also with an offset, such as "newest-1s"',
     )
-    verb.add_argument("end", type=checked(parse_bound_text), help="as the start")
+    verb.add_argument("end", type=checked(parse_bound_text), help="written in the same way as the start")
     add_as_of(verb)
 
 

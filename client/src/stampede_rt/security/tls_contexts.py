@@ -1,4 +1,4 @@
-"""Certificates in the form of the standard library, for streams over TCP. They allow only TLS 1.3.
+"""Makes the TLS contexts of the standard library from certificates, for streams over TCP. They allow only TLS 1.3.
 
 Client and server both show a certificate. A server's certificate must name the server's address.
 """
@@ -17,7 +17,7 @@ def client_context(material: TlsMaterial) -> ssl.SSLContext:
 
 
 def server_context(material: TlsMaterial) -> ssl.SSLContext:
-    """Return the context of the connections of a service, whose callers must bring a certificate. Linux only."""
+    """Return the context of the connections of a service. Its callers must present a certificate. Linux only."""
     context = _context(ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER), material)
     context.verify_mode = ssl.CERT_REQUIRED
     context.num_tickets = 0  # each connection proves its certificate anew
@@ -27,7 +27,7 @@ def server_context(material: TlsMaterial) -> ssl.SSLContext:
 def _context(context: ssl.SSLContext, material: TlsMaterial) -> ssl.SSLContext:
     context.minimum_version = ssl.TLSVersion.TLSv1_3
     context.load_verify_locations(cadata=material.ca.decode("ascii", "replace"))
-    # the standard library takes a key from a file only; this one is in memory, and holds the contents of one moment
+    # the standard library reads a key only from a file; this file is in memory, so nobody changes it meanwhile
     file = os.memfd_create("stampede-tls", os.MFD_CLOEXEC)
     try:
         with open(file, "wb", closefd=False) as own:

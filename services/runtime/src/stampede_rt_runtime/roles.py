@@ -1,7 +1,7 @@
 """The roles that may call each RPC. Pure.
 
-The table has one row for each service of the contract, and one for each RPC that differs from its service. The
-methods of a service without a row are open to no role. So the author of a new service decides here who may call it.
+The table has one row for each service of the contract, and one for each RPC that differs from its service. If a service
+has no row, no role may call its methods. So the author of a new service must decide here which roles may call it.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def roles_for(method: str) -> frozenset[Role]:
 
 
 def is_for_members(method: str) -> bool:
-    """Whether the role `client` may not call the method.
+    """Whether only parts of the cluster and operators may call the method, and clients may not.
 
     Such methods serve Raft, leases, links between hosts, membership, rules of access and quotas.
     """

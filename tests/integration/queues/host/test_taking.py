@@ -201,7 +201,7 @@ async def test_leased_messages_are_listed_page_by_page(rig: QueueRig) -> None:
     assert caught.value.code() == grpc.StatusCode.INVALID_ARGUMENT
 
 
-async def test_the_stream_of_a_waiting_taker_has_heartbeats(rig: QueueRig, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_stream_of_a_waiting_taker_has_signs_of_life(rig: QueueRig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(take_stream, "SIGN_OF_LIFE_SECONDS", 0.01)
     taker = await rig.open().take(credit=1).open()
     assert await taker.read() == pb.TakeResponse()

@@ -13,7 +13,7 @@ BROKEN = (grpc.StatusCode.INTERNAL, grpc.StatusCode.UNKNOWN)
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A call with which something went wrong: `seed` and `number` draw it again if nothing was learnt before."""
+    """A call that broke a rule. `what`: the broken rule. `requests`: the messages of the call, as hexadecimal text."""
 
     what: str
     method: str
@@ -28,7 +28,8 @@ class Finding:
 @dataclass
 class Outcome:
     """Memory is the resident set of the process behind the port, in MiB. `starved_share`: the greatest part of two
-    seconds for which a thread of a service waited for a processor. `excused`: the leases that were lost meanwhile."""
+    seconds for which a thread of a service waited for a processor. `excused`: the leases that were lost while a
+    service waited for a processor."""
 
     port: str
     seed: int

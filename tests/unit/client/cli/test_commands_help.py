@@ -42,7 +42,7 @@ def test_a_channel_has_no_message_ids_so_its_put_takes_none(capsys: pytest.Captu
 
 
 @pytest.mark.parametrize("ttl", ["0s", "-1h", "31d", "soon"])
-def test_a_time_to_live_that_no_token_can_have_names_its_option(ttl: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_error_for_an_impossible_time_to_live_names_it(ttl: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         run(["token", "issue", "cam", f"--ttl={ttl}"])
     assert ended.value.code == 2
@@ -81,7 +81,7 @@ def test_help_loads_few_modules_so_that_it_is_fast() -> None:
 
 
 @pytest.mark.parametrize("verb", ["dev", "frontend", "supernode", "host", "web"])
-def test_the_help_of_a_service_comes_from_its_settings_without_its_modules(verb: str) -> None:
+def test_the_help_of_a_service_loads_its_settings_and_no_other_module_of_it(verb: str) -> None:
     assert modules_of(verb, "--help") < SERVICE_MODULES_MAX
 
 

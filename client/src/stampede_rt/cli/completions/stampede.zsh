@@ -726,10 +726,10 @@ _shtab_stampede_group_create_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  "--reference[the channel whose cut is the group\'s\; default\: the smallest cut of all]:CHANNEL:"
+  "--reference[the channel whose cut becomes the cut of the group\; default\: the smallest cut of all members]:CHANNEL:"
   "--bound[a channel\'s cut\: the start of its newest item (default), or its end]:bound:(start end)"
   "--idle-after[do not wait for a member that is silent for this time, such as \"2s\"]:DURATION:"
-  "--max-lead[with --bound end\: the cut is at most this far after the start\; default \"5s\"]:DURATION:"
+  "--max-lead[with --bound end\: the cut is at most this far after the start of the newest item\; default \"5s\"]:DURATION:"
   ":the group\'s name:"
   "(*):the name of a member:"
 )
@@ -756,7 +756,7 @@ _shtab_stampede_group_get_options=(
   "--as-of[answer as the hosts would have answered at this time\; for groups of recorded channels]:TIME:"
   ":the group\'s name:"
   ":a time, or now, newest or oldest, also with an offset, such as \"newest-1s\":"
-  ":as the start:"
+  ":written in the same way as the start:"
 )
 
 # guard to ensure default positional specs are added only once per session

@@ -125,7 +125,7 @@ class SocketServer:
     ) -> None:
         """Accept the connections of these TCP sockets.
 
-        `context`: returns the TLS of a new connection, whose callers must bring a certificate; None: plain text.
+        `context`: returns the TLS of a new connection, whose caller must present a certificate; None: plain text.
         """
         for one in listening:
             self._accept(one, partial(self._accepted_over_tcp, context))

@@ -22,7 +22,7 @@ def settings(log: Log) -> tuple[QuotaSetting, ...]:
     return access_state(log.directory).quotas.settings
 
 
-def test_a_setting_replaces_the_one_of_the_same_callers_and_quota_and_each_change_raises_the_version() -> None:
+def test_a_setting_replaces_an_earlier_one_for_the_same_callers_and_each_change_raises_the_version() -> None:
     log = Log()
     log.apply(SetQuotas(settings=(STREAMS, OTHERS)))
     lower = QuotaSetting("cam-*", Quota.STREAMS, 1)
@@ -73,6 +73,6 @@ def test_the_number_of_quota_settings_has_a_limit() -> None:
         RemoveQuotas(who=""),
     ],
 )
-def test_an_operation_with_an_unknown_value_is_refused(operation: SetQuotas | RemoveQuotas) -> None:
+def test_an_operation_with_an_invalid_value_is_refused(operation: SetQuotas | RemoveQuotas) -> None:
     with pytest.raises(InvalidArgument):
         check_operation(operation)
