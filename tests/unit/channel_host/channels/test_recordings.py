@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.recordings import Recordings
 from stampede_rt_channel_host.core.channel import Offer, make_run
 from stampede_rt_channel_host.core.records import RecordedChannel
 from tests.support.channel_host.object_stores import FakeStore
-from tests.support.channel_host.recorded_hosts import Host, host, record
+from tests.support.channel_host.recorded_hosts import Host, Owner, host, quick_looks, record  # noqa: F401
 
 
 def test_a_host_without_an_archive_refuses_a_recorded_channel_with_its_name_and_advice() -> None:
@@ -90,3 +90,59 @@ async def test_an_item_that_memory_dropped_out_of_order_stays_in_the_archive_aft
         hosted.changed(1)
         await finish(former, new)
         assert new.read() == [1, 2, 3, 4, 5]
+
+
+async def left(path: Path, store: FakeStore, epoch: int, time: int) -> None:
+    """Own the channel in this epoch, accept an item, and stop cleanly."""
+    one = Host(path, store)
+    one.clock = time
+    owner = await Owner(one, epoch).serve()
+    await owner.put(time)
+    await owner.recordings.close(0)
+
+
+@pytest.mark.usefixtures("quick_looks")
+@pytest.mark.parametrize("first_epoch", [1, 2])
+@pytest.mark.asyncio
+async def test_a_host_does_not_trust_its_list_of_objects_if_the_channel_moves_back(
+    tmp_path: Path, first_epoch: int
+) -> None:
+    """In an earlier version the host took its own list for whole, and did not know the objects of the present owner."""
+    store = FakeStore()
+    if first_epoch > 1:
+        await left(tmp_path / "a", store, 1, 10)
+    async with host(tmp_path / "b", store) as present, host(tmp_path / "a", store) as former:
+        await present.serve(first_epoch)
+        await present.write(3)
+        await present.mover.move_all()
+        store.failure = "away"
+        recordings = Recordings()
+        recordings.archive = former.archive
+        with pytest.raises(Unavailable, match="cannot be used"):
+            await recordings.prepare_move(record(first_epoch), present.channel.next_seq)
+        store.failure = ""
+        await recordings.prepare_move(record(first_epoch), present.channel.next_seq)
+        opened = recordings._opened[record(1).channel_id].found
+        assert opened.segments[-1].end_seq == present.channel.next_seq
+        assert opened.stop is None
+
+
+@pytest.mark.asyncio
+async def test_a_move_back_keeps_the_losses_and_the_advance_that_the_present_owner_knows(tmp_path: Path) -> None:
+    """In an earlier version the notes of the former stop replaced them if the channel had no items."""
+    one = Host(tmp_path, FakeStore())
+    recording = (await Owner(one, 1).serve()).hosted
+    recording.advance(0)
+    await one.archive.write_all()
+    await one.archive.close([one.recorder], 0)
+    async with host(tmp_path, FakeStore()) as former:
+        recordings = Recordings()
+        recordings.archive = former.archive
+        await recordings.prepare_move(record(2), 1)
+        hosted = HostedChannel(replace(record(2), epoch=3), MemoryBudget(2**30), lambda: former.clock)
+        hosted.core.restore((), after=None, next_seq=1, loss=(4, 5), advance=3)
+        hosted.begin_move()
+        hosted = await recordings.adopt(replace(record(2), epoch=3), None, lambda _: hosted)
+        assert (hosted.core.lost_from, hosted.core.lost_before, hosted.core.advanced_to) == (4, 5, 3)
+        assert hosted.recording is not None
+        former.recorder = hosted.recording.recorder

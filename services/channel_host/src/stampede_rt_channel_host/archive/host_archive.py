@@ -94,19 +94,21 @@ class HostArchive:
         return len(self._failing)
 
     async def open(
-        self, record: RecordedChannel, *, may_be_unknown: bool = False
+        self, record: RecordedChannel, *, may_be_unknown: bool = False, is_move: bool = False
     ) -> tuple[SegmentFiles, OpenedArchive]:
         """The files of a channel, after a look at them. Raises OSError.
 
         `may_be_unknown`: if the object store is away, the host may open them without knowing what the store has.
+        `is_move`: another host still owns the channel.
         """
         channel_id, name = record.channel_id, record.name
         facts: dict[str, str | int] = {"channel_id": channel_id.hex(), "channel": name, "created_by": record.created_by}
         if self.objects is None:
             files = SegmentFiles(self.folder.of_channel(channel_id), facts, self._kept)
+            files.is_elsewhere = is_move
             found = await self._in_writer(files.open, record.epoch, record.incarnation)
         else:
-            files, found = await self._open_stored(self.objects, record, facts, may_be_unknown)
+            files, found = await self._open_stored(self.objects, record, facts, may_be_unknown, is_move)
         if found.torn_bytes or found.damaged_blocks:
             logger.warning(
                 "the archive of a channel was damaged",
@@ -120,10 +122,16 @@ class HostArchive:
         return files, found
 
     async def _open_stored(
-        self, objects: ObjectArchive, record: RecordedChannel, facts: dict[str, str | int], may_be_unknown: bool
+        self,
+        objects: ObjectArchive,
+        record: RecordedChannel,
+        facts: dict[str, str | int],
+        may_be_unknown: bool,
+        is_move: bool,
     ) -> tuple[SegmentFiles, OpenedArchive]:
         """The files of a channel, with those in the object store. Raises OSError."""
         files = objects.files_of(record.channel_id, facts, self._kept)
+        files.is_elsewhere = is_move
         opened = await objects.open(files, record, self._readers, self._writer, may_be_unknown=may_be_unknown)
         return files, opened
 

@@ -92,6 +92,8 @@ class SegmentFiles(SegmentReads):
         """Whether the segments are known from a listing of their store, and not from a list on the disk."""
         self.is_known = True
         """Whether the host knows all segments: False until the first listing after an opening without one."""
+        self.is_elsewhere = False
+        """Whether another host still owns the channel, which is to move here. Then no note of this host counts."""
         self._segments: tuple[Segment, ...] = ()
         self._file: int | None = None  # the segment to which blocks are appended
         self._gathered: list[bytes] = []  # the parts of blocks that are still to be written to it
@@ -113,8 +115,8 @@ class SegmentFiles(SegmentReads):
         stop = read_stop(self._folder)
         opened = self._find(stored, stop)
         remove_stop(self._folder)
-        is_clean = stop is not None and stop.is_of(incarnation, epoch) and not opened.torn_bytes
-        return opened._replace(stop=stop if is_clean else None)
+        is_true = stop is not None and stop.is_of(incarnation, epoch) and not self.is_elsewhere
+        return opened._replace(stop=stop if is_true and not opened.torn_bytes else None)
 
     def open_left(self) -> None:
         """Find the segments of a channel that this host does not serve. The note of a clean stop stays."""

@@ -64,14 +64,15 @@ class OpenedChannelArchive:
 
 
 async def open_archive(
-    archive: HostArchive, record: RecordedChannel, *, may_be_unknown: bool = False
+    archive: HostArchive, record: RecordedChannel, *, may_be_unknown: bool = False, is_move: bool = False
 ) -> OpenedChannelArchive:
     """Look at the archive of a channel. Raises Unavailable if the folder cannot be read or written.
 
     `may_be_unknown`: if the object store is away, the host may serve the channel without knowing what the store has.
+    `is_move`: another host still owns the channel, so what this host noted earlier does not count.
     """
     try:
-        files, found = await archive.open(record, may_be_unknown=may_be_unknown)
+        files, found = await archive.open(record, may_be_unknown=may_be_unknown, is_move=is_move)
         newest = await _newest(archive, files, found.segments)
     except OSError as error:
         raise Unavailable(
@@ -126,7 +127,8 @@ class Recording:
         self._on_archived = on_archived
         # while the host does not know which items the object store has
         self._unknown = None if opened.files.is_known else UnknownPast(channel, opened.files.epoch, opened.found)
-        is_restored = channel.next_seq == 1 and bool(opened.found.segments or opened.found.stop is not None)
+        is_empty = channel.next_seq == 1 and not from_memory  # a move also brings the state without items
+        is_restored = is_empty and bool(opened.found.segments or opened.found.stop is not None)
         if is_restored:
             restore_channel(channel, opened.found, opened.newest, cut)
         self.recorder = ChannelRecorder(

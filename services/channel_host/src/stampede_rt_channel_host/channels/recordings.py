@@ -56,7 +56,7 @@ class Recordings:
         if hosted is not None and hosted.recording is not None:
             hosted.recording.stop()
         may_be_unknown = record.may_have_lost and has_start(record.epoch) and not is_move
-        opened = await open_archive(self.archive, record, may_be_unknown=may_be_unknown)
+        opened = await open_archive(self.archive, record, may_be_unknown=may_be_unknown, is_move=is_move)
         self._opened[record.channel_id] = opened
 
     def check_move(self, record: RecordedChannel) -> None:

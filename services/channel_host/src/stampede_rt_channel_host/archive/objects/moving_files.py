@@ -47,6 +47,8 @@ class MovingFiles(SegmentFiles):
 
         `epoch`, `incarnation`: of the channel now.
         """
+        if self.is_elsewhere:
+            return None
         stop = read_stop(self._folder)
         is_whole = stop is not None and stop.incarnation == incarnation
         return self.stored.known(epoch, is_whole=is_whole)
@@ -55,7 +57,7 @@ class MovingFiles(SegmentFiles):
         """As `open`. `found`: the segments in the store. Raises OSError."""
         opened = self.open(epoch, incarnation, self.stored.adopt(found))
         self.stored.note(epoch)
-        if self.is_listed:
+        if self.is_listed and not self.is_elsewhere:
             self.former_stop = self.stored.take_stop(epoch)
         return opened._replace(stop=opened.stop or self.former_stop)
 
