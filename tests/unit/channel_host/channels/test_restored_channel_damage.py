@@ -8,12 +8,14 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.values.model import Policy
-from stampede_rt.values.timeline import Bound, Interval, Match
+from stampede_rt.values.timeline import NOW, OLDEST, Bound, Interval, Match
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.recorder import span_of
 from stampede_rt_channel_host.archive.segment_files import SegmentFiles
+from stampede_rt_channel_host.archive.written_parts import SeqGap
 from stampede_rt_channel_host.channels.restored_channel import restore_channel
 from stampede_rt_channel_host.core.archive import (
+    ArchivedRun,
     ArchivedRead,
     Segment,
     Wanted,
@@ -23,7 +25,7 @@ from stampede_rt_channel_host.core.archive import (
 )
 from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Offer, Query, ReadAnswer, run_to_end
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
-from tests.unit.channel_host.archive.test_archive_files import decode, opened, write
+from tests.unit.channel_host.archive.test_archive_files import NO_LIMITS, decode, opened, run_at, write
 
 CLOCK = 1000
 LAST = 12  # the seq and the time of the last item
@@ -126,3 +128,20 @@ def test_an_item_with_the_time_of_the_last_archived_items_hides_none_of_them(pat
     assert host.channel.put(offer, CLOCK, lambda first_seq, kept, stamped: b"13 ").run is not None
     assert seqs(host.read(0, LAST)) == {*range(1, LAST + 2)}
     assert seqs(host.read(edge, edge)) == {edge, LAST + 1}
+
+
+def test_a_channel_whose_items_have_times_before_a_loss_takes_and_shows_later_items(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path)
+    write(files, 1, 2)
+    files.close(None)
+    files, _ = opened(tmp_path)
+    lost_before = 500  # the host was lost at 500, and the items after it have the times 5 and 6
+    files.write([SeqGap(5, 5, lost_before), [ArchivedRun(600, run_at(5))]], NO_LIMITS)
+    files.close(CleanStop(7, lost_from=4, lost_before=lost_before, epoch=2))
+    host = Restarted(tmp_path)
+    kept = host.channel.put(Offer(times=[7], durations=None, lengths=[1]), CLOCK, lambda *_: b"7")
+    assert kept.run is not None
+    newest = Query(interval=Interval(OLDEST, NOW), newest_first=True, limit=1)
+    assert seqs(host.channel.read(newest, CLOCK)) == {7}
+    assert seqs(host.read(0, 7)) == {*range(1, 8)}
+    assert [host.read(start, 7).reason for start in range(1, 8)] == ["LOST"] * 7

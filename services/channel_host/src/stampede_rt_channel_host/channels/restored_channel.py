@@ -22,7 +22,7 @@ def restore_channel(
     stopped before its first item has a note of the stop, and no items.
     """
     window, segments = newest or ArchiveWindow(ChannelIndex(), None, None, None), found.segments
-    after = _left_to_archive(window)
+    after = _left_to_archive(window, span_of(segments).newest)
     low = FIRST_KEY if after is None else (after + 1, 0)
     parts = sorted(window.items.slices(low, LAST_KEY), key=lambda one: one.first_seq)
     runs = [part.run if part.is_whole else _cut(part, cut) for part in parts]
@@ -75,10 +75,15 @@ def _lost_since(segments: Sequence[Segment], window: ArchiveWindow) -> int | Non
     return since if earlier is None else earlier
 
 
-def _left_to_archive(window: ArchiveWindow) -> int | None:
-    """The time up to which all items stay in the archive only, or None if memory takes all of them."""
+def _left_to_archive(window: ArchiveWindow, newest: int | None) -> int | None:
+    """The time up to which all items stay in the archive only, or None if memory takes all of them.
+
+    The hole of a lost host may end after the time of the `newest` item, because later items may have earlier times.
+    The channel still takes items that are later than `newest`.
+    """
     ends = [hole.end for hole in window.holes]
-    return max(ends if window.edge is None else [*ends, window.edge], default=None)
+    last = max(ends if window.edge is None else [*ends, window.edge], default=None)
+    return last if last is None or newest is None else min(last, newest)
 
 
 def _cut(part: Slice, cut: Callable[[bytes, int, int], bytes]) -> Run:
