@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from mcap.records import Attachment, Metadata
 
@@ -14,6 +13,7 @@ from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.files.file_tally import FileTally
 from stampede_rt.files.framing import Damage
 from stampede_rt.files.reading import SUMMARY_NAME, Content, Event, FileReader, summary_fields
+from stampede_rt.files.window import Window
 from stampede_rt.files.writing import FileWriter
 from stampede_rt.values.recording import RecordingGap, RecordingSummary
 
@@ -153,48 +153,6 @@ def _stated(reader: FileReader) -> RecordingSummary | None:
         return None
 
 
-class _Cut:
-    """Keeps the events in an interval of time.
-
-    It drops a gap only if the end of the gap and the next item are before the interval, or the start of the gap and the
-    item before it are after the interval.
-    """
-
-    def __init__(self, start: int, end: int, chosen: Callable[[str], bool], take: Callable[[Any], None]) -> None:
-        self._start, self._end, self._chosen, self._take = start, end, chosen, take
-        self._before: dict[tuple[str, int | None], int] = {}  # the time of a channel's last item
-        self._waiting: dict[tuple[str, int | None], list[RecordingGap]] = {}
-
-    def add(self, event: Event) -> None:
-        """Keep or drop one event."""
-        name = event.topic.name if isinstance(event, FileEntry) else event.channel
-        if not self._chosen(name):
-            return
-        if isinstance(event, FileEntry):
-            key = (name, event.topic.incarnation)
-            self._settle(key, event.time)
-            self._before[key] = event.time
-            if self._start <= event.time < self._end:
-                self._take(event)
-        elif isinstance(event, RecordingGap):
-            self._waiting.setdefault((name, event.incarnation), []).append(event)
-        elif event.time < self._end:
-            self._take(event)
-
-    def _settle(self, key: tuple[str, int | None], next_time: int | None) -> None:
-        for gap in self._waiting.pop(key, ()):
-            before = self._before.get(key)
-            ends = [one for one in (gap.end, next_time) if one is not None]
-            begins = [one for one in (gap.start, before) if one is not None]
-            if (not ends or max(ends) >= self._start) and (not begins or min(begins) < self._end):
-                self._take(gap)
-
-    def finish(self) -> None:
-        """Decide on the last gaps."""
-        for key in list(self._waiting):
-            self._settle(key, None)
-
-
 def cut(
     path: str | os.PathLike[str],
     output: str | os.PathLike[str],
@@ -218,7 +176,7 @@ def cut(
             write(event)
 
         try:
-            chosen_part = _Cut(start, end, chosen, take)
+            chosen_part = Window(start, end, chosen, take)
             for part in intact_contents(reader):
                 for event in part.events():
                     chosen_part.add(event)

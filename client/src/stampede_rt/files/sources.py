@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import json
 import os
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -13,6 +13,7 @@ from typing import Any, Protocol
 from stampede_rt.errors import FileError
 from stampede_rt.files.entries import FACTS_TOPIC, POLICY_KEY, FileEntry
 from stampede_rt.files.reading import Content, Event, FileIndex, FileReader
+from stampede_rt.files.window import Window
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
 CACHE_BYTES = 64 * 1024 * 1024  # the most bytes of decoded chunks
@@ -62,8 +63,8 @@ class McapSource:
         self._index = index
         self._cache: OrderedDict[int, dict[str, list[Event]]] = OrderedDict()
         self._cached_bytes = 0
-        self._loose: dict[str, deque[tuple[int, Event]]] = {}  # gaps and advances of chunks without an item of theirs
-        self._seen: set[int] = set()
+        self._facts_ids = {number for number, topic in index.topics.items() if topic.name == FACTS_TOPIC}
+        self._loose: dict[int, dict[str, list[Event]]] = {}  # see `_loose_at`; by the position of the chunk
 
     def close(self) -> None:
         """Close the file."""
@@ -86,49 +87,65 @@ class McapSource:
         return sorted(found.values(), key=lambda one: one.name)
 
     def events(self, chosen: Chosen, start: int, end: int) -> Iterator[tuple[int, Event]]:
-        """Yield the events of all chosen topics, merged by time. Each topic keeps the order of the file."""
-        names = [topic.name for topic in self.topics() if chosen(topic.name)]
-        streams = [self._of(name, number, start, end) for number, name in enumerate(names)]
+        """Yield the events of all chosen topics, merged by time. Each topic keeps the order of the file.
+
+        At the end come the gaps of channels without an item in the file.
+        """
+        places = {topic.name: self._places_of(topic.name) for topic in self.topics() if chosen(topic.name)}
+        begins = {name: self._begin(found, start) for name, found in places.items()}
+        streams = [
+            self._of(name, number, begins[name], found, start, end)
+            for number, (name, found) in enumerate(places.items())
+        ]
+        due = start
         for due, _, event in heapq.merge(*streams, key=lambda one: one[:2]):
             yield due, event
+        for place in range(min(begins.values(), default=0), len(self._chunks)):
+            for name, events in self._loose_at(place).items():
+                if chosen(name) and name not in places:
+                    yield from ((due, event) for event in events)
 
-    def _of(self, name: str, number: int, start: int, end: int) -> Iterator[tuple[int, int, Event]]:
+    def _places_of(self, name: str) -> set[int]:
+        """Return the positions of the chunks that have items of a topic."""
+        ids = {key for key, topic in self._index.topics.items() if topic.name == name}
+        return {at for at, one in enumerate(self._chunks) if not ids.isdisjoint(one.message_index_offsets)}
+
+    def _begin(self, places: set[int], start: int) -> int:
+        """Return the position from which on a topic is read: at its last chunk before all items from `start` on.
+
+        The gaps between this chunk and the first of these items may reach beyond `start`.
+        """
+        before = 0
+        for at in sorted(places):
+            if not 0 < self._chunks[at].message_end_time < start:
+                break
+            before = at
+        return before
+
+    def _of(
+        self, name: str, number: int, begin: int, places: set[int], start: int, end: int
+    ) -> Iterator[tuple[int, int, Event]]:
         """Yield the events of one topic with the greatest time so far."""
-        due, ids = start, {key for key, topic in self._index.topics.items() if topic.name == name}
-        for place, chunk in enumerate(self._chunks):
-            has = not ids.isdisjoint(chunk.message_index_offsets)
-            if has and chunk.message_end_time < start and chunk.message_end_time > 0:
-                continue
-            for event in self._taken(name, place) if has else ():
-                if not isinstance(event, FileEntry):
-                    yield due, number, event
-                elif start <= event.time < end:
-                    due = max(due, event.time)
-                    yield due, number, event
-            if not has and set(chunk.message_index_offsets) <= self._facts_ids:
-                self._decoded(place)
-        for event in self._loose_before(name, len(self._chunks)):
-            yield due, number, event
+        kept: list[Event] = []
+        due, window = start, Window(start, end, lambda _: True, kept.append)
+        for place in range(begin, len(self._chunks)):
+            found = self._decoded(place) if place in places else self._loose_at(place)
+            for event in found.get(name, ()):
+                window.add(event)
+                for one in kept:
+                    due = max(due, one.time) if isinstance(one, FileEntry) else due
+                    yield due, number, one
+                kept.clear()
+        window.finish()
+        yield from ((due, number, event) for event in kept)
 
-    @property
-    def _facts_ids(self) -> set[int]:
-        return {number for number, topic in self._index.topics.items() if topic.name == FACTS_TOPIC}
-
-    def _taken(self, name: str, place: int) -> Iterator[Event]:
-        own = self._decoded(place).get(name, ())
-        yield from self._loose_before(name, place)
-        yield from own
-
-    def _loose_before(self, name: str, place: int) -> Iterator[Event]:
-        waiting = self._loose.get(name)
-        while waiting and waiting[0][0] < place:
-            yield waiting.popleft()[1]
-
-    def _note_loose(self, place: int, found: Mapping[str, list[Event]]) -> None:
-        self._seen.add(place)
-        for name, events in found.items():
-            if not any(isinstance(event, FileEntry) for event in events):
-                self._loose.setdefault(name, deque()).extend((place, event) for event in events)
+    def _loose_at(self, place: int) -> dict[str, list[Event]]:
+        """Return the gaps and advances of the channels without an item in a chunk. They stay in memory."""
+        found = self._loose.get(place)
+        if found is None:
+            has_facts = not self._facts_ids.isdisjoint(self._chunks[place].message_index_offsets)
+            found = self._loose[place] = _without_items(self._decoded(place)) if has_facts else {}
+        return found
 
     def _decoded(self, place: int) -> dict[str, list[Event]]:
         """Return the events of a chunk by topic."""
@@ -138,8 +155,6 @@ class McapSource:
             return found
         chunk = self._chunks[place]
         found = _by_topic(self._reader.content_at(chunk.chunk_start_offset))
-        if place not in self._seen:
-            self._note_loose(place, found)
         self._cache[place] = found
         self._cached_bytes += chunk.uncompressed_size
         while self._cached_bytes > CACHE_BYTES and len(self._cache) > 1:
@@ -163,6 +178,10 @@ def _by_topic(content: Content) -> dict[str, list[Event]]:
         name = event.topic.name if isinstance(event, FileEntry) else event.channel
         found.setdefault(name, []).append(event)
     return found
+
+
+def _without_items(found: Mapping[str, list[Event]]) -> dict[str, list[Event]]:
+    return {name: events for name, events in found.items() if not any(isinstance(one, FileEntry) for one in events)}
 
 
 def _policy(text: str) -> Mapping[str, Any]:

@@ -9,9 +9,11 @@ from rosbags.rosbag2 import StoragePlugin
 
 from stampede_rt.errors import FileError
 from stampede_rt.files import sources
+from stampede_rt.files.editing import cut
 from stampede_rt.files.entries import FileAdvance, FileEntry, item_entry
 from stampede_rt.files.foreign import source_of
 from stampede_rt.files.sources import McapSource
+from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 from tests.support.files.foreign_files import foxglove_file, rosbag, xdf_file
 from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, item, topic, write
@@ -48,6 +50,38 @@ def test_gaps_and_advances_keep_their_positions_even_between_chunks_of_other_cha
         *(("cam", seq) for seq in range(1, 11)), advance, gap("cam", 11, 12), *(("cam", seq) for seq in range(13, 20)),
         events[-1],
     ]  # fmt: skip
+
+
+GAPPED = [*entries("cam", range(1, 6)), gap("cam", 6, 8), *entries("cam", range(9, 20)), gap("cam", 20, 22)]
+GAPPED += entries("cam", range(23, 30))
+
+
+@pytest.mark.parametrize("chunk_items", [1, 3, 6, 10, 100])
+@pytest.mark.parametrize(
+    ("start", "end", "gaps"),
+    [(9, 12, [6]), (10, 12, []), (1, 5, []), (1, 6, [6]), (6, 9, [6]), (21, 40, [20]), (24, 40, []), (5, 24, [6, 20])],
+)
+def test_a_stretch_of_a_file_has_the_gaps_that_a_cut_of_it_has(
+    tmp_path: Path, chunk_items: int, start: int, end: int, gaps: list[int]
+) -> None:
+    path = write(tmp_path / "a.mcap", GAPPED, chunk_items=chunk_items)
+    within = {"start": START + start * MS, "end": START + end * MS}
+    events = played(path, **within)
+    items = [("cam", seq) for seq in (*range(1, 6), *range(9, 20), *range(23, 30)) if start <= seq < end]
+    assert [one for one in events if isinstance(one, tuple) and not isinstance(one, FileAdvance)] == items
+    assert [one.first_seq for one in events if isinstance(one, RecordingGap)] == gaps
+    (counts,) = cut(path, tmp_path / "b.mcap", **within).channels
+    assert [one.first_seq for one in counts.gaps] == gaps
+
+
+def test_a_source_that_is_read_again_has_the_same_gaps_and_those_of_channels_without_items(tmp_path: Path) -> None:
+    early, other = gap("cam", 1, 4), gap("lost", 1, 9)
+    path = write(tmp_path / "a.mcap", [*entries("imu", [1, 2]), early, other, *entries("cam", [5, 6])], chunk_items=4)
+    source = McapSource(path)
+    for _ in range(2):
+        found = [event for _, event in source.events(lambda name: name != "imu", MIN_INSTANT, MAX_INSTANT)]
+        assert [one.seq if isinstance(one, FileEntry) else one for one in found] == [early, 5, 6, other]
+    source.close()
 
 
 def test_few_chunks_are_in_memory_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

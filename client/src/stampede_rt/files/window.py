@@ -1,0 +1,62 @@
+"""The part of a file between two times. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from stampede_rt.files.entries import FileAdvance, FileEntry
+from stampede_rt.files.reading import Event
+from stampede_rt.values.recording import RecordingGap
+
+
+class Window:
+    """Keeps the events in an interval of time. `take` gets them.
+
+    It drops a gap only if the end of the gap and the next item are before the interval, or the start of the gap and the
+    item before it are after the interval. So a gap waits for the next item, and the advances behind it wait, too.
+    """
+
+    def __init__(self, start: int, end: int, chosen: Callable[[str], bool], take: Callable[[Any], object]) -> None:
+        self._start, self._end, self._chosen, self._take = start, end, chosen, take
+        self._before: dict[tuple[str, int | None], int] = {}  # the time of a channel's last item
+        self._waiting: dict[tuple[str, int | None], list[RecordingGap | FileAdvance]] = {}
+
+    def add(self, event: Event) -> None:
+        """Keep or drop one event."""
+        name = event.topic.name if isinstance(event, FileEntry) else event.channel
+        if not self._chosen(name):
+            return
+        if isinstance(event, FileEntry):
+            key = (name, event.topic.incarnation)
+            self._settle(key, event.time)
+            self._before[key] = event.time
+            if self._start <= event.time < self._end:
+                self._take(event)
+            return
+        waiting = self._waiting.get((name, event.incarnation))
+        if waiting is not None:
+            waiting.append(event)
+        elif isinstance(event, RecordingGap):
+            self._waiting[name, event.incarnation] = [event]
+        elif event.time < self._end:
+            self._take(event)
+
+    def _settle(self, key: tuple[str, int | None], next_time: int | None) -> None:
+        for event in self._waiting.pop(key, ()):
+            if isinstance(event, FileAdvance):
+                inside = event.time < self._end
+            else:
+                inside = self._is_inside(event, self._before.get(key), next_time)
+            if inside:
+                self._take(event)
+
+    def _is_inside(self, gap: RecordingGap, before: int | None, next_time: int | None) -> bool:
+        ends = [one for one in (gap.end, next_time) if one is not None]
+        begins = [one for one in (gap.start, before) if one is not None]
+        return (not ends or max(ends) >= self._start) and (not begins or min(begins) < self._end)
+
+    def finish(self) -> None:
+        """Decide on the last gaps."""
+        for key in list(self._waiting):
+            self._settle(key, None)
