@@ -15,8 +15,8 @@ from stampede_rt_channel_host.archive.segment_files import SegmentFiles
 from stampede_rt_channel_host.archive.written_parts import SeqGap
 from stampede_rt_channel_host.channels.restored_channel import restore_channel
 from stampede_rt_channel_host.core.archive import (
-    ArchivedRun,
     ArchivedRead,
+    ArchivedRun,
     Segment,
     Wanted,
     WantedWindow,
