@@ -13,7 +13,7 @@ from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.files.file_tally import FileTally
 from stampede_rt.files.framing import Damage
 from stampede_rt.files.reading import SUMMARY_NAME, Content, Event, FileReader, summary_fields
-from stampede_rt.files.window import Window
+from stampede_rt.files.stretch import Stretch
 from stampede_rt.files.writing import FileWriter
 from stampede_rt.values.recording import RecordingGap, RecordingSummary
 
@@ -176,7 +176,7 @@ def cut(
             write(event)
 
         try:
-            chosen_part = Window(start, end, chosen, take)
+            chosen_part = Stretch(start, end, chosen, take)
             for part in intact_contents(reader):
                 for event in part.events():
                     chosen_part.add(event)

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from stampede_rt.errors import FileError
 from stampede_rt.files.entries import FACTS_TOPIC, POLICY_KEY, FileEntry
 from stampede_rt.files.reading import Content, Event, FileIndex, FileReader
-from stampede_rt.files.window import Window
+from stampede_rt.files.stretch import Stretch
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
 CACHE_BYTES = 64 * 1024 * 1024  # the most bytes of decoded chunks
@@ -127,7 +127,7 @@ class McapSource:
     ) -> Iterator[tuple[int, int, Event]]:
         """Yield the events of one topic with the greatest time so far."""
         kept: list[Event] = []
-        due, window = start, Window(start, end, lambda _: True, kept.append)
+        due, window = start, Stretch(start, end, lambda _: True, kept.append)
         for place in range(begin, len(self._chunks)):
             found = self._decoded(place) if place in places else self._loose_at(place)
             for event in found.get(name, ()):
