@@ -40,7 +40,7 @@ AS_HOST = "--as-host"
 
 
 class FilledHost(ChannelHost):
-    """Obeys standard input once it has entered the cluster; ends as any host does."""
+    """A host that carries out the lines of its standard input after it has entered the cluster."""
 
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
         """See ChannelHost."""
@@ -63,7 +63,7 @@ async def _heed(host: ChannelHost) -> None:
 
 
 async def _fill(host: ChannelHost, channels: int) -> None:
-    """Make as many channels, each with one item, as if callers had bound them."""
+    """Make channels with one item each, as if callers had bound them, until the host has `channels` of them."""
     spec = policy_to_spec(Policy(max_age_nanos=10 * 10**9))
     for number in range(len(host.store.all()), channels):
         record = channel_pb2.ChannelRecord(
@@ -83,7 +83,7 @@ def _resident_bytes() -> int:
 
 
 def measure(steps: Sequence[int], seconds: float, runs: int) -> Table:
-    """Ask one host about each number of channels."""
+    """Measure one host with each number of channels in `steps`."""
     table = Table(["channels", "% of a core", "resident MB", "bytes a channel"])
     with running(hosts=0) as address:
         command = [sys.executable, "-m", "tests.benchmarks.idle_host", AS_HOST, "--frontend", address]
@@ -118,7 +118,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--channels", type=int, default=100_000, help="the most channels (default: 100000)")
     parser.add_argument("--seconds", type=float, default=20.0, help="the length of each run (default: 20)")
-    parser.add_argument("--runs", type=int, default=3, help="how often each is taken (default: 3)")
+    parser.add_argument("--runs", type=int, default=3, help="the runs for each number of channels (default: 3)")
     arguments = parser.parse_args()
     steps = sorted({*(one for one in (1000, 10_000) if one < arguments.channels), arguments.channels})
     measure(steps, arguments.seconds, arguments.runs).print()

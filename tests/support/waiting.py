@@ -29,5 +29,5 @@ async def until(holds: Callable[[], object], what: str = "", within_seconds: flo
 
 
 async def pause(seconds: float = LOOK_SECONDS) -> None:
-    """Wait between two looks at something. Without it, such a loop takes a core, and a second one in the service."""
+    """Wait between two looks at something. Without a pause the loop keeps two cores busy: here and in the service."""
     await asyncio.wait({asyncio.get_running_loop().create_future()}, timeout=seconds)

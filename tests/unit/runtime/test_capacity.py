@@ -112,7 +112,7 @@ async def test_an_ended_stream_makes_room_for_another() -> None:
 
 def test_a_call_without_a_free_reserved_slot_takes_a_common_slot() -> None:
     slots = Slots(LIMITS)
-    given = [slots.take(is_stream=True, for_members=True) for _ in range(3)]
+    given = [slots.take(is_stream=True, closed_to_clients=True) for _ in range(3)]
     assert (slots.reserved, slots.streams, slots.singles) == (2, 1, 0)
     for give_back in given:
         give_back()
@@ -122,23 +122,23 @@ def test_a_call_without_a_free_reserved_slot_takes_a_common_slot() -> None:
 def test_single_calls_that_fill_all_slots_leave_none_for_a_stream() -> None:
     slots = Slots(LIMITS)
     for _ in range(LIMITS.concurrent_rpcs_max):
-        slots.take(is_stream=False, for_members=False)
+        slots.take(is_stream=False, closed_to_clients=False)
     with pytest.raises(Overloaded, match="4 calls are under way"):
-        slots.take(is_stream=False, for_members=False)
+        slots.take(is_stream=False, closed_to_clients=False)
     with pytest.raises(Overloaded, match="4 calls are under way"):
-        slots.take(is_stream=True, for_members=False)
+        slots.take(is_stream=True, closed_to_clients=False)
 
 
 def test_single_calls_of_one_caller_leave_slots_for_others() -> None:
     """In an earlier version, one client with unfinished requests took all slots of a port for ten seconds."""
     slots = Slots(Limits(concurrent_rpcs_max=8, streams_max=4, reserved_rpcs_max=2))
-    given = [slots.take(is_stream=number < 2, for_members=False, subject="greedy") for number in range(6)]
+    given = [slots.take(is_stream=number < 2, closed_to_clients=False, subject="greedy") for number in range(6)]
     for is_stream in (False, True):
         with pytest.raises(Overloaded, match="greedy has 6 calls under way at this port, the most for one caller"):
-            slots.take(is_stream=is_stream, for_members=False, subject="greedy")
-    slots.take(is_stream=False, for_members=True, subject="greedy")
-    slots.take(is_stream=False, for_members=False, subject="good")
-    slots.take(is_stream=True, for_members=False)
+            slots.take(is_stream=is_stream, closed_to_clients=False, subject="greedy")
+    slots.take(is_stream=False, closed_to_clients=True, subject="greedy")
+    slots.take(is_stream=False, closed_to_clients=False, subject="good")
+    slots.take(is_stream=True, closed_to_clients=False)
     for give_back in given:
         give_back()
     assert (slots.streams, slots.singles, slots.reserved) == (1, 1, 1)

@@ -39,8 +39,8 @@ class GatekeeperServiceStub:
     """Measure the round trip and the clock."""
     BindChannel: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.BindChannelRequest, _gatekeeper_service_pb2.BindChannelResponse]
     """Get the data endpoint of a channel. The host asks the directory about a channel, epoch or spec that is new to it.
-    If the directory has a copy of the channel at this host, the host begins the copy and waits at most 5 s until it
-    can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND, UNAVAILABLE (the copy cannot serve
+    If this host shall hold a copy of the channel by the directory's record, the host begins the copy and waits at most
+    5 s until the copy can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND, UNAVAILABLE (the copy cannot serve
     readers yet).
     """
     ListDataEndpoints: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ListDataEndpointsRequest, _gatekeeper_service_pb2.ListDataEndpointsResponse]
@@ -65,8 +65,8 @@ class GatekeeperServiceAsyncStub(GatekeeperServiceStub):
     """Measure the round trip and the clock."""
     BindChannel: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.BindChannelRequest, _gatekeeper_service_pb2.BindChannelResponse]  # type: ignore[assignment]
     """Get the data endpoint of a channel. The host asks the directory about a channel, epoch or spec that is new to it.
-    If the directory has a copy of the channel at this host, the host begins the copy and waits at most 5 s until it
-    can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND, UNAVAILABLE (the copy cannot serve
+    If this host shall hold a copy of the channel by the directory's record, the host begins the copy and waits at most
+    5 s until the copy can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND, UNAVAILABLE (the copy cannot serve
     readers yet).
     """
     ListDataEndpoints: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ListDataEndpointsRequest, _gatekeeper_service_pb2.ListDataEndpointsResponse]  # type: ignore[assignment]
@@ -100,8 +100,8 @@ class GatekeeperServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_gatekeeper_service_pb2.BindChannelResponse, _abc.Awaitable[_gatekeeper_service_pb2.BindChannelResponse]]:
         """Get the data endpoint of a channel. The host asks the directory about a channel, epoch or spec that is new to it.
-        If the directory has a copy of the channel at this host, the host begins the copy and waits at most 5 s until it
-        can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND, UNAVAILABLE (the copy cannot serve
+        If this host shall hold a copy of the channel by the directory's record, the host begins the copy and waits at most
+        5 s until the copy can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND, UNAVAILABLE (the copy cannot serve
         readers yet).
         """
 

@@ -16,7 +16,7 @@ from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.access.proofs import AcceptedProofs, identify, of_certificate_alone
 from stampede_rt_runtime.handlers import guarded
 from stampede_rt_runtime.identity import Identity, identity_among
-from stampede_rt_runtime.roles import is_for_members, why_refused
+from stampede_rt_runtime.roles import is_closed_to_clients, why_refused
 from stampede_rt_runtime.rpc import Context
 
 CERTIFICATES_KEPT_MAX = 4096  # the most certificates whose serial number and end this process remembers
@@ -51,7 +51,7 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         if handler is None:
             return self._unknown(method)
 
-        only_members = is_for_members(method)
+        closed_to_clients = is_closed_to_clients(method)
 
         @contextlib.asynccontextmanager
         async def admitted(context: Context) -> AsyncIterator[None]:
@@ -61,7 +61,7 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
                 caller = self._admit(method, context)
             except StampedeError as error:
                 await abort(context, error)
-            async with self._control.serving(caller, context, for_members=only_members):
+            async with self._control.serving(caller, context, closed_to_clients=closed_to_clients):
                 yield
 
         return guarded(handler, admitted)

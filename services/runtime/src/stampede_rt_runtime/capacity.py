@@ -24,7 +24,7 @@ from stampede_rt_runtime.pacing import TurnGate
 from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota
 from stampede_rt_runtime.quotas.working import CALL_NANOS
 from stampede_rt_runtime.requests import reading_late
-from stampede_rt_runtime.roles import is_for_members
+from stampede_rt_runtime.roles import is_closed_to_clients
 from stampede_rt_runtime.rpc import Context
 
 
@@ -33,7 +33,7 @@ class Slots:
 
     At most `streams_max` of the slots for any caller may be streams. One caller gets at most three quarters of these
     slots, rounded up, unless its quota of streams is unlimited. The reserved slots are for the methods of
-    `is_for_members`.
+    `is_closed_to_clients`.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -41,13 +41,13 @@ class Slots:
         self.streams = self.singles = self.reserved = 0
         self._of_caller: Counter[str] = Counter()  # the slots of each caller that has quotas
 
-    def take(self, *, is_stream: bool, for_members: bool, subject: str = "") -> Callable[[], None]:
+    def take(self, *, is_stream: bool, closed_to_clients: bool, subject: str = "") -> Callable[[], None]:
         """Take a slot. Returns a function that gives it back; call that function once.
 
         `subject`: the caller in quotas; empty if it may have all slots. Raises Overloaded if no slot is free for it.
         """
         limits = self._limits
-        if for_members and self.reserved < limits.reserved_rpcs_max:
+        if closed_to_clients and self.reserved < limits.reserved_rpcs_max:
             kind = "reserved"
         elif is_stream and self.streams >= limits.streams_max:
             raise Overloaded(
@@ -120,7 +120,7 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
         if handler is None:
             return None
         method, streams = handler_call_details.method, is_stream(handler)
-        for_members = is_for_members(method)
+        closed_to_clients = is_closed_to_clients(method)
 
         quotas = quotas_of(method, is_stream=streams)
 
@@ -132,7 +132,7 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
                 for quota in quotas:
                     account.check(quota)
                 sharing = account.subject if account.limit(Quota.STREAMS) < LIMIT_MAX else ""
-                give_back = self._slots.take(is_stream=streams, for_members=for_members, subject=sharing)
+                give_back = self._slots.take(is_stream=streams, closed_to_clients=closed_to_clients, subject=sharing)
             except Overloaded as error:
                 self._refused.note(error)
                 await abort(context, error)

@@ -76,7 +76,7 @@ def roles_for(method: str) -> frozenset[Role]:
     return _METHODS.get(f"{service}/{name}", _SERVICES.get(service, frozenset()))
 
 
-def is_for_members(method: str) -> bool:
+def is_closed_to_clients(method: str) -> bool:
     """Whether only parts of the cluster and operators may call the method, and clients may not.
 
     Such methods serve Raft, leases, links between hosts, membership, rules of access and quotas.

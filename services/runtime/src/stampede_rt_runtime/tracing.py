@@ -11,7 +11,7 @@ import grpc
 from stampede_rt.cluster.tracing import TRACER, trace_api
 from stampede_rt_runtime.handlers import guarded
 from stampede_rt_runtime.health import SERVICE as HEALTH
-from stampede_rt_runtime.roles import PACKAGE, is_for_members
+from stampede_rt_runtime.roles import PACKAGE, is_closed_to_clients
 from stampede_rt_runtime.rpc import Context
 
 # Many calls share one stream of these methods, so the stream's span would belong to none of them.
@@ -26,7 +26,7 @@ _PERIODIC = frozenset(
 
 def is_traced(method: str) -> bool:
     """Whether calls of the method have spans. Calls between members, checks of health and shared streams have none."""
-    without = method in _SHARED or method in _PERIODIC or is_for_members(method)
+    without = method in _SHARED or method in _PERIODIC or is_closed_to_clients(method)
     return not without and not method.startswith(f"/{HEALTH}/")
 
 

@@ -82,7 +82,7 @@ def test_a_default_of_this_process_stays_when_settings_change() -> None:
     assert not accounts.of("cam").has_room(Quota.STREAMS)
 
 
-def test_quotas_do_not_apply_to_members() -> None:
+def test_quotas_do_not_apply_to_parts_of_the_cluster() -> None:
     accounts = Accounts()
     accounts.set_table(QuotaTable([QuotaSetting("*", quota, 0) for quota in Quota]))
     accounts.of(None).check(Quota.STREAMS)

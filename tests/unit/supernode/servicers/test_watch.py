@@ -161,7 +161,7 @@ async def test_watches_end_when_the_supernode_stops(node: Node) -> None:
     assert (await reason_of(stream.read())).reason == "SHUTTING_DOWN"
 
 
-async def test_a_watch_has_heartbeats_while_a_leader_is_known() -> None:
+async def test_a_watch_has_signs_of_life_while_a_leader_is_known() -> None:
     async with running_node(sign_of_life_seconds=0.02) as node:
         stream = begin(node)
         for _ in range(3):
@@ -173,7 +173,7 @@ async def test_a_watch_has_heartbeats_while_a_leader_is_known() -> None:
         assert "knows no leader" in error.message
 
 
-async def test_a_watch_has_heartbeats_although_unrelated_commits_wake_it() -> None:
+async def test_a_watch_has_signs_of_life_although_unrelated_commits_wake_it() -> None:
     async with running_node(sign_of_life_seconds=0.02) as node:
         stream = begin(node, name_glob="mic")
 

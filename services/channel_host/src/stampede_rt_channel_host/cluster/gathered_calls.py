@@ -18,8 +18,8 @@ logger = logging.getLogger(__name__)
 
 LONG_CALL_PARTS = 4
 LONG_CALL_INTERVAL_S_MAX = 0.05
-"""After a long call the directory has much to do, so the next call waits for more questions. It begins LONG_CALL_PARTS
-times as long after the former one began, LONG_CALL_INTERVAL_S_MAX at most.
+"""After a long call the directory has much to do, so the next call waits for more questions. The time between the
+begins of the two calls is LONG_CALL_PARTS times the duration of the first call, but at most LONG_CALL_INTERVAL_S_MAX.
 """
 
 
@@ -35,10 +35,9 @@ class GatheredCalls(Generic[Question, Answer]):
         most: int,
         interval_s: float = 0.0,
     ) -> None:
-        """`interval_s`: the least time between two calls.
+        """`interval_s`: the least time between the begins of two calls; 0: no call waits.
 
-        Questions that come earlier wait, and go together into the next call. The time
-        is longer after a long call. 0: no call waits.
+        After a long call the time is longer. Questions that come earlier wait, and go together into the next call.
         """
         self._ask = ask
         self._most = most

@@ -176,13 +176,13 @@ class AccessControl:
         return state
 
     @contextlib.asynccontextmanager
-    async def serving(self, caller: Caller, context: Any, *, for_members: bool = False) -> AsyncIterator[None]:
+    async def serving(self, caller: Caller, context: Any, *, closed_to_clients: bool = False) -> AsyncIterator[None]:
         """A context in which a call of `caller` runs. Ends the call if the caller's credential or rights end.
 
-        `for_members`: the call counts towards no quota.
+        `closed_to_clients`: the call counts towards no quota.
         """
         peer = context.peer()
-        account = self.accounts.of(None if for_members else subject_of(caller, peer))
+        account = self.accounts.of(None if closed_to_clients else subject_of(caller, peer))
         call = OpenCall(self, caller, peer, account, costs_of(context))
         _CURRENT.set(call)  # for the rest of the call, which has a task of its own
         try:
