@@ -126,5 +126,5 @@ def test_an_operator_that_revokes_its_own_token_gets_a_warning(
     assert run(["token", "revoke", str(own), "--url", cluster.address]) == 0
     told = capsys.readouterr()
     assert "is revoked" in told.out
-    assert "this was the credential of this caller: services refuse it now" in told.err
+    assert "the revoked credential is the one of this command, and services refuse it now" in told.err
     assert "not in force" not in told.err

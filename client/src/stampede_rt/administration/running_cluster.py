@@ -115,8 +115,8 @@ class Cluster:
             judges = self._parts(with_frontends=not of_rules)
         except PermissionDenied as error:
             raise PermissionDenied(
-                "this was the credential of this caller: services refuse it now, so the caller cannot "
-                f"ask which services do not refuse it yet ({error.message})"
+                "the revoked credential is the one of this command, and services refuse it now; so the command cannot "
+                f"ask whether all services refuse it ({error.message})"
             ) from error
         except StampedeError as error:  # the change itself has succeeded
             return {"the cluster": error.message}
@@ -251,8 +251,8 @@ def reached(
 ) -> Iterator[Cluster]:
     """Yield the cluster whose front-ends are at `frontend`, or whose supernodes are at `member`. Raises StampedeError.
 
-    If both are None, the front-ends come from `$STAMPEDE_URL`. If `secret` or `tls` is None, the caller has the secret
-    or the certificate that `connect` would have.
+    If both are None, the front-ends come from `$STAMPEDE_URL`. If `secret` or `tls` is None, the calls carry the
+    secret or the certificate that `connect` would use.
     """
     target = parse_target(
         member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=secret, zone=None, tls=tls
@@ -301,7 +301,7 @@ def _quotas(endpoint: ServerEndpoint) -> Any:
 
 @contextmanager
 def _explaining_another_service(expected: str, way_out: str) -> Iterator[None]:
-    """Explain the error of a service that does not serve the call: it is a service of another kind.
+    """Replace the error of a server that does not know the call: this server is a service of another kind.
 
     The new error begins with `expected`, such as "no supernode", and tells the operator to name `way_out` instead.
     """

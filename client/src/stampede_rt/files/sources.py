@@ -31,7 +31,7 @@ class SourceTopic:
 
 
 class FileSource(Protocol):
-    """A file from which items are put. `events` yields each event with a time of the file that never falls."""
+    """A file from which a program puts items. `events` yields each event with a time, and these times never fall."""
 
     path: str
 
@@ -111,9 +111,10 @@ class McapSource:
         return {at for at, one in enumerate(self._chunks) if not ids.isdisjoint(one.message_index_offsets)}
 
     def _begin(self, places: set[int], start: int) -> int:
-        """Return the position from which on a topic is read: at its last chunk before all items from `start` on.
+        """Return the position of the chunk at which the reading of a topic begins.
 
-        The gaps between this chunk and the first of these items may reach beyond `start`.
+        This is the last chunk that comes before all items from `start` on. Reading begins there because a gap between
+        this chunk and the first such item may reach beyond `start`.
         """
         before = 0
         for at in sorted(places):
@@ -125,7 +126,7 @@ class McapSource:
     def _of(
         self, name: str, number: int, begin: int, places: set[int], start: int, end: int
     ) -> Iterator[tuple[int, int, Event]]:
-        """Yield the events of one topic with the greatest time so far."""
+        """Yield the events of one topic, each with the greatest time of the items up to it."""
         kept: list[Event] = []
         due, window = start, Stretch(start, end, lambda _: True, kept.append)
         for place in range(begin, len(self._chunks)):

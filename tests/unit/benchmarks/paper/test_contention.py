@@ -15,13 +15,13 @@ from stampede_rt_bench.works.run import count_lost
 FRAMES = 15
 
 
-def test_consumers_that_get_the_newest_frame_by_turns_get_frames_of_a_real_channel() -> None:
+def test_consumers_that_take_turns_at_the_newest_frame_get_frames_of_a_real_channel() -> None:
     lost = count_lost(contention.NewestByTurns(), frames(MEDIUM, 2, items_total=FRAMES))
     assert len(lost) == 2
     assert all(0 <= one < FRAMES for one in lost)
 
 
-def test_drops_are_those_of_all_consumers_on_average_and_of_one_consumer_in_any_run(
+def test_the_table_has_the_mean_drops_of_all_consumers_and_the_most_drops_of_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[Work] = []

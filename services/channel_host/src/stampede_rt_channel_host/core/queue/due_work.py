@@ -74,7 +74,7 @@ class DueWork:
         self.follow_up(clock)
 
     def check_all(self) -> None:
-        """Check all tracked messages against the limits, the first ones now, the rest at each `tick`.
+        """Check all tracked messages against the limits: some of them now, and some more at each `tick`.
 
         Until all are checked, takers get no messages.
         """
