@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from stampede_rt.ring.newest import find_newest
+from stampede_rt.ring.ring_view import RingView
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import NOW, OLDEST, Bound, Interval, Match
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
@@ -25,6 +27,7 @@ from stampede_rt_channel_host.core.archive import (
 )
 from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Offer, Query, ReadAnswer, run_to_end
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
+from stampede_rt_channel_host.core.ring_writer import ClockReading, RingWriter, ring_size
 from tests.unit.channel_host.archive.test_archive_files import NO_LIMITS, decode, opened, run_at, write
 
 CLOCK = 1000
@@ -145,3 +148,22 @@ def test_a_channel_whose_items_have_times_before_a_loss_takes_and_shows_later_it
     assert seqs(host.channel.read(newest, CLOCK)) == {7}
     assert seqs(host.read(0, 7)) == {*range(1, 8)}
     assert [host.read(start, 7).reason for start in range(1, 8)] == ["LOST"] * 7
+
+
+def test_a_ring_asks_the_host_for_the_newest_item_if_only_the_archive_has_items(tmp_path: Path) -> None:
+    files, _ = opened(tmp_path)
+    write(files, 1, 2)
+    files.close(None)
+    files, _ = opened(tmp_path)
+    files.write([SeqGap(5, 5, 500), [ArchivedRun(600, run_at(5))]], NO_LIMITS)
+    files.close(CleanStop(7, lost_from=4, lost_before=500, epoch=2))
+    channel = Restarted(tmp_path).channel
+    channel.record(channel.next_seq)
+    facts, size = channel.ring_facts(), ring_size(2**12)
+    memory = memoryview(bytearray(size.whole_bytes))
+    writer = RingWriter(memory, size, 7, channel.newest)
+    writer.publish(facts, ClockReading(0, 0, 0))
+    view = RingView(memory.toreadonly())
+    found = view.facts()
+    assert found is not None
+    assert find_newest(view, found) is True

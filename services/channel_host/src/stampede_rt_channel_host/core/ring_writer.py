@@ -64,7 +64,10 @@ class RingRun(NamedTuple):
 
 
 class RingFacts(NamedTuple):
-    """The facts about a channel that a ring repeats, see `layout`. None: the instant or the limit is absent."""
+    """The facts about a channel that a ring repeats, see `layout`. None: the instant or the limit is absent.
+
+    `has_items`: in memory, or perhaps in the archive.
+    """
 
     next_seq: int
     has_items: bool

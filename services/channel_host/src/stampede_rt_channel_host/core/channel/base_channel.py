@@ -127,9 +127,10 @@ class BaseChannel:
         held, reading = self._held, self._reading
         gone = (held.gone_before, self.lost_before)
         passed = (self.advanced_to, reading.consumed_up_to)
+        may_be_archived = self._retention.unarchived is not None and held.newest_collected is not None
         return RingFacts(
             next_seq=held.next_seq,
-            has_items=held.items > 0,
+            has_items=held.items > 0 or may_be_archived,
             passed=max((one for one in passed if one is not None), default=None),
             gone_before=max((one for one in gone if one is not None), default=None),
             floor=(max(held.floor[0], ABSENT_INSTANT), held.floor[1]),
