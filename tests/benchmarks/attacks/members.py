@@ -1,6 +1,6 @@
 """Attacks by a caller with the credential of a member of the cluster, and patterns that take long to match.
 
-An attacker that has done the harm itself, and sees it, ends with an error.
+If the program of an attack notices that the attack has done harm, it ends with an error.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ CLAIM = raft_pb.RaftMessage(append_entries=raft_pb.RaftAppendEntries(term=FAR, c
 
 
 async def raft_claims(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
-    """Streams of the log by invented members, and under the names of real ones, with votes and claims of a far term."""
+    """Streams of the log under the names of invented and of real members, with votes and claims of a much higher term."""
     supernode = attacked.channel(attacked.supernode)
     token = await _join_token(attacked, supernode, "spare")
     known: Any = DirectoryServiceStub(supernode).ListSupernodes

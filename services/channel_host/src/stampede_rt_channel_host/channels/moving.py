@@ -48,7 +48,7 @@ class Moving:
         self._timer = asyncio.get_running_loop().call_later(HELD_SECONDS_MAX, self._refuse)
 
     def _refuse(self) -> None:
-        """Refuse the puts that wait. Those that come later are refused the next time."""
+        """Refuse the puts that wait now. The next call refuses those that come later."""
         self._begin(self._puts.ending(held_too_long(self._name)))
         self._wait()
 
@@ -83,6 +83,6 @@ class Moving:
 def held_too_long(name: str) -> StampedeError:
     """The error for a change that has waited too long for the end of a move."""
     return Overloaded(
-        f"channel {name} is moving to another host, which takes longer than {HELD_SECONDS_MAX:g} s; try again",
+        f"channel {name} is moving to another host, and the move takes longer than {HELD_SECONDS_MAX:g} s; try again",
         metadata={"channel": name},
     )

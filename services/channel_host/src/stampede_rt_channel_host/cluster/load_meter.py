@@ -12,9 +12,9 @@ PERMILLE_MAX = 1_000_000
 
 
 class LoadMeter:
-    """Measures between one call of `measure` and the next. `held_bytes` gives the bytes held now, of `bytes_max`.
+    """Measures the load between one call of `measure` and the next. Use it on one thread.
 
-    Use it on one thread.
+    `held_bytes` gives the bytes that are held now; the limit is `bytes_max`.
     """
 
     def __init__(
