@@ -42,7 +42,7 @@ CLAIM = raft_pb.RaftMessage(append_entries=raft_pb.RaftAppendEntries(term=FAR, c
 
 
 async def raft_claims(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
-    """Streams of the log under the names of invented and of real members, with votes and claims of a much higher term."""
+    """Streams of the log under the names of invented and of real members, with votes and claims of a far later term."""
     supernode = attacked.channel(attacked.supernode)
     token = await _join_token(attacked, supernode, "spare")
     known: Any = DirectoryServiceStub(supernode).ListSupernodes

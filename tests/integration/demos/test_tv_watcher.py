@@ -1,4 +1,4 @@
-"""The TV watcher, whole: a real film through a real cluster, for a few seconds, and its end in every case."""
+"""The whole TV watcher: a real film goes through a real cluster for a few seconds. The demo always ends in order."""
 
 import contextlib
 import io
@@ -29,7 +29,7 @@ END_SECONDS = 30
 
 @pytest.fixture(scope="module")
 def outcome() -> Outcome:
-    """A run in which no stream lagged for longer than the viewer waits; a busy machine needs more than one for that."""
+    """A run in which no stream lagged for longer than the viewer waits. A busy machine may need several attempts."""
     for _ in range(RUNS_MAX - 1):
         with contextlib.suppress(DemoFailed):
             outcome = conduct(SECONDS, Progress(io.StringIO()))
@@ -124,7 +124,7 @@ def marked_processes(mark: str) -> dict[int, str]:
 
 
 def wait_for_progress(process: subprocess.Popen[str]) -> None:
-    """Read until the programme runs. Ends with the process, whose time the test's own limit bounds."""
+    """Read the output until the programme runs. If the process ends before, fails the test."""
     assert process.stdout is not None
     for line in process.stdout:
         if "in step" in line:

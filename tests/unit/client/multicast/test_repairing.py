@@ -27,7 +27,7 @@ def test_a_late_datagram_needs_no_repair() -> None:
     assert pace.next_step(REORDERED_S, is_missing=True)[0] is Step.WAIT
 
 
-def test_a_reader_leaves_multicast_without_any_message_and_stays_after_one() -> None:
+def test_a_reader_leaves_multicast_after_a_silence_and_each_message_ends_the_silence() -> None:
     pace = RepairPace(0.0)
     step, wait_s = pace.next_step(0.0, is_missing=False)
     assert step is Step.WAIT

@@ -39,9 +39,10 @@ def is_waiting(thread: threading.Thread) -> bool:
 
 
 def interrupted_in(wait: Callable[[], object]) -> bool:
-    """Whether a signal ends `wait`, if it comes at another thread while the main thread waits for a lock.
+    """Whether a signal of the system ends `wait`.
 
-    The main thread then learns of the signal as little as of one that came just before the wait began.
+    The test sends the signal to another thread while the main thread waits for a lock. So the signal does not wake the
+    main thread, as a signal that comes just before the wait does not.
     """
     main = threading.main_thread()
     assert threading.current_thread() is main
@@ -180,7 +181,7 @@ def test_a_step_that_a_signal_ends_leaves_the_others_their_turn() -> None:
     assert seen == ["later", "next", "of another thread"]
 
 
-def test_a_signal_wakes_all_waiting_threads_and_each_later_wait_until_it_is_cleared() -> None:
+def test_a_set_flag_wakes_all_waiting_threads_and_each_later_wait_until_it_is_cleared() -> None:
     signals, woken = Signal(), list[bool]()
     waiting = [threading.Thread(target=lambda: woken.append(signals.wait(10))) for _ in range(5)]
     for one in waiting:
@@ -255,8 +256,8 @@ def test_a_call_returns_after_its_step_though_another_thread_runs_steps_meanwhil
     first.join(10)
 
 
-def test_a_signal_that_is_cleared_at_once_wakes_all_that_wait() -> None:
-    """In an earlier version, such a signal woke only one of the waiting callers."""
+def test_a_flag_that_is_set_and_cleared_at_once_wakes_all_waiting_callers() -> None:
+    """In an earlier version, such a flag woke only one of the waiting callers."""
     signals, woken = Signal(), list[bool]()
     waiting = [threading.Thread(target=lambda: woken.append(signals.wait(10))) for _ in range(5)]
     for one in waiting:

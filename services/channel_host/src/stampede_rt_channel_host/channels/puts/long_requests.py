@@ -41,9 +41,10 @@ class LongRequest(NamedTuple):
 def read_long(raw: Encoded, head: MessageType[Head], run: MessageType[Run], name: str) -> LongRequest | None:
     """Decode a request whose fields come in the order of their numbers, as all protobuf encoders write them.
 
-    Returns None for a short request, and for any other form, which protobuf decodes or refuses. But protobuf does not
-    decode a large request: it would copy up to 20 MiB in one step, while all other callers wait. Raises
-    InvalidArgument for such a request, and for bytes that are no message. `name`: the name of the message in errors.
+    Returns None for a short request, and for a request of another form: the caller then gives the request to protobuf,
+    which decodes or refuses it. But a request of another form with more than MESSAGE_BYTES_MAX raises InvalidArgument,
+    because protobuf would copy up to 20 MiB in one step, while all other callers wait. Also raises InvalidArgument for
+    bytes that are no message. `name`: the name of the message in errors.
     """
     found = _read(raw, head, run, name) if len(raw) > SHORT_BYTES else None
     if found is None and len(raw) > MESSAGE_BYTES_MAX:
