@@ -35,6 +35,7 @@ from stampede_rt.files.entries import (
     Topic,
 )
 from stampede_rt.files.framing import MAGIC, Damage, RecordFile, RecordFrame
+from stampede_rt.files.indexed_frames import indexed_frames
 from stampede_rt.files.json_text import read_json
 from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary, incarnation_of
 
@@ -135,7 +136,7 @@ class FileReader:
 
     def contents(self) -> Iterator[Content | Damage | Attachment | Metadata]:
         """Yield the chunks in the order of the file, damaged parts, attachments, and metadata."""
-        for frame in self._records.frames():
+        for frame in self._frames():
             if isinstance(frame, Damage):
                 yield frame
                 continue
@@ -146,6 +147,12 @@ class FileReader:
                 continue  # damaged, or a file without an index: search on for its end mark
             if (found := self._read_or_damage(frame)) is not None:
                 yield found
+
+    def _frames(self) -> Iterator[RecordFrame | Damage]:
+        if self.index is None:
+            return self._records.frames()
+        ends = {one.chunk_start_offset: one.chunk_start_offset + one.chunk_length for one in self.index.chunks}
+        return indexed_frames(self._records, ends)
 
     def _read_or_damage(self, frame: RecordFrame) -> Content | Damage | Attachment | Metadata | None:
         try:
@@ -183,7 +190,10 @@ class FileReader:
             body = self._records.body(frame)
             if len(body) < 22:
                 raise FileError(f"the message at byte {frame.offset} of {self.path!r} is too short")
-            return self._content(frame, [_message(body)])
+            content = self._content(frame, [_message(body)])
+            if content.bare and self.index is not None and self.index.chunks:
+                raise FileError(f"the message at byte {frame.offset} of {self.path!r} is in no chunk")
+            return content
         if frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             kind = SchemaRecord if frame.opcode == Opcode.SCHEMA else Channel
             self._learn(self._records.record(frame, kind))

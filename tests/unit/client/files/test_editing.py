@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import random
+from contextlib import suppress
+from itertools import product
 from pathlib import Path
 
 import pytest
 
 from stampede_rt.errors import FileError, InvalidArgument
 from stampede_rt.files.editing import cut, recover, verify
-from stampede_rt.files.entries import FileAdvance
+from stampede_rt.files.entries import FileAdvance, FileEntry
+from stampede_rt.files.framing import RecordFile, RecordFrame
 from stampede_rt.files.merging import merge
 from stampede_rt.files.reading import Content, FileReader
+from stampede_rt.values.recording import RecordingGap
 from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, read, seqs_of, write
 
 ITEMS = range(1, 101)
@@ -143,3 +147,31 @@ def test_merging_files_keeps_each_item_once_and_fills_gaps(tmp_path: Path) -> No
     assert (cam.accepted, cam.recorded, cam.missing) == (80, 70, 10)
     assert [(gap.first_seq, gap.last_seq) for gap in cam.gaps] == [(51, 60)]
     assert verify(output).intact
+
+
+def heads_of(path: Path) -> list[int]:
+    """The places of the opcodes and lengths of the records before the index."""
+    with FileReader(path) as reader:
+        assert reader.index is not None
+        end = max(one.chunk_start_offset + one.chunk_length for one in reader.index.chunks)
+    with RecordFile(path) as records:
+        frames = [one.offset for one in records.frames() if isinstance(one, RecordFrame) and one.offset < end]
+    return [offset + at for offset in frames for at in range(9)]
+
+
+def test_a_flipped_bit_in_the_head_of_a_record_hides_no_item_in_silence(tmp_path: Path) -> None:
+    events = [*entries("cam", range(1, 20)), *entries("imu", range(1, 20))]
+    path = write(tmp_path / "a.mcap", events)
+    content, flipped, output = path.read_bytes(), tmp_path / "b.mcap", tmp_path / "c.mcap"
+    true = {(name, seq) for name in ("cam", "imu") for seq in range(1, 20)}
+    for place, bit in product(heads_of(path), range(8)):
+        flipped.write_bytes(content[:place] + bytes([content[place] ^ 1 << bit]) + content[place + 1 :])
+        recover(flipped, output, overwrite=True)
+        found, _ = read(output)
+        items = {(one.topic.name, one.seq) for one in found if isinstance(one, FileEntry)}
+        gaps = [one for one in found if isinstance(one, RecordingGap)]
+        told = {(gap.channel, seq) for gap in gaps for seq in range(gap.first_seq or 1, (gap.last_seq or 19) + 1)}
+        assert items <= true, (place, bit)
+        assert true - items <= told, (place, bit)
+        with suppress(FileError):
+            assert cut(flipped, output, start=START, end=START + 99 * MS, overwrite=True).recorded == len(true)
