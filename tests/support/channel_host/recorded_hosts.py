@@ -150,8 +150,9 @@ class Owner:
         await self.host.archive.write_all()
 
     async def find(self) -> None:
-        """Have the host look at the store, which must be back."""
+        """Have the host look at the store, which must be back, and write what it has learnt."""
         assert not await self.host.mover.move_all()
+        await self.host.archive.write_all()
 
     async def read(self, query: Query) -> ReadAnswer:
         if self.recording.reaches(query, self.now()):

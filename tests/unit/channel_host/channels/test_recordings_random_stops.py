@@ -21,10 +21,7 @@ pytestmark = pytest.mark.usefixtures("quick_looks")
 
 
 class History:
-    """One channel, and its owners. `times` are those of all items, and `told` is the story for a person.
-
-    `forgotten`: items that were missing before an owner that was killed. The archive knows only the latest loss.
-    """
+    """One channel, and its owners. `times` are those of all items, and `told` is the story for a person."""
 
     def __init__(self, path: Path, seed: int) -> None:
         self.path, self.dice = path, random.Random(seed)
@@ -32,8 +29,6 @@ class History:
         self.clock = 0
         self.times: list[int] = []
         self.told: list[str] = []
-        self.before: set[int] = set()  # the times of the items of former owners
-        self.forgotten: set[int] = set()
 
     async def run(self) -> None:
         for epoch in range(1, EPOCHS + 1):
@@ -53,9 +48,6 @@ class History:
             self.store.failure = ""
         self.clock = one.clock
         is_clean = self.dice.random() < 0.5
-        if not is_clean or self.store.failure:
-            self.forgotten |= self.before - {*await self._found(owner)}
-        self.before = {*self.times}
         if is_clean:
             self.told.append(f"stop, store {self.store.failure or 'here'}")
             await owner.recordings.close(0)
@@ -82,23 +74,26 @@ class History:
             self.store.failure = "away" if what == "away" else ""
             self.told.append(what)
 
-    async def _found(self, owner: Owner) -> list[int]:
-        """The times of all items that this owner finds; none while it does not reach the store."""
-        try:
-            return await owner.times(_between(0, owner.host.clock))
-        except Unavailable:
-            return []
-
     async def _check(self, owner: Owner) -> None:
         """All found items are true ones, each once, and each stretch without a true item says why."""
-        if self.store.failure or owner.recording._unknown is not None:
-            return
-        found = await self._found(owner)
+        found = await self._read(owner, 0, owner.host.clock) or []
         assert len(found) == len(set(found)), "\n".join(self.told)
         assert set(found) <= set(self.times), "\n".join(self.told)
-        for time in {*self.times} - {*found} - self.forgotten:
-            answer: ReadAnswer = await owner.read(_between(time, time))
-            assert answer.reason == "LOST", "\n".join([*self.told, f"{time}: {answer.reason}"])
+        for time in [one for one in self.times if one not in found]:
+            assert await self._read(owner, time, time) in (None, [time]), "\n".join(self.told)
+
+    async def _read(self, owner: Owner, start: int, end: int) -> list[int] | None:
+        """The times of the items in an interval. None: the owner says that it cannot know them now, or LOST."""
+        try:
+            answer: ReadAnswer = await owner.read(_between(start, end))
+        except Unavailable:
+            assert self.store.failure or owner.recording._unknown is not None, "\n".join(self.told)
+            return None
+        times = [time for one in answer.slices for time in one.run.times[one.lo : one.hi]]
+        found = [one for one in times if start <= one <= end]  # the span of an earlier item may reach into it
+        is_lost = answer.reason is not None and answer.reason == "LOST"
+        self.told.append(f"read {start} to {end}: {found} {answer.reason}")
+        return None if is_lost and not found else found
 
 
 def _between(start: int, end: int) -> Query:

@@ -13,7 +13,14 @@ from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, ChannelDiskU
 from stampede_rt_channel_host.archive.moved_items import MovedItems
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
 from stampede_rt_channel_host.archive.written_parts import Advances, SeqGap
-from stampede_rt_channel_host.core.archive import ADVANCE_BYTES, ArchivedAdvance, ArchivedRun, ArchiveSpan, Segment
+from stampede_rt_channel_host.core.archive import (
+    ADVANCE_BYTES,
+    NOTHING_LOST,
+    ArchivedAdvance,
+    ArchivedRun,
+    ArchiveSpan,
+    Segment,
+)
 from stampede_rt_channel_host.core.archive.seq_starts import given_between
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
 
@@ -85,6 +92,7 @@ class ChannelRecorder:
         self._advances_taken = 0  # the first of them, which a write has taken
         self._advance: int | None = None  # the latest one
         self._lost_before: int | None = None  # see `note_loss`; None: it is on the disk
+        self._has_told_loss = False
         channel.record(self.archived_to)
         self.begin()
 
@@ -205,10 +213,16 @@ class ChannelRecorder:
         """Note that the former owner was lost with items before this instant. The next write says so."""
         self._lost_before = lost_before
 
+    def withdraw_loss(self) -> bool:
+        """Note that the former owner stopped cleanly. Returns whether a file tells of a loss until the next write."""
+        self._lost_before = NOTHING_LOST if self._has_told_loss else None
+        return self._has_told_loss
+
     def take(self) -> WriteJob:
         """The next items to write, in seq order, with gaps where memory has lost items."""
         parts: list[Part] = []
         if self._lost_before is not None:
+            self._has_told_loss = True
             parts.append(SeqGap(self.archived_to, self.archived_to, self._lost_before))
         if self._advances:  # before the items that the host accepted after them
             parts.append(Advances(self.archived_to, tuple(self._advances)))
@@ -258,7 +272,10 @@ class ChannelRecorder:
     def written(self, job: WriteJob, segments: tuple[Segment, ...]) -> None:
         """Note that a job is on stable storage."""
         self.keep(segments)
-        self._lost_before = None
+        told = [one.lost_before for one in job.parts if isinstance(one, SeqGap) and one.lost_before is not None]
+        if self._lost_before in told:
+            self._has_told_loss = self._lost_before != NOTHING_LOST
+            self._lost_before = None
         gaps = [one for one in job.parts if isinstance(one, SeqGap) and one.lost_before is None]
         self.unarchived += sum(one.end_seq - one.first_seq for one in gaps)
         self._gaps += gaps

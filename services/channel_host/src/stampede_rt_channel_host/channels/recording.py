@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
-from typing import Any
+from typing import Any, TypeGuard
 
 from stampede_rt.errors import Unavailable
 from stampede_rt.values.model import Policy
@@ -100,6 +100,15 @@ async def _newest(archive: HostArchive, files: SegmentFiles, segments: tuple[Seg
     return window._replace(edge=max(edges, default=None))
 
 
+def _lacks_loss(lost_before: int | None, found: OpenedArchive) -> TypeGuard[int]:
+    """Whether the archive does not tell yet that items before `lost_before` were lost. A former owner that stopped
+    cleanly has told it with its first items.
+    """
+    if lost_before is None:
+        return False
+    return found.stop is None or all(one.last_accepted < lost_before for one in found.segments)
+
+
 def _latest_from(low: ItemKey) -> WantedWindow:
     """The newest items, from the key `low` on."""
     return WantedWindow(Wanted(low[0], LAST_KEY, 0, RESTORED_BYTES, down=True, bytes_limit=2**63), low, LAST_KEY)
@@ -134,7 +143,7 @@ class Recording:
         self.recorder = ChannelRecorder(
             channel, opened.files, opened.found.segments, opened.disk, from_memory=from_memory
         )
-        if is_restored and opened.found.stop is None and channel.lost_before is not None:
+        if not from_memory and _lacks_loss(channel.lost_before, opened.found):
             self.recorder.note_loss(channel.lost_before)
         self.recorder.on_listed = self._listed
         archive.record(self.recorder, has_moved=from_memory)
@@ -157,7 +166,11 @@ class Recording:
 
     def _written(self) -> None:
         if self._unknown is not None and self._unknown.is_over(self.recorder, self._archive.now()):
-            self._unknown = None
+            # if a clean stop of the former owner has turned up, reads wait until no file tells of a loss
+            if self._channel.lost_before is None and self.recorder.withdraw_loss():
+                self._archive.touch(self.recorder, self._written)
+            else:
+                self._unknown = None
         self._on_archived()
 
     def check_advance(self, instant: int) -> None:

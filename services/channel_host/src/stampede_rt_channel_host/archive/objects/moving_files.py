@@ -87,7 +87,8 @@ class MovingFiles(SegmentFiles):
         if self.is_left:
             self.waiting = ()
             return
-        if self._file is not None and not 0 <= now - self._begun_at < seal_nanos:  # also if the clock went back
+        is_young = 0 <= now - self._begun_at < seal_nanos  # not if the clock went back
+        if self._file is not None and self.is_known and not is_young:
             self._end_segment()
         if limits is not None:
             self.drop_outdated(limits, now)

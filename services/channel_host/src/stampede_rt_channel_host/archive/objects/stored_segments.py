@@ -15,12 +15,12 @@ from stampede_rt_channel_host.archive.segment_folder import SegmentFolder
 from stampede_rt_channel_host.core.archive import PlacedBlock, ReadAt, Segment, scan
 from stampede_rt_channel_host.core.archive.stored_segment import (
     StoredSegment,
-    below,
     decode_index,
     encode_index,
     first_number,
     object_name,
     segment_named,
+    up_to,
 )
 
 OBJECTS = "channels"
@@ -187,7 +187,7 @@ class StoredSegments(SegmentFolder):
         if len(content) < segment.length:
             raise FileNotFoundError(f"the file of segment {segment.number} is shorter than it was")
         blocks = scan(lambda at, size: bytes(content[at : at + size]), segment.length, check_contents=False).blocks
-        content += encode_index(below(blocks, segment.length, segment.end_seq))
+        content += encode_index(up_to(blocks, segment.length, segment.end_seq))
         return Packed(segment, self.prefix + object_name(segment), content)
 
     def settle(self, packed: Packed) -> None:
@@ -257,7 +257,7 @@ class StoredSegments(SegmentFolder):
         else:
             indexed = self._indexes.get(segment.number) or self._indexed(stored)
             found = [one for one in indexed if one.offset >= begin]
-        return below(found, segment.length, segment.end_seq)
+        return up_to(found, segment.length, segment.end_seq)
 
     def _indexed(self, stored: StoredSegment) -> Sequence[PlacedBlock]:
         """The blocks of an object, from its index; if the index is damaged, from the heads of the blocks."""

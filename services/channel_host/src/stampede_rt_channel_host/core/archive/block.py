@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 from zlib import crc32
 
+from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import Run, make_run
 
@@ -101,6 +102,10 @@ def encode_items(runs: Sequence[ArchivedRun]) -> tuple[BlockHead, list[bytes]]:
         last_accepted=max(one.accepted for one in runs),
     )
     return head, [encode_head(head), *parts]
+
+
+NOTHING_LOST = MIN_INSTANT
+"""The acceptance instant of a gap of no seqs that withdraws an earlier one."""
 
 
 def encode_gap(first_seq: int, end_seq: int, near: ItemKey, accepted: int) -> tuple[BlockHead, list[bytes]]:

@@ -96,8 +96,11 @@ def _first_hole(segments: Sequence[Segment], one: Segment | None, blocks_of: Blo
     """
     if one is not None and (first := blocks_of(one).items_at(0)) is not None:
         lacks, end = given_between(segments[0].first_seq, first.head.first_seq), first.head.low[0] - 1
+        is_cut = given_between(1, segments[0].first_seq) > 0
         if lacks:
-            yield Hole(end if given_between(1, segments[0].first_seq) else MIN_INSTANT, end, lacks)
+            yield Hole(end if is_cut else MIN_INSTANT, end, lacks)
+        for lost_before in () if is_cut else _losses(segments, None, one, blocks_of):
+            yield Hole(MIN_INSTANT, lost_before - 1, 0)
 
 
 def _last_hole(
@@ -141,9 +144,9 @@ def _readable(segments: Iterable[Segment], blocks_of: BlocksOf) -> Segment | Non
     return next((one for one in segments if blocks_of(one).items_at(0) is not None), None)
 
 
-def _losses(segments: Sequence[Segment], earlier: Segment, later: Segment, blocks_of: BlocksOf) -> Iterator[int]:
+def _losses(segments: Sequence[Segment], earlier: Segment | None, later: Segment, blocks_of: BlocksOf) -> Iterator[int]:
     """The losses of hosts that `later` and the segments without items between the two tell."""
-    first = bisect_right(segments, earlier.number, key=_number)
+    first = 0 if earlier is None else bisect_right(segments, earlier.number, key=_number)
     for one in segments[first : bisect_right(segments, later.number, key=_number)]:
         lost_before = blocks_of(one).lost_before if one is later or not one.items else None
         if lost_before is not None:

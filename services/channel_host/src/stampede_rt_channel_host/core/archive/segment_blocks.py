@@ -8,7 +8,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import accumulate
 from typing import Any, NamedTuple, overload
 
-from stampede_rt_channel_host.core.archive.block import ADVANCES, GAP, ITEMS, PACKED_HEAD_BYTES, pack_head, unpack_head
+from stampede_rt_channel_host.core.archive.block import (
+    ADVANCES,
+    GAP,
+    ITEMS,
+    NOTHING_LOST,
+    PACKED_HEAD_BYTES,
+    BlockHead,
+    pack_head,
+    unpack_head,
+)
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 
@@ -136,10 +145,16 @@ class SegmentBlocks(Sequence[PlacedBlock]):
 
     @property
     def lost_before(self) -> int | None:
-        """The instant before which the former owner was lost with items, if a gap before all items says so."""
+        """The instant before which the former owner was lost with items, if a gap before all items says so.
+
+        A later gap may withdraw this, because the former owner had stopped cleanly after all.
+        """
         places = self._columns.places
         first = (self[at].head for at in range(places[0] if places else len(self)))
-        return next((one.first_accepted for one in first if one.kind == GAP and one.first_seq == one.end_seq), None)
+        told = next((one.first_accepted for one in first if _tells_loss(one)), None)
+        if told is None or any(_tells_loss(one.head) and one.head.first_accepted == NOTHING_LOST for one in self):
+            return None
+        return told
 
     @property
     def of_advances(self) -> Sequence[PlacedBlock]:
@@ -148,6 +163,10 @@ class SegmentBlocks(Sequence[PlacedBlock]):
 
     def _of(self, at: int) -> PlacedBlock:
         return self[self._columns.places[at]]
+
+
+def _tells_loss(head: BlockHead) -> bool:
+    return head.kind == GAP and head.first_seq == head.end_seq
 
 
 def _made(columns: _Columns) -> SegmentBlocks:

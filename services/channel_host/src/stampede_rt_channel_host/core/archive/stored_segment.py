@@ -103,6 +103,12 @@ def below(blocks: Sequence[PlacedBlock], length: int, end_seq: int) -> list[Plac
     return [_cut(one, end_seq) for one in blocks if one.end <= length and one.head.first_seq < end_seq]
 
 
+def up_to(blocks: Sequence[PlacedBlock], length: int, end_seq: int) -> list[PlacedBlock]:
+    """As `below`, with the blocks of no seqs at the end of the segment: advances, and what is said about losses."""
+    ends = [one for one in blocks if one.end <= length and one.head.first_seq == one.head.end_seq == end_seq]
+    return [*below(blocks, length, end_seq), *ends]
+
+
 def _cut(block: PlacedBlock, end_seq: int) -> PlacedBlock:
     head = block.head
     if head.end_seq <= end_seq:
