@@ -12,6 +12,7 @@ from stampede_rt.files.editing import check_other, finish_with, intact_contents,
 from stampede_rt.files.entries import FileEntry
 from stampede_rt.files.file_tally import FileTally
 from stampede_rt.files.reading import Event, FileReader
+from stampede_rt.files.seq_order import SeqOrder
 from stampede_rt.files.seq_ranges import SeqRanges
 from stampede_rt.files.writing import FileWriter
 from stampede_rt.values.recording import RecordingGap, RecordingSummary
@@ -25,6 +26,8 @@ def merge(
 ) -> RecordingSummary:
     """Write the items of several files to one, each item once. An item of one file fills the gap of another.
 
+    The items of a channel come in the order of their seqs, late items among them, while at most 64 MiB wait for this.
+
     Raises FileError, also if a file is damaged; InvalidArgument.
     """
     if not 1 <= len(paths) <= MERGED_MAX:
@@ -37,11 +40,17 @@ def merge(
         writer, tally = FileWriter(output, overwrite=overwrite), FileTally()
         write = writer_of(writer)
         seen: Ranges = {}
+
+        def take(event: Event) -> None:
+            tally.add(event)
+            write(event)
+
+        order = SeqOrder(held, take)
         try:
             for _, _, event in heapq.merge(*map(_by_time, range(len(readers)), readers), key=lambda one: one[:2]):
                 for kept in _merged(event, seen, held):
-                    tally.add(kept)
-                    write(kept)
+                    order.add(kept)
+            order.finish()
             summary = tally.summary(os.fspath(output))
             finish_with(writer, summary)
         finally:

@@ -32,6 +32,11 @@ class SeqRanges:
             first, last = min(first, self._firsts[begin]), max(last, self._lasts[end - 1])
         self._firsts[begin:end], self._lasts[begin:end] = [first], [last]
 
+    def next_from(self, seq: int) -> int | None:
+        """Return the least seq of the set from `seq` on; None: there is none."""
+        place = bisect_right(self._lasts, seq - 1)
+        return max(seq, self._firsts[place]) if place < len(self._firsts) else None
+
     def missing(self, first: int, last: int) -> Iterator[tuple[int, int]]:
         """Yield the ranges between `first` and `last`, inclusive, that the set lacks."""
         place = bisect_right(self._lasts, first - 1)

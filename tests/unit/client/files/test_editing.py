@@ -10,13 +10,14 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.errors import FileError, InvalidArgument
+from stampede_rt.files import seq_order
 from stampede_rt.files.editing import cut, recover, verify
-from stampede_rt.files.entries import FileAdvance, FileEntry
+from stampede_rt.files.entries import FileAdvance, FileEntry, item_entry
 from stampede_rt.files.framing import RecordFile, RecordFrame
 from stampede_rt.files.merging import merge
 from stampede_rt.files.reading import Content, FileReader
 from stampede_rt.values.recording import RecordingGap
-from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, read, seqs_of, write
+from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, item, read, seqs_of, topic, write
 
 ITEMS = range(1, 101)
 
@@ -175,3 +176,26 @@ def test_a_flipped_bit_in_the_head_of_a_record_hides_no_item_in_silence(tmp_path
         assert true - items <= told, (place, bit)
         with suppress(FileError):
             assert cut(flipped, output, start=START, end=START + 99 * MS, overwrite=True).recorded == len(true)
+
+
+def test_a_merge_keeps_the_order_of_acceptance_of_late_items(tmp_path: Path) -> None:
+    times = {1: 10, 2: 50, 3: 20, 4: 51, 5: 52}  # seq 3 came late
+    made = {seq: item_entry(topic(), item(seq, time=START + at * MS)) for seq, at in times.items()}
+    advance = FileAdvance("cam", INCARNATION, START + 15 * MS, 3)
+    one = write(tmp_path / "one.mcap", [made[1], gap("cam", 2, 2), made[3], advance, made[4]])
+    other = write(tmp_path / "other.mcap", [made[2], gap("cam", 3, 4), made[5]], chunk_items=1)
+    for paths in ((one, other), (other, one)):
+        merge(paths, tmp_path / "both.mcap", overwrite=True)
+        found, _ = read(tmp_path / "both.mcap")
+        assert [event.seq if isinstance(event, FileEntry) else event for event in found] == [1, 2, 3, advance, 4, 5]
+
+
+def test_a_merge_writes_all_items_if_too_many_wait_for_their_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(seq_order, "WAITING_BYTES_MAX", 2000)
+    early = write(tmp_path / "early.mcap", [item_entry(topic(), item(seq, time=START)) for seq in range(11, 31)])
+    late = write(tmp_path / "late.mcap", [item_entry(topic(), item(seq, time=START + MS)) for seq in range(1, 11)])
+    merge([early, late], tmp_path / "both.mcap")
+    found, _ = read(tmp_path / "both.mcap")
+    assert sorted(seqs_of(found), key=lambda seq: seq or 0) == [*range(1, 31)]
