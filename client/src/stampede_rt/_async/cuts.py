@@ -12,7 +12,7 @@ from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import Overloaded, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.retry import OPEN_STREAMS_S, Backoff
-from stampede_rt.transports.concurrency_async import StepLock, begin_if_blocking, monotonic_s, sleep
+from stampede_rt.transports.concurrency_async import StepLock, StepTask, begin_if_blocking, monotonic_s, sleep
 from stampede_rt.transports.streams_async import BidiStream
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import ByChannel, Cut
@@ -76,6 +76,8 @@ class CutSubscription(BoundToProcess):
         self._streams: list[_HostStream] = []  # the first stream goes to the deciding host
         self._opening_streams: list[_HostStream] = []  # streams that the client is opening
         self._steps = StepLock()  # callers that step at the same time take turns
+        self._step_task = StepTask()
+        self._ready: Cut[Channel] | None = None  # the next event
         self._cursor: group_pb.CutCursor | None = None  # where the next event begins; None before the first opening
         self._closed = False
         begin_if_blocking(self._open)
@@ -112,34 +114,41 @@ class CutSubscription(BoundToProcess):
         self._group.session.check_process()
         async with self._steps:
             while not self._closed:
-                try:
-                    await self._open()
-                except StampedeError:
-                    self._group.session.check()
-                    raise
-                if not self._streams:  # somebody called `close` during the opening
-                    self._group.session.check()
-                    break
-                try:
-                    parts: list[group_pb.CutPart] = []
-                    boundary = await self._next_boundary(parts)
-                    return self._cut(boundary, parts)
-                except StopAsyncIteration:  # somebody called `close` meanwhile
-                    self._hang_up()
-                except StampedeError as error:
-                    self._hang_up()
-                    if self._closed:
-                        break
-                    self._group.session.check()
-                    if not may_heal(error):
-                        self._closed = True
-                        raise self._group.explained(error) from None
-                    self._reconnecting.broke()
-                    self._group.forget_bindings()
-                except BaseException:  # an interrupt; the next step reads the interrupted event from its beginning
-                    self._hang_up()
-                    raise
+                if self._ready is not None:
+                    cut, self._ready = self._ready, None
+                    return cut
+                await self._step_task.run(self._receive)
             raise StopAsyncIteration
+
+    async def _receive(self) -> None:
+        """Make the next event ready, or prepare the next streams after a break."""
+        try:
+            await self._open()
+        except StampedeError:
+            self._group.session.check()
+            raise
+        if not self._streams:  # somebody called `close` during the opening
+            self._group.session.check()
+            return
+        try:
+            parts: list[group_pb.CutPart] = []
+            boundary = await self._next_boundary(parts)
+            self._ready = self._cut(boundary, parts)
+        except StopAsyncIteration:  # somebody called `close` meanwhile
+            self._hang_up()
+        except StampedeError as error:
+            self._hang_up()
+            if self._closed:
+                return
+            self._group.session.check()
+            if not may_heal(error):
+                self._closed = True
+                raise self._group.explained(error) from None
+            self._reconnecting.broke()
+            self._group.forget_bindings()
+        except BaseException:  # an interrupt; the next step reads the interrupted event from its beginning
+            self._hang_up()
+            raise
 
     def close(self) -> None:
         """End the subscription.

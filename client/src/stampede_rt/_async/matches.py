@@ -17,7 +17,7 @@ from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import GroupNotFound, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, CreditWindow
-from stampede_rt.transports.concurrency_async import StepLock, begin_if_blocking, monotonic_s, run_all
+from stampede_rt.transports.concurrency_async import StepLock, StepTask, begin_if_blocking, monotonic_s, run_all
 from stampede_rt.transports.streams_async import BidiStream
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.v1 import item_pb2 as item_pb
@@ -52,6 +52,7 @@ class MatchSubscription(BoundToProcess):
         self._ready: deque[tuple[Matched[Channel], int]] = deque()  # each match with the bytes of credit that it cost
         self._window = CreditWindow()
         self._steps = StepLock()  # callers that step at the same time take turns
+        self._step_task = StepTask()
         self._start = rule.start  # where the first stream begins
         self._after: group_pb.MatchCursor | None = None  # where the next stream begins after a break
         # Sums of earlier streams. On each stream the host counts from 0.
@@ -94,16 +95,19 @@ class MatchSubscription(BoundToProcess):
         self._group.session.check_process()
         async with self._steps:
             while not self._closed:
-                if not self._ready:
-                    await self._open()
-                await self._grant()
                 if self._ready:
+                    await self._grant()
                     matched, size = self._ready.popleft()
                     self._window.take(size, monotonic_s())
                     return matched
-                if self._stream is not None:  # otherwise `close` was called while it opened
-                    await self._receive()
+                await self._step_task.run(self._advance)
             raise StopAsyncIteration
+
+    async def _advance(self) -> None:
+        await self._open()
+        await self._grant()
+        if self._stream is not None and not self._ready:  # there is no stream if `close` was called while it opened
+            await self._receive()
 
     def close(self) -> None:
         """End the subscription.

@@ -20,7 +20,7 @@ from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import IncarnationLost, StaleBinding, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, ONE_ITEM, CreditWindow
-from stampede_rt.transports.concurrency_async import StepLock, begin_if_blocking, monotonic_s
+from stampede_rt.transports.concurrency_async import StepLock, StepTask, begin_if_blocking, monotonic_s
 from stampede_rt.transports.streams_async import BidiStream
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import error_pb2
@@ -63,6 +63,7 @@ class Subscription(BoundToProcess):
         self._decoder: ItemDecoder | None = None
         self._ready: deque[Item] = deque()
         self._steps = StepLock()  # callers that step at the same time take turns
+        self._step_task = StepTask()
         newest_only = begun.mode == channel_pb.SUBSCRIBE_MODE_NEWEST
         self._window = CreditWindow(ONE_ITEM) if newest_only else CreditWindow()
         self._cursor: channel_pb.SubscriptionCursor | None = None  # where the next stream begins after a break
@@ -139,7 +140,7 @@ class Subscription(BoundToProcess):
             while not self._closed:
                 if self._ready:
                     return self._take_ready()
-                await self._advance()
+                await self._step_task.run(self._advance)
             raise StopAsyncIteration
 
     async def _advance(self) -> None:

@@ -14,7 +14,7 @@ from stampede_rt._sync.session import Session
 from stampede_rt.errors import StampedeError, Unavailable, WatchRestart
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.retry import Backoff
-from stampede_rt.transports.concurrency_sync import StepLock, begin_if_blocking, monotonic_s, sleep
+from stampede_rt.transports.concurrency_sync import StepLock, StepTask, begin_if_blocking, monotonic_s, sleep
 from stampede_rt.transports.streams_sync import ServerStream
 from stampede_rt.v1 import directory_pb2, directory_service_pb2, peer_service_pb2
 from stampede_rt.values.model import Change
@@ -38,6 +38,7 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
         self._responses: Any = None
         self._ready: deque[Event] = deque()
         self._steps = StepLock()  # callers that step at the same time take turns
+        self._step_task = StepTask()
         self._closed = False
         begin_if_blocking(self._open)
 
@@ -75,9 +76,12 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
             while not self._ready or self._closed:
                 if self._closed:
                     raise StopIteration
-                self._open()
-                self._receive()
+                self._step_task.run(self._advance)
             return self._ready.popleft()
+
+    def _advance(self) -> None:
+        self._open()
+        self._receive()
 
     def close(self) -> None:
         """End the watch.

@@ -114,6 +114,45 @@ async def run_all(operations: Sequence[Callable[[], Awaitable[Result]]]) -> list
 run_concurrently = run_all
 
 
+class StepTask:
+    """Performs the steps of an iterator, so that callers who cancel each of their steps receive items nevertheless.
+
+    Usually a step runs in the task of its caller, and ends with it. After a caller has cancelled a step, further steps
+    run in tasks of their own, which continue without their callers. The next caller waits for the step under way.
+    Otherwise a caller that waits for less time than the opening of a stream takes would begin this opening for ever.
+    """
+
+    def __init__(self) -> None:
+        self._outlives_callers = False
+        self._under_way: asyncio.Future[None] | None = None
+
+    async def run(self, step: Callable[[], Awaitable[None]]) -> None:
+        """Perform the step, or wait for the step under way. Only one caller at a time may call this."""
+        if not self._outlives_callers:
+            try:
+                await step()
+            except asyncio.CancelledError:
+                self._outlives_callers = True
+                raise
+            return
+        if self._under_way is None:
+            self._under_way = asyncio.ensure_future(step())
+            _running.add(self._under_way)
+            self._under_way.add_done_callback(_ended)
+        under_way = self._under_way
+        try:
+            await asyncio.shield(under_way)
+        finally:
+            if under_way.done():
+                self._under_way = None
+
+
+def _ended(task: asyncio.Future[None]) -> None:
+    _running.discard(task)
+    if not task.cancelled():
+        task.exception()  # asyncio logs an error that no code has looked at; the next step raises this one
+
+
 class KeyedLock:
     """One lock for each key. If several callers need the same binding, only the first asks for it; the others wait."""
 

@@ -33,6 +33,14 @@ monotonic_nanos = time.monotonic_ns
 thread_id = threading.get_ident
 
 
+class StepTask:
+    """Performs the steps of an iterator. With asyncio a step may outlive a caller that cancels it."""
+
+    def run(self, step: Callable[[], None]) -> None:
+        """Perform the step."""
+        step()
+
+
 class KeyedLock:
     """Locks nothing, because each thread finds and caches its own bindings."""
 
