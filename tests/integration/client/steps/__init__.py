@@ -1,0 +1,1 @@
+"""Steps of iterators that callers cancel, and functions that exit."""
