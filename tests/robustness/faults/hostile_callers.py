@@ -174,7 +174,7 @@ def _leases_lost(scene: Scene) -> int:
 @asynccontextmanager
 async def _attacking(scene: Scene, name: str, thing: str) -> AsyncIterator[None]:
     """Run the attacker during the block, on things whose names begin with `thing`."""
-    attacked = await asyncio.to_thread(_attacked, scene)
+    attacked = await asyncio.to_thread(_attacked_cluster, scene)
     words = (sys.executable, "-m", "tests.benchmarks.attacks.attacker", name)
     process = await asyncio.create_subprocess_exec(
         *scene.cluster.outside.command(*words),
@@ -206,7 +206,7 @@ async def _attacking(scene: Scene, name: str, thing: str) -> AsyncIterator[None]
             await process.wait()
 
 
-def _attacked(scene: Scene) -> AttackedCluster:
+def _attacked_cluster(scene: Scene) -> AttackedCluster:
     cluster = scene.cluster
     assert cluster.frontend is not None
     with reached(cluster.frontend.address, None) as operator:
