@@ -75,7 +75,7 @@ async def test_an_asyncio_put_waits_for_lagging_replicas_only_if_it_asks_to(clus
     ("policy", "says"),
     [
         ({"ack": "replica"}, "state replicas of 1 or more"),
-        ({"replicas": 1, "ack": "replica", "min_replicas": 2}, "state at most 1"),
+        ({"replicas": 1, "ack": "replica", "min_replicas": 2}, "state 1 or less"),
         ({"replicas": 5, "ack": "replica"}, "it must be 0 to 4"),
         ({"replicas": 1, "ack": "disc"}, "'host', 'disk', 'replica'"),
     ],
