@@ -38,10 +38,11 @@ def rt(cluster: LocalCluster) -> Iterator[Any]:
 
 
 def filled(rt: Any, **policy: Any) -> tuple[Any, int]:
-    """A channel at h1 with 100 items, the earlier ones only in its archive; and the time of the first item."""
+    """A channel at h1 with 100 items, all in its archive and the last ones in memory; and its first time."""
     channel = rt.channel(f"rig/{next(numbers)}", host="h1", max_items=HELD, archive="7d", **policy)
     began = time.time_ns() - 10**9
-    put(channel, began, 0, 100)
+    put(channel, began, 0, 99)
+    channel.put(b"99", time=began + 99 * MS, ack="disk")
     wait_until(lambda: channel.stats().held == HELD, "the archive has the earlier items")
     return channel, began
 
