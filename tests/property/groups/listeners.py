@@ -242,13 +242,13 @@ class Listeners:
             if incarnation == pair.incarnation:
                 one.uncounted |= {seq for seq in one.oracle.owed if seq < next_seq and seq not in held}
 
-    def channels_lost(self, host: int, channel_ids: Sequence[bytes], heir: int) -> None:
+    def channels_lost(self, host: int, channel_ids: Sequence[bytes], successor: int) -> None:
         """Follow the loss of channels: events continue with new items, another host decides, and matches end."""
         self.matches = [] if channel_ids else self.matches
         for events in self.events:
             if events.decider_host == host:
                 decider = EventDecider(events.decided, events.max_wait, events.lateness)
-                events.decider_host, events.decider, events.pending = heir, decider, []
+                events.decider_host, events.decider, events.pending = successor, decider, []
             for channel_id in set(channel_ids) & events.followers.keys():
                 cursor, pair = events.followers[channel_id].cursor, self.world.pair(channel_id)
                 cut, next_seq, incarnation = cursor

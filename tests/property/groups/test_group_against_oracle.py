@@ -210,11 +210,11 @@ def lose(rng: RandomSource, scenario: Scenario) -> None:
         return
     world = scenario.world
     host = rng.pick(world.up)
-    heir = rng.pick([one for one in world.up if one != host] or [host])
+    successor = rng.pick([one for one in world.up if one != host] or [host])
     incarnations = [one.incarnation for one in world.definitions]
-    lost = world.lose(host, heir)
+    lost = world.lose(host, successor)
     anew = [group for group, one in enumerate(world.definitions) if one.incarnation != incarnations[group]]
-    scenario.listeners.channels_lost(host, lost, heir)
+    scenario.listeners.channels_lost(host, lost, successor)
     scenario.readers.channels_gone(lost)
     for one in (scenario.listeners, scenario.readers):
         one.groups_began_anew(anew)

@@ -286,7 +286,7 @@ class World:
         self.placed[channel_id] = Placed(pair, by, self.placed[channel_id].epoch + 1)
         self.follow()
 
-    def lose(self, host: int, heir: int) -> list[bytes]:
+    def lose(self, host: int, successor: int) -> list[bytes]:
         """Lose a host with all its channels. Another host begins the channels again. Returns these channels.
 
         One of several hosts always stays. A single host is back at once. A group whose cut floor no host knows begins
@@ -294,7 +294,7 @@ class World:
         """
         lost = [one for one in CHANNELS if self.placed[one].owner == host]
         self.hosts[host] = Host(self.definitions)
-        self.hosts[host].is_up = heir == host
+        self.hosts[host].is_up = successor == host
         for other in self.hosts:
             other.told_by.discard(host)
         for group, former in enumerate(self.definitions):
@@ -303,7 +303,7 @@ class World:
         for channel_id in lost:
             former_pair = self.pair(channel_id)
             life = former_pair.incarnation + 1
-            self._take_up(channel_id, LivingPair(former_pair.policy, self.clock, incarnation=life), heir)
+            self._take_up(channel_id, LivingPair(former_pair.policy, self.clock, incarnation=life), successor)
         self.is_plain = [False for _ in self.is_plain]
         return lost
 

@@ -101,9 +101,9 @@ class SimulatedDirectory(GatheredMoves):
 
     def _kept_at(self, channel_id: bytes, host_id: bytes) -> Kept:
         if self.world.record_of(channel_id).host_id == host_id:
-            return Kept.HEIR
+            return Kept.FALLBACK
         kinds = [one.kind for one in self._copies(channel_id) if one.host_id == host_id]
-        return {ReplicaKind.MOVE: Kept.HEIR, ReplicaKind.WARM: Kept.REPLICA}[kinds[0]] if kinds else Kept.NO
+        return {ReplicaKind.MOVE: Kept.FALLBACK, ReplicaKind.WARM: Kept.REPLICA}[kinds[0]] if kinds else Kept.NO
 
     async def commit_one(self, move: Commit) -> RecordedChannel:
         await self._ask_for_commit([move])

@@ -39,7 +39,7 @@ DESTINATION_STEPS = {
     "destination: has everything": Step(MoveDirectory, "commit"),
     "destination: is the owner": Step(MoveDirectory, "commit", is_after=True),
     "destination: tells the source": Step(MoveFeed, "committed", is_after=True),
-    "destination: has removed the heir": Step(MoveDirectory, "remove_heir", is_after=True),
+    "destination: has removed the fallback": Step(MoveDirectory, "remove_fallback", is_after=True),
     "destination: releases the source": Step(MoveFeed, "released"),
 }
 SOURCE_STEPS = {

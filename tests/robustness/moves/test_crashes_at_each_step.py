@@ -36,7 +36,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set waits of milliseconds, because the test waits for each step in turn."""
     monkeypatch.setattr(copy_feed, "REQUEST_SECONDS", 0.005)
     monkeypatch.setattr(outgoing_moves, "RETRY_SECONDS", 0.005)
-    monkeypatch.setattr(outgoing_moves, "HEIR_SECONDS", 0.005)
+    monkeypatch.setattr(outgoing_moves, "FALLBACK_SECONDS", 0.005)
     monkeypatch.setattr(incoming_moves, "RETRY_SECONDS_MAX", 0.005)
     monkeypatch.setattr(incoming_moves, "RELEASED_SECONDS_MAX", 0.05)
 

@@ -39,7 +39,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(copy_feed, "REQUEST_SECONDS", 0.005)
     monkeypatch.setattr(copy_feed, "REPLICA_REQUEST_SECONDS", 0.005)
     monkeypatch.setattr(outgoing_moves, "RETRY_SECONDS", 0.005)
-    monkeypatch.setattr(outgoing_moves, "HEIR_SECONDS", 0.005)
+    monkeypatch.setattr(outgoing_moves, "FALLBACK_SECONDS", 0.005)
     monkeypatch.setattr(incoming_moves, "RETRY_SECONDS_MAX", 0.005)
     monkeypatch.setattr(incoming_moves, "RELEASED_SECONDS_MAX", 0.05)
     monkeypatch.setattr(keeper, "PAUSE_SECONDS_MIN", 0.005)

@@ -38,7 +38,7 @@ ALL = [
     for fault in ("kill", "stop")
     for step in STEPS
 ]
-LATE = ("destination: has removed the heir", "destination: releases the source", "source: is released")
+LATE = ("destination: has removed the fallback", "destination: releases the source", "source: is released")
 
 
 class Hosts:

@@ -45,7 +45,7 @@ class Several:
             scenario.put()
             scenario.check(await scenario.settle())
 
-    def has_heir(self, scenario: Scenario) -> bool:
+    def has_fallback(self, scenario: Scenario) -> bool:
         copies = self.world.log.directory.tables.replicas.of(scenario.channel_id)
         return any(one.kind is ReplicaKind.MOVE for one in copies)
 
@@ -66,7 +66,7 @@ async def test_a_move_loses_nothing_if_the_destination_dies(step: str) -> None:
     alone = [
         scenario
         for scenario in several.scenarios
-        if several.world.owner_of(scenario.channel_id) is scenario.destination and not several.has_heir(scenario)
+        if several.world.owner_of(scenario.channel_id) is scenario.destination and not several.has_fallback(scenario)
     ]
     several.world.expire(DESTINATION)
     several.scenarios = [scenario for scenario in several.scenarios if scenario not in alone]
@@ -116,8 +116,8 @@ async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_whi
     await several.check()
 
 
-async def test_no_put_is_acknowledged_while_former_owners_are_heirs() -> None:
-    """The directory is away when the heirs should be removed. Then the destination dies, and the heirs go on."""
+async def test_no_put_is_acknowledged_while_former_owners_are_fallbacks() -> None:
+    """The directory is away when it should remove the fallbacks. The destination dies, and the fallbacks go on."""
     several = Several("removal is asked for", lambda world: setattr(world, "is_cut_off", True))
     moves = asyncio.create_task(several.move())
     committed = [one for one in several.scenarios if several.world.owner_of(one.channel_id) is one.destination]

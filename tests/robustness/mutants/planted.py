@@ -230,12 +230,12 @@ MUTANTS = (
         noticed_by="tests/robustness/moves/test_several_at_once.py",
     ),
     Mutant(
-        name="puts_before_the_heirs_of_several_moves_are_released",
+        name="puts_before_the_fallbacks_of_several_moves_are_released",
         file=f"{HOST}/copies/incoming_moves.py",
         edits=(
             (
-                "        await self._remove_heir(hosted)",
-                "        hosted.end_move()\n        await self._remove_heir(hosted)",
+                "        await self._remove_fallback(hosted)",
+                "        hosted.end_move()\n        await self._remove_fallback(hosted)",
             ),
         ),
         noticed_by="tests/robustness/moves/test_several_at_once.py",

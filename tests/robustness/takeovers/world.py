@@ -169,15 +169,15 @@ class Cluster(World):
         self.renewed_s = dict.fromkeys(self.renewed_s, self.clock.now_s)
 
     def apply(self, operation: Operation) -> Any:
-        before = [(one, [*self.heirs(id_of_thing(one))]) for one in self.copied()]
+        before = [(one, [*self.successors(id_of_thing(one))]) for one in self.copied()]
         try:
             return super().apply(operation)
         finally:
-            for thing, heirs in before:
-                self._check_heir(thing, heirs)
+            for thing, successors in before:
+                self._check_successor(thing, successors)
             self._note()
 
-    def heirs(self, thing_id: bytes) -> Iterator[bytes]:
+    def successors(self, thing_id: bytes) -> Iterator[bytes]:
         """The hosts that must go on with the channel or queue if its owner is lost."""
         tables = self.log.directory.tables
         for one in tables.replicas.of(thing_id):
@@ -187,12 +187,12 @@ class Cluster(World):
 
     def is_complete(self, replicas: int) -> bool:
         """Whether each channel or queue has so many replicas in sync."""
-        return all(len([*self.heirs(id_of_thing(one))]) == replicas for one in self.copied())
+        return all(len([*self.successors(id_of_thing(one))]) == replicas for one in self.copied())
 
-    def _check_heir(self, before: Copied, heirs: list[bytes]) -> None:
+    def _check_successor(self, before: Copied, successors: list[bytes]) -> None:
         after = copied_with_id(self.log.directory.tables, id_of_thing(before))
-        if heirs and before.incarnation != after.incarnation:
-            assert after.host_id in heirs, "a replica in sync was not made the owner"
+        if successors and before.incarnation != after.incarnation:
+            assert after.host_id in successors, "a replica in sync was not made the owner"
             ack = before.policy.ack if isinstance(before, ChannelRecord) else before.spec.ack
             assert ack != "replica", "nothing was lost, and the incarnation has changed"
             assert after.incarnation == (before.incarnation + 1) % 2**64

@@ -98,7 +98,7 @@ class MigrationDirectoryServiceServicer(object):
 
     def ReleaseMoves(self, request, context):
         """Between hosts and supernodes only: the new owner of channels no longer needs their former owners, which are their
-        heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays a
+        fallbacks. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays a
         replica. Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
@@ -126,7 +126,7 @@ class MigrationDirectoryServiceServicer(object):
         and the same incarnation. The caller is that host, and holds everything that the present owner has accepted. The
         present owner changes nothing meanwhile. The present owner's permit came with the last part of the queue
         (HandOverQueueResponse.permit), see CommitMove. The present owner itself may call this to end a move, as with
-        CommitMove. A queue has no heir: from this entry on, only the new owner has the messages. Idempotent. Errors:
+        CommitMove. A queue has no fallback: from this entry on, only the new owner has the messages. Idempotent. Errors:
         WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

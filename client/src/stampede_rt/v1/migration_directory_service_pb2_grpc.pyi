@@ -52,7 +52,7 @@ class MigrationDirectoryServiceStub:
     """
     ReleaseMoves: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ReleaseMovesRequest, _migration_directory_service_pb2.ReleaseMovesResponse]
     """Between hosts and supernodes only: the new owner of channels no longer needs their former owners, which are their
-    heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays a
+    fallbacks. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays a
     replica. Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
     """
     ListReleasedMoves: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListReleasedMovesRequest, _migration_directory_service_pb2.ListReleasedMovesResponse]
@@ -68,7 +68,7 @@ class MigrationDirectoryServiceStub:
     and the same incarnation. The caller is that host, and holds everything that the present owner has accepted. The
     present owner changes nothing meanwhile. The present owner's permit came with the last part of the queue
     (HandOverQueueResponse.permit), see CommitMove. The present owner itself may call this to end a move, as with
-    CommitMove. A queue has no heir: from this entry on, only the new owner has the messages. Idempotent. Errors:
+    CommitMove. A queue has no fallback: from this entry on, only the new owner has the messages. Idempotent. Errors:
     WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
     """
 
@@ -96,7 +96,7 @@ class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
     """
     ReleaseMoves: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ReleaseMovesRequest, _migration_directory_service_pb2.ReleaseMovesResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: the new owner of channels no longer needs their former owners, which are their
-    heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays a
+    fallbacks. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays a
     replica. Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
     """
     ListReleasedMoves: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListReleasedMovesRequest, _migration_directory_service_pb2.ListReleasedMovesResponse]  # type: ignore[assignment]
@@ -112,7 +112,7 @@ class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
     and the same incarnation. The caller is that host, and holds everything that the present owner has accepted. The
     present owner changes nothing meanwhile. The present owner's permit came with the last part of the queue
     (HandOverQueueResponse.permit), see CommitMove. The present owner itself may call this to end a move, as with
-    CommitMove. A queue has no heir: from this entry on, only the new owner has the messages. Idempotent. Errors:
+    CommitMove. A queue has no fallback: from this entry on, only the new owner has the messages. Idempotent. Errors:
     WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
     """
 
@@ -155,7 +155,7 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_migration_directory_service_pb2.ReleaseMovesResponse, _abc.Awaitable[_migration_directory_service_pb2.ReleaseMovesResponse]]:
         """Between hosts and supernodes only: the new owner of channels no longer needs their former owners, which are their
-        heirs. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays a
+        fallbacks. This removes the copies of kind MOVE, with one entry of the log. A former owner that is a replica stays a
         replica. Idempotent. Errors: INVALID_ARGUMENT, PERMISSION_DENIED, VERSION_MISMATCH.
         """
 
@@ -189,7 +189,7 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         and the same incarnation. The caller is that host, and holds everything that the present owner has accepted. The
         present owner changes nothing meanwhile. The present owner's permit came with the last part of the queue
         (HandOverQueueResponse.permit), see CommitMove. The present owner itself may call this to end a move, as with
-        CommitMove. A queue has no heir: from this entry on, only the new owner has the messages. Idempotent. Errors:
+        CommitMove. A queue has no fallback: from this entry on, only the new owner has the messages. Idempotent. Errors:
         WRONG_EPOCH, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of that host), PERMISSION_DENIED.
         """
 

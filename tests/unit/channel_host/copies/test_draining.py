@@ -99,7 +99,7 @@ async def drained(channels: int, *hosts: Host, recorded: bool = False, name: str
         records = [
             SimpleNamespace(channel_id=b"c%d" % one, name=name.format(one), policy=policy) for one in range(channels)
         ]
-        own = [SimpleNamespace(record=one, copy=None, is_heir=False, epoch=1, moving=None) for one in records]
+        own = [SimpleNamespace(record=one, copy=None, is_fallback=False, epoch=1, moving=None) for one in records]
         allowed: set[tuple[bytes, bytes]] = set()
         for number, host in enumerate(hosts):
             host.is_allowed = lambda channel_id, at=b"%d" % number: (channel_id, at) in allowed

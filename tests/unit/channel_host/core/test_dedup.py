@@ -213,14 +213,14 @@ def test_a_retry_window_is_exported_and_imported_as_values() -> None:
     window.record(PRODUCER, 1, accepted(3, 2, now=10))
     window.record(PRODUCER, 4, half(2, 1, 5, now=KEPT_NANOS))
     window.record(PRODUCER, 6, accepted(1, 6, now=KEPT_NANOS + 5))
-    heir = RetryWindow()
+    restored = RetryWindow()
     for kept in window.kept(KEPT_NANOS + 10):
-        heir.record(kept.producer_id, kept.first_number, kept.outcome)
-    assert [*heir.kept(KEPT_NANOS + 10)] == [*window.kept(KEPT_NANOS + 10)]
-    assert heir.find(PRODUCER, 4, 2, KEPT_NANOS + 10) == half(2, 1, 5, now=KEPT_NANOS)
-    assert heir.find(PRODUCER, 1, 3, KEPT_NANOS + 10) is None
+        restored.record(kept.producer_id, kept.first_number, kept.outcome)
+    assert [*restored.kept(KEPT_NANOS + 10)] == [*window.kept(KEPT_NANOS + 10)]
+    assert restored.find(PRODUCER, 4, 2, KEPT_NANOS + 10) == half(2, 1, 5, now=KEPT_NANOS)
+    assert restored.find(PRODUCER, 1, 3, KEPT_NANOS + 10) is None
     with pytest.raises(InvalidArgument):
-        heir.find(PRODUCER, 5, 1, KEPT_NANOS + 10)
+        restored.find(PRODUCER, 5, 1, KEPT_NANOS + 10)
 
 
 def test_parts_whose_seqs_follow_each_other_are_one() -> None:

@@ -90,7 +90,7 @@ def comparing(
         left: list[Pieces[None]] = []
         for hosted in batch:
             record = listed.get(hosted.record.channel_id)
-            is_owned = hosted.copy is None and not hosted.is_heir
+            is_owned = hosted.copy is None and not hosted.is_fallback
             if (is_owned or record is not None) and hosted.registration < registration:
                 left += compare(hosted, record)
         begin(one_after_another(left))  # together, because each `begin` may start a task

@@ -148,7 +148,7 @@ class HostedChannel:
         if (record.epoch, record.spec_version) != (self.epoch, self.record.spec_version):
             self.close_ring()
         if self.moving is not None and record.epoch > self.record.epoch:  # a move to elsewhere has failed
-            own_again(self.replication, record, is_heir=self.is_heir)
+            own_again(self.replication, record, is_fallback=self.is_fallback)
             self.end_move()
         if record.spec_version != self.record.spec_version:
             now = self._now()
@@ -298,7 +298,7 @@ class HostedChannel:
             moving.end()
 
     @property
-    def is_heir(self) -> bool:
+    def is_fallback(self) -> bool:
         """Whether another host owns the channel, and this host keeps the items in case that host is lost at once."""
         return self.moving is not None and self.moving.elsewhere is not None
 

@@ -197,9 +197,9 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         self.wake_waits()
 
 
-def own_again(replication: Replication | None, record: RecordedChannel, *, is_heir: bool) -> None:
-    """Note that a move has failed, and that `record` names this host as the owner. `is_heir`: after the commit."""
-    if replication is not None and is_heir:
+def own_again(replication: Replication | None, record: RecordedChannel, *, is_fallback: bool) -> None:
+    """Note that a move has failed, and that `record` names this host as the owner. `is_fallback`: after the commit."""
+    if replication is not None and is_fallback:
         replication.own_again(record.epoch)
 
 

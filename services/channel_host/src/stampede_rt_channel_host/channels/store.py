@@ -97,7 +97,7 @@ class ChannelStore:
         """
         self._check_lease()
         hosted = self._channels.get(channel_id)
-        if hosted is None or not hosted.epoch or hosted.copy is not None or hosted.is_heir or not hosted.is_ready:
+        if hosted is None or not hosted.epoch or hosted.copy is not None or hosted.is_fallback or not hosted.is_ready:
             raise elsewhere(hosted) or refusals.not_here(self._identity.name, channel_id)
         if hosted.epoch != epoch:
             raise refusals.wrong_epoch(hosted.record.name, epoch, hosted.epoch)

@@ -81,7 +81,7 @@ class _OwnChannel:
 
     @property
     def is_here(self) -> bool:
-        return self._store.serves(self._hosted) and not self._hosted.is_heir
+        return self._store.serves(self._hosted) and not self._hosted.is_fallback
 
     @property
     def is_moving(self) -> bool:
@@ -145,7 +145,7 @@ class Draining:
 
     def _own(self) -> dict[bytes, _Own]:
         """The channels and queues that this host owns, by id."""
-        channels = (one for one in self._store.all() if one.copy is None and not one.is_heir and one.epoch)
+        channels = (one for one in self._store.all() if one.copy is None and not one.is_fallback and one.epoch)
         queues = (one for one in self._queues.all() if one.epoch)
         own: list[_Own] = [_OwnChannel(self._store, one) for one in channels]
         own += [_OwnQueue(self._queues, one) for one in queues]

@@ -34,7 +34,7 @@ class Commit(NamedTuple):
 
 
 class Release(NamedTuple):
-    """A channel whose new owner needs no heir. `epoch`: since the move."""
+    """A channel whose new owner needs no fallback. `epoch`: since the move."""
 
     channel_id: bytes
     epoch: int
@@ -63,8 +63,8 @@ class GatheredMoves(ABC):
         move = Commit(channel_id, epoch, request_id, permit)
         return await (self._commits.ask(move) if permit else self.commit_one(move))
 
-    async def remove_heir(self, channel_id: bytes, epoch: int) -> None:
-        """Remove the former owner as the heir of this host, unless it is a replica. Idempotent. Raises StaleBinding."""
+    async def remove_fallback(self, channel_id: bytes, epoch: int) -> None:
+        """Remove the fallback of this host, unless it is a replica. Idempotent. Raises StaleBinding."""
         await self._releases.ask(Release(channel_id, epoch))
 
     async def is_released(self, channel_id: bytes) -> bool:
@@ -89,7 +89,7 @@ class GatheredMoves(ABC):
 
     @abstractmethod
     async def release_all(self, moves: Sequence[Release]) -> Collection[bytes]:
-        """Remove the heirs of channels. Returns the channels that have none now."""
+        """Remove the fallbacks of channels. Returns the channels that have none now."""
 
     @abstractmethod
     async def released_of(self, channel_ids: Sequence[bytes]) -> Collection[bytes]:

@@ -165,7 +165,7 @@ class IncomingMoves:
         hosted = await self._store.recordings.adopt(committed, self._store.known(record.channel_id), self._store.adopt)
         feed.committed(hosted.epoch)
         await self._archived(hosted)
-        await self._remove_heir(hosted)
+        await self._remove_fallback(hosted)
         blackout_nanos = time.monotonic_ns() - feed.held_nanos
         hosted.end_move()
         feed.released()
@@ -184,7 +184,7 @@ class IncomingMoves:
         """Have the archive of this host write the items. Wait for it if puts of the channel wait for a disk, or if the
         archive has earlier items: until then, readers do not hear of the hole between these and the moved items.
 
-        Meanwhile the former owner, which has the items on its disk, is the heir. Waits ARCHIVED_SECONDS_MAX at most.
+        Meanwhile the former owner is the fallback, with the items on its disk. Waits ARCHIVED_SECONDS_MAX at most.
         """
         if hosted.recording is None:
             return
@@ -205,8 +205,8 @@ class IncomingMoves:
             if present.host_id != self._identity.host_id and self._store.known(present.channel_id) is hosted:
                 self._store.forget(present.channel_id, refusals.moved(present.name, present.host_id))
 
-    async def _remove_heir(self, hosted: HostedChannel) -> None:
-        """Remove the former owner as the heir. Tries again for as long as this host has the channel.
+    async def _remove_fallback(self, hosted: HostedChannel) -> None:
+        """Remove the former owner as the fallback. Tries again for as long as this host has the channel.
 
         If this host had a replica, the former owner has taken its place, and stays there. Raises Unavailable if this
         host has lost the channel meanwhile.
@@ -214,7 +214,7 @@ class IncomingMoves:
         delay_s = RETRY_SECONDS_MIN
         while self._store.known(hosted.record.channel_id) is hosted:  # paced by the sleep
             try:
-                return await self._directory.remove_heir(hosted.record.channel_id, hosted.record.epoch)
+                return await self._directory.remove_fallback(hosted.record.channel_id, hosted.record.epoch)
             except StaleBinding:
                 await self._learn_owner(hosted)
                 break

@@ -37,12 +37,12 @@ CALL_SECONDS_MAX = 4.0
 class Kept(Enum):
     """The part that the directory still has of a channel at its former owner.
 
-    HEIR: the former owner is the owner again, or will be if the present owner is lost at once. REPLICA: it is a
+    FALLBACK: the former owner is the owner again, or will be if the present owner is lost at once. REPLICA: it is a
     replica, because the new owner's replica became the owner.
     """
 
     NO = "nothing"
-    HEIR = "heir"
+    FALLBACK = "fallback"
     REPLICA = "replica"
 
 
@@ -51,7 +51,7 @@ class MoveDirectory(GatheredMoves):
 
     Each method waits for CALL_SECONDS_MAX at most, and raises the error with which the directory answers, or
     Unavailable. A gathered call also waits for the one under way, and a refused commit asks again for the reason.
-    So `commit` waits for four times as long at most, `remove_heir` and `is_released` for twice as long.
+    So `commit` waits for four times as long at most, `remove_fallback` and `is_released` for twice as long.
     """
 
     def __init__(self, supernodes: Supernodes, identity: HostIdentity) -> None:
@@ -122,8 +122,8 @@ class MoveDirectory(GatheredMoves):
         kinds = [one.kind for one in found.replicas if one.host_id == host_id]
         if replica_pb2.REPLICA_KIND_WARM in kinds:
             return Kept.REPLICA
-        is_heir = replica_pb2.REPLICA_KIND_MOVE in kinds or found.owner_host_id == host_id
-        return Kept.HEIR if is_heir else Kept.NO
+        is_fallback = replica_pb2.REPLICA_KIND_MOVE in kinds or found.owner_host_id == host_id
+        return Kept.FALLBACK if is_fallback else Kept.NO
 
     async def commit_one(self, move: Commit) -> RecordedChannel:
         """Commit one move."""
@@ -150,7 +150,7 @@ class MoveDirectory(GatheredMoves):
         return [recorded_channel(one) for one in (await self._call("CommitMoves", request)).channels]
 
     async def release_all(self, moves: Sequence[Release]) -> set[bytes]:
-        """Remove heirs with one entry of the log."""
+        """Remove fallbacks with one entry of the log."""
         request = pb.ReleaseMovesRequest(
             request_id=secrets.token_bytes(16),
             host_id=self._identity.host_id,

@@ -22,7 +22,7 @@ from stampede_rt_channel_host.copies.move_slots import MoveSlots
 logger = logging.getLogger(__name__)
 
 RETRY_SECONDS = 0.2
-HEIR_SECONDS = 2.0  # a former owner asks the directory at this interval whether its items are still needed
+FALLBACK_SECONDS = 2.0  # a former owner asks the directory at this interval whether its items are still needed
 
 
 class OutgoingMoves:
@@ -159,7 +159,7 @@ class OutgoingMove:
         if not self._is_under_way or self._is_released:
             return
         if self.is_committed:
-            self._moves.start(self._keep_items(), "heir")
+            self._moves.start(self._keep_items(), "fallback")
         elif self._moving.is_held:
             self._end_soon()
         else:
@@ -209,7 +209,7 @@ class OutgoingMove:
             except StampedeError as error:
                 extra = {"event": "move_undecided", "channel": self._hosted.record.name, "why": str(error)}
                 logger.info("cannot ask the directory for the outcome of a move; the host tries again", extra=extra)
-            await asyncio.sleep(HEIR_SECONDS)
+            await asyncio.sleep(FALLBACK_SECONDS)
 
     async def _is_needed_no_more(self) -> bool:
         """Ask the directory, and act on the answer. True: this host has dropped the items, or is a replica now."""

@@ -50,12 +50,12 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
         _,
     ) in tables.replicas.entries():  # faster than all channels of the host, of which few may have a copy
         channel = copied_with_id(tables, channel_id)
-        heir = _heir(tables, channel) if channel.host_id == host_id else None
-        if heir is not None:
+        successor = _successor(tables, channel) if channel.host_id == host_id else None
+        if successor is not None:
             incarnation = channel.incarnation
-            if not _lost_nothing(tables, channel, heir):
+            if not _lost_nothing(tables, channel, successor):
                 incarnation = (channel.incarnation + 1) % 2**64 or 1  # the first was random; later ones count up
-            after = replace(channel, host_id=heir.host_id, epoch=channel.epoch + 1, incarnation=incarnation)
+            after = replace(channel, host_id=successor.host_id, epoch=channel.epoch + 1, incarnation=incarnation)
             give_owner(tables, channel, after)
             inherited += [channel.channel_id] if isinstance(channel, ChannelRecord) else []
     note_lost_cuts(tables, inherited)
@@ -64,16 +64,16 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
         move_mailboxes(tables, host_id)
 
 
-def _lost_nothing(tables: Tables, channel: Copied, heir: HostRecord) -> bool:
-    """Whether the heir has all items that were acknowledged, and all that a reader has seen.
+def _lost_nothing(tables: Tables, channel: Copied, successor: HostRecord) -> bool:
+    """Whether the successor has all items that were acknowledged, and all that a reader has seen.
 
     It is a replica for which puts waited, or the former owner of a channel that has just moved.
     """
-    copy = tables.replicas.at(id_of(channel), heir.host_id)
+    copy = tables.replicas.at(id_of(channel), successor.host_id)
     return copy is not None and (copy.kind is ReplicaKind.MOVE or copy.acknowledged)
 
 
-def _heir(tables: Tables, channel: Copied) -> HostRecord | None:
+def _successor(tables: Tables, channel: Copied) -> HostRecord | None:
     """The live host with a copy in sync that has the fewest channels; None if there is no such host.
 
     Among equals, returns the host whose copy was added first. The former owner of a channel that has just moved comes

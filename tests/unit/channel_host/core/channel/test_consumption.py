@@ -248,13 +248,13 @@ def test_a_channel_without_consumers_refuses_consumption() -> None:
 
 
 def test_consumer_places_can_be_exported_and_imported_as_values() -> None:
-    channel, heir = three_items(), three_items()
+    channel, restored = three_items(), three_items()
     channel.consume(ANN, [1, 3], CLOCK)
-    heir.restore_consumers(channel.consumer_places(CLOCK + 4), CLOCK + 4)
-    assert heir.consumer_places(CLOCK + 4) == channel.consumer_places(CLOCK + 4)
-    assert heir.consumers(CLOCK + 4) == channel.consumers(CLOCK + 4)
-    heir.consume(BOB, [1, 2], CLOCK + 4)
-    assert held(heir, CLOCK + 4) == [2, 3]
+    restored.restore_consumers(channel.consumer_places(CLOCK + 4), CLOCK + 4)
+    assert restored.consumer_places(CLOCK + 4) == channel.consumer_places(CLOCK + 4)
+    assert restored.consumers(CLOCK + 4) == channel.consumers(CLOCK + 4)
+    restored.consume(BOB, [1, 2], CLOCK + 4)
+    assert held(restored, CLOCK + 4) == [2, 3]
 
 
 def test_the_window_follows_the_slowest_live_consumer_between_its_two_bounds() -> None:

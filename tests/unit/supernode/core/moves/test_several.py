@@ -86,14 +86,14 @@ def test_no_move_to_a_lost_host_is_committed(log: Log) -> None:
     assert committed(log, 2, a=1, b=1) == []
 
 
-def test_a_release_removes_only_the_heirs_of_the_named_channels(log: Log) -> None:
+def test_a_release_removes_only_the_fallbacks_of_the_named_channels(log: Log) -> None:
     committed(log, 2, a=1, b=1, c=1)
     ids = [channel(log, name).channel_id for name in NAMES]
     assert free(log, 2, a=2, b=2) == ids[:2]
     assert released(log.directory.tables, id_of(1), ids) == ids[:2]
     log.apply(expire(2, registered_index=3))
     assert [channel(log, name).host_id for name in NAMES] == [id_of(2), id_of(2), id_of(1)]
-    assert released(log.directory.tables, id_of(1), ids) == ids[:2], "the heir of the third one is its owner again"
+    assert released(log.directory.tables, id_of(1), ids) == ids[:2], "the fallback of the third one is its owner again"
 
 
 def test_only_the_owner_at_the_present_epoch_releases(log: Log) -> None:

@@ -1,4 +1,4 @@
-"""A channel gets another owner in one entry, and the former owner is its heir until the new one needs it no more."""
+"""One entry gives a channel another owner. The former owner is the fallback until the new owner needs none."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_the_former_owner_comes_before_a_replica_if_the_new_owner_is_lost_at_onc
     assert cam(log).host_id == id_of(1)
 
 
-def test_the_former_owner_is_no_heir_after_its_copy_is_removed(log: Log) -> None:
+def test_the_former_owner_is_no_fallback_after_its_copy_is_removed(log: Log) -> None:
     move(log, 2, 1)
     log.apply(remove_replica(cam(log).channel_id, 1))
     log.apply(expire(2, registered_index=3))

@@ -172,7 +172,7 @@ def test_a_replica_that_is_not_in_sync_never_takes_over(log: Log, end: Callable[
     log.apply(end(1))
     assert (cam(log).host_id, cam(log).epoch) == (id_of(1), 1)
     late = refusal(log, set_in_sync(cam(log).channel_id, 2))
-    assert late.reason == "HOST_NOT_FOUND", "an owner without a lease cannot make it an heir"
+    assert late.reason == "HOST_NOT_FOUND", "a host without a lease is no owner, so it cannot set the flag"
 
 
 @pytest.mark.parametrize("end", ENDINGS.values(), ids=ENDINGS)
@@ -222,7 +222,7 @@ def test_a_late_expiry_moves_no_channel(log: Log) -> None:
     assert (cam(log).host_id, cam(log).epoch) == (id_of(1), 1)
 
 
-def test_an_heir_is_the_replica_at_the_host_with_the_fewest_channels(log: Log) -> None:
+def test_the_successor_is_the_replica_at_the_host_with_the_fewest_channels(log: Log) -> None:
     log.apply(open_channel("mic", host="host-2"))
     warm_in_sync(log, 2)
     warm_in_sync(log, 3)

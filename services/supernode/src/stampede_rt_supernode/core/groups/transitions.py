@@ -224,8 +224,8 @@ def move_witness(tables: Tables, channel_id: bytes, former_host_id: bytes) -> No
         if former_host_id in known:
             known.add(tables.channels[channel_id].host_id)
         copies = (copy for one in group.spec.channel_ids for copy in tables.replicas.of(one))
-        heirs = {copy.host_id for copy in copies if copy.kind is ReplicaKind.MOVE}
-        tables.groups.replace(group, tuple(sorted(known & {*_hosts_of(tables, group), *heirs})))
+        fallbacks = {copy.host_id for copy in copies if copy.kind is ReplicaKind.MOVE}
+        tables.groups.replace(group, tuple(sorted(known & {*_hosts_of(tables, group), *fallbacks})))
 
 
 def _witnessed(tables: Tables, group: GroupRecord, restarted: bytes | None = None) -> GroupRecord:

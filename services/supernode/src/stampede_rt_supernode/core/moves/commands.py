@@ -66,7 +66,7 @@ class MoveToRelease:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReleaseMoves(Operation):
-    """Remove the heirs of channels, because the new owner `host_id` has all their items and needs no heirs."""
+    """Remove the fallbacks of channels, because the new owner `host_id` has all their items and needs no fallbacks."""
 
     host_id: bytes
     moves: tuple[MoveToRelease, ...]
@@ -74,7 +74,7 @@ class ReleaseMoves(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MovesReleased(Success):
-    """The channels without heirs. The others have another owner or epoch, or do not exist."""
+    """The channels without fallbacks. The others have another owner or epoch, or do not exist."""
 
     channel_ids: tuple[bytes, ...]
 

@@ -71,7 +71,7 @@ def _alone(operation: CommitMoves, move: MoveToCommit) -> CommitMove:
 
 
 def release_moves(tables: Tables, operation: ReleaseMoves) -> MovesReleased:
-    """Remove the heirs of the channels that the host owns at these epochs. Replicas stay."""
+    """Remove the fallbacks of the channels that the host owns at these epochs. Replicas stay."""
     check_release_moves(operation)
     owned = [one for one in operation.moves if _owns(tables, operation.host_id, one)]
     for move in owned:

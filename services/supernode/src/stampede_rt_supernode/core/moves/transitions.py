@@ -4,7 +4,7 @@ The caller holds everything that the owner accepted, and the owner accepts nothi
 entry decides: the first CommitMove of an epoch counts, and each later one of that epoch is refused. The former owner
 keeps its items until the new owner removes that copy. If the new owner is lost before that, the former owner becomes
 the owner again. If the new owner held a replica, the former owner becomes a replica in its place. The former owner
-holds everything, so it stays in sync. The former owner of a queue is never an heir. It stays as a replica if the new
+holds everything, so it stays in sync. The former owner of a queue is never a fallback. It stays as a replica if the new
 owner held one.
 
 The directory does not rely on what the host says: the owner's permit must say that the host holds everything, see

@@ -211,7 +211,7 @@ def store(tables: Tables, channel: Copied, replicas: tuple[ReplicaRecord, ...]) 
     if isinstance(channel, QueueRecord):
         tables.put_queue(channel)
         return
-    host_ids = tuple(one.host_id for one in replicas if one.kind is not ReplicaKind.MOVE)  # heirs serve no caller
+    host_ids = tuple(one.host_id for one in replicas if one.kind is not ReplicaKind.MOVE)  # fallbacks serve no caller
     changed = channel if channel.proxy_host_ids == host_ids else replace(channel, proxy_host_ids=host_ids)
     if changed != tables.channels[id_of(channel)]:
         tables.replace_channel(changed)
