@@ -257,6 +257,13 @@ class DeadlineExceeded(StampedeError, TimeoutError):
     reason = "DEADLINE_EXCEEDED"
 
 
+class MoveConflict(StampedeError):
+    """Another move of the channel is under way. Wait until it is over, and move the channel again if necessary."""
+
+    reason = "MOVE_CONFLICT"
+    retryable = True
+
+
 class StaleBinding(StampedeError):
     """A cached binding no longer holds. The client looks for the host again (paper, section 4.2)."""
 
@@ -305,8 +312,8 @@ _BY_REASON: dict[str, type[StampedeError]] = {
         ChannelExists, GroupNotFound, GroupExists, QueueNotFound, QueueExists, PeerNotFound, PeerExists, HostNotFound,
         HostExists,
         ChannelFull, QueueFull, NotReplicated, NotArchived, TooOld, InFuture, IncarnationLost, LeaseExpired,
-        StaleRegistration, PermissionDenied, Overloaded, Unavailable, DeadlineExceeded, StaleBinding, NotLeader,
-        VersionMismatch, WatchRestart, WrongCluster,
+        StaleRegistration, PermissionDenied, Overloaded, Unavailable, DeadlineExceeded, MoveConflict, StaleBinding,
+        NotLeader, VersionMismatch, WatchRestart, WrongCluster,
     )
 }  # fmt: skip
 _BY_REASON |= {

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from stampede_rt._sync.proxies import Proxies
 from stampede_rt._sync.reader import Reader
-from stampede_rt.errors import HostNotFound, InvalidArgument, QueueNotFound, StaleBinding
+from stampede_rt.errors import HostNotFound, InvalidArgument, PermissionDenied, QueueNotFound, StaleBinding
 from stampede_rt.transports.concurrency_sync import monotonic_s, sleep
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.values.balancing import PlannedMove, plan_moves
@@ -39,9 +39,9 @@ class Moves(Proxies):
         Returns when the new host accepts puts; blocks for `timeout` at most. Puts wait for some milliseconds meanwhile,
         and blocked gets and subscriptions continue at the new host: nothing is lost, and nothing comes twice. If the
         channel is at that host already, the call returns at once. Raises HostNotFound, PermissionDenied without the
-        right to configure the channel, StampedeError with reason MOVE_CONFLICT if another move of the channel is under
-        way, Unavailable if too few of its replicas are in sync, Overloaded if 32 channels move from or to one host, or
-        if the copy cannot catch up with the producers, and DeadlineExceeded (the move then continues).
+        right to configure the channel, MoveConflict if another move of the channel is under way, Unavailable if too few
+        of its replicas are in sync, Overloaded if 32 channels move from or to one host, or if the copy cannot catch up
+        with the producers, and DeadlineExceeded (the move then continues).
         """
         deadline_s = monotonic_s() + parse_duration(timeout, "timeout") / 1e9
         name = channel.name if isinstance(channel, Reader) else channel
@@ -76,20 +76,21 @@ class Moves(Proxies):
         hosts = {one.name: one for one in self.hosts() if one.endpoints}
         if host not in hosts:
             raise HostNotFound(f"there is no live host {host!r}; `stampede hosts` lists them")
-        while True:  # tries again if the thing has just moved; ends with the deadline
+        while True:  # tries again if another move of the thing has just ended; ends with the deadline
             found = find()
             try:
                 if found.owner != host and found.owner in hosts:
                     self._allow(found.request, hosts[found.owner].endpoints[0], hosts[host].host_id, deadline_s)
-                break
-            except StaleBinding:
-                if monotonic_s() >= deadline_s:
+                endpoint = self._session.endpoints.to(hosts[host].endpoints[0])
+                left_s = max(deadline_s - monotonic_s(), 0.1)
+                answer: pb.MoveHereResponse = endpoint.call(endpoint.moves.MoveHere, found.request, left_s)
+                return answer
+            except (StaleBinding, PermissionDenied) as error:
+                # A PermissionDenied with a host_id is about `_allow`: the owner or the epoch has changed since then.
+                is_denied = isinstance(error, PermissionDenied) and "host_id" not in error.metadata
+                if is_denied or monotonic_s() >= deadline_s:
                     raise
             sleep(RETRY_S)
-        endpoint = self._session.endpoints.to(hosts[host].endpoints[0])
-        left_s = max(deadline_s - monotonic_s(), 0.1)
-        answer: pb.MoveHereResponse = endpoint.call(endpoint.moves.MoveHere, found.request, left_s)
-        return answer
 
     def _allow(self, request: pb.MoveHereRequest, owner: str, host_id: bytes, deadline_s: float) -> None:
         """Tell the owner which host may take the thing over. Raises StaleBinding if the owner is another host."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt.errors import ChannelNotFound, IncarnationLost, StampedeError, Unavailable, error_for
+from stampede_rt.errors import ChannelNotFound, IncarnationLost, MoveConflict, StampedeError, Unavailable, error_for
 
 SHUTTING_DOWN = error_for(
     "SHUTTING_DOWN", "this host is shutting down; resolve the channel again for its new host, or wait for this one"
@@ -54,8 +54,8 @@ def moved_to(name: str, host_id: bytes, target: str, epoch: int, spec_version: i
 
 def move_conflict(name: str) -> StampedeError:
     """The error for a move of a channel of which another move is under way."""
-    return error_for(
-        "MOVE_CONFLICT", f"another move of channel {name} is under way; wait until it is over", {"channel": name}
+    return MoveConflict(
+        f"another move of channel {name} is under way; wait until it is over", metadata={"channel": name}
     )
 
 

@@ -12,6 +12,7 @@ import grpc
 from stampede_rt.errors import (
     ChannelNotFound,
     DeadlineExceeded,
+    MoveConflict,
     Overloaded,
     QueueNotFound,
     StampedeError,
@@ -34,7 +35,7 @@ logger = logging.getLogger(__name__)
 
 Dial = Callable[[str], grpc.aio.Channel]
 NAMES_LOGGED_MAX = 20
-_AGAIN = (Overloaded, Unavailable, DeadlineExceeded)  # another host, or the same one later, may take it
+_AGAIN = (Overloaded, Unavailable, DeadlineExceeded, MoveConflict)  # another host, or the same one later, may take it
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.05, 1.0
 BEGIN_SECONDS_MAX = 2.0  # the drain tries another host if one has not begun a move by then
 
@@ -277,7 +278,7 @@ async def _move(own: _Own, place: OtherHost, others: _Others, left: dict[bytes, 
             left[own.id] = str(error)
             if error.reason == "SHUTTING_DOWN":
                 others.leave_out(host)
-            elif not isinstance(error, _AGAIN) and error.reason != "MOVE_CONFLICT":
+            elif not isinstance(error, _AGAIN):
                 return
         host = others.after(own, host)
         await asyncio.sleep(delay_s)

@@ -47,7 +47,7 @@ class OutgoingMoves:
         return OutgoingMove(self, hosted, hosted.begin_move(), host_id, target)
 
     def check(self, hosted: HostedChannel, host_id: bytes) -> None:
-        """Raises PermissionDenied if no caller has allowed the move to that host, MOVE_CONFLICT if the channel cannot
+        """Raises PermissionDenied if no caller has allowed the move to that host, MoveConflict if the channel cannot
         move now, Overloaded if too many move, and Unavailable if too few of its replicas are in sync, or if this host
         does not know yet which of its items the object store has.
         """
