@@ -33,7 +33,7 @@ def path_called(name: str) -> Iterator[tuple[Surface, SteeredHost]]:
             yield path
         return
     open_surface = {"awaited": awaited_surface, "blocking": blocking_surface}[name]
-    with loopback_host() as host, steered_rings(host), open_surface(host.frontend, host.target) as surface:
+    with loopback_host() as host, steered_rings(host), open_surface(host) as surface:
         yield surface, host
 
 

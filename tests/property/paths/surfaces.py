@@ -15,13 +15,16 @@ import grpc
 
 import stampede_rt as st
 from stampede_rt import aio
+from stampede_rt.security.tls import TlsReader
 from stampede_rt.status import from_error_message, from_rpc_error
 from stampede_rt.transports import futexes
+from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt.wire.runs import encode_run
 from tests.oracle import Ack
 from tests.property.paths.values import Followed, Run, Started
+from tests.support.channel_host.loopback_host import LoopbackHost
 
 WAIT_SECONDS_MAX = 20.0
 THREADS_MAX = 24
@@ -58,10 +61,10 @@ class Surface(Protocol):
 class BlockingSurface:
     """`stampede_rt`, with a thread for each blocking call."""
 
-    def __init__(self, connections: Sequence[Any], target: str, pool: ThreadPoolExecutor) -> None:
+    def __init__(self, connections: Sequence[Any], host: LoopbackHost, pool: ThreadPoolExecutor) -> None:
         self.connections = connections
         self._pool = pool
-        self._wire = grpc.insecure_channel(target)
+        self._wire = _wire(grpc, host)
         self._channels = ChannelServiceStub(self._wire)
         self._puts: dict[int, Any] = {}  # the runs under way, by the identity of the run
 
@@ -125,10 +128,10 @@ class _InThread:
 class AwaitedSurface:
     """`stampede_rt.aio`, on an event loop that runs only during a call of this surface."""
 
-    def __init__(self, connections: Sequence[Any], target: str, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, connections: Sequence[Any], host: LoopbackHost, loop: asyncio.AbstractEventLoop) -> None:
         self.connections = connections
         self._loop = loop
-        self._wire = self.do(lambda: _aio_channel(target))
+        self._wire = self.do(lambda: _aio_channel(host))
         self._channels = ChannelServiceStub(self._wire)
         self._puts: dict[int, Any] = {}  # the runs under way, by the identity of the run
 
@@ -179,8 +182,15 @@ class AwaitedSurface:
         self.do(lambda: self._wire.close(None))
 
 
-async def _aio_channel(target: str) -> Any:
-    return grpc.aio.insecure_channel(target)
+def _wire(library: Any, host: LoopbackHost) -> Any:
+    """Return a channel of `library` (`grpc` or `grpc.aio`) to the host."""
+    if host.tls is None:
+        return library.insecure_channel(host.target)
+    return library.secure_channel(host.target, channel_credentials(TlsReader(host.tls).current()))
+
+
+async def _aio_channel(host: LoopbackHost) -> Any:
+    return _wire(grpc.aio, host)
 
 
 class _AsTask:
@@ -244,12 +254,14 @@ def consume_request(handle: Any, consumer_id: int, seqs: Sequence[int], lease_na
 
 
 @contextmanager
-def blocking_surface(frontend: str, target: str) -> Iterator[BlockingSurface]:
+def blocking_surface(host: LoopbackHost) -> Iterator[BlockingSurface]:
     """The synchronous client, connected over each transport."""
     with ExitStack() as stack:
-        connections = [stack.enter_context(st.connect(frontend, transport=one)) for one in TRANSPORTS]
+        connections = [
+            stack.enter_context(st.connect(host.frontend, transport=one, tls=host.tls)) for one in TRANSPORTS
+        ]
         pool = stack.enter_context(ThreadPoolExecutor(THREADS_MAX))
-        surface = BlockingSurface(connections, target, pool)
+        surface = BlockingSurface(connections, host, pool)
         try:
             yield surface
         finally:
@@ -257,11 +269,11 @@ def blocking_surface(frontend: str, target: str) -> Iterator[BlockingSurface]:
 
 
 @contextmanager
-def awaited_surface(frontend: str, target: str) -> Iterator[AwaitedSurface]:
+def awaited_surface(host: LoopbackHost) -> Iterator[AwaitedSurface]:
     """The asynchronous client, connected over each transport, on an event loop of its own."""
     with asyncio.Runner() as runner:
-        connections = [runner.run(_connected(frontend, transport)) for transport in TRANSPORTS]
-        surface = AwaitedSurface(connections, target, runner.get_loop())
+        connections = [runner.run(_connected(host, transport)) for transport in TRANSPORTS]
+        surface = AwaitedSurface(connections, host, runner.get_loop())
         try:
             yield surface
         finally:
@@ -270,5 +282,5 @@ def awaited_surface(frontend: str, target: str) -> Iterator[AwaitedSurface]:
                 runner.run(connection.aclose())
 
 
-async def _connected(frontend: str, transport: str) -> Any:
-    return await aio.connect(frontend, transport=transport)
+async def _connected(host: LoopbackHost, transport: str) -> Any:
+    return await aio.connect(host.frontend, transport=transport, tls=host.tls)

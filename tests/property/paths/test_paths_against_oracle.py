@@ -1,4 +1,4 @@
-"""The core and a client over each transport give the oracle's answers after any random steps.
+"""The core and a client over each transport, with certificates and without, give the oracle's answers after any steps.
 
 `STAMPEDE_PROPERTY_EXAMPLES=20000 pytest tests/property/paths/test_paths_against_oracle.py` tries more steps. `python -m
 tests.property core 0 100000` does the same several times as fast.
@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from stampede_rt.errors import ChannelNotFound
 from stampede_rt.transports import futexes
+from stampede_rt_local.certificates import ClusterCertificates
 from tests.property.paths.core_surface import core_surface
 from tests.property.paths.path_and_oracle import SteeredHost
 from tests.property.paths.steered_rings import steered_rings
@@ -32,9 +33,10 @@ ROUNDS_MAX = 10  # about half of the rounds lack one of these answers
 SURFACES = {"awaited": awaited_surface, "blocking": blocking_surface}
 
 
-@pytest.fixture(scope="module")
-def host() -> Iterator[LoopbackHost]:
-    with loopback_host() as running:
+@pytest.fixture(scope="module", params=["plain", "with TLS"])
+def host(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[LoopbackHost]:
+    secured = request.param == "with TLS"
+    with loopback_host(ClusterCertificates(tmp_path_factory.mktemp("tls") / "certs") if secured else None) as running:
         yield running
 
 
@@ -46,7 +48,7 @@ def ring_answers(host: LoopbackHost) -> Iterator[Counter[str]]:
 
 @pytest.fixture(scope="module", params=SURFACES)
 def surface(request: pytest.FixtureRequest, host: LoopbackHost, ring_answers: Counter[str]) -> Iterator[Surface]:
-    with SURFACES[request.param](host.frontend, host.target) as connected:
+    with SURFACES[request.param](host) as connected:
         yield connected
 
 
@@ -85,6 +87,9 @@ def test_a_client_agrees_with_the_oracle_in_every_scenario(
     surface: Surface, host: LoopbackHost, ring_answers: Counter[str]
 ) -> None:
     ring_answers.clear()
+    if host.tls is not None:
+        play_scenarios(surface, host, EXAMPLES)
+        return
     play_scenarios(surface, host, EXAMPLES)
     for turn in range(ROUNDS_MAX):
         play_scenarios(surface, host, EXAMPLES, first=turn, steps=STEPS_NEAR_THE_FRONT)

@@ -1,7 +1,7 @@
 """A channel host on real gRPC in a process of its own, whose clock stands until a test moves it.
 
 The process serves a directory, too; it is steered by lines: `tick NANOS WALL_STEP` and `settle` on its standard input
-are answered with the host's time.
+are answered with the host's time. With certificates, the directory and the host take callers with certificates only.
 """
 
 from __future__ import annotations
@@ -10,17 +10,21 @@ import asyncio
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from stampede_rt.errors import ChannelNotFound
+from stampede_rt.security.tls import TlsFiles
 from stampede_rt.status import abort
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.host import ChannelHost
+from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_runtime.dial import dial, dial_from_any_loop
+from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.server import ServiceServer, serving
+from stampede_rt_runtime.tls import load_tls
 from tests.support.channel_host.fake_directory import FakeDirectory
 from tests.support.clock import ManualClock
 from tests.support.processes import started
@@ -31,10 +35,14 @@ STOP_SECONDS_MAX = 20.0
 
 
 class LoopbackHost:
-    """Clients connect to `frontend`; data travels to `target`; `tick` moves the time."""
+    """Clients connect to `frontend`; data travels to `target`; `tick` moves the time.
 
-    def __init__(self, process: subprocess.Popen[str]) -> None:
+    `tls`: the certificate with which a test calls a host that has certificates.
+    """
+
+    def __init__(self, process: subprocess.Popen[str], tls: TlsFiles | None) -> None:
         self._process = process
+        self.tls = tls
         self.frontend, self.target = self._answer().split()
         self.boot_nanos = ManualClock().boot_nanos
         """The host's reading of CLOCK_BOOTTIME."""
@@ -63,13 +71,15 @@ class LoopbackHost:
 
 
 @contextmanager
-def loopback_host() -> Iterator[LoopbackHost]:
-    """A host that serves for as long as the block lasts."""
-    arguments = [sys.executable, "-m", __name__]
+def loopback_host(certificates: ClusterCertificates | None = None) -> Iterator[LoopbackHost]:
+    """A host that serves for as long as the block lasts. With `certificates`, all its ports have TLS."""
+    files = [certificates.issue(role, "loopback") for role in (Role.HOST, Role.SUPERNODE)] if certificates else []
+    tls = certificates.issue(Role.OPERATOR, "tests") if certificates else None
+    arguments = [sys.executable, "-m", __name__, *(str(path) for one in files for path in one.paths())]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     with started(arguments, env=environment) as process:
         try:
-            yield LoopbackHost(process)
+            yield LoopbackHost(process, tls)
         finally:
             assert process.stdin is not None
             process.stdin.close()
@@ -115,23 +125,30 @@ class Steered:
         return self._host.store.now()
 
 
-async def serve() -> None:
-    """Serve until standard input ends."""
+async def serve(paths: Sequence[str]) -> None:
+    """Serve until standard input ends. `paths`: the files of the host's and of the directory's certificates, if any."""
+    files = [
+        TlsFiles(ca=ca, certificate=certificate, key=key)
+        for ca, certificate, key in zip(paths[::3], paths[1::3], paths[2::3], strict=True)
+    ]
+    own, of_directory = (load_tls(files[0], Role.HOST), load_tls(files[1], Role.SUPERNODE)) if files else (None, None)
+    reader = own.reader if own else None
     directory = Directory(lease_ttl_nanos=LEASE_TTL_NANOS)
-    async with serving(directory.register) as supernode:
+    async with serving(directory.register, tls=of_directory) as supernode:
         directory.target = supernode.address
         clock = ManualClock()
+        server = ServiceServer(secret=None, tls=own)
         host = ChannelHost(
             HostIdentity(host_id=HOST_ID, name="loopback", boot_incarnation=1),
             frontends=[directory.target],
-            dial=lambda target: dial(target, secret=None),
-            dial_for_lease=lambda target: dial_from_any_loop(target, secret=None),
+            dial=lambda target: dial(target, secret=None, tls=reader),
+            dial_for_lease=lambda target: dial_from_any_loop(target, secret=None, tls=reader),
             clock=clock,
             memory_bytes_max=2**30,
             on_serving=lambda serving: None,
             on_defect=lambda failure: os._exit(1),
+            tickets=server.sockets.tickets if own else None,
         )
-        server = ServiceServer(secret=None)
         target = server.bind("localhost:0")
         host.add_to(server.grpc)
         server.sockets.register(host.add_to)
@@ -151,4 +168,4 @@ async def _obey_lines(steered: Steered) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(serve())
+    asyncio.run(serve(sys.argv[1:]))
