@@ -73,7 +73,7 @@ def lack_of(answer: ReadAnswer) -> Reason | None:
 
 def cut_of(small: dict[bytes, ArchivedChannel], as_of: int) -> int | None:
     found = past_cut(small, as_of)
-    assert found.lack is None
+    assert found.reason is None
     return None if found.cut == MIN_INSTANT else found.cut
 
 
@@ -91,8 +91,8 @@ def test_a_past_cut_from_archives_that_have_dropped_items_is_right_or_says_what_
             as_of = draw.randrange(first, max(first, last) + 2)
             found, then = past_cut(small, as_of), Then(large, small, as_of).cut.cut
             assert found.cut <= (MIN_INSTANT if then is None else then)
-            if found.lack is not None:
-                assert found.lack == "COLLECTED"
+            if found.reason is not None:
+                assert found.reason == "COLLECTED"
             elif not any(has_lost_its_newest(one, as_of) for one in small.values()):
                 assert found.cut == then
 

@@ -110,7 +110,7 @@ def test_matches_as_of_an_instant_are_those_that_a_host_decides_then(seed: int) 
             found.append((match.key, dict(match.partners)))
         expected = decided(Then(large, small, as_of), rule, start, as_of)
         assert (found, matching.unmatched) == expected, (rule, start, as_of)
-        assert (matching.dropped, matching.lack) == (0, None)
+        assert (matching.dropped, matching.reason) == (0, None)
 
 
 def test_matches_whose_archive_has_dropped_items_say_so() -> None:
@@ -128,8 +128,8 @@ def test_matches_whose_archive_has_dropped_items_say_so() -> None:
         matching.begin(max(one[3] for one in small.values()))
         while matching.next_match() is not None:
             pass
-        if channels[NAMES[1]].is_cut and matching.lack is not None:
-            assert matching.lack == "COLLECTED"
-            assert "right" in matching.lack.detail
+        if channels[NAMES[1]].is_cut and matching.reason is not None:
+            assert matching.reason == "COLLECTED"
+            assert "right" in matching.reason.detail
             told += 1
     assert told > 5

@@ -14,8 +14,8 @@ from collections.abc import Iterable
 from stampede_rt import ChannelNotFound, ChannelStats, Items, StampedeError, aio
 from stampede_rt.values.timeline import NEWEST, OLDEST
 from stampede_rt_web.drawing import Window
-from stampede_rt_web.stretches import Stretches
 from stampede_rt_web.track import ITEMS_MAX, ItemTrack, Mark, TrackItem
+from stampede_rt_web.window_cache import WindowCache
 
 PAGE_ITEMS = 4096  # the most items of one read
 TRACKS_MAX = 64
@@ -40,7 +40,7 @@ class FollowedChannel:
         self._read_at = 0
         self._newest: int | None = None  # None: the first read has not ended yet
         self._reaches_oldest = False
-        self._stretches = Stretches()
+        self._windows = WindowCache()
         self._reach_due = 0
         self._refused: dict[str, int] | None = None
 
@@ -60,7 +60,7 @@ class FollowedChannel:
             try:
                 await self._read_newer(now, stats)
                 if self._is_after(window):
-                    await self._read_stretch(window, now)
+                    await self._read_window(window, now)
                 elif self._begins_after(window.start):
                     await self._read_older()
                 await self._read_reach(now, stats)
@@ -72,8 +72,8 @@ class FollowedChannel:
 
     def track_for(self, window: Window) -> ItemTrack:
         """Return the track that has the items of the window."""
-        stretch = self._stretches.track_of(window) if self._is_after(window) else None
-        return self.track if stretch is None else stretch
+        track = self._windows.track_of(window) if self._is_after(window) else None
+        return self.track if track is None else track
 
     def _is_after(self, window: Window) -> bool:
         track = self.track
@@ -124,14 +124,14 @@ class FollowedChannel:
         self.track.prepend(reversed(list(_facts(older))))
         self._reaches_oldest = not older.more
 
-    async def _read_stretch(self, window: Window, now: int) -> None:
-        if not self._stretches.is_due(window, now):
+    async def _read_window(self, window: Window, now: int) -> None:
+        if not self._windows.is_due(window, now):
             return
         found = await self.channel.get(window.start, window.end, limit=PAGE_ITEMS, payloads=False)
-        stretch = ItemTrack()
-        stretch.prepend(_facts(found))
-        stretch.ends_early = found.more
-        self._stretches.keep(window, stretch, now)
+        track = ItemTrack()
+        track.prepend(_facts(found))
+        track.ends_early = found.more
+        self._windows.keep(window, track, now)
 
     async def _read_reach(self, now: int, stats: ChannelStats | None) -> None:
         policy = self.channel.info.policy if stats is None else stats.policy

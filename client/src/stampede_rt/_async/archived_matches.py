@@ -47,7 +47,7 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
     @property
     def reason(self) -> Reason | None:
         """Why matches may be missing, or differ from the matches of that time; None: nothing is missing."""
-        return None if self._matching is None else self._matching.lack
+        return None if self._matching is None else self._matching.reason
 
     @property
     def connected(self) -> bool:

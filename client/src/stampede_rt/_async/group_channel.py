@@ -13,7 +13,7 @@ from stampede_rt._async.reads import read_as_of
 from stampede_rt.errors import ChannelNotFound, GroupNotFound
 from stampede_rt.values.grouping import SeenCut
 from stampede_rt.values.model import Items
-from stampede_rt.values.past import PastCut, tell_lack
+from stampede_rt.values.past import PastCut, add_reason
 from stampede_rt.values.reading import ReadQuery
 
 
@@ -60,4 +60,4 @@ async def read_at_past_cut(
         past = await cut_as_of(group, as_of)
     query = replace(query, cut=past.cut)
     items = await read_as_of(group.session, state, query, as_of, SeenCut(group.info.group_id))
-    return tell_lack(items, past.lack), past
+    return add_reason(items, past.reason), past

@@ -14,28 +14,28 @@ from stampede_rt._async.reads import read
 from stampede_rt.transports.concurrency_async import run_all
 from stampede_rt.values.grouping import ByChannel, SeenCut
 from stampede_rt.values.model import Items, Reason
-from stampede_rt.values.past import tell_lack
+from stampede_rt.values.past import add_reason
 from stampede_rt.values.reading import ReadQuery
 
 
 class MembersRead(NamedTuple):
-    """The answer of each member at one cut. `lack`: why the cut may have been higher; None: the cut is exact."""
+    """The answer of each member at one cut. `reason`: why the cut may have been higher; None: the cut is exact."""
 
     answers: ByChannel[Channel, Items]
-    lack: Reason | None
+    reason: Reason | None
 
 
 async def read_members(group: GroupMembers, query: ReadQuery) -> MembersRead:
     """Read all members at the present cut, or at the cut as of `as_of`."""
-    view, lack = group.view, None
+    view, reason = group.view, None
     if query.as_of is None:
         query = replace(query, cut=await present_cut(group))
     else:
         view = SeenCut(group.info.group_id)  # the present cut has no influence
-        cut, lack, _ = await cut_as_of(group, query.as_of)
+        cut, reason, _ = await cut_as_of(group, query.as_of)
         query = replace(query, cut=cut)
     channels = group.channels
     found = await run_all([functools.partial(read, group.session, one._state, query, view) for one in channels])
     ids = (channel.info.channel_id for channel in channels)
-    answers = (tell_lack(items, lack) for items in found)
-    return MembersRead(ByChannel(channels, dict(zip(ids, answers, strict=True))), lack)
+    answers = (add_reason(items, reason) for items in found)
+    return MembersRead(ByChannel(channels, dict(zip(ids, answers, strict=True))), reason)

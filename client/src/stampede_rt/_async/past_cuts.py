@@ -82,11 +82,11 @@ def _denied(group: GroupMembers, channel: Channel, error: PermissionDenied) -> P
 async def _mark_as_of(session: Session, channel: Channel, as_of: int) -> PastMark:
     """Return how far a channel had come at an instant, according to its archive."""
     found = await read_as_of(session, channel._state, _NEWEST, as_of)
-    lack = found.reason if found.reason == "LOST" or (found.reason == "COLLECTED" and not found) else None
-    if lack is None and found and found.truncated:
-        lack = await _lost_since(session, channel, found[0].time, as_of)
+    reason = found.reason if found.reason == "LOST" or (found.reason == "COLLECTED" and not found) else None
+    if reason is None and found and found.truncated:
+        reason = await _lost_since(session, channel, found[0].time, as_of)
     past = found.past or PastState(None, None, None)
-    return PastMark(channel.name, max(found.times, default=None), past.advance, lack, past.next_change)
+    return PastMark(channel.name, max(found.times, default=None), past.advance, reason, past.next_change)
 
 
 async def _lost_since(session: Session, channel: Channel, newest: int, as_of: int) -> Reason | None:

@@ -40,7 +40,7 @@ _NEWEST = ReadQuery(ALL_TIME, match=Match.START, limit=1, newest_first=True, pay
 class ArchivedMember:
     """One member of a group as of an instant: how far it had come, and its keys, page by page in the order of time.
 
-    `lack`: why the archive may not have all items of the member; None: it has all.
+    `reason`: why the archive may not have all items of the member; None: it has all.
     """
 
     def __init__(self, channel: Reader, read_as_of: ReadAsOf) -> None:
@@ -50,7 +50,7 @@ class ArchivedMember:
         self.past: PastState | None = None
         self.newest_time: int | None = None
         self.advance: int | None = None
-        self.lack: Reason | None = None
+        self.reason: Reason | None = None
         self.loaded_to: int = MIN_INSTANT  # the caller has all keys up to this time
         self._start = self.loaded_to
         self._after: Item | None = None
@@ -66,9 +66,9 @@ class ArchivedMember:
 
     def _note(self, items: Items, *, is_partial: bool = False) -> None:
         lacks = items.reason == "LOST" or (items.reason == "COLLECTED" and not is_partial)
-        if lacks and self.lack is None and items.reason is not None:
+        if lacks and self.reason is None and items.reason is not None:
             name, reason = self.channel.name, items.reason
-            self.lack = Reason(reason, f"channel {name}: {reason.detail}")
+            self.reason = Reason(reason, f"channel {name}: {reason.detail}")
 
     def skip_to(self, time: int) -> None:
         """Leave out the keys before `time`."""
@@ -131,9 +131,9 @@ class ArchivedMatching:
         self.dropped = 0
 
     @property
-    def lack(self) -> Reason | None:
+    def reason(self) -> Reason | None:
         """Why matches may be missing, or differ from the matches of that time; None: the archives have all items."""
-        return next((one.lack for one in self.members if one.lack is not None), None)
+        return next((one.reason for one in self.members if one.reason is not None), None)
 
     def begin(self, as_of: int) -> None:
         """Begin with the items from the rule's `start` on, or after the newest item of `per`."""

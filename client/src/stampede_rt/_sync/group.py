@@ -162,11 +162,11 @@ class Group(Reference):
         has only one item, the group may therefore show nothing for a member. `as_of`: see `get`. Raises as `get`.
         """
         interval, past = parse_interval(MIN_INSTANT, MAX_INSTANT), parse_as_of(as_of)
-        answers, lack = self._read(
+        answers, reason = self._read(
             ReadQuery(interval, match=Match.START, limit=1, newest_first=True, payloads=payloads, as_of=past)
         )
         found = {channel.info.channel_id: items for channel, items in answers.items()}
-        return NewestItems(self.channels, found, lack)
+        return NewestItems(self.channels, found, reason)
 
     def _read(self, query: ReadQuery) -> MembersRead:
         with span("get", group=self.name):

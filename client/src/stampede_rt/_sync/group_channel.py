@@ -14,7 +14,7 @@ from stampede_rt._sync.reads import read_as_of
 from stampede_rt.errors import ChannelNotFound, GroupNotFound
 from stampede_rt.values.grouping import SeenCut
 from stampede_rt.values.model import Items
-from stampede_rt.values.past import PastCut, tell_lack
+from stampede_rt.values.past import PastCut, add_reason
 from stampede_rt.values.reading import ReadQuery
 
 
@@ -59,4 +59,4 @@ def read_at_past_cut(group: GroupMembers, state: ChannelState, query: ReadQuery,
         past = cut_as_of(group, as_of)
     query = replace(query, cut=past.cut)
     items = read_as_of(group.session, state, query, as_of, SeenCut(group.info.group_id))
-    return tell_lack(items, past.lack), past
+    return add_reason(items, past.reason), past

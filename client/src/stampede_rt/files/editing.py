@@ -12,8 +12,8 @@ from stampede_rt.errors import FileError, InvalidArgument
 from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.files.file_tally import FileTally
 from stampede_rt.files.framing import Damage
+from stampede_rt.files.interval_filter import IntervalFilter
 from stampede_rt.files.reading import SUMMARY_NAME, Content, Event, FileReader, summary_fields
-from stampede_rt.files.stretch import Stretch
 from stampede_rt.files.writing import FileWriter
 from stampede_rt.values.recording import RecordingGap, RecordingSummary
 
@@ -176,7 +176,7 @@ def cut(
             write(event)
 
         try:
-            chosen_part = Stretch(start, end, chosen, take)
+            chosen_part = IntervalFilter(start, end, chosen, take)
             for part in intact_contents(reader):
                 for event in part.events():
                     chosen_part.add(event)

@@ -12,8 +12,8 @@ from typing import Any, Protocol
 
 from stampede_rt.errors import FileError
 from stampede_rt.files.entries import FACTS_TOPIC, POLICY_KEY, FileEntry
+from stampede_rt.files.interval_filter import IntervalFilter
 from stampede_rt.files.reading import Content, Event, FileIndex, FileReader
-from stampede_rt.files.stretch import Stretch
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
 CACHE_BYTES = 64 * 1024 * 1024  # the most bytes of decoded chunks
@@ -128,7 +128,7 @@ class McapSource:
     ) -> Iterator[tuple[int, int, Event]]:
         """Yield the events of one topic, each with the greatest time of the items up to it."""
         kept: list[Event] = []
-        due, window = start, Stretch(start, end, lambda _: True, kept.append)
+        due, window = start, IntervalFilter(start, end, lambda _: True, kept.append)
         for place in range(begin, len(self._chunks)):
             found = self._decoded(place) if place in places else self._loose_at(place)
             for event in found.get(name, ()):

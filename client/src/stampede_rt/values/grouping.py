@@ -97,10 +97,10 @@ class NewestItems(ByChannel[Key, Item | None]):
     With `as_of` it may also say why a later item may have been visible then.
     """
 
-    def __init__(self, channels: Sequence[Key], answers: Mapping[bytes, Items], lack: Reason | None = None) -> None:
-        """`answers`: for each channel an answer that has the newest item first. `lack`: see `PastCut`."""
+    def __init__(self, channels: Sequence[Key], answers: Mapping[bytes, Items], reason: Reason | None = None) -> None:
+        """`answers`: for each channel an answer that has the newest item first. `reason`: see `PastCut`."""
         super().__init__(channels, {one: (items[0] if items else None) for one, items in answers.items()})
-        told = {one: items.reason for one, items in answers.items() if lack is not None or not items}
+        told = {one: items.reason for one, items in answers.items() if reason is not None or not items}
         reasons = {one: reason for one, reason in told.items() if reason is not None}
         self.reasons: ByChannel[Key, Reason] = ByChannel(channels, reasons)
 

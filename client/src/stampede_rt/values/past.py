@@ -1,4 +1,4 @@
-"""A group's cut of an earlier instant, and the facts about it that the archives of its members lack. Pure."""
+"""A group's cut of an earlier instant, and the reason if the archives may not show the whole cut. Pure."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from stampede_rt.values.timeline import MIN_INSTANT
 class PastMark(NamedTuple):
     """How far a channel had come at an instant: the time of its newest item then, and its highest advance.
 
-    `lack`: why it may have come further than its archive shows; None: it had not. `next_change`: when its host next
+    `reason`: why it may have come further than its archive shows; None: it had not. `next_change`: when its host next
     accepted items or an advance; None: it has not done so yet.
     """
 
     name: str
     newest: int | None
     advance: int | None
-    lack: Reason | None
+    reason: Reason | None
     next_change: int | None
 
     @property
@@ -31,12 +31,12 @@ class PastMark(NamedTuple):
 class PastCut(NamedTuple):
     """A group's cut of an earlier instant.
 
-    `cut` is MIN_INSTANT if the group showed nothing. `lack`: why the group may have shown more than the items before
+    `cut` is MIN_INSTANT if the group showed nothing. `reason`: why the group may have shown more than the items before
     `cut`; None: it had not. `next_change`: when the host of a counting member next accepted items or an advance.
     """
 
     cut: int
-    lack: Reason | None
+    reason: Reason | None
     next_change: int | None
 
 
@@ -46,26 +46,26 @@ def past_cut_of(marks: Sequence[PastMark]) -> PastCut:
     If an archive lacks items, the mark of its channel may be too low. This matters only if this mark is the least one.
     """
     low = min(_least(one) for one in marks)
-    exact = [_least(one) for one in marks if one.lack is None]
-    behind = next((one for one in marks if one.lack is not None and _least(one) == low), None)
-    lack = None
-    if behind is not None and behind.lack is not None and low not in exact:
-        detail = f"channel {behind.name} held back the earlier cut, and may have come further: {behind.lack.detail}"
-        lack = Reason(behind.lack, detail)
+    exact = [_least(one) for one in marks if one.reason is None]
+    behind = next((one for one in marks if one.reason is not None and _least(one) == low), None)
+    reason = None
+    if behind is not None and behind.reason is not None and low not in exact:
+        detail = f"channel {behind.name} held back the earlier cut, and may have come further: {behind.reason.detail}"
+        reason = Reason(behind.reason, detail)
     changes = [one.next_change for one in marks if one.next_change is not None]
-    return PastCut(low, lack, min(changes, default=None))
+    return PastCut(low, reason, min(changes, default=None))
 
 
 def _least(mark: PastMark) -> int:
     return MIN_INSTANT if mark.instant is None else mark.instant
 
 
-def tell_lack(items: Items, lack: Reason | None) -> Items:
+def add_reason(items: Items, reason: Reason | None) -> Items:
     """Note in an answer at a past cut that the cut may have been higher. Returns the answer.
 
     A complete answer stays as it is, because it is before the cut. An answer that names its own loss also stays as it
     is.
     """
-    if lack is not None and not items.complete and items.reason not in (Reason.COLLECTED, Reason.LOST):
-        items.reason = lack
+    if reason is not None and not items.complete and items.reason not in (Reason.COLLECTED, Reason.LOST):
+        items.reason = reason
     return items

@@ -1,4 +1,4 @@
-"""A group's past cut from marks of which archives may lack a part."""
+"""The past cut of a group, computed from marks. The archives may have only a part of them."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import pytest
 
 from stampede_rt.values.grouping import NewestItems
 from stampede_rt.values.model import Items, Reason
-from stampede_rt.values.past import PastMark, past_cut_of, tell_lack
+from stampede_rt.values.past import PastMark, add_reason, past_cut_of
 from stampede_rt.values.timeline import MIN_INSTANT
 
 GONE = Reason("COLLECTED", "the archive has dropped them")
 
 
 def mark(
-    newest: int | None, advance: int | None = None, lack: Reason | None = None, change: int | None = None
+    newest: int | None, advance: int | None = None, reason: Reason | None = None, change: int | None = None
 ) -> PastMark:
-    return PastMark("cam", newest, advance, lack, change)
+    return PastMark("cam", newest, advance, reason, change)
 
 
 def answer(reason: Reason | None = None, *, complete: bool = False) -> Items:
@@ -29,14 +29,14 @@ def test_the_cut_is_the_least_of_the_later_times_and_advances() -> None:
 
 
 def test_a_lack_counts_only_if_it_decides_the_cut() -> None:
-    assert past_cut_of([mark(5), mark(7, lack=GONE)]) == (5, None, None)
-    assert past_cut_of([mark(7), mark(7, lack=GONE)]).lack is None
-    assert past_cut_of([mark(None), mark(None, lack=GONE)]) == (MIN_INSTANT, None, None)
-    decided = past_cut_of([mark(7), mark(6, lack=GONE)])
-    assert (decided.cut, decided.lack) == (6, "COLLECTED")
-    assert decided.lack is not None
-    assert "cam held back the earlier cut" in decided.lack.detail
-    assert past_cut_of([mark(7), mark(None, lack=GONE)])[:2] == (MIN_INSTANT, "COLLECTED")
+    assert past_cut_of([mark(5), mark(7, reason=GONE)]) == (5, None, None)
+    assert past_cut_of([mark(7), mark(7, reason=GONE)]).reason is None
+    assert past_cut_of([mark(None), mark(None, reason=GONE)]) == (MIN_INSTANT, None, None)
+    decided = past_cut_of([mark(7), mark(6, reason=GONE)])
+    assert (decided.cut, decided.reason) == (6, "COLLECTED")
+    assert decided.reason is not None
+    assert "cam held back the earlier cut" in decided.reason.detail
+    assert past_cut_of([mark(7), mark(None, reason=GONE)])[:2] == (MIN_INSTANT, "COLLECTED")
 
 
 @pytest.mark.parametrize(
@@ -52,9 +52,9 @@ def test_a_lack_counts_only_if_it_decides_the_cut() -> None:
 def test_an_answer_at_an_uncertain_cut_reports_this_unless_its_interval_ends_before_the_cut(
     items: Items, told: str | None
 ) -> None:
-    assert tell_lack(items, GONE).reason == told
+    assert add_reason(items, GONE).reason == told
     assert NewestItems([], {b"": items}, GONE).reasons._values == ({} if told is None else {b"": told})
 
 
 def test_an_exact_cut_does_not_change_the_reason() -> None:
-    assert tell_lack(answer(Reason.HIDDEN), None).reason == "HIDDEN"
+    assert add_reason(answer(Reason.HIDDEN), None).reason == "HIDDEN"

@@ -69,7 +69,7 @@ class Readable(Protocol):
         """The time of the last bucket at or before `time`, or None if there is none."""
 
 
-class _Stretch(NamedTuple):
+class _KeyRange(NamedTuple):
     """The items at or above `low` and below `high`. With `fits`, only items that pass this test."""
 
     low: ItemKey
@@ -104,7 +104,7 @@ def select(
         return NOTHING
     if isinstance(held, HeldItems) and (single := _single(held, query, within, now)) is not None:
         return single
-    stretches = [_clip(stretch, query, held.end) for stretch in _stretches(held, query.match, within, now)]
+    ranges = [_clip(key_range, query, held.end) for key_range in _key_ranges(held, query.match, within, now)]
     snapshot = held.snapshot()
 
     def next_time(time: int) -> int | None:
@@ -112,11 +112,11 @@ def select(
 
     taking = _Taking(snapshot, query.limit, next_time, down=query.newest_first)
     try:
-        for stretch in reversed(stretches) if query.newest_first else stretches:
-            if stretch.low >= stretch.high:
+        for key_range in reversed(ranges) if query.newest_first else ranges:
+            if key_range.low >= key_range.high:
                 continue
-            while (rest := taking.take(stretch)) is not None:
-                stretch = rest  # the stretch without the items already taken
+            while (rest := taking.take(key_range)) is not None:
+                key_range = rest  # the range without the items already taken
                 if not snapshot.is_held:
                     snapshot.hold()
                     on_hold()
@@ -147,7 +147,7 @@ def _single(held: HeldItems, query: Query, within: ResolvedInterval, now: int) -
 
 
 class _Taking:
-    """Takes slices from stretches, in one direction, until the limit is reached."""
+    """Takes slices from ranges of keys, in one direction, until the limit is reached."""
 
     def __init__(
         self, snapshot: IndexSnapshot, limit: int | None, next_time: Callable[[int], int | None], *, down: bool
@@ -162,16 +162,16 @@ class _Taking:
         self.more = False
         self.next_times: dict[ItemKey, int] = {}
 
-    def take(self, stretch: _Stretch) -> _Stretch | None:
-        """Take slices from a stretch, as many as one piece of work allows.
+    def take(self, key_range: _KeyRange) -> _KeyRange | None:
+        """Take slices from a range, as many as one piece of work allows.
 
-        Returns the rest of the stretch, or None if the stretch is done or the limit is reached.
+        Returns the rest of the range, or None if the range is done or the limit is reached.
         """
         if self.more:
             return None
-        fits, all_shown = stretch.fits, not self._snapshot.is_held
+        fits, all_shown = key_range.fits, not self._snapshot.is_held
         steps, steps_max = 0, pieces.STEPS_PER_PIECE
-        for part in self._walk(stretch):
+        for part in self._walk(key_range):
             steps += 1
             if all_shown or self._snapshot.shows(part):
                 if fits is None and self._left is None and not self._left_out:
@@ -182,18 +182,18 @@ class _Taking:
                 steps += part.items // pieces.ITEMS_PER_STEP
             if steps >= steps_max:
                 self._close_part()
-                return self._behind(part, stretch)
+                return self._behind(part, key_range)
         return None
 
-    def _walk(self, stretch: _Stretch) -> Iterator[Slice]:
+    def _walk(self, key_range: _KeyRange) -> Iterator[Slice]:
         walk = self._snapshot.slices_down if self._down else self._snapshot.slices
-        return walk(stretch.low, stretch.high)
+        return walk(key_range.low, key_range.high)
 
-    def _behind(self, part: Slice, stretch: _Stretch) -> _Stretch:
-        """The part of the stretch that a walk reaches after `part`."""
+    def _behind(self, part: Slice, key_range: _KeyRange) -> _KeyRange:
+        """The part of the range that a walk reaches after `part`."""
         if self._down:
-            return stretch._replace(high=(part.first_time, part.first_seq))
-        return stretch._replace(low=(part.last_time, part.end_seq))
+            return key_range._replace(high=(part.first_time, part.first_seq))
+        return key_range._replace(low=(part.last_time, part.end_seq))
 
     def _take_fitting(self, part: Slice, fits: Fits | None) -> bool:
         """Take the fitting items of a slice. Returns False if the limit cut items off."""
@@ -250,25 +250,25 @@ class _Taking:
         return SlicesInParts(self._parts) if len(self._parts) > 1 else self._parts[0] if self._parts else ()
 
 
-def _stretches(held: Readable, match: Match, within: ResolvedInterval, now: int) -> list[_Stretch]:
-    """The stretches that together hold the matching items, in ascending order."""
+def _key_ranges(held: Readable, match: Match, within: ResolvedInterval, now: int) -> list[_KeyRange]:
+    """The ranges of keys that together hold the matching items, in ascending order."""
     low = (within.start, SEQ_END if within.start_exclusive else 0)
     high = (within.end, 0 if within.end_exclusive else SEQ_END)
     if match is Match.START:
-        return [_Stretch(low, high)]
+        return [_KeyRange(low, high)]
     if match is Match.SPAN:
-        return [*_reaching_in(held, within, now), _Stretch((within.start, SEQ_END), high)]
+        return [*_reaching_in(held, within, now), _KeyRange((within.start, SEQ_END), high)]
     return _staying_in(held, within, low, now)
 
 
-def _reaching_in(held: Readable, within: ResolvedInterval, now: int) -> list[_Stretch]:
+def _reaching_in(held: Readable, within: ResolvedInterval, now: int) -> list[_KeyRange]:
     """The items that begin at or before the lower bound, and whose spans contain an instant of the interval."""
     bucket = held.last_time_up_to(within.start)
     if bucket is None:
         return []
     earlier = _reaching_over(held.overlap_nanos, within.start, bucket)
     if bucket in within:
-        return [*earlier, _Stretch((bucket, 0), (bucket, SEQ_END))]
+        return [*earlier, _KeyRange((bucket, 0), (bucket, SEQ_END))]
     following = held.next_time(bucket)
 
     def fits(time: int, duration: int) -> bool:
@@ -278,19 +278,19 @@ def _reaching_in(held: Readable, within: ResolvedInterval, now: int) -> list[_St
             return True
         return now > within.start or (now == within.start and not within.start_exclusive)
 
-    return [*earlier, _Stretch((bucket, 0), (bucket, SEQ_END), fits)]
+    return [*earlier, _KeyRange((bucket, 0), (bucket, SEQ_END), fits)]
 
 
-def _reaching_over(overlap: int, start: int, bucket: int) -> list[_Stretch]:
+def _reaching_over(overlap: int, start: int, bucket: int) -> list[_KeyRange]:
     """The items before `bucket` whose spans reach beyond `start`."""
     if not overlap:
         return []
     return [
-        _Stretch((start - overlap, SEQ_END), (bucket, 0), lambda time, duration: time + min(duration, overlap) > start)
+        _KeyRange((start - overlap, SEQ_END), (bucket, 0), lambda time, duration: time + min(duration, overlap) > start)
     ]
 
 
-def _staying_in(held: Readable, within: ResolvedInterval, low: ItemKey, now: int) -> list[_Stretch]:
+def _staying_in(held: Readable, within: ResolvedInterval, low: ItemKey, now: int) -> list[_KeyRange]:
     """The items whose whole spans lie in the interval.
 
     Without overlap, only the spans of the last bucket in the interval can end outside it.
@@ -310,17 +310,17 @@ def _staying_in(held: Readable, within: ResolvedInterval, low: ItemKey, now: int
             end = min(end, max(following, time + overlap))
         return end <= within.end
 
-    last = _Stretch((bucket, 0), (bucket, SEQ_END), fits)
+    last = _KeyRange((bucket, 0), (bucket, SEQ_END), fits)
     if not overlap:
-        return [_Stretch(low, (bucket, 0)), last]
+        return [_KeyRange(low, (bucket, 0)), last]
     middle = max(low, (within.end - overlap, SEQ_END))
-    ends = _Stretch(middle, (bucket, 0), lambda time, duration: time + min(duration, overlap) <= within.end)
-    return [_Stretch(low, min(middle, (bucket, 0))), ends, last]
+    ends = _KeyRange(middle, (bucket, 0), lambda time, duration: time + min(duration, overlap) <= within.end)
+    return [_KeyRange(low, min(middle, (bucket, 0))), ends, last]
 
 
-def _clip(stretch: _Stretch, query: Query, end: ItemKey) -> _Stretch:
-    """The stretch without the items that the query's positions exclude, and without items at or above `end`."""
-    low, high, fits = stretch
+def _clip(key_range: _KeyRange, query: Query, end: ItemKey) -> _KeyRange:
+    """The range without the items that the query's positions exclude, and without items at or above `end`."""
+    low, high, fits = key_range
     high = min(high, end)
     if query.newer_than is not None:
         low = max(low, behind(query.newer_than))
@@ -328,7 +328,7 @@ def _clip(stretch: _Stretch, query: Query, end: ItemKey) -> _Stretch:
         low = max(low, behind(query.after))
     if query.after is not None and query.newest_first:
         high = min(high, (query.after.time, query.after.seq or 0))
-    return _Stretch(low, high, fits)
+    return _KeyRange(low, high, fits)
 
 
 def behind(position: Position) -> ItemKey:

@@ -1,4 +1,4 @@
-"""Stretches of time before a track, whose items the page has read for a window of the past. Pure."""
+"""The items of windows that are older than the items in memory. The page has read them for these windows. Pure."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections import OrderedDict
 from stampede_rt_web.drawing import Window
 from stampede_rt_web.track import ItemTrack
 
-STRETCHES_MAX = 4  # the most stretches of one channel
-STRETCH_NANOS = 5_000_000_000  # after this time the page reads a stretch again, because late items may have come
+WINDOWS_MAX = 4  # the most windows of one channel
+WINDOW_NANOS = 5_000_000_000  # after this time the page reads a window again, because late items may have come
 
 
-class Stretches:
-    """The tracks of the stretches that pages showed last, by their window's interval.
+class WindowCache:
+    """The tracks of the windows that pages showed last.
 
-    Above STRETCHES_MAX, forgets the stretch that was read first.
+    Above WINDOWS_MAX, forgets the window that was read first.
     """
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ class Stretches:
         """Keep the track of a window, read at `now` (Unix nanoseconds)."""
         self._kept.pop((window.start, window.end), None)
         self._kept[window.start, window.end] = (now, track)
-        while len(self._kept) > STRETCHES_MAX:
+        while len(self._kept) > WINDOWS_MAX:
             self._kept.popitem(last=False)
 
     def track_of(self, window: Window) -> ItemTrack | None:
@@ -35,4 +35,4 @@ class Stretches:
     def is_due(self, window: Window, now: int) -> bool:
         """Whether the window has to be read: for the first time, or again."""
         kept = self._kept.get((window.start, window.end))
-        return kept is None or now - kept[0] >= STRETCH_NANOS
+        return kept is None or now - kept[0] >= WINDOW_NANOS

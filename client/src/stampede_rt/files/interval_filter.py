@@ -10,7 +10,7 @@ from stampede_rt.files.reading import Event
 from stampede_rt.values.recording import RecordingGap
 
 
-class Stretch:
+class IntervalFilter:
     """Keeps the events in an interval of time. `take` gets them.
 
     It drops a gap only if the end of the gap and the next item are before the interval, or the start of the gap and the
