@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from grpc.aio import EOF
 
 from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.status import error_in
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.copies.fed_responses import read_response
 
@@ -88,6 +89,10 @@ class Link:
         self.to_source.put_nowait((self.due_s(), request.SerializeToString()))
         await asyncio.sleep(0)
 
+    def done_writing(self) -> None:
+        """End the destination's side."""
+        self.to_source.put_nowait((self.due_s(), EOF))
+
     async def _unless_frozen(self) -> None:
         if self.is_frozen:
             await asyncio.get_running_loop().create_future()
@@ -137,7 +142,7 @@ class Context:
     async def read(self) -> Any:
         request = await arrived(self._link.to_source)
         await self._link.source.running.wait()
-        if pb.FeedRequest.FromString(request).hold:
+        if request is not EOF and pb.FeedRequest.FromString(request).hold:
             self._link.world.at("held")
         return request
 
@@ -147,5 +152,5 @@ class Context:
         await asyncio.sleep(0)
 
     async def abort(self, code: Any, details: str, trailing: Any = ()) -> None:
-        self._link.to_destination.put_nowait((0.0, Unavailable(details)))
+        self._link.to_destination.put_nowait((0.0, error_in(trailing) or Unavailable(details)))
         raise asyncio.CancelledError

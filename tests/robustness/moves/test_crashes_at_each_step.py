@@ -269,6 +269,67 @@ async def test_a_destination_that_freezes_does_not_keep_the_channel_from_other_m
     await asyncio.gather(move, return_exceptions=True)
 
 
+async def test_a_copy_that_ends_its_side_while_its_feed_waits_for_a_turn_ends_the_feed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The feed forgot the end, and waited for the next item."""
+    work = WorkOfABusyCaller()
+    monkeypatch.setattr(feed_stream, "current_work", lambda: work)
+    scenario = Scenario()
+    await scenario.source.store.bind(scenario.world.channel_id, 1)
+    link = Link(scenario.world, scenario.source)
+    opening = pb.FeedOpen(channel_id=scenario.world.channel_id, epoch=1, host_id=id_of(DESTINATION), target="proxy:1")
+    await link.write(pb.FeedRequest(open=opening, credit_bytes=10**6))
+    assert (await link.read()).fields.HasField("opened")
+    work.must_wait = True
+    scenario.put()
+    await scenario.until(lambda: work.waits)
+    link.done_writing()
+    for _ in range(10):
+        await asyncio.sleep(0)
+    work.comes.set()
+    assert link.serving is not None
+    await asyncio.wait_for(link.serving, 10)
+
+
+class WorkOfABusyCaller:
+    """The work of a caller that waits for its turn, as `CallerWork`."""
+
+    must_wait = waits = False
+
+    def __init__(self) -> None:
+        self.comes = asyncio.Event()
+
+    async def turn(self) -> None:
+        self.waits = True
+        await self.comes.wait()
+
+    def spend_write(self) -> None:
+        self.must_wait = False
+
+
+async def test_a_refused_move_leaves_no_feed_at_the_channel(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another move begins while the directory notes that the replica begins anew."""
+    scenario = Scenario()
+    hosted = await scenario.source.store.bind(scenario.world.channel_id, 1)
+    monkeypatch.setattr(scenario.source.outgoing, "check", lambda *_: None)
+    monkeypatch.setattr(scenario.source.outgoing, "begin", _refuse)
+    link = Link(scenario.world, scenario.source)
+    opening = pb.FeedOpen(
+        channel_id=scenario.world.channel_id, epoch=1, host_id=id_of(DESTINATION), target="host-2", owner_facts=True,
+        move_id=b"m" * 16,
+    )  # fmt: skip
+    await link.write(pb.FeedRequest(open=opening))
+    with pytest.raises(StampedeError, match="another move"):
+        await link.read()
+    held, _ = hosted.core.look(0)
+    assert held._on_floor_reset is None
+
+
+def _refuse(*_: object) -> None:
+    raise MoveConflict("another move is under way")
+
+
 async def test_the_counters_of_both_hosts_together_count_each_item_once() -> None:
     scenario = Scenario()
     await scenario.move()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from stampede_rt.errors import PermissionDenied
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.copies import early_holds, handing_over
 from tests.robustness.moves.links import Link
@@ -89,6 +90,18 @@ async def test_after_a_slow_message_the_source_holds_no_channel_early(monkeypatc
     assert "held" in world.reached
     for scenario in scenarios:
         scenario.check(await scenario.settle())
+
+
+@pytest.mark.usefixtures("all_idle")
+async def test_after_a_refused_move_the_source_holds_other_channels_early() -> None:
+    """A drain also names channels that are deleted meanwhile, or that move already."""
+    world = World("", lambda world: None, channels=2)
+    refused, other = [Scenario(world=world, channel_id=one) for one in world.channel_ids]
+    with pytest.raises(PermissionDenied):
+        await refused.destination.incoming.move_here(*world.placed(refused.channel_id), is_of_drain=True)
+    assert await other.move(is_of_drain=True) is None
+    assert "held" not in world.reached
+    other.check(await other.settle())
 
 
 @pytest.mark.usefixtures("all_idle")

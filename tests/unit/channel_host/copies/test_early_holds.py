@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import inf
-
 from stampede_rt_channel_host.copies.early_holds import HOSTS_MAX, REMEMBERED_SECONDS, SLOW_SECONDS, EarlyHolds
 
 
@@ -19,7 +17,7 @@ def test_a_source_may_hold_early_until_a_message_was_slow() -> None:
 
 def test_a_slow_source_may_hold_early_again_after_a_while() -> None:
     early = EarlyHolds()
-    early.took("h1:1", inf, 10.0)
+    early.took("h1:1", SLOW_SECONDS * 8, 10.0)
     assert not early.may("h1:1", 10.0 + REMEMBERED_SECONDS - 0.1)
     assert early.may("h1:1", 10.0 + REMEMBERED_SECONDS)
 
@@ -27,6 +25,6 @@ def test_a_slow_source_may_hold_early_again_after_a_while() -> None:
 def test_the_number_of_remembered_hosts_has_a_bound() -> None:
     early = EarlyHolds()
     for number in range(HOSTS_MAX + 1):
-        early.took(f"h{number}:1", inf, 0.0)
+        early.took(f"h{number}:1", SLOW_SECONDS * 8, 0.0)
     assert early.may("h0:1", 1.0)
     assert not early.may("h1:1", 1.0)

@@ -23,7 +23,7 @@ class EarlyHolds:
         return self._slow_until_s.get(target, now_s) <= now_s
 
     def took(self, target: str, seconds: float, now_s: float) -> None:
-        """Note how long a last message was on its way, from a source that was allowed to. Infinite: it never came."""
+        """Note how long this host has waited for a last message, from a source that was allowed to hold early."""
         if seconds <= SLOW_SECONDS:
             return
         self._slow_until_s[target] = now_s + REMEMBERED_SECONDS

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from functools import partial
 
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError, Unavailable
@@ -105,35 +105,34 @@ class FeedStream:
         hosted = await self._checked(opening)
         if hosted.fed is None:
             hosted.fed = FedCopies()
-        feed = await self._begin(hosted, opening)
-        copy = FedCopy(
-            opening.host_id,
-            opening.target,
-            lambda: self._source.next_seq - feed.next_seq,
-            is_replica=self._replication is not None,
-        )
-        if opening.move_id:
-            self._move = self._moves.begin(hosted, opening.host_id, opening.target)
-            self._handing_over = HandingOver(hosted, self._move, feed, when_idle=opening.hand_over_when_idle)
-        else:
-            hosted.fed.add(copy)
-        self._observe(hosted, opening, feed)
-        self._take(request, hosted, copy)
-        if self._move is None:  # the stream would keep this object beyond the end of a move
-            answer_at_once(self._context, partial(self._take_at_once, hosted, copy, feed))
-        reading = self._stream.spawn(self._read(hosted, copy, feed))
-        try:
-            await self._serve(hosted, feed)
-            return await self._is_free(opening)
-        finally:
-            reading.cancel()
-            feed.close()
-            hosted.group_observers.pop(self, None)
-            if self._replication is not None:
-                self._replication.discard(opening.host_id, self)
-            hosted.fed.discard(copy)
-            if self._move is not None:
-                self._move.feed_ended()
+        with closing(await self._begin(hosted, opening)) as feed:
+            copy = FedCopy(
+                opening.host_id,
+                opening.target,
+                lambda: self._source.next_seq - feed.next_seq,
+                is_replica=self._replication is not None,
+            )
+            if opening.move_id:
+                self._move = self._moves.begin(hosted, opening.host_id, opening.target)
+                self._handing_over = HandingOver(hosted, self._move, feed, when_idle=opening.hand_over_when_idle)
+            else:
+                hosted.fed.add(copy)
+            self._observe(hosted, opening, feed)
+            self._take(request, hosted, copy)
+            if self._move is None:  # the stream would keep this object beyond the end of a move
+                answer_at_once(self._context, partial(self._take_at_once, hosted, copy, feed))
+            reading = self._stream.spawn(self._read(hosted, copy, feed))
+            try:
+                await self._serve(hosted, feed)
+                return await self._is_free(opening)
+            finally:
+                reading.cancel()
+                hosted.group_observers.pop(self, None)
+                if self._replication is not None:
+                    self._replication.discard(opening.host_id, self)
+                hosted.fed.discard(copy)
+                if self._move is not None:
+                    self._move.feed_ended()
 
     async def _checked(self, opening: pb.FeedOpen) -> HostedChannel:
         """The channel of a feed. Raises the errors of `run`."""
@@ -245,10 +244,10 @@ class FeedStream:
     async def _serve(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
         await self._greet(hosted, feed)
         while not self._credit.is_final:
+            self._news.clear()  # before each wait, so that no news is lost
             if self._work.must_wait:
                 await self._work.turn()
             self._check_destination(hosted)
-            self._news.clear()
             now = self._store.now()
             part = feed.take(now, max(0, min(self._credit.left, MESSAGE_BYTES_MAX)))
             self._check_lag(hosted, feed, now)

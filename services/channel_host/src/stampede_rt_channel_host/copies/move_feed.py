@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time
-from math import inf
 from typing import Any
 
 from stampede_rt.v1 import replica_service_pb2 as pb
@@ -36,11 +35,16 @@ class MoveFeed(CopyFeed):
         self.permit = b""
         self.held_nanos = 0
         """When the changes of the channel began to wait, as far as this host knows."""
-        self.last_message_seconds = inf
-        """How long the message with the handoff took, at most."""
+        self._handoff_took_nanos: int | None = None
         self._may_hold_early = may_hold_early
         self._came_nanos = time.monotonic_ns()  # when the latest message came, or this object began to wait for one
         self._step: dict[str, Any] = {}
+
+    @property
+    def last_message_seconds(self) -> float:
+        """How long the message with the handoff took, at most. If it has not come: how long this host has waited."""
+        took_nanos = self._handoff_took_nanos
+        return (time.monotonic_ns() - self._came_nanos if took_nanos is None else took_nanos) / 1e9
 
     def hold(self) -> None:
         """Have the source hold all changes, and hand the channel over."""
@@ -89,7 +93,7 @@ class MoveFeed(CopyFeed):
         before, self._came_nanos = self._came_nanos, time.monotonic_ns()
         if has_handoff:
             self.held_nanos = self.held_nanos or self._came_nanos
-            self.last_message_seconds = (self._came_nanos - before) / 1e9
+            self._handoff_took_nanos = self._came_nanos - before
         await super()._take(response)
         if has_handoff:
             handoff = response.fields.state.handoff
