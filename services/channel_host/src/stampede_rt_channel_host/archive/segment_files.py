@@ -94,7 +94,6 @@ class SegmentFiles(SegmentReads):
         """Whether the host knows all segments: False until the first listing after an opening without one."""
         self.is_elsewhere = False
         """Whether another host still owns the channel, which is to move here. Then no note of this host counts."""
-        self._segments: tuple[Segment, ...] = ()
         self._file: int | None = None  # the segment to which blocks are appended
         self._gathered: list[bytes] = []  # the parts of blocks that are still to be written to it
         self._written_to = self._flushed_to = 0  # the offsets up to which it is written, and is coming to the disk
@@ -248,6 +247,7 @@ class SegmentFiles(SegmentReads):
             self._write_gathered()
             os.fsync(self._file)
             self._flushed_to = self._written_to
+            self._files.check_file(self._segments[-1].number, self._file)
 
     def _is_full(self, head: BlockHead, limits: ArchiveLimits) -> bool:
         segment = self._segments[-1]
@@ -259,6 +259,7 @@ class SegmentFiles(SegmentReads):
     def _begin_segment(self, head: BlockHead) -> None:
         """End the present segment, and begin the next one under a name that no segment has had before."""
         self._end_segment()
+        self._files.make_again()
         number = self._next_number()
         self._delete_leftovers(number)
         self._file = os.open(self._files.file_of(number), os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o600)
@@ -278,9 +279,11 @@ class SegmentFiles(SegmentReads):
 
     def _end_segment(self) -> None:
         if self._file is not None:
-            self._sync()
-            os.close(self._file)
-            self._file = None
+            try:
+                self._sync()
+            finally:
+                os.close(self._file)
+                self._file = None
 
     def _undo(self, before: tuple[Segment, ...]) -> None:
         """Take back the bytes that a failed write has appended. The next write begins a new segment.
@@ -320,8 +323,9 @@ class SegmentFiles(SegmentReads):
                 break
             outdated.append(segment.number)
             size -= segment.length
-        if outdated:
-            self._segments = self._segments[self._files.remove_all(outdated) :]
+        if outdated:  # a read must not take a file that leaves the archive now for a lost one
+            before, self._segments = self._segments, self._segments[len(outdated) :]
+            self._segments = before[self._files.remove_all(outdated) :]
 
     @property
     def epoch(self) -> int:

@@ -61,8 +61,37 @@ class SegmentFolder:
     @contextmanager
     def opened(self, number: int) -> Iterator[ReadAt]:
         """Open a segment: within the context the function reads its bytes."""
-        with self.file_of(number).open("rb", buffering=0) as file:
+        try:
+            file = self.file_of(number).open("rb", buffering=0)
+        except FileNotFoundError:
+            self.check_place()
+            raise
+        with file:
             yield reads_of(file.fileno())
+
+    def check_place(self) -> None:
+        """Check that the folder of all channels exists. Raises OSError, but not FileNotFoundError.
+
+        If that folder is missing, somebody has removed the archive, or its disk is not mounted. Then no file is lost
+        for certain.
+        """
+        place = self.path.parent
+        if not place.is_dir():
+            raise OSError(errno.EIO, f"its folder {place} is missing")
+
+    def check_file(self, number: int, file: int) -> None:
+        """Check that an open file is still the file of a segment. Otherwise somebody has removed, renamed or replaced
+        it, and the written items are lost. Raises OSError.
+        """
+        self.check_place()
+        path = self.file_of(number)
+        if not (path.exists() and os.path.samestat(path.stat(), os.fstat(file))):
+            raise OSError(errno.EIO, f"somebody has removed its file {path}")
+
+    def make_again(self) -> None:
+        """Make the folder if somebody has removed it. Raises OSError."""
+        self.check_place()
+        self.path.mkdir(mode=0o700, exist_ok=True)
 
     @contextmanager
     def at_hand(self, number: int) -> Iterator[ReadAt]:

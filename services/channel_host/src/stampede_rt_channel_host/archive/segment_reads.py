@@ -49,11 +49,16 @@ class SegmentReads:
     def __init__(self, place: SegmentPlace, kept: KeptBlocks | None = None) -> None:
         """`kept`: the blocks that the reads of all channels have found."""
         self.place = place
+        self._segments: tuple[Segment, ...] = ()
         self._kept = KeptBlocks() if kept is None else kept
         self.cut: CutRun | None = None
         """Cuts the last run of a block whose later items are in the next segment, too; None: there is no such block."""
         self.damaged_blocks = 0
         """The blocks that reads found damaged."""
+
+    def has(self, number: int) -> bool:
+        """Whether the archive still has a segment. If it has, and its bytes are nowhere, somebody has removed them."""
+        return any(one.number == number for one in self._segments)
 
     def load(
         self,
@@ -159,14 +164,19 @@ class SegmentReads:
         return runs
 
     def _content_of(self, segment: Segment, block: PlacedBlock, opened: Opened) -> bytes | None:
-        """The content of a block, or None if it is damaged."""
-        with opened(segment.number) as read_at:
-            content = read_at(block.offset + HEAD_BYTES, block.head.content_bytes)
-        if is_whole(block.head, content):
-            return content
+        """The content of a block, or None if it is damaged, or if somebody has removed the segment."""
         waits = opened == self.place.opened
-        at = block.offset + HEAD_BYTES
-        again = self.place.read_again(segment.number, at, block.head.content_bytes) if waits else None
+        at, size = block.offset + HEAD_BYTES, block.head.content_bytes
+        try:
+            with opened(segment.number) as read_at:
+                content = read_at(at, size)
+            if is_whole(block.head, content):
+                return content
+            again = self.place.read_again(segment.number, at, size) if waits else None
+        except FileNotFoundError:
+            if not (waits and self.has(segment.number)):
+                raise
+            again = None
         if again is not None and is_whole(block.head, again):
             return again
         self.damaged_blocks += 1
@@ -180,10 +190,15 @@ class SegmentReads:
         return found.blocks.before(segment.length)
 
     def _blocks_of(self, segment: Segment) -> SegmentBlocks:
-        """The blocks of a segment, as far as it had grown when the read began."""
+        """The blocks of a segment, as far as it had grown when the read began. None if somebody has removed it."""
         found = self._kept.get(self, segment.number)
         if found.length < segment.length:
-            more = self.place.blocks(segment, found.length)
+            try:
+                more = self.place.blocks(segment, found.length)
+            except FileNotFoundError:
+                if not self.has(segment.number):
+                    raise
+                return found.blocks
             found = FoundBlocks(segment.length, found.blocks.followed_by(more))
             self._kept.keep(self, segment.number, found)
         return found.blocks.before(segment.length)

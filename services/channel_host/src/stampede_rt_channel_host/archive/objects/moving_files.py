@@ -94,7 +94,8 @@ class MovingFiles(SegmentFiles):
             self.drop_outdated(limits, now)
         self.stored.note_epoch(self._epoch)
         local = self._local()
-        self.waiting = local if self._file is None else local[:-1]
+        closed = local if self._file is None else local[:-1]
+        self.waiting = tuple(one for one in closed if self.stored.file_of(one.number).exists())  # nobody removed it
 
     def _local(self) -> tuple[Segment, ...]:
         """The segments in the folder. They are the last ones, because segments move in order."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -185,7 +186,7 @@ class StoredSegments(SegmentFolder):
         with self.opened(segment.number) as read_at:
             content = bytearray(read_at(0, segment.length))
         if len(content) < segment.length:
-            raise FileNotFoundError(f"the file of segment {segment.number} is shorter than it was")
+            raise OSError(errno.EIO, f"the file of segment {segment.number} is shorter than it was")
         blocks = scan(lambda at, size: bytes(content[at : at + size]), segment.length, check_contents=False).blocks
         content += encode_index(up_to(blocks, segment.length, segment.end_seq))
         return Packed(segment, self.prefix + object_name(segment), content)

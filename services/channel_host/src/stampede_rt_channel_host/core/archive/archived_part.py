@@ -19,7 +19,8 @@ from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Gap, Su
 REMOVED = Reason("COLLECTED", "the limits of the channel or of its archive have removed the items")
 LACKED = Reason(
     "LOST",
-    "the archive lacks the items: max_bytes collected them before they were archived, or their block is damaged",
+    "the archive lacks the items: max_bytes collected them before they were archived, or their block or file "
+    "is damaged or removed",
 )
 STRADDLING_MAX = 16
 """The most additional blocks that a part loads, for items whose times lie between those of its own blocks."""

@@ -242,5 +242,5 @@ class ArchivedRead:
         return Reason(
             "LOST",
             f"the archive lacks {count} items between {format_instant(start)} and {format_instant(end)}: max_bytes "
-            "collected them before they were archived, or their block is damaged",
+            "collected them before they were archived, or their block or file is damaged or removed",
         )
