@@ -81,17 +81,20 @@ def recording(cluster: LocalCluster, *words: str | Path) -> list[str]:
     return [sys.executable, "-m", "stampede_rt.cli", "record", "--url", cluster.address, *map(str, words)]
 
 
-def test_ctrl_c_is_the_regular_end_of_a_recording(cluster: LocalCluster, rt: st.Connection, tmp_path: Path) -> None:
-    channel, path = rt.channel("until"), tmp_path / "a.mcap"
-    with started(recording(cluster, "until", "-o", path), stderr=subprocess.PIPE) as process:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_ctrl_c_sigterm_and_sighup_are_the_regular_end_of_a_recording(
+    cluster: LocalCluster, rt: st.Connection, tmp_path: Path, number: signal.Signals
+) -> None:
+    channel, path = rt.channel(f"until/{number.name}"), tmp_path / "a.mcap"
+    with started(recording(cluster, channel.name, "-o", path), stderr=subprocess.PIPE) as process:
         assert process.stderr is not None
         assert "until Ctrl-C" in process.stderr.readline()
-        for number in range(10):
-            channel.put(b"%d" % number)
-        process.send_signal(signal.SIGINT)
+        for at in range(10):
+            channel.put(b"%d" % at)
+        process.send_signal(number)
         out, _ = process.communicate(timeout=30)
     assert process.returncode == 0
-    assert out.splitlines()[1].split()[:4] == ["until", "10", "10", "0"]
+    assert out.splitlines()[1].split()[:4] == [channel.name, "10", "10", "0"]
     with FileReader(path) as reader:
         assert reader.index is not None
 
@@ -115,6 +118,9 @@ def test_a_recording_that_is_killed_can_be_recovered(
     assert len(seqs) >= 20
     assert f"killed: an unknown number of items, seq {len(seqs) + 1} to ?: DAMAGED" in out
     assert "the file ends without its end mark" in told
+    (tmp_path / "begun.mcap").write_bytes(path.read_bytes()[:40])
+    status, out, _ = run("file", "recover", tmp_path / "begun.mcap", "-o", tmp_path / "c.mcap", "--output", "json")
+    assert (status, json.loads(out)["complete"]) == (3, False)
     held = {one.seq: one.payload for one in channel.get(st.OLDEST, st.NOW)}
     assert all(held[one.seq or 0] == one.data for one in read(saved)[0] if getattr(one, "seq", None))
     assert run("file", "verify", saved)[0] == 3
@@ -123,20 +129,21 @@ def test_a_recording_that_is_killed_can_be_recovered(
 def test_each_item_of_an_event_channel_begins_a_file(cluster: LocalCluster, rt: st.Connection, tmp_path: Path) -> None:
     channel, events = rt.channel("on/data", max_age="60s"), rt.channel("on/crash")
     channel.put(b"before")
+    (tmp_path / "crash-000002.mcap").write_bytes(b"of an earlier incarnation of the events")
     words = ["on/data", "--on", "on/crash", "--since", "30s", "--for", "0s", "-o", tmp_path / "crash.mcap"]
     with started(recording(cluster, *words), stderr=subprocess.PIPE) as process:
         assert process.stderr is not None
         process.stderr.readline()
-        for number in (1, 2):
+        for name in ("crash-000001.mcap", "crash-000002-2.mcap"):
             wait_until(lambda: events.stats().subscriptions == 1)
             events.put(b"crash")
-            path = tmp_path / f"crash-{number:06d}.mcap"
+            path = tmp_path / name
             wait_until(lambda path=path: path.exists() and _is_finished(path))
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=30)
     assert process.returncode == 0
-    assert [path.name for path in sorted(tmp_path.iterdir())] == ["crash-000001.mcap", "crash-000002.mcap"]
-    assert seqs_of(read(tmp_path / "crash-000002.mcap")[0], "on/data") == [1]
+    assert len(list(tmp_path.iterdir())) == 3
+    assert seqs_of(read(tmp_path / "crash-000002-2.mcap")[0], "on/data") == [1]
 
 
 def _is_finished(path: Path) -> bool:

@@ -115,11 +115,11 @@ def run_recover(arguments: argparse.Namespace) -> int:
 
     report = recover(arguments.path, arguments.file, overwrite=arguments.overwrite)
     _print_report(report, arguments.output)
-    return 0 if report.intact and report.summary.complete else INCOMPLETE
+    return 0 if report.complete else INCOMPLETE
 
 
 def _print_report(report: FileReport, form: str) -> None:
-    print_summary(report.summary, form)
+    print_summary(report.summary, form, is_complete=report.complete)
     for damage in report.damages[:DAMAGES_SHOWN]:
         place = f"byte {damage.offset} to {damage.end}"
         print(f"stampede: damaged: {place}: {escaped(damage.detail)}", file=sys.stderr)

@@ -24,10 +24,14 @@ CLOSE_S = 2.0  # how long a command may take to close its connections and end af
 CLOSE_AFTER_STOP_S = 1.0  # the same, after a command with a regular end has used up its time
 LOOK_S = 0.2  # how often the main thread looks for Ctrl-C
 UNWIND_S = 20.0  # how long a command in `unwinding` may take to stop its processes
+_ENDS = (signal.SIGTERM, signal.SIGHUP)  # the signals that are like Ctrl-C for a command with a regular end
 
 
 class Interruption:
-    """Knows whether the user has pressed Ctrl-C (`asked`), and the functions to call after that."""
+    """Knows whether the user has pressed Ctrl-C (`asked`), and the functions to call after that.
+
+    SIGTERM and SIGHUP count as Ctrl-C while the command has a regular end. Otherwise they end the process as usual.
+    """
 
     def __init__(self) -> None:
         self.asked = False
@@ -64,26 +68,31 @@ interruption = Interruption()
 def run_interruptibly(work: Callable[[], int]) -> int:
     """Run `work` on a separate thread and return its exit status. After Ctrl-C the process ends with INTERRUPTED.
 
-    A command with a regular end (`Interruption.ends`) has its own status if it ends in time.
+    A command with a regular end (`Interruption.ends`) has its own status if it ends in time. SIGTERM and SIGHUP end it
+    in the same way, because service managers, scripts and closed terminals send these signals.
 
     After Ctrl-C this function closes the command's connections, and waits for the end of `work`. Both together
     take at most CLOSE_S. A command with a regular end first has its time for that, and then CLOSE_AFTER_STOP_S. A
     second Ctrl-C ends the process immediately. Only the main thread receives signals. If the caller is another thread,
-    or if the process ignores Ctrl-C, `work` runs on the caller's thread.
+    or if the process ignores all these signals, `work` runs on the caller's thread.
     """
-    deaf = threading.current_thread() is not threading.main_thread()
-    if deaf or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    heard = [one for one in (*_ENDS, signal.SIGINT) if signal.getsignal(one) is not signal.SIG_IGN]
+    if threading.current_thread() is not threading.main_thread() or not heard:
         return work()
     interruption.begin()
     events: SimpleQueue[Any] = SimpleQueue()  # `put` is safe inside a signal handler
 
     def interrupt(number: int, frame: object) -> None:
-        if interruption.asked:
+        if number in _ENDS and interruption.regular_end is None:
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+        elif interruption.asked:
             os._exit(INTERRUPTED)
-        interruption.asked = True
-        events.put(None)
+        else:
+            interruption.asked = True
+            events.put(None)
 
-    before = signal.signal(signal.SIGINT, interrupt)
+    before = {one: signal.signal(one, interrupt) for one in heard}
     try:
         _begin(work, events)
         outcome, limit_s = _next(events), CLOSE_S
@@ -93,7 +102,8 @@ def run_interruptibly(work: Callable[[], int]) -> int:
             _close(events, limit_s)
         return int(outcome())
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _next(events: SimpleQueue[Any]) -> Any:

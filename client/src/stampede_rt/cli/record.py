@@ -16,7 +16,7 @@ from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.interrupts import interruption
 from stampede_rt.cli.output import bytes_text, joined, print_document, print_rows
 from stampede_rt.cli.progress import Progress, shown_progress
-from stampede_rt.errors import FileError, InvalidArgument, StampedeError
+from stampede_rt.errors import FileError, IncarnationLost, InvalidArgument, StampedeError
 from stampede_rt.escaping import escaped
 from stampede_rt.values.policy import duration_of
 from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary
@@ -105,12 +105,14 @@ def _ended(summary: RecordingSummary | None, arguments: argparse.Namespace) -> i
     return 0 if summary.complete else INCOMPLETE
 
 
-def print_summary(summary: RecordingSummary, form: str) -> None:
-    """Print the contents of a file, and the missing items."""
+def print_summary(summary: RecordingSummary, form: str, *, is_complete: bool | None = None) -> None:
+    """Print the contents of a file, and the missing items. `is_complete`: whether the file has them all, if the caller
+    knows it better than the summary.
+    """
     if form != "table":
         value = {
             "file": summary.path,
-            "complete": summary.complete,
+            "complete": summary.complete if is_complete is None else is_complete,
             "recorded": summary.recorded,
             "missing": summary.missing,
             "absent": list(summary.absent),
@@ -157,7 +159,10 @@ class _EventRecordings:
     def __init__(self, rt: Connection, arguments: argparse.Namespace) -> None:
         self._rt = rt
         self._arguments = arguments
-        self._events = existing(rt, arguments.on).subscribe()
+        self._channel = existing(rt, arguments.on)
+        self._since = self._channel.stats().host_time  # the time from which on events count, if their host is lost
+        self._events = self._channel.subscribe()
+        self._paths: set[Path] = set()
         self._running: dict[Recorder, threading.Thread] = {}
         self._mutex = threading.Lock()
         self._stopping = False
@@ -165,29 +170,63 @@ class _EventRecordings:
         self._error: StampedeError | None = None
 
     def run(self) -> int:
-        """Record until Ctrl-C. Returns the exit status."""
+        """Record until Ctrl-C. Returns the exit status. Finishes the files also if the events end with an error."""
         interruption.ends(self._stop, STOP_S)
         print(f"stampede: each item of {escaped(self._arguments.on)} begins a file, until Ctrl-C", file=sys.stderr)
-        with self._events as events:
-            for item in events:
-                self._begin(item.seq)
-        for thread in list(self._running.values()):
-            thread.join()
+        try:
+            while self._follow():
+                pass
+        finally:
+            for thread in list(self._running.values()):
+                thread.join()
         if self._error is not None:
             raise self._error
-        return INCOMPLETE if self._incomplete or self._events.dropped else 0
+        return INCOMPLETE if self._incomplete else 0
+
+    def _follow(self) -> bool:
+        """Begin a recording for each event. Returns whether the events go on, after the loss of their host."""
+        with self._events as events:
+            try:
+                for item in events:
+                    self._since = item.time + 1
+                    self._begin(item.seq)
+            except IncarnationLost as error:
+                self._miss(f"events may be missing: {error}")
+        if events.dropped:
+            self._miss(f"{events.dropped} events have no file: they left {self._arguments.on} before they were read")
+        with self._mutex:
+            goes_on = not self._stopping and self._error is None
+            if goes_on:
+                self._events = self._channel.subscribe(start=self._since)
+            return goes_on
+
+    def _miss(self, what: str) -> None:
+        self._incomplete = True
+        print(escaped(f"stampede: {what}"), file=sys.stderr)
+
+    def _path_of(self, seq: int) -> Path:
+        """The first free name for an event. The seqs of a new incarnation begin again at 1."""
+        given = Path(self._arguments.file)
+        stem, number = f"{given.stem}-{seq:06d}", 1
+        path = given.with_name(f"{stem}{given.suffix}")
+        while path in self._paths or (path.exists() and not self._arguments.overwrite):
+            number += 1
+            path = given.with_name(f"{stem}-{number}{given.suffix}")
+        self._paths.add(path)
+        return path
 
     def _begin(self, seq: int) -> None:
-        path = Path(self._arguments.file)
-        path = path.with_name(f"{path.stem}-{seq:06d}{path.suffix}")
         with self._mutex:
             if self._stopping:
                 return
             if len(self._running) >= AT_ONCE_MAX:
-                self._incomplete = True
-                print(f"stampede: event #{seq} has no file: {AT_ONCE_MAX} recordings are under way", file=sys.stderr)
+                self._miss(f"event #{seq} has no file: {AT_ONCE_MAX} recordings are under way")
                 return
-            recorder = _begun(self._rt, self._arguments, path)
+            try:
+                recorder = _begun(self._rt, self._arguments, self._path_of(seq))
+            except StampedeError as error:
+                self._miss(f"event #{seq} has no file: {error}")
+                return
             thread = threading.Thread(target=self._record, args=(recorder,), daemon=True)
             self._running[recorder] = thread
         thread.start()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mcap.records import Attachment, Metadata
 
@@ -26,7 +26,7 @@ class FileReport:
 
     `damages` has the first 1000 parts that cannot be read. `finished`: the file has the index that its writer
     writes last. `unknown` counts messages of topics that the file does not name. `stated` is the recorder's own
-    summary; None if the file has none.
+    summary; None if the file has none. `data_is_whole`: the bytes before the index have the stated checksum.
     """
 
     summary: RecordingSummary
@@ -36,6 +36,12 @@ class FileReport:
     finished: bool
     unknown: int
     size_bytes: int
+    data_is_whole: bool = True
+
+    @property
+    def complete(self) -> bool:
+        """Whether the file is intact, and names no missing items."""
+        return self.intact and self.summary.complete
 
     @property
     def intact(self) -> bool:
@@ -44,9 +50,14 @@ class FileReport:
 
     @property
     def contradictions(self) -> list[str]:
-        """The channels whose items in the file disagree with its summary."""
+        """Where the file disagrees with its summary, or with its checksum."""
         found = {(one.channel, one.incarnation): one for one in self.summary.channels}
         wrong = []
+        if not self.data_is_whole and not self.damages:
+            wrong.append(
+                "the messages can be read, but the bytes around them do not have their checksum; `stampede file "
+                "recover` writes the messages to a file with new indexes"
+            )
         for told in self.stated.channels if self.stated else ():
             one = found.get((told.channel, told.incarnation))
             has = 0 if one is None else one.recorded
@@ -61,7 +72,7 @@ def verify(path: str | os.PathLike[str], on_bytes: Callable[[int], object] = lam
     `on_bytes` is called with the number of read bytes. Raises FileError.
     """
     with FileReader(path) as reader:
-        return _walk(reader, lambda _: None, on_bytes)
+        return replace(_walk(reader, lambda _: None, on_bytes), data_is_whole=reader.data_is_whole())
 
 
 def recover(path: str | os.PathLike[str], output: str | os.PathLike[str], *, overwrite: bool = False) -> FileReport:

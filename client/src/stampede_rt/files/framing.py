@@ -23,7 +23,7 @@ try:
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import McapError
     from mcap.opcode import Opcode
-    from mcap.records import Chunk, McapRecord
+    from mcap.records import Chunk, DataEnd, McapRecord
     from mcap.stream_reader import breakup_chunk
 except ImportError as missing:
     raise FileError(
@@ -88,6 +88,8 @@ class RecordFile:
         self.size = self._file.seek(0, os.SEEK_END)
         if self._read(0, len(MAGIC)) != MAGIC:
             self._file.close()
+            if not self.size:
+                raise FileError(f"the file {self.path!r} is empty: its writer ended before its first chunk")
             raise FileError(
                 f"the file {self.path!r} is no MCAP file: it does not begin with the mark of MCAP; "
                 "`stampede import` also reads rosbag2 and XDF"
@@ -180,6 +182,17 @@ class RecordFile:
             found = zlib.crc32(part, found)
             offset += len(part)
         return found
+
+    def data_is_whole(self, data_end: int) -> bool:
+        """Whether the record at `data_end` ends the data, and the bytes before it have the checksum that it states.
+
+        The checksum 0 means that it states none.
+        """
+        frame = self.frame_at(data_end)
+        if frame is None or frame.opcode != Opcode.DATA_END or frame.length != 4:
+            return False
+        stated = self.record(frame, DataEnd).data_section_crc
+        return not stated or self.checksum(0, data_end) == stated
 
     def record(self, frame: RecordFrame, kind: Any) -> Any:
         """Decode a record as a class of `mcap.records`. Raises FileError."""

@@ -41,7 +41,7 @@ from stampede_rt.values.recording import RecordedCounts, RecordingGap, Recording
 
 SUMMARY_NAME = "stampede.summary"  # the name of the metadata record with the counts
 CLOCKS_NAME = "stampede.clocks"
-_FOOTER_BYTES = 9 + 20 + len(MAGIC)
+_FOOTER_BYTES, _DATA_END_BYTES = 9 + 20 + len(MAGIC), 9 + 4
 _CONTENT_TYPES = {"json": "application/json", "protobuf": "application/x-protobuf", "": ""}
 Event = FileEntry | RecordingGap | FileAdvance
 
@@ -112,6 +112,7 @@ class FileReader:
         self.library = ""
         self._index: FileIndex | None = None
         self._looked = False
+        self._data_end = 0
         first = self._records.frame_at(len(MAGIC))
         if first is not None and first.opcode == Opcode.HEADER:
             with suppress(FileError):  # a damaged head: the rest may be whole
@@ -133,6 +134,10 @@ class FileReader:
             except FileError:  # a damaged index counts as a missing one
                 self._index = None
         return self._index
+
+    def data_is_whole(self) -> bool:
+        """Whether the bytes before the index have the stated checksum, if there is one. Reads them all."""
+        return self.index is None or self._records.data_is_whole(self._data_end)
 
     def contents(self) -> Iterator[Content | Damage | Attachment | Metadata]:
         """Yield the chunks in the order of the file, damaged parts, attachments, and metadata."""
@@ -257,6 +262,7 @@ class FileReader:
             return None
         if footer.summary_crc and self._records.checksum(start, place.end - 4) != footer.summary_crc:
             return None
+        self._data_end = start - _DATA_END_BYTES
         return self._index_between(start, place.offset)
 
     def _index_between(self, start: int, end: int) -> FileIndex | None:

@@ -41,7 +41,9 @@ def opened_new(path: str | os.PathLike[str], *, overwrite: bool) -> IO[bytes]:
     try:
         return open(path, "wb" if overwrite else "xb")
     except FileExistsError as error:
-        raise FileError(f"the file {os.fspath(path)!r} exists; name another one, or allow to overwrite it") from error
+        raise FileError(
+            f"the file {os.fspath(path)!r} exists; name another one, or overwrite it (--overwrite, overwrite=True)"
+        ) from error
     except OSError as error:
         raise write_fault(path, error) from error
 
@@ -73,7 +75,8 @@ class FileWriter:
         self.path = Path(path)
         self._chunk_bytes = chunk_bytes
         self._stream = opened_new(path, overwrite=overwrite)
-        self._writer = Writer(self._stream, chunk_size=1 << 62, compression=kind)  # this class ends the chunks
+        # This class ends the chunks. The checksum of the data covers the indexes of messages, which have none.
+        self._writer = Writer(self._stream, chunk_size=1 << 62, compression=kind, enable_data_crcs=True)
         self._topics: dict[Topic, int] = {}
         self._schemas: dict[Schema, int] = {}
         self._facts_id: int | None = None

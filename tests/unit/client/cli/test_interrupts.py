@@ -110,6 +110,32 @@ def test_work_continues_if_ctrl_c_is_ignored() -> None:
     assert ended(program) == (0, "")
 
 
+def test_sigterm_is_the_regular_end_of_work_also_if_ctrl_c_is_ignored() -> None:
+    program = """
+    def work():
+        stopped = threading.Event()
+        interrupts.interruption.ends(stopped.set, 1000)
+        os.kill(os.getpid(), signal.SIGTERM)
+        stopped.wait()
+        return 3
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(interrupts.run_interruptibly(work))
+    """
+    assert ended(program) == (3, "")
+
+
+def test_sigterm_ends_work_without_a_regular_end_as_usual() -> None:
+    program = """
+    def work():
+        os.kill(os.getpid(), signal.SIGTERM)
+        threading.Event().wait()
+
+    interrupts.run_interruptibly(work)
+    """
+    assert ended(program) == (-signal.SIGTERM, "")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_command_that_is_ending_gets_only_one_keyboard_interrupt(number: signal.Signals) -> None:
     program = f"""

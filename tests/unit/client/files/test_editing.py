@@ -79,6 +79,29 @@ def test_a_flipped_bit_loses_only_its_chunk_and_a_gap_names_the_lost_items(whole
         assert bool(lost) <= bool(report.damages)
 
 
+def test_verify_notices_each_flipped_bit(whole: Path, tmp_path: Path) -> None:
+    content, flipped, drawn = whole.read_bytes(), tmp_path / "flipped.mcap", random.Random(11)
+    for _ in range(150):
+        changed = bytearray(content)
+        place = drawn.randrange(8, len(content))
+        changed[place] ^= 1 << drawn.randrange(8)
+        flipped.write_bytes(changed)
+        assert not verify(flipped).complete, place
+
+
+def test_a_torn_file_is_never_complete(whole: Path, tmp_path: Path) -> None:
+    torn, saved = tmp_path / "torn.mcap", tmp_path / "saved.mcap"
+    torn.write_bytes(whole.read_bytes()[:40])
+    assert recover(torn, saved).summary.complete, "no channel is known, so nobody can name its missing items"
+    assert not recover(torn, saved, overwrite=True).complete
+
+
+def test_an_empty_file_is_named_as_empty(tmp_path: Path) -> None:
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    with pytest.raises(FileError, match=r"empty\.mcap' is empty"):
+        verify(tmp_path / "empty.mcap")
+
+
 def test_flipped_bits_cause_only_the_documented_errors(whole: Path, tmp_path: Path) -> None:
     content, drawn = whole.read_bytes(), random.Random(3)
     flipped, saved = tmp_path / "flipped.mcap", tmp_path / "saved.mcap"
