@@ -92,7 +92,7 @@ def test_a_full_disk_refuses_only_puts_that_wait_for_it_and_doctor_reports_it(
         doctor = StringIO()
         with redirect_stdout(doctor):
             stampede(["doctor", "--url", cluster.address])
-        assert "its archive takes no items of 1 channels: No space left on device. Free its disk" in doctor.getvalue()
+        assert "its archive takes no items of 1 channel: No space left on device. Free its disk" in doctor.getvalue()
         seq = channel.put(b"live", ack="host").seq
         assert channel.newest().payload == b"live"
         with channel.producer() as producer:

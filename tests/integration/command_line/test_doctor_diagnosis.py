@@ -170,6 +170,12 @@ def test_puts_that_a_host_refused_are_reported_with_its_use_of_memory_also_older
     assert (host.state, host.advice) == ("ok, 12 puts refused before", "")
 
 
+def test_puts_that_the_limit_of_the_archive_refused_get_advice_about_the_archive() -> None:
+    host = found(changed("h1", refused_items=12, refused_ago_nanos=3000 * MS, refused_for_archive=True), "host h1")
+    assert "its archive has no room (--archive-bytes-max)" in host.advice
+    assert "--memory-bytes-max" not in host.advice
+
+
 def test_calls_that_a_host_refused_are_reported_beside_the_puts() -> None:
     host = found(changed("h1", refused_calls=3, refused_call_ago_nanos=5000 * MS), "host h1")
     assert host.state == "3 calls refused"

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from stampede_rt.cli.clock_findings import clock_findings
 from stampede_rt.cli.observations import CALLER, FRONTEND, HOST, PEER, SUPERNODE, CheckResult, Inventory, Observation
-from stampede_rt.cli.output import bytes_text, joined, roughly
+from stampede_rt.cli.output import bytes_text, joined, number_of, roughly
 from stampede_rt.cli.supernode_findings import level_finding, refusal
 
 REFUSED_LATELY_NANOS = 600 * 10**9  # a refusal is recent for 10 minutes; only a recent refusal gives advice
@@ -70,9 +70,9 @@ def _state(one: Observation) -> tuple[str, str]:
 def _archive(one: Observation) -> tuple[str, str]:
     """Return the state of a host whose archive cannot be written, and advice."""
     advice = (
-        f"its archive takes no items of {one.archive_failing_channels} channels: {one.archive_failure}. Free its disk, "
-        "or let the host write its folder again (--archive); the host tries again every second. Until then the items "
-        'stay in memory up to max_bytes, puts with ack="disk" are refused, and readers go on'
+        f"its archive takes no items of {number_of(one.archive_failing_channels, 'channel')}: {one.archive_failure}. "
+        "Free its disk, or let the host write its folder again (--archive); the host tries again every second. Until "
+        'then the items stay in memory up to max_bytes, puts with ack="disk" are refused, and readers go on'
     )
     return "archive fails", advice
 
@@ -113,10 +113,15 @@ def _refused_puts(one: Observation) -> str:
     """Return advice if the host has lately refused puts; otherwise an empty text."""
     if one.refused_ago_nanos is None or one.refused_ago_nanos > REFUSED_LATELY_NANOS:
         return ""
-    return (
-        f"it refused puts as Overloaded, the last one {roughly(one.refused_ago_nanos)} ago; it holds "
-        f"{bytes_text(one.held_bytes)} of {bytes_text(one.memory_bytes_max)}: raise --memory-bytes-max, tighten the "
-        "retention of its channels, or start another host (`stampede ls -l` shows who holds what)"
+    refused = f"it refused puts as Overloaded, the last one {roughly(one.refused_ago_nanos)} ago; "
+    if one.refused_for_archive:
+        return refused + (
+            "its archive has no room (--archive-bytes-max): record less (archive, archive_bytes), raise the limit, "
+            "delete the folders of deleted channels, or start another host with an archive"
+        )
+    return refused + (
+        f"it holds {bytes_text(one.held_bytes)} of {bytes_text(one.memory_bytes_max)}: raise --memory-bytes-max, "
+        "tighten the retention of its channels, or start another host (`stampede ls -l` shows who holds what)"
     )
 
 

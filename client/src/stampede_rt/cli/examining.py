@@ -250,6 +250,7 @@ def _load(response: Any) -> dict[str, Any]:
     """Return the fields of an observation for the memory and archive of a host, and for the refused calls."""
     return {
         "refused_items": response.refused_items,
+        "refused_for_archive": response.refused_for_archive,
         "refused_ago_nanos": _optional(response, "refused_ago_nanos"),
         "held_bytes": response.held_bytes,
         "memory_bytes_max": response.memory_bytes_max,

@@ -18,7 +18,7 @@ class Observation:
     - `knows_supernodes`: whether a front-end knows supernodes.
     - `lost_for_nanos`: the time since the directory ended the lease of a host that did not deregister.
     - `refused_items`: the number of items that a host refused as Overloaded since its start, the last one
-      `refused_ago_nanos` ago.
+      `refused_ago_nanos` ago. `refused_for_archive`: the last one because its archive had no room.
     - `refused_calls`: the number of calls that a host refused or ended as Overloaded since its start, the last one
       `refused_call_ago_nanos` ago.
     - `busy_permille`: the share of a core that a host used by its last report to the directory, in thousandths; None if
@@ -51,6 +51,7 @@ class Observation:
     lost_for_nanos: int | None = None
     refused_items: int = 0
     refused_ago_nanos: int | None = None
+    refused_for_archive: bool = False
     refused_calls: int = 0
     refused_call_ago_nanos: int | None = None
     denials: int = 0

@@ -26,41 +26,41 @@ from stampede_rt.v1 import access_pb2 as stampede__rt_dot_v1_dot_access__pb2
 from stampede_rt.v1 import channel_pb2 as stampede__rt_dot_v1_dot_channel__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\'stampede_rt/v1/gatekeeper_service.proto\x12\x0estampede_rt.v1\x1a\x1bstampede_rt/v1/access.proto\x1a\x1cstampede_rt/v1/channel.proto\"\x1e\n\x1cGatekeeperServicePingRequest\"\xd5\x03\n\x1dGatekeeperServicePingResponse\x12\x16\n\x0etime_unix_nano\x18\x01 \x01(\x10\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12\x0c\n\x04name\x18\x03 \x01(\t\x12\x12\n\nlease_held\x18\x04 \x01(\x08\x12\x0f\n\x07version\x18\x05 \x01(\t\x12\x15\n\rrefused_items\x18\x06 \x01(\x04\x12\x1e\n\x11refused_ago_nanos\x18\x07 \x01(\x03H\x00\x88\x01\x01\x12\x12\n\nheld_bytes\x18\x08 \x01(\x04\x12\x18\n\x10memory_bytes_max\x18\t \x01(\x04\x12\x15\n\rrefused_calls\x18\n \x01(\x04\x12#\n\x16refused_call_ago_nanos\x18\x0b \x01(\x03H\x01\x88\x01\x01\x12,\n\x06\x61\x63\x63\x65ss\x18\x0c \x01(\x0b\x32\x1c.stampede_rt.v1.AccessStatus\x12\x17\n\x0f\x61rchive_failure\x18\r \x01(\t\x12 \n\x18\x61rchive_failing_channels\x18\x0e \x01(\r\x12\x1d\n\x15\x61rchive_store_failure\x18\x0f \x01(\tB\x14\n\x12_refused_ago_nanosB\x19\n\x17_refused_call_ago_nanos\"\\\n\x0c\x44\x61taEndpoint\x12,\n\ttransport\x18\x01 \x01(\x0e\x32\x19.stampede_rt.v1.Transport\x12\x0e\n\x06target\x18\x02 \x01(\t\x12\x0e\n\x06ticket\x18\x03 \x01(\x0c\"+\n\x18ListDataEndpointsRequest\x12\x0f\n\x07machine\x18\x01 \x01(\t\"L\n\x19ListDataEndpointsResponse\x12/\n\tendpoints\x18\x01 \x03(\x0b\x32\x1c.stampede_rt.v1.DataEndpoint\"\x84\x01\n\x12\x42indChannelRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x14\n\x0cspec_version\x18\x03 \x01(\x04\x12\x0f\n\x07machine\x18\x05 \x01(\t\x12\x12\n\nwants_copy\x18\x06 \x01(\x08J\x04\x08\x04\x10\x05R\ntransports\"\x8b\x01\n\x13\x42indChannelResponse\x12/\n\tendpoints\x18\x01 \x03(\x0b\x32\x1c.stampede_rt.v1.DataEndpoint\x12.\n\x07\x63hannel\x18\x02 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12\x13\n\x0b\x63opy_target\x18\x03 \x01(\t\"K\n\x12\x44ropChannelRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nchannel_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\"\x15\n\x13\x44ropChannelResponse\"{\n\x17\x43onfigureChannelRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nchannel_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12)\n\x04spec\x18\x04 \x01(\x0b\x32\x1b.stampede_rt.v1.ChannelSpec\"J\n\x18\x43onfigureChannelResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\"U\n\x19ListHostedChannelsRequest\x12\x11\n\tname_glob\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\"f\n\x1aListHostedChannelsResponse\x12/\n\x08\x63hannels\x18\x01 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelStatus\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t*m\n\tTransport\x12\x19\n\x15TRANSPORT_UNSPECIFIED\x10\x00\x12\x12\n\x0eTRANSPORT_GRPC\x10\x01\x12\x1b\n\x17TRANSPORT_SHARED_MEMORY\x10\x02\x12\x14\n\x10TRANSPORT_SOCKET\x10\x03\x32\xe6\x04\n\x11GatekeeperService\x12\x63\n\x04Ping\x12,.stampede_rt.v1.GatekeeperServicePingRequest\x1a-.stampede_rt.v1.GatekeeperServicePingResponse\x12V\n\x0b\x42indChannel\x12\".stampede_rt.v1.BindChannelRequest\x1a#.stampede_rt.v1.BindChannelResponse\x12h\n\x11ListDataEndpoints\x12(.stampede_rt.v1.ListDataEndpointsRequest\x1a).stampede_rt.v1.ListDataEndpointsResponse\x12V\n\x0b\x44ropChannel\x12\".stampede_rt.v1.DropChannelRequest\x1a#.stampede_rt.v1.DropChannelResponse\x12\x65\n\x10\x43onfigureChannel\x12\'.stampede_rt.v1.ConfigureChannelRequest\x1a(.stampede_rt.v1.ConfigureChannelResponse\x12k\n\x12ListHostedChannels\x12).stampede_rt.v1.ListHostedChannelsRequest\x1a*.stampede_rt.v1.ListHostedChannelsResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\'stampede_rt/v1/gatekeeper_service.proto\x12\x0estampede_rt.v1\x1a\x1bstampede_rt/v1/access.proto\x1a\x1cstampede_rt/v1/channel.proto\"\x1e\n\x1cGatekeeperServicePingRequest\"\xf2\x03\n\x1dGatekeeperServicePingResponse\x12\x16\n\x0etime_unix_nano\x18\x01 \x01(\x10\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12\x0c\n\x04name\x18\x03 \x01(\t\x12\x12\n\nlease_held\x18\x04 \x01(\x08\x12\x0f\n\x07version\x18\x05 \x01(\t\x12\x15\n\rrefused_items\x18\x06 \x01(\x04\x12\x1e\n\x11refused_ago_nanos\x18\x07 \x01(\x03H\x00\x88\x01\x01\x12\x12\n\nheld_bytes\x18\x08 \x01(\x04\x12\x18\n\x10memory_bytes_max\x18\t \x01(\x04\x12\x15\n\rrefused_calls\x18\n \x01(\x04\x12#\n\x16refused_call_ago_nanos\x18\x0b \x01(\x03H\x01\x88\x01\x01\x12,\n\x06\x61\x63\x63\x65ss\x18\x0c \x01(\x0b\x32\x1c.stampede_rt.v1.AccessStatus\x12\x17\n\x0f\x61rchive_failure\x18\r \x01(\t\x12 \n\x18\x61rchive_failing_channels\x18\x0e \x01(\r\x12\x1d\n\x15\x61rchive_store_failure\x18\x0f \x01(\t\x12\x1b\n\x13refused_for_archive\x18\x10 \x01(\x08\x42\x14\n\x12_refused_ago_nanosB\x19\n\x17_refused_call_ago_nanos\"\\\n\x0c\x44\x61taEndpoint\x12,\n\ttransport\x18\x01 \x01(\x0e\x32\x19.stampede_rt.v1.Transport\x12\x0e\n\x06target\x18\x02 \x01(\t\x12\x0e\n\x06ticket\x18\x03 \x01(\x0c\"+\n\x18ListDataEndpointsRequest\x12\x0f\n\x07machine\x18\x01 \x01(\t\"L\n\x19ListDataEndpointsResponse\x12/\n\tendpoints\x18\x01 \x03(\x0b\x32\x1c.stampede_rt.v1.DataEndpoint\"\x84\x01\n\x12\x42indChannelRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x14\n\x0cspec_version\x18\x03 \x01(\x04\x12\x0f\n\x07machine\x18\x05 \x01(\t\x12\x12\n\nwants_copy\x18\x06 \x01(\x08J\x04\x08\x04\x10\x05R\ntransports\"\x8b\x01\n\x13\x42indChannelResponse\x12/\n\tendpoints\x18\x01 \x03(\x0b\x32\x1c.stampede_rt.v1.DataEndpoint\x12.\n\x07\x63hannel\x18\x02 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12\x13\n\x0b\x63opy_target\x18\x03 \x01(\t\"K\n\x12\x44ropChannelRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nchannel_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\"\x15\n\x13\x44ropChannelResponse\"{\n\x17\x43onfigureChannelRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nchannel_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12)\n\x04spec\x18\x04 \x01(\x0b\x32\x1b.stampede_rt.v1.ChannelSpec\"J\n\x18\x43onfigureChannelResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\"U\n\x19ListHostedChannelsRequest\x12\x11\n\tname_glob\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\"f\n\x1aListHostedChannelsResponse\x12/\n\x08\x63hannels\x18\x01 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelStatus\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t*m\n\tTransport\x12\x19\n\x15TRANSPORT_UNSPECIFIED\x10\x00\x12\x12\n\x0eTRANSPORT_GRPC\x10\x01\x12\x1b\n\x17TRANSPORT_SHARED_MEMORY\x10\x02\x12\x14\n\x10TRANSPORT_SOCKET\x10\x03\x32\xe6\x04\n\x11GatekeeperService\x12\x63\n\x04Ping\x12,.stampede_rt.v1.GatekeeperServicePingRequest\x1a-.stampede_rt.v1.GatekeeperServicePingResponse\x12V\n\x0b\x42indChannel\x12\".stampede_rt.v1.BindChannelRequest\x1a#.stampede_rt.v1.BindChannelResponse\x12h\n\x11ListDataEndpoints\x12(.stampede_rt.v1.ListDataEndpointsRequest\x1a).stampede_rt.v1.ListDataEndpointsResponse\x12V\n\x0b\x44ropChannel\x12\".stampede_rt.v1.DropChannelRequest\x1a#.stampede_rt.v1.DropChannelResponse\x12\x65\n\x10\x43onfigureChannel\x12\'.stampede_rt.v1.ConfigureChannelRequest\x1a(.stampede_rt.v1.ConfigureChannelResponse\x12k\n\x12ListHostedChannels\x12).stampede_rt.v1.ListHostedChannelsRequest\x1a*.stampede_rt.v1.ListHostedChannelsResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.gatekeeper_service_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_TRANSPORT']._serialized_start=1608
-  _globals['_TRANSPORT']._serialized_end=1717
+  _globals['_TRANSPORT']._serialized_start=1637
+  _globals['_TRANSPORT']._serialized_end=1746
   _globals['_GATEKEEPERSERVICEPINGREQUEST']._serialized_start=118
   _globals['_GATEKEEPERSERVICEPINGREQUEST']._serialized_end=148
   _globals['_GATEKEEPERSERVICEPINGRESPONSE']._serialized_start=151
-  _globals['_GATEKEEPERSERVICEPINGRESPONSE']._serialized_end=620
-  _globals['_DATAENDPOINT']._serialized_start=622
-  _globals['_DATAENDPOINT']._serialized_end=714
-  _globals['_LISTDATAENDPOINTSREQUEST']._serialized_start=716
-  _globals['_LISTDATAENDPOINTSREQUEST']._serialized_end=759
-  _globals['_LISTDATAENDPOINTSRESPONSE']._serialized_start=761
-  _globals['_LISTDATAENDPOINTSRESPONSE']._serialized_end=837
-  _globals['_BINDCHANNELREQUEST']._serialized_start=840
-  _globals['_BINDCHANNELREQUEST']._serialized_end=972
-  _globals['_BINDCHANNELRESPONSE']._serialized_start=975
-  _globals['_BINDCHANNELRESPONSE']._serialized_end=1114
-  _globals['_DROPCHANNELREQUEST']._serialized_start=1116
-  _globals['_DROPCHANNELREQUEST']._serialized_end=1191
-  _globals['_DROPCHANNELRESPONSE']._serialized_start=1193
-  _globals['_DROPCHANNELRESPONSE']._serialized_end=1214
-  _globals['_CONFIGURECHANNELREQUEST']._serialized_start=1216
-  _globals['_CONFIGURECHANNELREQUEST']._serialized_end=1339
-  _globals['_CONFIGURECHANNELRESPONSE']._serialized_start=1341
-  _globals['_CONFIGURECHANNELRESPONSE']._serialized_end=1415
-  _globals['_LISTHOSTEDCHANNELSREQUEST']._serialized_start=1417
-  _globals['_LISTHOSTEDCHANNELSREQUEST']._serialized_end=1502
-  _globals['_LISTHOSTEDCHANNELSRESPONSE']._serialized_start=1504
-  _globals['_LISTHOSTEDCHANNELSRESPONSE']._serialized_end=1606
-  _globals['_GATEKEEPERSERVICE']._serialized_start=1720
-  _globals['_GATEKEEPERSERVICE']._serialized_end=2334
+  _globals['_GATEKEEPERSERVICEPINGRESPONSE']._serialized_end=649
+  _globals['_DATAENDPOINT']._serialized_start=651
+  _globals['_DATAENDPOINT']._serialized_end=743
+  _globals['_LISTDATAENDPOINTSREQUEST']._serialized_start=745
+  _globals['_LISTDATAENDPOINTSREQUEST']._serialized_end=788
+  _globals['_LISTDATAENDPOINTSRESPONSE']._serialized_start=790
+  _globals['_LISTDATAENDPOINTSRESPONSE']._serialized_end=866
+  _globals['_BINDCHANNELREQUEST']._serialized_start=869
+  _globals['_BINDCHANNELREQUEST']._serialized_end=1001
+  _globals['_BINDCHANNELRESPONSE']._serialized_start=1004
+  _globals['_BINDCHANNELRESPONSE']._serialized_end=1143
+  _globals['_DROPCHANNELREQUEST']._serialized_start=1145
+  _globals['_DROPCHANNELREQUEST']._serialized_end=1220
+  _globals['_DROPCHANNELRESPONSE']._serialized_start=1222
+  _globals['_DROPCHANNELRESPONSE']._serialized_end=1243
+  _globals['_CONFIGURECHANNELREQUEST']._serialized_start=1245
+  _globals['_CONFIGURECHANNELREQUEST']._serialized_end=1368
+  _globals['_CONFIGURECHANNELRESPONSE']._serialized_start=1370
+  _globals['_CONFIGURECHANNELRESPONSE']._serialized_end=1444
+  _globals['_LISTHOSTEDCHANNELSREQUEST']._serialized_start=1446
+  _globals['_LISTHOSTEDCHANNELSREQUEST']._serialized_end=1531
+  _globals['_LISTHOSTEDCHANNELSRESPONSE']._serialized_start=1533
+  _globals['_LISTHOSTEDCHANNELSRESPONSE']._serialized_end=1635
+  _globals['_GATEKEEPERSERVICE']._serialized_start=1749
+  _globals['_GATEKEEPERSERVICE']._serialized_end=2363
 # @@protoc_insertion_point(module_scope)

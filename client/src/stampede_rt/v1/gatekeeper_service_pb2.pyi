@@ -25,7 +25,7 @@ class GatekeeperServicePingRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class GatekeeperServicePingResponse(_message.Message):
-    __slots__ = ("time_unix_nano", "host_id", "name", "lease_held", "version", "refused_items", "refused_ago_nanos", "held_bytes", "memory_bytes_max", "refused_calls", "refused_call_ago_nanos", "access", "archive_failure", "archive_failing_channels", "archive_store_failure")
+    __slots__ = ("time_unix_nano", "host_id", "name", "lease_held", "version", "refused_items", "refused_ago_nanos", "held_bytes", "memory_bytes_max", "refused_calls", "refused_call_ago_nanos", "access", "archive_failure", "archive_failing_channels", "archive_store_failure", "refused_for_archive")
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
@@ -41,6 +41,7 @@ class GatekeeperServicePingResponse(_message.Message):
     ARCHIVE_FAILURE_FIELD_NUMBER: _ClassVar[int]
     ARCHIVE_FAILING_CHANNELS_FIELD_NUMBER: _ClassVar[int]
     ARCHIVE_STORE_FAILURE_FIELD_NUMBER: _ClassVar[int]
+    REFUSED_FOR_ARCHIVE_FIELD_NUMBER: _ClassVar[int]
     time_unix_nano: int
     host_id: bytes
     name: str
@@ -56,7 +57,8 @@ class GatekeeperServicePingResponse(_message.Message):
     archive_failure: str
     archive_failing_channels: int
     archive_store_failure: str
-    def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ..., refused_items: _Optional[int] = ..., refused_ago_nanos: _Optional[int] = ..., held_bytes: _Optional[int] = ..., memory_bytes_max: _Optional[int] = ..., refused_calls: _Optional[int] = ..., refused_call_ago_nanos: _Optional[int] = ..., access: _Optional[_Union[_access_pb2.AccessStatus, _Mapping]] = ..., archive_failure: _Optional[str] = ..., archive_failing_channels: _Optional[int] = ..., archive_store_failure: _Optional[str] = ...) -> None: ...
+    refused_for_archive: bool
+    def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ..., refused_items: _Optional[int] = ..., refused_ago_nanos: _Optional[int] = ..., held_bytes: _Optional[int] = ..., memory_bytes_max: _Optional[int] = ..., refused_calls: _Optional[int] = ..., refused_call_ago_nanos: _Optional[int] = ..., access: _Optional[_Union[_access_pb2.AccessStatus, _Mapping]] = ..., archive_failure: _Optional[str] = ..., archive_failing_channels: _Optional[int] = ..., archive_store_failure: _Optional[str] = ..., refused_for_archive: bool = ...) -> None: ...
 
 class DataEndpoint(_message.Message):
     __slots__ = ("transport", "target", "ticket")

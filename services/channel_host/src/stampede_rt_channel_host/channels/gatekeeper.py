@@ -65,6 +65,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
             archive_failure="" if archive is None else archive.failure,
             archive_failing_channels=0 if archive is None else archive.failing_channels,
             archive_store_failure="" if archive is None else archive.store_failure,
+            refused_for_archive=memory.refused_for_archive,
         )
 
     @errors_as_status

@@ -43,6 +43,8 @@ class MemoryBudget:
         self.used_bytes = 0
         self.bytes_max = bytes_max
         self.overload = Overload()
+        self.refused_for_archive = False
+        """Whether the limit of the archive's disk, and not of the memory, refused the last items."""
         self.requests = RequestRooms()
         self.consumption_shares = ConsumptionShares(bytes_max // (2 * CONSUMPTION_SHARE))
         self._reclaim = reclaim
@@ -74,6 +76,7 @@ class MemoryBudget:
 
         Writes a log line every few seconds at most.
         """
+        self.refused_for_archive = "archive_bytes_max" in error.metadata
         unreported = self.overload.note(items, self._steady_nanos())
         if unreported is not None:
             logger.warning(
