@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from stampede_rt_channel_host.settings import HostSettings
+from stampede_rt_runtime.memory.huge_pages import start_again_with_huge_pages
 from stampede_rt_runtime.settings import help_of
 
 
@@ -16,6 +17,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if text is not None:
         sys.stdout.write(text)
         return 0
+    start_again_with_huge_pages("host", words)
     import stampede_rt.grpc_quiet  # noqa: F401  # before the service imports gRPC
     from stampede_rt_channel_host.app import main as run
 

@@ -15,9 +15,10 @@ from typing import TypeVar
 from stampede_rt.errors import StampedeError
 from stampede_rt.escaping import escaped
 from stampede_rt.security.tls import CLIENT_VARIABLES
-from stampede_rt_runtime import allocator, open_files
+from stampede_rt_runtime import open_files
 from stampede_rt_runtime.listen import CannotListen, NotAllowed
 from stampede_rt_runtime.logs import log_defects, set_up_logging
+from stampede_rt_runtime.memory import allocator
 from stampede_rt_runtime.service_settings import ServiceSettings
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings
 from stampede_rt_runtime.supervision.systemd import READY, tell_systemd

@@ -8,8 +8,11 @@ import os
 import resource
 import threading
 
+from stampede_rt_runtime.memory import huge_pages
+
 # malloc.h
 _M_TRIM_THRESHOLD = -1
+_M_TOP_PAD = -2
 _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
 
@@ -24,6 +27,11 @@ KEPT_BYTES_MAX = 2**24
 """The free memory at the end of an arena that stays in the process.
 
 With the usual 128 KiB each large message takes memory from the system and returns it, with a page fault for each 4 KiB.
+"""
+GROWTH_BYTES = 2**24
+"""By how much more than needed malloc takes memory from the system, if the process has huge pages.
+
+The kernel provides a huge page only if malloc has taken all of it. Unused memory is not resident.
 """
 ARENAS_MAX = 2
 """The most arenas of malloc.
@@ -50,6 +58,8 @@ def give_back_memory() -> None:
         library.mallopt(_M_MMAP_THRESHOLD, OWN_MAPPING_BYTES)
         library.mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES_MAX)
         library.mallopt(_M_ARENA_MAX, ARENAS_MAX)
+        if huge_pages.has_huge_pages():
+            library.mallopt(_M_TOP_PAD, GROWTH_BYTES)
         statm = os.open("/proc/self/statm", os.O_RDONLY | os.O_CLOEXEC)
         threading.Thread(target=_trim_now_and_then, args=(library, statm), name="allocator", daemon=True).start()
 

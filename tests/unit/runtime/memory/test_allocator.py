@@ -11,7 +11,7 @@ import pytest
 PROGRAM = """
 import contextlib, os, resource, sys, time
 import grpc  # as in every service; it loads the library that the end of a thread needs
-from stampede_rt_runtime import allocator
+from stampede_rt_runtime.memory import allocator
 
 statm = os.open("/proc/self/statm", os.O_RDONLY)
 

@@ -1,0 +1,1 @@
+"""The memory of a service process: what it takes from the system, and gives back."""
