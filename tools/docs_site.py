@@ -62,7 +62,9 @@ def reference() -> None:
     (OUT / "api").mkdir(parents=True)
     for name, (title, public, package, modules) in REFERENCE.items():
         entries = "\n".join(f"::: {package}.{module}\n" for module in modules.split())
-        (OUT / f"api/{name}.md").write_text(f"# {title}\n\nThe public names here are those of `{public}`.\n\n{entries}")
+        (OUT / f"api/{name}.md").write_text(
+            f"# {title}\n\nThis page shows the public names of `{public}`.\n\n{entries}"
+        )
 
 
 def main() -> int:

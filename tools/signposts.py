@@ -138,7 +138,7 @@ def complaints() -> list[str]:
     page = pages[PICTURE_PAGE]
     lines += [f"the map of {PICTURE_PAGE} lacks {folder}/; add a line" for folder in unmapped_folders(page, there)]
     if with_layers(page, layers(_contracts())) != page:
-        lines.append(f"the layers in {PICTURE_PAGE} are not those of pyproject.toml; run: make stubs")
+        lines.append(f"the layers in {PICTURE_PAGE} differ from pyproject.toml; run: make stubs")
     lines += merge_complaints(pages)
     folder = ROOT / DECISIONS
     records = {path.name: path.read_text() for path in folder.glob("[0-9]*.md")}

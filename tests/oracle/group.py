@@ -336,7 +336,7 @@ class OracleFollower:
 
     @property
     def meant(self) -> set[int]:
-        """The owed seqs, and those of the items accepted since the last step."""
+        """The owed seqs, and the seqs of the items accepted since the last step."""
         return self.owed | set(range(self.seen_seq + 1, len(self.channel.log) + 1))
 
     def owe(self) -> None:

@@ -110,7 +110,7 @@ def a_query(rng: RandomSource, scenario: Told) -> Query:
 
 
 def an_offer_in_order(rng: RandomSource, scenario: Told) -> Offer:
-    """A run that follows the newest item, as those of most producers do."""
+    """A run of items after the newest item. Most producers put such runs."""
     time, items = max(scenario.clock, scenario.oracle.newest or 0), rng.pick((1, 1, 3))
     steps = [rng.pick((0, 1, 2)) for _ in range(items)]
     times = [time + sum(steps[: at + 1]) for at in range(items)]

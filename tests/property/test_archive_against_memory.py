@@ -87,7 +87,7 @@ def tell(draw: random.Random, *, advances: bool = False) -> tuple[ChannelCore, A
                 assert kept.run.first_seq == outcome.run.first_seq
                 positions.append(Position(time, outcome.run.first_seq))
         if advances and draw.random() < 0.2:
-            now += 1  # so that the order of the instants is that of the acceptances
+            now += 1  # so that the instants have the order of the acceptances
             instant = now - draw.randrange(3)
             small.advance(instant, now)
             large.advance(instant, now)

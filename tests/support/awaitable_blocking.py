@@ -1,4 +1,4 @@
-"""Wraps blocking queues and their messages, so that tests can await them like those of `stampede_rt.aio`."""
+"""Wraps blocking queues and their messages, so that tests can await them like the queues of `stampede_rt.aio`."""
 
 from __future__ import annotations
 

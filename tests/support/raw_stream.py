@@ -13,7 +13,7 @@ from stampede_rt.wire.stream_frames import PROTOCOL_VERSION, FrameKind, FrameRea
 
 SECONDS_MAX = 20
 SECURED: dict[str, ssl.SSLContext] = {}
-"""The TLS with which tests call these targets. It is the standard library's own, not that of the product."""
+"""The TLS with which tests call these targets. It comes from the standard library, not from the product."""
 
 
 class RawStream:

@@ -1,4 +1,4 @@
-"""A plain writer whose bytes come from another process through a socket, as those of a host do."""
+"""A plain writer whose bytes come from another process through a socket, as the bytes that a host writes do."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def told_at_once_by(call: Callable[[], Awaitable[Any]]) -> str:
 
 
 def entry_points(rt: Any, made: dict[str, Any]) -> dict[str, Callable[[], Any]]:
-    """Each way into an inherited connection, by name; those of the blocking and the awaited client are called alike."""
+    """Each way into an inherited connection, by name. The blocking and the awaited client have the same names."""
     camera, group, queue = made["camera"], made["group"], made["queue"]
     return {
         "connection.channel": lambda: rt.channel("forks/other"),

@@ -140,7 +140,7 @@ def thinned(cluster: LocalCluster, environment: dict[str, str]) -> tuple[str, in
         ("cli/thinned", ["+0", "+1000"], "COLLECTED: max_items (2) has collected the items before 20"),
         ("cli/thinned", ["--before", "+0"], "COLLECTED: max_items (2) has collected the items before 20"),
         ("cli/thinned", ["+2500", "+2600"], "NEVER: the channel is past the interval, and no matching item was put"),
-        ("cli/thinned", ["--bounds", "[)", "+2500", "+2500"], "NEVER: the interval is empty: no instant lies in it"),
+        ("cli/thinned", ["--bounds", "[)", "+2500", "+2500"], "NEVER: the interval is empty: it contains no instant"),
         ("cli/thinned", ["now+1h", "now+2h"], "NOT_YET: the newest item is at 20"),
         ("cli/empty", ["--last", "5s"], "NOT_YET: the channel holds no items; items up to 20"),
         ("cli/empty", [], "NOT_YET: the channel holds no items, so NEWEST and OLDEST have no time yet"),
@@ -386,8 +386,8 @@ def test_help_lists_every_verb(stampede: Run) -> None:
         assert f" {verb} " in text
 
 
-# To ask for the next response, gRPC takes the lock of the stream and then that of its connection. Ctrl-C comes when it
-# has the second, and before the `with` that would release it has begun. Meanwhile the thread that sends requests has
+# To ask for the next response, gRPC takes the lock of the stream and then the lock of its connection. Ctrl-C comes when
+# it has the second, and before the `with` that would release it has begun. Meanwhile the thread that sends requests has
 # the first and waits for the second. Here a thread plays its part, so that it is there in time.
 ECHO_INTERRUPTED_WITHIN_A_LOCK = """
 import os, signal, sys, threading

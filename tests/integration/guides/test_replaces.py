@@ -1,4 +1,4 @@
-"""docs/replaces.md: our programs on a cluster, and those of Redis, NATS and Zenoh with their own servers."""
+"""docs/replaces.md: our programs on a cluster, and the programs for Redis, NATS and Zenoh on their own servers."""
 
 from __future__ import annotations
 

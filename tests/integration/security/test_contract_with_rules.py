@@ -3,7 +3,7 @@
 tests/integration/security/test_secured_contract.py plays others with certificates and rules.
 """
 
-# ruff: noqa: F401  # the tests are those of tests/contract, and take this file's fixtures
+# ruff: noqa: F401  # the tests come from tests/contract, and take this file's fixtures
 from __future__ import annotations
 
 from collections.abc import Iterator

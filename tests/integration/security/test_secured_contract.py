@@ -1,6 +1,6 @@
 """The contract's essentials over mutual TLS: the same tests as elsewhere, on a cluster with certificates and rules."""
 
-# ruff: noqa: F401  # the tests are those of tests/contract, and take this file's fixture
+# ruff: noqa: F401  # the tests come from tests/contract, and take this file's fixture
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Iterator

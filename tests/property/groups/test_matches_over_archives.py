@@ -1,4 +1,4 @@
-"""Matches of recorded channels with a small memory equal those of channels that have everything in memory."""
+"""Recorded channels with a small memory give the same matches as channels that have everything in memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks that answers over a path are those of the oracle, to the nanosecond and the byte."""
+"""Checks that answers over a path equal the answers of the oracle, to the nanosecond and the byte."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Makes every step on a channel behind a whole path and on the oracle, and checks that the two agree.
 
-`PathPair` has one method for each kind of step. The steps of puts are in `puts.py`, those of reads in `reads.py`. Each
-method waits until nothing is under way, except calls that wait by the rules of the oracle. So each answer is known to
-the nanosecond, although a path may be concurrent.
+`PathPair` has one method for each kind of step. The steps of puts are in `puts.py`, the steps of reads in `reads.py`.
+Each method waits until nothing is under way, except calls that wait by the rules of the oracle. So each answer is known
+to the nanosecond, although a path may be concurrent.
 """
 
 from __future__ import annotations

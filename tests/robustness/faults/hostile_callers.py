@@ -1,6 +1,6 @@
 """Clients that attack a host or supernode, and clients that use up a quota, while good clients use the same cluster.
 
-The attacks are those of `tests.benchmarks.attacks`. Each attacker is a process in a namespace of its own.
+The attacks come from `tests.benchmarks.attacks`. Each attacker is a process in a namespace of its own.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ class Calling:
     async def any_way(self, what: str, call: Awaitable[Any], own_s: float = 0.0, *, endless: bool = False) -> Any:
         """The call's result, INTERRUPTED or FAILED: some calls are cancelled at a random moment, some time out.
 
-        `endless`: the call may wait for ever by itself. Fails the test if the call hangs, or fails for good.
+        `endless`: the call may wait for ever by itself. Fails the test if the call hangs, or if its last try fails.
         """
         self.calls += 1
         task = asyncio.ensure_future(call)
@@ -81,6 +81,6 @@ class Calling:
         if error is None:
             return task.result()
         if not isinstance(error, PASSING):
-            raise AssertionError(f"{what} failed for good") from error
+            raise AssertionError(f"{what} failed at each try") from error
         self.failed += 1
         return FAILED

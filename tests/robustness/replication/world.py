@@ -211,7 +211,7 @@ class World:
         receiver.deliver(StreamOpened(ends[0], sender.highest_level))
 
     def _refuse(self, member: SimMember) -> None:
-        """End the member for good, because its store lacks entries that it has promised."""
+        """End the member, and never start it again, because its store lacks entries that it has promised."""
         if not member.rolled_back:
             raise PromiseBroken(f"{member.member.member_id} is refused though its disk kept what it should")
         member.refused = True

@@ -1,4 +1,4 @@
-"""Connections and calls between hosts in virtual time, as the generated stubs use those of gRPC."""
+"""Connections and calls between hosts in virtual time. The generated stubs use them like connections of gRPC."""
 
 from __future__ import annotations
 

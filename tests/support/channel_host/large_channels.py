@@ -50,7 +50,7 @@ def filled(items: int = ITEMS, **policy: Any) -> ChannelCore:
 
 
 def shuffled(items: int = ITEMS) -> ChannelCore:
-    """Runs of 200 items in pairs. The items of a pair alternate in time, as those of two producers do."""
+    """Runs of 200 items in pairs. The items of a pair alternate in time, like the items of two producers."""
     channel = a_channel()
     for first in range(0, items, 400):
         for odd in (0, 1):

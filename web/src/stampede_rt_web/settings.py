@@ -28,7 +28,7 @@ class WebSettings:
         default=None,
         metadata=setting(
             metavar="FILE",
-            help="the file of the cluster's secret; without it the page finds the secret as all clients do",
+            help="the file of the cluster's secret; default: the page looks for the secret where all clients do",
         ),
     )
     channels: str = field(

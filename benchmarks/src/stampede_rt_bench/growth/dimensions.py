@@ -148,7 +148,7 @@ DIMENSIONS: Mapping[str, Dimension] = {
         "Channels of a host, 100 of them busy",
         "channels",
         f"{_OWN} Each channel has one item and max_age 10 s. "
-        "The memory is that of the process, less its memory before the first channel.",
+        "The memory is the memory of the process, less its memory before the first channel.",
         _channels,
     ),
     "items": Dimension("Items in a channel", "items", f"{_OWN} Each put replaces the oldest item.", _items),

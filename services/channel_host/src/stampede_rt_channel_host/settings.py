@@ -151,7 +151,7 @@ class HostSettings(ServiceSettings):
             metavar="SIZE",
             parse=parse_size,
             minimum=0,
-            help="the most bytes of objects that the host keeps in --archive-folder for reads that come again; several "
+            help="the most bytes of objects that the host caches in --archive-folder for later reads; several "
             "processes have equal parts of it",
         ),
     )
@@ -228,8 +228,8 @@ class HostSettings(ServiceSettings):
         metadata=setting(
             metavar="ADDRESS",
             parse=parse_interface,
-            help="with --multicast: the IPv4 address of this machine at whose interface the datagrams leave; default: "
-            "that of --listen; if the host listens at all addresses, the system chooses",
+            help="with --multicast: the IPv4 address of the network interface from which the host sends the datagrams; "
+            "default: the address of --listen, or, if the host listens at all addresses, the system's choice",
         ),
     )
     multicast_bytes_per_second: int = field(
@@ -238,8 +238,8 @@ class HostSettings(ServiceSettings):
             metavar="SIZE",
             parse=parse_size,
             minimum=10_000,
-            help="with --multicast: the most bytes a second of datagrams; less than the slowest reader and its network "
-            "take",
+            help="with --multicast: the most bytes of datagrams that the host sends in a second; choose less than the "
+            "slowest reader and its network can receive",
         ),
     )
     drain_seconds: int = field(
@@ -248,7 +248,8 @@ class HostSettings(ServiceSettings):
             metavar="SECONDS",
             minimum=0,
             maximum=3600,
-            help="after SIGTERM, move the channels to other hosts for at most this time, and then end; 0: do not",
+            help="after SIGTERM, the host moves its channels to other hosts for at most this time, and then ends; 0: "
+            "it moves none",
         ),
     )
     processes: int = field(
@@ -258,10 +259,10 @@ class HostSettings(ServiceSettings):
             parse=parse_processes,
             minimum=1,
             maximum=PROCESSES_MAX,
-            help='how many host processes to run; "auto": one for each core; with 2 or more the hosts are NAME-0, '
-            "NAME-1, ..., their ports count up from those of --listen, --advertise, --data-port and --metrics, "
-            f"and each has a folder of its own in --data-dir; {PROCESS_MARK} in --tls-certificate and --tls-key stands "
-            "for the number",
+            help='how many host processes to run; "auto": one for each core; 2 or more processes have the names '
+            "NAME-0, NAME-1 and so on, consecutive ports from --listen, --advertise, --data-port and --metrics on, and "
+            f"their own folders in --data-dir; each process replaces {PROCESS_MARK} in --tls-certificate and --tls-key "
+            "by its number",
         ),
     )
 

@@ -44,7 +44,7 @@ class Turns:
             time.sleep(_GIVE_WAY_SECONDS)
 
     def loop_ended(self) -> None:
-        """Release the lock for good. Call it on the loop's thread, when the loop is closed."""
+        """Release the lock, and never take it again. Call it on the loop's thread, when the loop is closed."""
         self.lock.release()
 
     def give(self) -> None:

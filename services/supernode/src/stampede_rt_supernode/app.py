@@ -266,7 +266,7 @@ def _end_if_refused(status: ReplicationStatus, *, keeps: bool) -> None:
     """End the service if this supernode was removed, has another folder than before, or has too old a release."""
     if status.removed:
         raise StampedeError(
-            f"supernode {status.self_id} was removed from the cluster, for good; to come back, empty its folder "
+            f"supernode {status.self_id} was removed from the cluster for ever; to come back, empty its folder "
             "and let it join under a new id"
         )
     anew = f"remove it (stampede supernode remove {status.self_id}), empty the folder, and join under a new id"

@@ -46,7 +46,7 @@ class SupernodeSettings(ServiceSettings):
         metadata=setting(
             metavar="HOST:PORT",
             parse=parse_address_text,
-            help="the address at which it listens; a single supernode may use port 0: any free one",
+            help="the address at which the supernode listens; a single supernode may use port 0: any free port",
         ),
     )
     advertise: str = field(
@@ -54,13 +54,15 @@ class SupernodeSettings(ServiceSettings):
         metadata=setting(
             metavar="HOST:PORT",
             parse=parse_target,
-            help="the address at which others reach it; without it: its address in --members, then --listen",
+            help="the address at which others reach the supernode; default: its address in --members, or, without "
+            "--members, --listen",
         ),
     )
     id: str = field(
         default="",
         metadata=setting(
-            metavar="ID", help=f"its id among the members, never used again; for a single supernode: {DEFAULT_ID}"
+            metavar="ID",
+            help=f"the supernode's id; no later member may use this id; default, for a single supernode: {DEFAULT_ID}",
         ),
     )
     members: tuple[str, ...] = field(
@@ -68,12 +70,16 @@ class SupernodeSettings(ServiceSettings):
         metadata=setting(
             metavar="ID=HOST:PORT,...",
             parse=parse_list(parse_member),
-            help="all members with this one, the same list at each of them; without it: this is the only supernode",
+            help="all members, including this one; each member has the same list; default: this is the only supernode",
         ),
     )
     data_dir: Path | None = field(
         default=None,
-        metadata=setting(metavar="DIR", help="the folder of its log; without it: in memory, lost when it stops"),
+        metadata=setting(
+            metavar="DIR",
+            help="the folder of the supernode's log; default: none, the log is in memory and is lost when the "
+            "supernode stops",
+        ),
     )
     zone: str = field(
         default="",
@@ -88,7 +94,7 @@ class SupernodeSettings(ServiceSettings):
             parse=parse_duration,
             minimum=LEASE_TTL_NANOS_MIN,
             maximum=LEASE_TTL_NANOS_MAX,
-            help="the lease of a host; a new cluster takes it from here and keeps it",
+            help="the lease of each host; a new cluster stores this value, and later values have no effect",
         ),
     )
 

@@ -69,7 +69,7 @@ class FuzzedCluster:
         return grpc.aio.secure_channel(address, grpc.ssl_channel_credentials(ca, key, certificate), options=OPTIONS)
 
     def socket(self, targets: Sequence[str], role: Role) -> SocketPort | None:
-        """The socket for callers of that role, of those of the host; None: they use gRPC alone."""
+        """The host's socket for callers of that role; None: they use only gRPC."""
         unix, tcp = (next((one for one in targets if one.startswith(kind)), "") for kind in ("unix:", "tcp:"))
         if self.outcome.port == DATA_PORT:
             host, files = parse_address(self.target.address).host, self.processes.tls_files(NAMES[role], role)

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("quick_looks")
 
 
 class History:
-    """One channel, and its owners. `times` are those of all items, and `told` is the story for a person."""
+    """One channel, and its owners. `times` are the times of all items. `told` lists the steps for error texts."""
 
     def __init__(self, path: Path, seed: int) -> None:
         self.path, self.dice = path, random.Random(seed)

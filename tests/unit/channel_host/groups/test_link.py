@@ -132,7 +132,7 @@ async def test_a_certificate_is_valid_only_for_the_host_that_it_names() -> None:
     notebook.names[OTHER] = "h2"
     wire = Wire(notebook, certified_name="nobody")
     await wire.greet()
-    with pytest.raises(PermissionDenied, match="that of host nobody, and the hello names host h2"):
+    with pytest.raises(PermissionDenied, match="belongs to host nobody, but the hello names host h2"):
         await wire.running
     own = Wire(notebook, certified_name="h2")
     await own.greet()

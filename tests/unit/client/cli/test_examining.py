@@ -20,5 +20,5 @@ def test_the_answer_of_a_copy_at_another_members_address_does_not_count_for_the_
     listed = {"s1:1": "s1", "s2:1": "s2"}
     assert _refused_by(answer("s2:1"), listed) == {}
     assert _refused_by(answer("s1:1"), listed) == REFUSED
-    # At an address that no supernode lists, like that of a moved member: it may be the member itself.
+    # A moved member has an address that no supernode lists. So a supernode at such an address may be the member itself.
     assert _refused_by(answer("s9:1"), listed) == REFUSED

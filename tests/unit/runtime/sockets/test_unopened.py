@@ -8,7 +8,7 @@ from stampede_rt_runtime.sockets.unopened import UnopenedStreams
 
 
 class Connection:
-    """A connection of one machine. Its identity counts, as that of a StreamSocket does."""
+    """A connection of one machine. Two connections are equal only if they are the same object, as with StreamSocket."""
 
     def __init__(self, machine: str) -> None:
         self.machine = machine

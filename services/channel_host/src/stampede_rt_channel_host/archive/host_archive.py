@@ -24,7 +24,7 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 Result = TypeVar("Result")
 logger = logging.getLogger(__name__)
 
-READERS, READERS_OF_STORE = 2, 8  # threads; those of an object store mostly wait for the network
+READERS, READERS_OF_STORE = 2, 8  # threads; the readers of an object store mostly wait for the network
 WRITE_AFTER_SECONDS = 0.2  # how long the archive gathers small writes
 RETRY_SECONDS = 1.0
 CLOSE_SECONDS_MAX = 5.0  # the limit for the last work of a host that stops, unless its process ends it earlier

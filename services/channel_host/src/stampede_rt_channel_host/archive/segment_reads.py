@@ -68,7 +68,10 @@ class SegmentReads:
         rest: Callable[[], None],
         past: Past | None = None,
     ) -> ArchiveWindow:
-        """Load a window of `segments`, perhaps those of `past`. Calls `rest` between two blocks, for other threads."""
+        """Load a window of `segments`, which may be the segments of `past`.
+
+        Calls `rest` between two blocks, for other threads.
+        """
         return self._load(segments, wanted, decode, rest, past, self._blocks_of, self.place.opened)
 
     def load_at_hand(

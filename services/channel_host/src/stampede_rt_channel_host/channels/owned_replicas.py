@@ -154,14 +154,17 @@ class OwnedReplicas(ABC, Generic[Feed]):
         return condition()
 
     def end(self, error: StampedeError) -> None:
-        """End the waits: the host stops serving the channel or queue, for good or until it has its lease again."""
+        """End the waits: the host stops serving the channel or queue, for ever or until it has its lease again."""
         self.period.ended = error
         if not self._is_last_period:
             self.period = ServingPeriod()
         self.wake_waits()
 
     def close(self) -> None:
-        """Note that the host gives the channel or queue up for good. After `end` each wait ends at once. Idempotent."""
+        """Note that the host will never serve the channel or queue again.
+
+        After `end` each wait ends at once. Idempotent.
+        """
         self._is_last_period = True
 
     def watch(self, look: Callable[[bool], None]) -> None:

@@ -151,7 +151,7 @@ class HostLink:
         name = self._handler.name_of_host(host_id)
         if self._certified_name and name and name != self._certified_name:
             raise PermissionDenied(
-                f"the certificate is that of host {self._certified_name}, and the hello names host {name}; a host "
+                f"the certificate belongs to host {self._certified_name}, but the hello names host {name}; a host "
                 "speaks only for itself"
             )
 

@@ -47,7 +47,7 @@ def read_listing(token: str, listing: str) -> str:
     """The name in a token, empty for an empty token. Raises InvalidArgument, also for a token of another listing."""
     token_listing, _, name = read_name(token).rpartition("\0")
     if token and token_listing != listing:
-        raise InvalidArgument("the page token is that of another listing; ask each page with the same filters")
+        raise InvalidArgument("the page token belongs to another listing; ask for each page with the same filters")
     return name
 
 

@@ -50,7 +50,7 @@ def prepare(argv: Sequence[str]) -> int:
     init.add_argument(
         "--take-over",
         action="store_true",
-        help="with --restore: the former cluster is lost for good; its hosts and front-ends come over to this one",
+        help="with --restore: the former cluster will never run again; its hosts and front-ends join the new one",
     )
     join = verbs.add_parser("join", help="join a cluster", description="Join a running cluster under a new id.")
     join.set_defaults(run=_run_join)

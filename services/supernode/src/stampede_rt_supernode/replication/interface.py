@@ -80,7 +80,7 @@ class ReplicationStatus:
 
     - `tenure`: the term in which this replica leads, 0 while it does not lead.
     - `members`: the members by the newest configuration in the log, committed or not.
-    - `removed`: the leader, or most of the others, say that this member was removed for good.
+    - `removed`: the leader, or most of the others, say that this member was removed from the cluster.
     - `has_lost_store`: the leader, or most of the others, say that this member had another store before, or lacks one.
     - `has_old_store`: the leader, or most of the others, say that this member's store is an older copy.
     - `refused_by`: by id, the words of each member that says one of these three things, or that says `too_old`.

@@ -126,7 +126,7 @@ class PySyncObjLog:
         """See ReplicatedLog."""
         status, links = self._replica.status(), self._links
         if (silent := self._thread.stuck_seconds()) > 0.0:
-            # The status is that of the last step, which was long ago. By now the others may have another leader.
+            # The status comes from the last step, which was long ago. By now the others may have another leader.
             status = replace(status, leader_id=None, is_leader=False, tenure=0, disk_silent_seconds=silent)
         status = replace(status, retired=self._replica.roster.removed)
         refused = self._servicer.refused() if self._servicer is not None else {}

@@ -60,7 +60,7 @@ async def test_after_a_change_of_the_store_files_move_to_the_new_store_and_the_o
     async with host(tmp_path, former) as one:
         await one.serve(1)
         await moved(one, 2)
-        former.failure = "away for good"
+        former.failure = "away for ever"
         await one.write(2)
     new.failure = "away, too"
     async with host(tmp_path, new) as again:

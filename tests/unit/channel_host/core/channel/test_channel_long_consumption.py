@@ -39,7 +39,7 @@ def test_items_that_many_consumers_consumed_out_of_order_leave_after_a_bounded_n
     assert counted is not None
     for consumer in range(1, consumers + 1):
         before = counted.looked_at
-        channel.consume(consumer, range(2, items + 1), CLOCK)  # the first seq is that of the newest item
+        channel.consume(consumer, range(2, items + 1), CLOCK)  # the first seq belongs to the newest item
         most = max(most, counted.looked_at - before)
     more = True
     while more:

@@ -91,7 +91,7 @@ def test_a_digest_of_an_earlier_position_than_that_of_the_state_is_ignored() -> 
     follower.digests.compare(*leader_at(2).digest())
     assert follower.replica.digest() == (3, b"")
     follower.digests.compare(3, b"")
-    assert follower.replica.digest() == (3, b""), "nor that of a leader that knows none"
+    assert follower.replica.digest() == (3, b""), "nor the digest of a leader that knows none"
     follower.digests.compare(*leader_at(3).digest())
     assert follower.replica.digest() == leader_at(3).digest()
     assert follower.digests.diverged_at == 0

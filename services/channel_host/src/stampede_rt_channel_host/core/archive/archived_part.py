@@ -23,7 +23,7 @@ LACKED = Reason(
     "is damaged or removed",
 )
 STRADDLING_MAX = 16
-"""The most additional blocks that a part loads, for items whose times lie between those of its own blocks."""
+"""The most additional blocks that a part loads, for items with times between the times in its own blocks."""
 
 
 class ChosenPart(NamedTuple):

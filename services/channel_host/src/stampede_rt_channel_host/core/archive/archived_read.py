@@ -99,7 +99,7 @@ class ArchivedRead:
         self._more = self._is_done = False
         self._edge: int | None = None  # where the next window begins
         self._lowest: int | None = self._held.oldest  # downwards: the earliest time of the windows so far
-        self._windows = self._of_memory = 0  # the windows read, and those of them that had no archived items
+        self._windows = self._of_memory = 0  # the number of read windows, and of read windows without archived items
 
     def begin(self) -> Pieces[None]:
         """Read memory first if it may have all wanted items: if the interval begins within memory, or if the read goes

@@ -169,7 +169,7 @@ class Holdings(HeldItems):
             self._newest_longest = max(self._newest_longest, duration)
 
     def oldest_items(self, count: CountOldest, whole: WholeBlocks = NO_BLOCKS) -> OldestItems:
-        """The oldest held items: those of the blocks `whole`, and the items that `count` counts after these blocks."""
+        """The oldest held items: all items of the blocks `whole`, and the `count` items after these blocks."""
         items, payload_bytes = whole.items, whole.payload_bytes
         last: Slice | None = None
         for part in self.slices(whole.end) if items else self.index.slices_from(self.floor):

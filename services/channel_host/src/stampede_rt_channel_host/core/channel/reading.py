@@ -234,7 +234,7 @@ class Reading:
         if region.is_empty:
             if query.after or query.newer_than:
                 return Reason("NEVER", "the given position leaves no instant of the interval")
-            return Reason("NEVER", "the interval is empty: no instant lies in it")
+            return Reason("NEVER", "the interval is empty: it contains no instant")
         if self._is_below_frontier(region):
             return self._collected()
         if not self._is_over(region):

@@ -31,7 +31,7 @@ class RemoveAccessRule(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RevokeCredential(Operation):
-    """Revoke a certificate or token for good."""
+    """Revoke a certificate or token. Nobody can undo this."""
 
     serial: str
 

@@ -54,7 +54,7 @@ def remove_access_rule(state: DirectoryState, operation: RemoveAccessRule, time_
 
 
 def revoke_credential(state: DirectoryState, operation: RevokeCredential, time_unix_nano: int) -> CredentialRevoked:
-    """Revoke a credential for good. Raises InvalidArgument if too many are revoked."""
+    """Revoke a credential. Nobody can undo this. Raises InvalidArgument if too many are revoked."""
     revoked = state.access.revoked_serials
     if operation.serial in revoked:
         return CredentialRevoked(revoked=False, version=state.access.version)

@@ -28,7 +28,8 @@ class PeerTable:
         self.by_id: dict[bytes, PeerRecord] = {}
         self.ids: SortedDict[str, bytes] = SortedDict()  # the peer's id by its name, for all live peers with a name
         self.keys: SortedSet[PeerKey] = SortedSet()  # all peers, in the order of listings
-        # The ids of the peers whose lease has ended, the earliest first; by id among those of one log entry.
+        # The ids of the peers whose lease has ended, the earliest first; leases that one log entry ended are sorted by
+        # id.
         self._dead: dict[bytes, None] = {}
         for peer in sorted(peers, key=lambda one: (one.ended_index, one.peer_id)):
             self._link(peer)

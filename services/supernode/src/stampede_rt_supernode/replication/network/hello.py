@@ -14,7 +14,7 @@ from stampede_rt_supernode.replication.storage.known_stores import STORE_ID_BYTE
 from stampede_rt_supernode.replication.storage.store import Promise
 from stampede_rt_supernode.replication.wire.records import ADDRESS_BYTES_MAX, MEMBER_ID_BYTES_MAX
 
-# The words that refuse a member that was removed for good.
+# The words that refuse a member that was removed from the cluster.
 REMOVED = "was removed from this cluster"
 # The words that refuse a member that came with another store before, or that had a store and has none now.
 ANOTHER_STORE = "has come with another store before"

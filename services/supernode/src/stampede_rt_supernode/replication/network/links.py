@@ -75,7 +75,8 @@ class PeerLinks:
         self.outdated = Refusals()
         # Returns the ids of the other members according to the log, and the id of the leader that this member follows.
         self.others_and_leader: Callable[[], tuple[Collection[str], str | None]] = lambda: ((), None)
-        # Called once, with the reason, if others refuse this member for good. The call blocks: it writes a small file.
+        # Called once, with the reason, if others refuse this member and will always refuse it. The call blocks: it
+        # writes a small file.
         self.on_refusal_confirmed: Callable[[str], None] = lambda why: None
         # Called with the id of a member that breaks the protocol, and the text of the fault.
         self.on_fault: Callable[[str, str], None] = lambda member_id, why: None

@@ -78,7 +78,7 @@ class KnownStores:
                 self._write()
 
     def note(self, member_id: str, store_id: str, members: Collection[str]) -> None:
-        """Remember the store of an admitted member for good. Blocks if the member is new. Raises OSError.
+        """Remember the store of an admitted member, also after restarts. Blocks if the member is new. Raises OSError.
 
         `members`: the ids of the members in the log. Of the nodes that are not members, only the last OTHERS_MAX are
         remembered.

@@ -1,4 +1,4 @@
-"""Makes a new cluster from the data of one member of a lost cluster, or from a backup, if a majority is gone for good.
+"""Makes a new cluster from the data of one member of a lost cluster, or from a backup, if the majority is lost.
 
 The new cluster takes over the data of that member or backup. Other data is lost, even if it was acknowledged. The new
 cluster has another id, so that an old member that comes back cannot disturb it.
@@ -45,7 +45,7 @@ def _read_folder(old_dir: Path) -> tuple[str, StoredState]:
         raise StoreRefused(f"{old_dir} does not exist: name a backup, or the data folder of a lost cluster's member")
     if not holds_store(old_dir):
         raise StoreRefused(
-            f"{old_dir} is not the data folder of a supernode that has ever run: it has no log; name that of a "
+            f"{old_dir} is not the data folder of a supernode that has ever run: it has no log; name the folder of a "
             "member of the lost cluster, or a backup that `stampede supernode snapshot` wrote"
         )
     old_cluster_id, old_member_id = read_identity(old_dir)
