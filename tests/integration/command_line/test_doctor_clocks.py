@@ -30,7 +30,7 @@ from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.version import VERSION
 from stampede_rt_runtime.server import serving
 
-# ruff: noqa: N802  # methods bear the names of the RPCs
+# ruff: noqa: N802  # methods have the names of the RPCs
 
 HOUR_NANOS = 3600 * 10**9
 

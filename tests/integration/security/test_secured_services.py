@@ -268,7 +268,7 @@ def test_only_the_member_that_a_certificate_names_opens_its_stream(cluster: Loca
     told = ask(first, cluster.tls_files("h9", Role.HOST), knock)
     assert told.startswith("PERMISSION_DENIED: host h9 may not call RaftService/Exchange, which is for supernode")
     told = ask(first, cluster.tls_files("s9", Role.SUPERNODE), greeting("s2", "s1"))
-    assert "'s2' bears the certificate of supernode s9 of cluster local" in told
+    assert "'s2' uses the certificate of supernode s9 of cluster local" in told
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,6 @@ class FeedCallers:
             self._names[host_id] = name
         if caller.name != name:
             raise PermissionDenied(
-                f"{caller} cannot be fed as host {name}: its certificate must bear that name, "
+                f"{caller} cannot be fed as host {name}: its certificate must contain that name, "
                 "because a host speaks only for itself"
             )

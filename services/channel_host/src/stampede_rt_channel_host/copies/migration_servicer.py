@@ -1,6 +1,6 @@
 """MigrationService on the wire: moves of channels and queues to this host, and the drain of this host."""
 
-# ruff: noqa: N802  # methods bear the names of the RPCs
+# ruff: noqa: N802  # methods have the names of the RPCs
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable

@@ -1,6 +1,6 @@
 """QuotaUseService of one port: how much of their quotas the port's callers use."""
 
-# ruff: noqa: N802  # methods bear the names of the RPCs
+# ruff: noqa: N802  # methods have the names of the RPCs
 from __future__ import annotations
 
 from stampede_rt.errors import InvalidArgument

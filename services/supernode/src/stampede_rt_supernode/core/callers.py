@@ -19,7 +19,7 @@ def check_host_caller(caller: Identity | None, *, known_as: str | None, name: st
     for stated in (name, known_as):
         if stated is not None and stated != caller.name:
             raise PermissionDenied(
-                f"{caller} cannot speak for host {stated}: its certificate must bear that name; "
+                f"{caller} cannot speak for host {stated}: its certificate must contain that name; "
                 f"issue one with `stampede certs issue --role host --name {stated}`"
             )
 

@@ -2,7 +2,7 @@
 log, and encodes the response.
 """
 
-# ruff: noqa: N802  # methods bear the names of the RPCs
+# ruff: noqa: N802  # methods have the names of the RPCs
 from __future__ import annotations
 
 import hashlib

@@ -1,7 +1,7 @@
 """The incoming half of the network: the RaftService of one member.
 
 It serves only members. A caller states its member id in the hello. If the cluster has certificates, the caller's
-certificate must bear that id. The server's interceptors have checked the cluster's secret and the certificate's role
+certificate must contain that id. The server's interceptors have checked the cluster's secret and the certificate's role
 before.
 """
 
@@ -147,7 +147,7 @@ class RaftServicer:
         caller = caller_identity(context)
         if caller is not None and caller.name != hello.member_id:
             await context.abort(
-                grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} bears the certificate of {caller}"
+                grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} uses the certificate of {caller}"
             )
         until, why = self._expelled.get(hello.member_id, (0.0, ""))
         if until > time.monotonic():
