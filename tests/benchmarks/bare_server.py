@@ -19,7 +19,8 @@ OPTIONS = (
     ("grpc.max_receive_message_length", -1),
     ("grpc.max_send_message_length", -1),
     ("grpc.so_reuseport", 0),
-    # Its client pings each 5 s, like ours. By default a third ping within 5 minutes without data ends the connection.
+    # The benchmark's client of this server pings each 5 s, like our client. By default a third ping within 5 minutes
+    # without data ends the connection.
     ("grpc.http2.min_ping_interval_without_data_ms", Limits().ping_interval_millis_min),
 )
 

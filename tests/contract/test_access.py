@@ -177,7 +177,7 @@ async def test_each_verb_is_denied_without_a_rule_and_done_with_it(scene: Scene,
         await CASES[case](scene)
     assert caught.value.message.removeprefix(
         f"channel {scene.name('a')!r}: "
-    ) == (  # which a read through a group names
+    ) == (  # the error of a read through a group begins with the channel
         f"client {scene.who} may not {verb} {kind} {name}; an operator can allow it "
         f"(stampede acl add {scene.who} {verb} {name} --kind {kind}), unless a rule denies it (stampede acl ls)"
     )

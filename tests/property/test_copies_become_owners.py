@@ -48,7 +48,7 @@ class Producers:
 
 
 class Scenario:
-    """A channel by core and oracle with its retry window, and two copies that may become the owner."""
+    """A channel with its retry window, in the core and in the oracle, and two copies that may become the owner."""
 
     def __init__(self, policy: Policy) -> None:
         self.pair = ChannelPair(policy, FIRST_CLOCK)
@@ -130,7 +130,7 @@ class Scenario:
         self.moves += 1
 
     def _demoted(self, former: ChannelCore, window: RetryWindow) -> FedCopy:
-        """The former owner as a copy of the new one, which feeds it from its place on."""
+        """The former owner, as a copy. The new owner feeds it from the copy's place on."""
         copy = FedCopy(self.pair, window=self.window)
         copy.channel = FedChannel.of_owner(former, window, self.pair.clock)
         copy.take(0)

@@ -27,7 +27,7 @@ from tests.support.processes import started
 from tests.support.raw_http2 import RawConnection
 
 AS_ATTACKER = "--as-attacker"
-STILL_SECONDS = 1.0  # in which the server finishes what it has begun
+STILL_SECONDS = 1.0  # the server finishes its work within this time
 
 
 class Cost(NamedTuple):

@@ -165,7 +165,7 @@ async def test_every_peer_is_shown_with_its_clock_and_one_that_is_off_is_named(
         peer("robot/good", ahead_nanos=0),
         peer("robot/late", ahead_nanos=-2 * HOUR_NANOS),
         peer("robot/new"),
-        peer("robot/stray", ahead_nanos=5 * HOUR_NANOS, supernode="s9"),  # which no supernode has pinged
+        peer("robot/stray", ahead_nanos=5 * HOUR_NANOS, supernode="s9"),  # no supernode has pinged s9
     )
     code, said = await said_of(everything, capsys)
     assert code == 1, said

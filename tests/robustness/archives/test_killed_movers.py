@@ -50,7 +50,7 @@ class Mover:
         self.plan.write_text(f"{step}|{self.process.pid}|{int(signal.SIGKILL)}")
 
     def again(self) -> None:
-        self.process.kill()  # closes what the former run has left
+        self.process.kill()  # waits for the end of the former run
         self.process.start()
 
     def files(self, channel: Any) -> list[Path]:

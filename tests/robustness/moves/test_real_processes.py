@@ -72,7 +72,7 @@ class Hosts:
 
 def again(process: ServiceProcess) -> None:
     """Start a process again that another process has killed."""
-    process.kill()  # closes what the former run has left
+    process.kill()  # waits for the end of the former run
     process.start()
 
 

@@ -19,7 +19,7 @@ AT_ONCE = 2
 def main() -> int:
     """Returns exit code 1 if a fault goes unnoticed, or if a test fails without a fault."""
     parser = argparse.ArgumentParser(prog="python -m tests.robustness.mutants", description=__doc__)
-    parser.add_argument("names", nargs="*", help="these only")
+    parser.add_argument("names", nargs="*", help="plant only these faults; default: all")
     names = parser.parse_args().names
     if unknown := set(names) - {one.name for one in MUTANTS}:
         parser.error(f"no such mutants: {', '.join(sorted(unknown))}")

@@ -171,7 +171,7 @@ class Liar:
             request_id=self._request_id(),
             log_index=self._index(),
             log_term=self._term(),
-            refusal=self._random_source.choice((0, 0, 1, 2, 3, 4, 9)),  # type: ignore[arg-type]  # also one that is none
+            refusal=self._random_source.choice((0, 0, 1, 2, 3, 4, 9)),  # type: ignore[arg-type]  # 9 names no refusal
         )
         return pb.RaftMessage(forwarded_command_reply=body)
 

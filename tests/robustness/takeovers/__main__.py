@@ -30,7 +30,7 @@ class Played(NamedTuple):
 def main() -> int:
     """Returns exit code 1 if a promise was broken."""
     parser = argparse.ArgumentParser(prog="python -m tests.robustness.takeovers", description=__doc__)
-    parser.add_argument("--of", choices=[*SIMULATORS], help="these only")
+    parser.add_argument("--of", choices=[*SIMULATORS], help="play only these; default: both")
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--at-once", type=int, default=1, help="the number of processes")

@@ -67,7 +67,7 @@ class Call:
         self._to_caller: asyncio.Queue[Any] = asyncio.Queue()
         self._encode, self._decode = encode, decode
         self._serving: asyncio.Task[None] | None = None
-        self._end: object = None  # what the caller reads from now on
+        self._end: object = None  # the caller reads this from now on
 
     def due_s(self) -> float:
         """When a message that is sent now arrives."""

@@ -87,7 +87,7 @@ async def test_a_listing_looks_at_a_bounded_number_of_channels_in_one_piece(rig:
         )
         store.adopt(recorded_channel(record))
     every = page_of(store, lambda name: True, "", 10 * STATUSES_PER_PIECE)
-    assert sum(1 for _ in every) == 11  # one for each 32 of 320, and one for the names of the first 256
+    assert sum(1 for _ in every) == 11  # 10 pieces of 32 statuses, and one piece for the first 256 names
     none = page_of(store, lambda name: False, "", 10)
     assert sum(1 for _ in none) == 4
     page = await PieceScheduler().do(page_of(store, lambda name: name.endswith("7"), names[100], 3))
@@ -115,7 +115,7 @@ def a_run(number: int) -> IncomingRun:
 
 
 async def full(rig: Rig, waiting: int) -> tuple[HostedChannel, list[IncomingRun]]:
-    """A channel that holds one item and has as many runs in line."""
+    """A channel that holds one item, while `waiting` runs wait for room."""
     retention = channel_pb2.RetentionPolicy(max_items=1, max_age_nanos=3600 * 10**9)
     channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=retention, on_full=channel_pb2.ON_FULL_BLOCK))
     hosted = rig.host.store.find(channel.channel_id, channel.epoch)
@@ -129,7 +129,7 @@ async def test_waiting_puts_are_refused_in_pieces_and_in_order_and_none_of_them_
     left = []
     for _ in hosted.ending(Unavailable("gone", reason="NOT_HERE")):
         left.append(len(hosted.puts))
-        again = hosted.puts.put(a_run(len(runs)), rig.now())  # which is still in line
+        again = hosted.puts.put(a_run(len(runs)), rig.now())  # repeats a run that still waits
         assert again is not None
         assert again.error.message == "gone"
         hosted.channel.configure(Policy(max_items=10**6, on_full="block", max_age_nanos=3600 * 10**9), rig.now())
@@ -138,7 +138,7 @@ async def test_waiting_puts_are_refused_in_pieces_and_in_order_and_none_of_them_
     assert left == [PUTS_PER_PIECE * pieces for pieces in (3, 2, 1)]
     assert {run.ack.error.message for run in runs if run.ack is not None} == {"gone"}
     assert hosted.channel.counters(rig.now()).held == 1
-    ack = hosted.puts.put(a_run(len(runs)), rig.now())  # when the host has its lease again
+    ack = hosted.puts.put(a_run(len(runs)), rig.now())  # the host has its lease again
     assert ack is not None
     assert ack.first_seq == 2
 
@@ -206,7 +206,7 @@ async def test_a_registration_looks_at_a_bounded_number_of_channels_in_one_piece
     for at, _ in enumerate(store.registering(records[:10], is_complete=True)):
         left.append(len(store.all()))
         if at == 0:
-            store.adopt(recorded_channel(late))  # which the directory told of since
+            store.adopt(recorded_channel(late))  # the directory has told of it since the registration
     assert max(before - after for before, after in pairwise(left)) <= CHANNELS_COMPARED_PER_PIECE
     assert {hosted.record.name for hosted in store.all()} == {"late", *(f"c/{number}" for number in range(10))}
     assert len(store.scheduler._begun) <= 8

@@ -66,7 +66,7 @@ async def test_a_caller_with_a_request_displaces_callers_that_send_none(
         silent = [channel.stream_unary(CHECK)(timeout=60) for _ in range(READS_MAX + 3)]
         answers = [asyncio.ensure_future(_answer(call)) for call in silent]
         first = asyncio.as_completed(answers)
-        for _ in range(3):  # as many as are too many
+        for _ in range(3):  # the callers above READS_MAX
             assert health_pb2.HealthCheckResponse.FromString(await next(first)).status == NOT_SERVING
         assert await status(server, LIVENESS) == SERVING
         for call in silent:

@@ -110,8 +110,8 @@ class Report:
         if self.ours:
             ratios = f'"Ours, times as fast": {self.ours} against the system of the row. {ratios}'
         return (
-            f"{self.rounds} runs of {self.seconds:g} s in steady state, the systems alternately, each with a fresh server. "
-            f"Medians, with the least and the most in parentheses. CPU time is that of all processes together. "
+            f"{self.rounds} runs of {self.seconds:g} s in steady state, the systems alternately, each with a fresh "
+            f"server. Medians, with the least and the most in parentheses. CPU time is that of all processes together. "
             f"{ratios}\n\nMeasured on: {machine}."
         )
 

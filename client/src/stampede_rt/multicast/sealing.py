@@ -66,7 +66,7 @@ class DatagramOpener:
         self._stream_id, self.key_number, self._cipher = stream_id, key_number, AESGCM(key)
 
     def open(self, datagram: bytes) -> Part | Rejected:
-        """Return the part of the datagram, or why it is none."""
+        """Return the part of the datagram, or the reason to drop the datagram."""
         head = parse_head(datagram)
         if head is None or head.stream_id != self._stream_id:
             return Rejected.FOREIGN
@@ -99,12 +99,12 @@ class Verifier:
     """Checks the messages of one stream."""
 
     def __init__(self, stream_id: bytes, public_key: bytes) -> None:
-        """Raises InvalidArgument if `public_key` is none."""
+        """Raises InvalidArgument if `public_key` is not a valid public key."""
         self._stream_id = stream_id
         try:
             self._key = Ed25519PublicKey.from_public_bytes(public_key)
         except ValueError as error:
-            raise InvalidArgument("the host has sent a public key that is none") from error
+            raise InvalidArgument("the host has sent bytes that are no public key") from error
 
     def verify(self, message: MulticastMessage) -> MulticastMessage | None:
         """Return the message without its signature; None if the host has not signed it."""

@@ -34,7 +34,7 @@ class Moves:
             await asyncio.sleep(0)
 
 
-async def test_a_host_that_has_not_answered_yet_gets_few_moves_and_leaves_the_others_to_other_hosts() -> None:
+async def test_a_host_gets_few_moves_until_it_answers_and_other_hosts_get_the_remaining_moves() -> None:
     moves = Moves()
     await moves.begun(*[b"frozen"] * 50, *[b"runs"] * 50)
     assert moves.under_way == [b"frozen"] * MOVES_AT_FIRST + [b"runs"] * MOVES_AT_FIRST

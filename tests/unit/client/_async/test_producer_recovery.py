@@ -61,7 +61,7 @@ class Place:
     def __init__(self) -> None:
         self.cache = BindingCache()
         self.endpoints = self
-        self.found = asyncio.Event()  # where the channel is
+        self.found = asyncio.Event()  # set when the place of the channel is known
         self.found.set()
         self.streams: list[Duplex] = []
         self.opened = asyncio.Event()

@@ -106,11 +106,11 @@ class Stores:
 
 
 def body_of(seq: int) -> bytes:
-    return b"%4d" % seq * 50  # fewer than 8 fit, so that their bytes are overwritten, too
+    return b"%4d" % seq * 50  # the ring has room for fewer than 8, so it overwrites older bytes
 
 
 @pytest.mark.parametrize("before", [0, 3, 40])  # the ring is empty, has room, or overwrites
-def test_a_writer_that_stops_at_any_store_shows_the_items_before_or_after_or_none(before: int) -> None:
+def test_a_reader_sees_the_old_items_the_new_items_or_none_wherever_the_writer_stops(before: int) -> None:
     for stores in range(100):
         ring, left = Ring(), [stores]
         for seq in range(1, before + 1):

@@ -275,7 +275,7 @@ async def test_each_turn_checks_the_credentials_of_a_few_open_calls_and_the_roun
     control.set_state(state(1))
     async with open_calls(control, 4 * CALLS_LOOKED_AT_PER_TURN - 1, 0, ends_unix_nano=5):
         control._end_what_is_over()
-        while not isinstance(control._sweep, asyncio.TimerHandle):  # which begins the next look
+        while not isinstance(control._sweep, asyncio.TimerHandle):  # the timer begins the next look
             await asyncio.sleep(0)
             turns += 1
     assert turns == 4

@@ -164,7 +164,7 @@ def test_a_group_whose_only_channel_is_placed_anew_begins_anew(log: Log) -> None
     log.apply(deregister(1))
     assert log.directory.tables.groups.by_id[made.group_id].incarnation == 2**64 - 1, "the host may come back"
     log.apply(open_channel("left"))
-    assert log.directory.tables.groups.by_id[made.group_id].incarnation == 1, "0 is none"
+    assert log.directory.tables.groups.by_id[made.group_id].incarnation == 1, "0 is no incarnation"
 
 
 def test_the_number_of_groups_is_bounded(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -235,7 +235,7 @@ class WaitingGets:
             self._by_instant.add(get)
 
     def _first_instant(self) -> int:
-        """The earliest instant at which the clock may release a get; AFTER_ALL: there is none."""
+        """The earliest instant at which the clock may release a get; AFTER_ALL: there is no such instant."""
         return instant_key(self._by_instant[0])[0] if len(self._by_instant) else AFTER_ALL
 
     def _arm(self) -> None:

@@ -120,7 +120,7 @@ def _neighbours(
 
     None: there is no such segment. Looks at no other segments, which may be in a store that is away.
     """
-    former: Segment | None = None  # of which the read took the last block
+    former: Segment | None = None  # the read took the last block of this segment
     for at, one in enumerate(with_items):
         if one not in taken:
             continue
