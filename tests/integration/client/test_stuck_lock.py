@@ -1,4 +1,4 @@
-"""A lock of gRPC that an interrupt has left locked: it costs the interrupted call, and not the connection."""
+"""An interrupt may leave a lock of gRPC locked. Only the interrupted call fails; later calls use a new connection."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ AT_ONCE = 64
 
 @contextlib.asynccontextmanager
 async def running_cluster(folder: Path) -> AsyncIterator[Cluster]:
-    """Three supernodes whose ports serve fewer streams than others."""
+    """Three supernodes whose ports serve fewer streams than usual."""
     cluster = Cluster(folder, "--lease-ttl", "1h")
     for one in cluster.supernodes:
         one.module = few_streams.__name__
@@ -47,20 +47,20 @@ async def running_cluster(folder: Path) -> AsyncIterator[Cluster]:
 
 
 async def without_quotas(*supernodes: Supernode) -> None:
-    """One caller may fill ports, as many callers do together."""
+    """Remove the quotas of streams, so that one caller can fill ports like many callers together."""
     kinds = (quota_pb2.QUOTA_KIND_STREAMS, quota_pb2.QUOTA_KIND_SUBSCRIPTIONS)
     settings = [quota_pb2.QuotaSetting(who="*", kind=kind, limit=LIMIT_MAX) for kind in kinds]
     request = quotas.SetQuotasRequest(request_id=secrets.token_bytes(16), settings=settings)
     async with dial(supernodes[0].address, secret=None) as channel:
         stub: Any = quota_service_pb2_grpc.QuotaServiceStub(channel)
         await called(stub.SetQuotas(request, timeout=20), supernodes[0])
-    for one in supernodes:  # a confirmed read there: from then on it counts by the new limits
+    for one in supernodes:  # after a confirmed read a supernode knows the new limits
         await called(one.stub.ListHosts(pb.ListHostsRequest(), timeout=20), one)
 
 
 @contextlib.asynccontextmanager
 async def filled(one: Supernode) -> AsyncIterator[list[Any]]:
-    """Take all streams of its port with watches, which stay open during the block."""
+    """Take all streams of the supernode's port with watches, which stay open during the block."""
     channel = dial(one.address, secret=None)
     stub: Any = directory_service_pb2_grpc.DirectoryServiceStub(channel)
     watches: list[Any] = []
@@ -110,8 +110,8 @@ async def test_watches_that_fill_the_ports_of_two_members_do_not_keep_a_third_fr
             async for _ in attempts():
                 if await renew(await cluster.leader(), 1):
                     break
-            assert not any(one.done() for one in (*first, *second)), "nobody was pushed out for it"
-            # It counts for the majority: with another one gone the two that are left go on.
+            assert not any(one.done() for one in (*first, *second)), "no watch ended to make room for the third member"
+            # The third member counts for the majority: if another member ends, it and the leader go on.
             await other.end(signal.SIGKILL)
             await called(third.stub.ResolveChannel(pb.ResolveChannelRequest(name="cam/before"), timeout=20), third)
             await open_channel(third, "cam/after")

@@ -90,7 +90,7 @@ def _copied(files: TlsFiles, folder: Path) -> TlsFiles:
 
 
 async def _each(victims: list[PlacedProcess], holds: Callable[[PlacedProcess], bool], what: str) -> None:
-    """Wait until it holds for every service. Raises FaultHadNoEffect."""
+    """Wait until `holds` returns True for every service. Raises FaultHadNoEffect."""
     deadline = time.monotonic() + SEEN_SECONDS
     for one in victims:
         while not await asyncio.to_thread(holds, one):

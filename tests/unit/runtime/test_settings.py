@@ -23,7 +23,7 @@ class Sample:
     message_bytes_max: int = field(default=2**20, metadata=setting(help="how large", parse=parse_size))
     loud: bool = field(default=False, metadata=setting(help="100 % loud"))
     level: str = field(default="info", metadata=setting(help="how much", choices=("info", "debug")))
-    data_dir: Path | None = field(default=None, metadata=setting(help="a folder"))
+    data_dir: Path | None = field(default=None, metadata=setting(help="a folder; default: a new one"))
 
     def __post_init__(self) -> None:
         if self.loud and self.level == "debug":
@@ -191,6 +191,7 @@ def test_help_lists_every_flag_with_its_text_and_default() -> None:
     assert "100 % loud [default: no]" in text
     assert "how large [default: 1 MiB]" in text
     assert "how much (info, debug) [default: info]" in text
+    assert "a folder; default: a new one [" not in text, "the text states the default itself"
     assert "STAMPEDE_SAMPLE_LISTEN" in text
 
 

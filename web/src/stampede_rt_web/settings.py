@@ -22,7 +22,7 @@ class WebSettings:
     )
     url: str = field(
         default="",
-        metadata=setting(metavar="HOST:PORT", help="the front-ends of the cluster; default localhost:7580"),
+        metadata=setting(metavar="HOST:PORT", help="the front-ends of the cluster; default: localhost:7580"),
     )
     secret_file: Path | None = field(
         default=None,

@@ -149,13 +149,17 @@ class _Setting:
         return ",".join(value) if isinstance(value, tuple) else str(value)
 
     def help(self) -> str:
-        """The help text with the allowed values and the default, for argparse."""
+        """The help text with the allowed values and the default, for argparse.
+
+        A text that states the default itself, as in "a folder; default: none", stays as it is.
+        """
         default, choices = self.field.default, self.field.metadata["choices"]
         allowed = f" ({', '.join(choices)})" if choices else ""
         shown = "required" if self.required else f"default: {self._shown(default)}"
         shown = "default: none" if default is None or default == () or default == "" else shown
         shown = "default: no" if default is False else "default: yes" if default is True else shown
-        return f"{self.field.metadata['help']}{allowed} [{shown}]".replace("%", "%%")
+        text = f"{self.field.metadata['help']}{allowed}"
+        return (text if "; default: " in text else f"{text} [{shown}]").replace("%", "%%")
 
     def sample(self) -> str:
         """The setting as lines of a settings file: its help as a comment, then its default, commented out, too."""

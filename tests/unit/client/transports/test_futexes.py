@@ -12,7 +12,7 @@ from stampede_rt.transports import futexes
 WORD_BYTES = 8
 
 
-def test_the_address_is_that_of_the_mapped_bytes() -> None:
+def test_the_address_belongs_to_the_mapped_bytes() -> None:
     with mmap.mmap(-1, mmap.PAGESIZE) as memory:
         memory[:WORD_BYTES] = (12345).to_bytes(WORD_BYTES, "little")
         assert ctypes.c_uint64.from_address(futexes.address_of(memory)).value == 12345
@@ -26,7 +26,7 @@ def test_the_view_is_released_so_that_the_mapping_can_close() -> None:
         futexes.address_of(memory)
 
 
-def test_no_function_changes_that_other_code_of_the_process_uses_at_the_same_time(
+def test_functions_that_other_code_uses_at_the_same_time_stay_unchanged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """In an earlier version, each call set the argument types that another thread was perhaps using."""

@@ -75,11 +75,12 @@ def comparing(
     table: ChannelTable, records: Iterable[RecordedChannel], registration: int, compare: Compare,
     begin: Callable[[Pieces[None]], None],
 ) -> Pieces[None]:  # fmt: skip
-    """Compare the channels of a host with the directory's answer to its registration of this number, in pieces.
+    """Compare the channels of a host with the directory's answer to a registration, in pieces.
 
-    Calls `compare` with each channel and its record; None if the answer does not name the channel. Leaves out copies
-    that the answer does not name, because it names only the channels that the host owns, and channels with a newer
-    record. `begin` does the work that `compare` returns.
+    `registration` is the number of the registration. Calls `compare` with each channel and its record, or with None if
+    the answer does not name the channel. Leaves out channels with a newer record. Also leaves out copies that the
+    answer does not name, because the answer names only the channels that the host owns. `begin` does the work that
+    `compare` returns.
     """
     listed: dict[bytes, RecordedChannel] = {}
     unread = iter(records)

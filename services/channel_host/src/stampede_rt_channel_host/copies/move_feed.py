@@ -80,7 +80,10 @@ class MoveFeed(CopyFeed):
         return False
 
     def _note(self, state: pb.FeedState, charge_bytes: int) -> None:
-        """Leave the report that the copy has caught up to `hold`, which follows, unless replicas wait for it."""
+        """Send no report that the copy has caught up, because the request of `hold` follows and contains it.
+
+        A channel with replicas gets the report, because its replicas wait for it.
+        """
         was_caught_up = self._state.caught_up
         super()._note(state, charge_bytes)
         if self._state.caught_up and not was_caught_up and not self._record.policy.replicas:

@@ -119,7 +119,7 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
     def own_again(self, epoch: int) -> None:
         """Note that this host is the owner again, at `epoch`. The queue had moved away, and its new owner was lost.
 
-        That owner may have sent steps to the other replicas that this host does not know.
+        The new owner may have sent steps to the other replicas, and this host does not know these steps.
         """
         self._in_sync.own_again()
         self.since_epoch = epoch

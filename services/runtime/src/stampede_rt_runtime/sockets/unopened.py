@@ -8,8 +8,8 @@ from stampede_rt_runtime.sockets.stream_socket import StreamSocket
 
 
 class UnopenedStreams:
-    """Their number is limited in all, and for each machine (decision 0153). So one machine leaves room for the
-    others."""
+    """Limits the number of these connections, in all and for each machine (decision 0153). So one machine leaves room
+    for the others."""
 
     def __init__(self, most: int, of_machine_max: int) -> None:
         self._most, self._of_machine_max = most, of_machine_max

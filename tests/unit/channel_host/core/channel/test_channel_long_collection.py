@@ -79,7 +79,7 @@ def test_collection_of_consumed_items_by_age_looks_at_a_bounded_number_of_slices
     assert most <= 2 * SLICES_AGED_MAX + 2 * BLOCK_ITEMS + 20
 
 
-def test_a_bucket_of_many_equal_times_that_consumers_may_owe_is_looked_through_a_part_at_a_time(
+def test_collection_looks_at_a_part_of_a_large_bucket_at_a_time_if_consumers_may_owe_its_items(
     looked: SliceCounter,
 ) -> None:
     """In an earlier version, a poll with 100,000 items took 0.3 s, and a put took 0.9 s."""
@@ -112,7 +112,9 @@ def test_a_bucket_of_many_equal_times_that_consumers_may_owe_is_looked_through_a
             look(partial(channel.consume, consumer, range(first, first + 4000), later))
     while channel.collect(later):
         look(lambda: channel.next_deadline(later))
-    assert channel.look(later)[0].items == 2, "those behind the bucket are owed, or the newest"
+    assert channel.look(later)[0].items == 2, (
+        "of the items after the bucket, consumers owe one, and the other is the newest"
+    )
     assert most <= 4 * SLICES_AGED_MAX + 4 * BLOCK_ITEMS
 
 
@@ -140,7 +142,7 @@ def test_the_end_of_a_large_bucket_is_known_without_a_walk_over_its_items(looked
     assert looked.slices <= 3 * SLICES_MAX
 
 
-def test_the_end_of_a_small_bucket_is_that_of_its_longest_span() -> None:
+def test_a_small_bucket_ends_at_the_end_of_its_longest_span() -> None:
     channel = large_bucket(SLICES_MAX)
     assert channel.next_deadline(CLOCK) == CLOCK + 5 + 1000
     held, _ = channel.look(CLOCK + 1005)

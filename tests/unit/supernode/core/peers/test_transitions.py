@@ -135,7 +135,7 @@ def test_a_restarted_process_needs_the_proof_to_register_the_same_peer_id(log: L
     enter(log, 8, proof=1)
     assert refusal(log, register_peer(8, boot=2)).reason == "PEER_EXISTS"
     enter(log, 9)
-    enter(log, 9, boot=2)  # has nothing to lose
+    enter(log, 9, boot=2)  # this peer has no name, so the directory asks for no proof
 
 
 def test_a_peer_that_restarts_with_its_proof_keeps_its_mailbox_and_may_change_its_settings(log: Log) -> None:

@@ -2,10 +2,10 @@
 
 The caller holds everything that the owner accepted, and the owner accepts nothing more until the epoch changes. So one
 entry decides: the first CommitMove of an epoch counts, and each later one of that epoch is refused. The former owner
-keeps its items until the new owner removes that copy. If the new owner is lost before that, the former owner becomes
-the owner again. If the new owner held a replica, the former owner becomes a replica in its place. The former owner
-holds everything, so it stays in sync. The former owner of a queue is never a fallback. It stays as a replica if the new
-owner held one.
+keeps its items until the new owner removes it from the directory as a copy. If the new owner is lost before that, the
+former owner becomes the owner again. If the new owner held a replica, the former owner becomes a replica in its place.
+The former owner holds everything, so it stays in sync. The former owner of a queue is never a fallback. It stays as a
+replica if the new owner held one.
 
 The directory does not rely on what the host says: the owner's permit must say that the host holds everything, see
 `move_permits`.
@@ -95,7 +95,7 @@ def _destination(tables: Tables, subject: str, operation: CommitMove | CommitQue
     if host is None or not host.alive:
         raise HostNotFound(
             f"host {operation.to_host_id.hex()} cannot own {subject}: it never registered, or its lease has ended; "
-            "list the hosts for others",
+            "choose a live host (`stampede hosts`)",
             metadata={"subject": subject, "host_id": operation.to_host_id.hex()},
         )
     if host.boot_incarnation != operation.to_boot_incarnation:
@@ -110,7 +110,7 @@ def _destination(tables: Tables, subject: str, operation: CommitMove | CommitQue
 def _former_owner(tables: Tables, before: Copied, after: Copied) -> tuple[ReplicaRecord, ...]:
     """The former owner's copy, if that host has its lease and its items.
 
-    The text of the module says of which kind it is.
+    The text at the top of this module says which kind of copy it is.
     """
     host = tables.hosts[before.host_id]
     if before.host_id == after.host_id or not host.alive:

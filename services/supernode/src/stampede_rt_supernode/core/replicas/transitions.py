@@ -118,7 +118,7 @@ def _choose_host(tables: Tables, channel: Copied, host_id: bytes) -> HostRecord:
         if host is None or not host.alive:
             raise HostNotFound(
                 f"host {host_id.hex()} cannot hold a copy of {shown(channel)}: it never registered, or its lease "
-                "has ended; list the hosts for others",
+                "has ended; choose a live host (`stampede hosts`)",
                 metadata={"host_id": host_id.hex()},
             )
         return host
