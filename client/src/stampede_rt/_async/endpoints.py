@@ -7,7 +7,7 @@ from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import Unavailable
 from stampede_rt.security.credentials import Credentials
 from stampede_rt.transports import forking
-from stampede_rt.transports.concurrency_async import EventLoopCheck, Mutex
+from stampede_rt.transports.concurrency_async import EventLoopCheck, Mutex, process_check
 from stampede_rt.transports.grpc_async import ServerEndpoint
 
 ENDPOINTS_MAX = 1024
@@ -25,6 +25,12 @@ class EndpointPool:
         forking.opened(self)
         self._forks = forking.forks()
         self._event_loop = EventLoopCheck()
+        self.check_process = process_check(self._forks, self._event_loop)
+        """Raises ForkedProcess in a forked child, and WrongEventLoop on another event loop than the connection's.
+
+        Call this before you take a lock: a child may have inherited the lock in the locked state. Each put and each
+        step of a subscription calls it, so it is one function.
+        """
         self.credentials = credentials
         self._transport = transport
         self.metadata = CallMetadata(credentials.present_secret)
@@ -53,14 +59,6 @@ class EndpointPool:
     def inherited(self) -> bool:
         """Whether the endpoints were opened before a fork of this process. They do not work in the child."""
         return self._forks != forking.forks()
-
-    def check_process(self) -> None:
-        """Raise ForkedProcess in a forked child, and WrongEventLoop on another event loop than the connection's.
-
-        Call this before you take a lock: a child may have inherited the lock in the locked state.
-        """
-        forking.check(self._forks)
-        self._event_loop.check()
 
     def check_thread(self) -> None:
         """Raise WrongEventLoop unless this thread runs the connection's event loop."""

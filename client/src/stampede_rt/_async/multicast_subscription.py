@@ -7,7 +7,7 @@ that no datagram brings. It always brings everything else: gaps, losses, moves, 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -210,16 +210,18 @@ class MulticastSubscription(Subscription):
         if self._receiving is not None:
             self._receiving.opener = DatagramOpener(offer.stream_id, offer.key_number, offer.key)
 
-    def _unseen(self, items: list[Item]) -> Iterator[Item]:
+    def _unseen(self, items: list[Item]) -> Sequence[Item]:
         if self._receiving is None or not self._is_following:
-            yield from super()._unseen(items)
-        else:
-            new = self._receiving.merge.fill(items)
-            self._note_size(new)
-            yield from new
+            return super()._unseen(items)
+        new = self._receiving.merge.fill(items)
+        self._note_size(new)
+        return new
 
-    def _take_ready(self) -> Item:
-        return self._ready.popleft() if self._is_following else super()._take_ready()
+    def _took_all(self, last: Item) -> None:
+        if self._is_following:  # the host sends the items in datagrams, and needs no credit for them
+            self._ready_bytes = 0
+        else:
+            super()._took_all(last)
 
     def _resume(self) -> None:
         self._stop_receiving()

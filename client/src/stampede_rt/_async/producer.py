@@ -116,11 +116,11 @@ class Producer(BoundToProcess):
         labels = None if attributes is None else copied_attributes(attributes)
         instant = None if time is None else parse_instant(time)
         nanos = duration if duration is None else parse_item_duration(duration)
-        kind = content_type_of(content_type) or (coding.content_type if coding else "")
+        item = payload, instant, nanos, labels, content_type_of(content_type) or (coding.content_type if coding else "")
         length_bytes = len(payload)
-        if self._stream is None or self._failure is not None or not self._builder.has_room(length_bytes):
+        if self._stream is None or self._failure is not None or not self._builder.add_within(item, length_bytes):
             await self._make_room(length_bytes, timeout)
-        self._builder.add((payload, instant, nanos, labels, kind), length_bytes)
+            self._builder.add(item, length_bytes)
         if self._unacked.is_idle:  # no ack under way will send the item
             self._do(self._send_filled)
 

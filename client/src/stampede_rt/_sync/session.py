@@ -71,6 +71,7 @@ class Session:
         self.zone = zone
         self._reopening = reopening  # a `ClusterReference`, which opens unpickled handles; None with asyncio
         self.endpoints = EndpointPool(credentials, transport)
+        self.check_process = self.endpoints.check_process
         self.supernodes = DirectoryClient(frontends, self.endpoints, peer_name=peer_name, zone=zone)
         self.cache = BindingCache()
         self.copies = CopyCache()
@@ -128,10 +129,6 @@ class Session:
                 "it there with await"
             )
         return getattr(self._reopening, kind), arguments
-
-    def check_process(self) -> None:
-        """Raise ForkedProcess in a forked child, WrongEventLoop on another event loop."""
-        self.endpoints.check_process()
 
     def check_thread(self) -> None:
         """Raise WrongEventLoop unless this thread runs the connection's event loop."""

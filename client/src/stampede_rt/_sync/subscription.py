@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from types import TracebackType
 from typing import Any
@@ -20,7 +20,7 @@ from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import IncarnationLost, StaleBinding, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
-from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, ONE_ITEM, CreditWindow
+from stampede_rt.pacing.crediting import ONE_ITEM, CreditWindow, cost_of
 from stampede_rt.transports.concurrency_sync import StepLock, StepTask, begin_if_blocking, monotonic_s
 from stampede_rt.transports.streams_sync import BidiStream
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
@@ -63,6 +63,7 @@ class Subscription(BoundToProcess):
         self._responses: Any = None
         self._decoder: ItemDecoder | None = None
         self._ready: deque[Item] = deque()
+        self._ready_bytes = 0  # the credit that all items of the last response cost
         self._steps = StepLock()  # callers that step at the same time take turns
         self._step_task = StepTask()
         newest_only = begun.mode == channel_pb.SUBSCRIBE_MODE_NEWEST
@@ -140,7 +141,10 @@ class Subscription(BoundToProcess):
         with self._steps:
             while not self._closed:
                 if self._ready:
-                    return self._take_ready()
+                    item = self._ready.popleft()
+                    if not self._ready:
+                        self._took_all(item)
+                    return item
                 self._step_task.run(self._advance)
             raise StopIteration
 
@@ -156,11 +160,11 @@ class Subscription(BoundToProcess):
         if not self._ready:
             self._receive()
 
-    def _take_ready(self) -> Item:
-        item = self._ready.popleft()
+    def _took_all(self, last: Item) -> None:
+        """Tell the window of all ready items, of which the program has just taken the last one. Then it may grant."""
         if self._follower is None:
-            self._window.take(item.payload_length_bytes + ITEM_OVERHEAD_BYTES, monotonic_s())
-        return item
+            self._window.take_all(self._ready_bytes, cost_of((last,)), monotonic_s())
+            self._ready_bytes = 0
 
     def _follow_ring(self) -> None:
         """Take the next items from the channel's ring, if it has one, and if it has the next items. Ends the stream."""
@@ -268,6 +272,7 @@ class Subscription(BoundToProcess):
         if self._closed:  # somebody called `close` during the opening
             stream.cancel()
         self._window.begin()
+        self._ready_bytes = 0
         self._decoder = self._state.decoder(first.opened.incarnation, payloads=not self._begun.without_payloads)
         self._take(first, runs)
 
@@ -326,7 +331,9 @@ class Subscription(BoundToProcess):
             self._count_loss(response.gap)
         if self._decoder is not None and (response.runs or runs):
             items = self._decoder.decode_long(runs) if runs else self._decoder.decode_each(response.runs)
-            self._ready.extend(self._unseen(items))
+            unseen = self._unseen(items)
+            self._ready.extend(unseen)
+            self._ready_bytes += cost_of(unseen)
         if response.HasField("cursor"):
             self._cursor = response.cursor
             if not response.HasField("opened"):  # an "opened" response only repeats the cursor of the request
@@ -339,13 +346,10 @@ class Subscription(BoundToProcess):
             self.losses += 1
             _log.warning("a subscription to channel %r continues after a loss: %s", self._state.info.name, gap.detail)
 
-    def _unseen(self, items: list[Item]) -> Iterator[Item]:
+    def _unseen(self, items: list[Item]) -> Sequence[Item]:
         if not self._begun.HasField("group_id"):
-            yield from items  # without a group, each response with items has a cursor
-            return
-        for item in items:
-            if item.seq in self._since_cursor:
-                self._window.drop(item.payload_length_bytes + ITEM_OVERHEAD_BYTES)
-                continue
-            self._since_cursor.add(item.seq)
-            yield item
+            return items  # without a group, each response with items has a cursor
+        unseen = [item for item in items if item.seq not in self._since_cursor]
+        self._since_cursor.update(item.seq for item in unseen)
+        self._window.drop(cost_of(items) - cost_of(unseen))
+        return unseen

@@ -3,13 +3,25 @@ time."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from operator import attrgetter
+
+from stampede_rt.values.model import Item
+
 ITEM_OVERHEAD_BYTES = 64
 """The bytes that a client counts for each item besides its payload."""
 
 WINDOW_BYTES_MAX = 2**21  # while the reader takes one message of 1 MiB, the host can send the next one
 WINDOW_AGE_S = 0.1
+_length_of = attrgetter("payload_length_bytes")
 ONE_ITEM = 1
 """The window of one byte. With it the host may send one item of any size."""
+
+
+def cost_of(items: Collection[Item]) -> int:
+    """Return the bytes of credit that the items cost."""
+    payload_bytes: int = sum(map(_length_of, items))
+    return payload_bytes + ITEM_OVERHEAD_BYTES * len(items)
 
 
 class CreditWindow:
@@ -20,7 +32,8 @@ class CreditWindow:
     reader takes them, even if the reader is slow. If `bytes_max` is ONE_ITEM, the host sends one item for each step,
     and only after the reader asks for the item.
 
-    At each step the reader calls `ask`, grants the host the result, and calls `take` with the item's size.
+    At each step the reader calls `ask`, grants the host the result, and calls `take` with the item's size. If several
+    items have come together, it may call `take_all` once, after the last of them.
     """
 
     def __init__(self, bytes_max: int = WINDOW_BYTES_MAX) -> None:
@@ -45,8 +58,12 @@ class CreditWindow:
 
     def take(self, item_bytes: int, now_s: float) -> None:
         """Note that the reader took an item of that size."""
-        self._open -= item_bytes
-        self._last_bytes = item_bytes
+        self.take_all(item_bytes, item_bytes, now_s)
+
+    def take_all(self, items_bytes: int, last_bytes: int, now_s: float) -> None:
+        """Note that the reader took several items of that size in all. It took the last one, of `last_bytes`, now."""
+        self._open -= items_bytes
+        self._last_bytes = last_bytes
         self._taken_s = now_s
 
     def drop(self, item_bytes: int) -> None:

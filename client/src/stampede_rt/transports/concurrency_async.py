@@ -16,6 +16,7 @@ from typing import Any, Self, TypeVar
 from weakref import WeakValueDictionary
 
 from stampede_rt.errors import InvalidArgument, WrongEventLoop
+from stampede_rt.transports import forking
 
 Result = TypeVar("Result")
 _CALLERS = frozenset((0,))  # all values of `thread_id`
@@ -226,6 +227,19 @@ class EventLoopCheck:
                 "this handle belongs to the event loop of another thread; call the method there, with "
                 "loop.call_soon_threadsafe"
             )
+
+
+def process_check(made_at: int, event_loop: EventLoopCheck) -> Callable[[], None]:
+    """Return the function that raises ForkedProcess in a forked child, and WrongEventLoop on another event loop.
+
+    `made_at`: see `forking.check`.
+    """
+
+    def check() -> None:
+        forking.check(made_at)
+        event_loop.check()
+
+    return check
 
 
 class BackgroundTask:

@@ -19,6 +19,7 @@ from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.transports import forking
 
 END_LIMIT_S = 2.0  # how long the end of a call or connection may take
 LOOK_S = 0.2  # how often the waiting main thread looks for signals
@@ -309,11 +310,13 @@ def from_any_thread(operation: Callable[..., None]) -> Callable[..., None]:
 class EventLoopCheck:
     """Checks nothing, because any thread may use a blocking connection."""
 
-    def check(self) -> None:
-        """Do nothing."""
-
     def check_thread(self) -> None:
         """Do nothing."""
+
+
+def process_check(made_at: int, _event_loop: EventLoopCheck) -> Callable[[], None]:
+    """Return the function that raises ForkedProcess in a forked child. `made_at`: see `forking.check`."""
+    return partial(forking.check, made_at)
 
 
 class BackgroundStart:

@@ -6,11 +6,13 @@ from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, pairwise, repeat
+from itertools import accumulate, repeat
 from operator import lt
 from typing import Any, overload
 
 from stampede_rt.values.model import ABSENT, COLUMN_TYPES, Item, read_only
+
+SHORT_BYTES = 1024  # payloads that are shorter on average are copied once more, all together
 
 
 @dataclass(slots=True)
@@ -136,19 +138,8 @@ class ItemColumns(Sequence[Item]):
         return whole
 
     def _make_all(self, number: int, payloads: bytes | memoryview | None) -> list[Item]:
-        run = self._runs[number]
-        split: Iterable[bytes | None] = repeat(None)
-        if payloads is not None:
-            split = map(bytes, [payloads[a:b] for a, b in pairwise(accumulate(run.lengths, initial=0))])
-        given: Iterable[int | None] = repeat(None)
-        if run.durations is not None:
-            given = [None if duration < 0 else duration for duration in run.durations]
         ends = self._all_ends()[self._begins[number] : self._begins[number + 1]]
-        labels = repeat(run.attributes), repeat(run.content_type), run.lengths, repeat(run.incarnation)
-        rows = zip(run.times, ends, given, run.seqs, split, *labels)  # noqa: B905 - some columns are endless
-        if self._make is not None:
-            return [*map(self._make, rows)]
-        return [*map(tuple.__new__, repeat(Item), rows)]  # as Item._make does, but without a Python call for each item
+        return _made(self._runs[number], payloads, ends, self._make)
 
     def _all_ends(self) -> list[int | None]:
         if self._ends is None:
@@ -160,6 +151,38 @@ class ItemColumns(Sequence[Item]):
                     begin = at
             self._ends = ends
         return self._ends
+
+
+def items_of(run: DecodedRun, overlap: int, make: Callable[[Iterable[Any]], Item] | None) -> list[Item]:
+    """Return the items of a run that no other run of its answer follows in time. See `ItemColumns`."""
+    return _made(run, run.payloads, _ends_of([run], overlap), make)
+
+
+def _made(
+    run: DecodedRun,
+    payloads: bytes | memoryview | None,
+    ends: Sequence[int | None],
+    make: Callable[[Iterable[Any]], Item] | None,
+) -> list[Item]:
+    split: Iterable[bytes | None] = repeat(None) if payloads is None else _split(payloads, run.lengths)
+    given: Iterable[int | None] = repeat(None)
+    if run.durations is not None:
+        given = [None if duration < 0 else duration for duration in run.durations]
+    labels = repeat(run.attributes), repeat(run.content_type), run.lengths, repeat(run.incarnation)
+    rows = zip(run.times, ends, given, run.seqs, split, *labels)  # noqa: B905 - some columns are endless
+    if make is not None:
+        return [*map(make, rows)]
+    return [*map(tuple.__new__, repeat(Item), rows)]  # as Item._make does, but without a Python call for each item
+
+
+def _split(payloads: bytes | memoryview, lengths: Sequence[int]) -> Iterable[bytes]:
+    """Yield each payload. Short ones are cut out of a copy, because bytes are cut faster than a view."""
+    ends = [*accumulate(lengths, initial=0)]
+    places = map(slice, ends, ends[1:])
+    if isinstance(payloads, bytes) or len(payloads) < SHORT_BYTES * len(lengths):
+        cut: Callable[[slice], bytes] = bytes(payloads).__getitem__
+        return map(cut, places)
+    return map(bytes, map(payloads.__getitem__, places))
 
 
 def _ends_of(runs: Sequence[DecodedRun], overlap: int) -> list[int | None]:
@@ -187,9 +210,14 @@ def span_ends(
     The next item in the list ends a span only if its time is later. A run of late items may be out of order.
     """
     following, bucket = next_time, None
-    if not overlap and all(map(lt, times, times[1:])) and (following is None or following > times[-1]):
-        starts = [*times[1:], following]  # the usual case, at a third of the time: each next item ends a span
-        return starts if durations is None else [*map(_earlier, times, durations, starts)]
+    if not overlap and (following is None or following > times[-1]):
+        starts: list[int | None] | None = None
+        if len(times) == times.count(times[0]):  # the host has given all items of a run its time
+            starts = [following] * len(times)
+        elif all(map(lt, times, times[1:])):
+            starts = [*times[1:], following]  # each next item ends a span
+        if starts is not None:  # the usual cases, at a third of the time
+            return starts if durations is None else [*map(_earlier, times, durations, starts)]
     ends: list[int | None] = []
     for time, duration in zip(reversed(times), reversed(durations or (ABSENT,) * len(times)), strict=True):
         if bucket is not None and bucket > time:

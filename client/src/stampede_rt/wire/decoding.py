@@ -10,7 +10,7 @@ from google.protobuf.message import DecodeError
 from stampede_rt.cluster.embedding import RunHere
 from stampede_rt.v1 import item_pb2
 from stampede_rt.values.codecs import Coding
-from stampede_rt.values.columns import DecodedRun, ItemColumns, span_end
+from stampede_rt.values.columns import DecodedRun, ItemColumns, items_of, span_end
 from stampede_rt.values.model import ABSENT, Item
 from stampede_rt.wire.delivered import ItemCount, check_columns, check_delivered, malformed
 from stampede_rt.wire.long_answers import LongRun
@@ -108,7 +108,10 @@ class ItemDecoder:
         """Return the items of a long response, as `decode_each`. Each payload is copied once."""
         decoded = [self._long_columns(one) for one in runs]
         ItemCount().add_items(sum(len(run.lengths) for run in decoded))
-        return [item for run in decoded for item in ItemColumns([run], overlap=self._overlap, make=self._make)]
+        items: list[Item] = []
+        for run in decoded:
+            items += items_of(run, self._overlap, self._make)
+        return items
 
     def _long_columns(self, one: LongRun) -> DecodedRun:
         parts = sealed_parts(one.encoded)

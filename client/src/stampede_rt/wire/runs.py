@@ -7,6 +7,8 @@ the last value of a scalar field and concatenates repeated fields.
 from __future__ import annotations
 
 import struct
+import sys
+from array import array
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
 from typing import NamedTuple
@@ -32,8 +34,10 @@ _ORIGIN_TAG = bytes((8 << 3 | 2,))
 _PAYLOADS_TAG = 6 << 3 | 2
 _TAGS_BEFORE_PAYLOADS = frozenset(field << 3 | 2 for field in range(1, 6))
 _FIXED_FIELD_BYTES = {1 << 3 | 1: 9, 2 << 3 | 1: 9, 3 << 3 | 5: 5}  # one entry of a column that is not packed, by tag
+_PACKED_COLUMNS = ((1 << 3 | 2, "q"), (2 << 3 | 2, "q"), (3 << 3 | 2, "I"))  # times, durations and lengths
 _COLUMN_TAGS = frozenset(field << 3 | 2 for field in range(1, 4))
 _SEALS_OF_ONE = (_FIRST_SEQ.size, _FIRST_SEQ.size + 10)  # a host appends it to a run of one item, see `seal_run`
+_PIECE_BYTES_MIN = 1024  # of the payloads of a run, on average
 _SHORT_BYTES = 4096  # shorter runs are parsed whole, which is faster than a look for their payloads
 _FIELDS_LOOKED_AT_MAX = 4096
 # The bytes of one item in three columns, if the encoder did not pack them and each entry has a tag.
@@ -88,10 +92,11 @@ def run_parts(
     content_type: str = "",
     attributes: Mapping[str, str] | None = None,
 ) -> list[bytes]:
-    """Return the bytes of a run in pieces. Each payload is one of the pieces.
+    """Return the bytes of a run in pieces. Each payload is one of the pieces, unless several short ones are joined.
 
     The caller joins the pieces together with other bytes, so that each payload is copied only once. A copy of 300 KB
-    takes a third of the time of a round trip.
+    takes a third of the time of a round trip. Short payloads are one piece, because each step that counts the bytes
+    or passes on the pieces would take longer than the copy.
     """
     if len(payloads) == 1 and not (content_type or attributes):
         time, duration = times[0] if times else None, durations[0] if durations else None
@@ -104,7 +109,11 @@ def run_parts(
         content_type=content_type,
         attributes=attributes,
     )
-    return [columns.SerializeToString(), bytes((_PAYLOADS_TAG,)), encode_varint(sum(lengths)), *payloads]
+    payload_bytes = sum(lengths)
+    begin = columns.SerializeToString(), bytes((_PAYLOADS_TAG,)), encode_varint(payload_bytes)
+    if len(payloads) > 1 and payload_bytes < _PIECE_BYTES_MIN * len(payloads):
+        return [b"".join((*begin, *payloads))]
+    return [b"".join(begin), *payloads]
 
 
 def parse_run(raw: bytes | memoryview) -> RunColumns:
@@ -114,6 +123,8 @@ def parse_run(raw: bytes | memoryview) -> RunColumns:
     """
     if (plain := _plain_columns(raw)) is not None:
         return plain
+    if (packed := _packed_columns(raw)) is not None:
+        return packed
     columns_end, payload_bytes = _payloads_of(raw)
     if columns_end > _REST_BYTES_MAX:
         raise _too_long(len(raw))
@@ -124,7 +135,8 @@ def parse_run(raw: bytes | memoryview) -> RunColumns:
     if not payload_bytes:
         payload_bytes = len(run.payloads)
     times, durations, lengths = list(run.time_unix_nano), list(run.duration_nanos), list(run.payload_length_bytes)
-    _check_columns(run, times, durations, lengths, payload_bytes)
+    _check_columns(times, durations, lengths, payload_bytes)
+    _check_labels(run)
     _check_length(raw, run, items=len(lengths), payload_bytes=sum(lengths))
     return RunColumns(times or None, durations or None, lengths)
 
@@ -138,6 +150,33 @@ def _plain_columns(raw: bytes | memoryview) -> RunColumns | None:
     if duration is not None and duration < ABSENT:
         return None
     return RunColumns(None if time is None else (time,), None if duration is None else (duration,), (length,))
+
+
+def _packed_columns(raw: bytes | memoryview) -> RunColumns | None:
+    """Return the checked columns of a run without labels; None if only protobuf can read or judge the run.
+
+    The fields must come once each, packed, in the order of their numbers, and end with the payloads. So no byte belongs
+    to another field. Protobuf takes five times as long for a run of 256 items.
+    """
+    columns, at = list[list[int]](), 0
+    try:
+        for tag, code in _PACKED_COLUMNS if sys.byteorder == "little" else ():
+            column = array(code)
+            if raw[at] == tag:
+                length, begin = decode_varint(raw, at + 1)
+                at = begin + length
+                if length > RUN_ITEMS_MAX * column.itemsize:
+                    return None
+                column.frombytes(raw[begin:at])
+            columns.append(column.tolist())
+        payload_bytes, begin = decode_varint(raw, at + 1)
+        if raw[at] != _PAYLOADS_TAG or begin + payload_bytes != len(raw):
+            return None
+        times, durations, lengths = columns
+    except (IndexError, ValueError):  # a field ends too early, or the machine has another byte order
+        return None
+    _check_columns(times, durations, lengths, payload_bytes)
+    return RunColumns(times or None, durations or None, lengths)
 
 
 def _payloads_of(raw: bytes | memoryview) -> tuple[int, int]:
@@ -164,9 +203,7 @@ def _payloads_of(raw: bytes | memoryview) -> tuple[int, int]:
     return size, 0
 
 
-def _check_columns(
-    run: item_pb2.ItemRun, times: list[int], durations: list[int], lengths: list[int], payload_bytes: int
-) -> None:
+def _check_columns(times: list[int], durations: list[int], lengths: list[int], payload_bytes: int) -> None:
     items = len(lengths)
     total = sum(lengths)
     if not items:
@@ -190,7 +227,6 @@ def _check_columns(
         raise MalformedRun(f"the run holds a duration of {min(durations)} ns; it is 0 or more, or -1 for none")
     if total > ITEM_BYTES_MAX:
         raise ItemTooLarge(f"the item has {total} bytes; one item has at most {ITEM_BYTES_MAX}: split it")
-    _check_labels(run)
 
 
 def _check_length(raw: bytes | memoryview, run: item_pb2.ItemRun, *, items: int, payload_bytes: int) -> None:
@@ -229,7 +265,11 @@ def seal_run(raw: bytes | memoryview, first_seq: int, stamped_times: Sequence[in
     seq = _FIRST_SEQ.pack(_FIRST_SEQ_TAG, first_seq)
     if stamped_times is None:
         return b"".join((raw, seq))
-    column = struct.pack(f"<{len(stamped_times)}q", *stamped_times)
+    items, time = len(stamped_times), stamped_times[0]
+    if stamped_times.count(time) == items:  # nearly always; it takes a tenth of the time
+        column = struct.pack("<q", time) * items
+    else:
+        column = struct.pack(f"<{items}q", *stamped_times)
     return b"".join((raw, bytes((_TIMES_TAG,)), encode_varint(len(column)), column, seq))
 
 

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-from stampede_rt.pacing.crediting import ONE_ITEM, WINDOW_AGE_S, WINDOW_BYTES_MAX, CreditWindow
+from stampede_rt.pacing.crediting import (
+    ITEM_OVERHEAD_BYTES,
+    ONE_ITEM,
+    WINDOW_AGE_S,
+    WINDOW_BYTES_MAX,
+    CreditWindow,
+    cost_of,
+)
+from stampede_rt.values.model import Item
 
 FRAME = 18_000
 
@@ -91,3 +99,21 @@ def test_an_item_that_the_reader_has_already_makes_room_for_another() -> None:
     assert window.ask(0.0) == 1
     window.drop(164)
     assert window.ask(0.0) == 164
+
+
+def test_items_that_were_taken_together_leave_the_same_credit_as_one_after_the_other() -> None:
+    together, apart = CreditWindow(), CreditWindow()
+    for window in (together, apart):
+        window.ask(0.0)
+        window.take(FRAME, 1.0)
+        window.ask(1.0)
+    for at in range(3):
+        apart.take(FRAME + at, 1.0 + at / 1000)
+    together.take_all(3 * FRAME + 3, FRAME + 2, 1.002)
+    assert together.ask(1.01) == apart.ask(1.01) > 0
+
+
+def test_an_item_costs_its_payload_and_64_bytes_also_without_the_payload() -> None:
+    one = Item(1, None, None, 1, None, {}, "", FRAME, 1)
+    assert cost_of([one, one._replace(payload_length_bytes=0)]) == FRAME + 2 * ITEM_OVERHEAD_BYTES
+    assert cost_of([]) == 0

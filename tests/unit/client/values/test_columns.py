@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 import stampede_rt as st
-from stampede_rt.values.columns import DecodedRun, ItemColumns, span_end, span_ends
+from stampede_rt.values.columns import DecodedRun, ItemColumns, items_of, span_end, span_ends
 from stampede_rt.values.model import Item, Items
 
 RUN = some.lists(
@@ -190,3 +190,21 @@ def test_an_answer_can_be_pickled() -> None:
 def test_late_items_do_not_end_the_spans_of_later_items() -> None:
     assert span_ends([5, 3, 9], None, None, 0) == [9, 9, None]
     assert span_ends([5, 6], None, 6, 0) == [6, None]
+
+
+def test_items_of_the_same_time_end_with_the_next_bucket() -> None:
+    assert span_ends([5, 5, 5], None, 8, 0) == [8, 8, 8]
+    assert span_ends([5, 5, 5], None, None, 0) == [None, None, None]
+    assert span_ends([5, 5, 5], [1, -1, 9], 8, 0) == [6, 8, 8]
+    assert span_ends([5, 5, 5], [1, -1, 9], None, 0) == [6, None, 14]
+
+
+@pytest.mark.parametrize("length", [3, 2000])
+def test_payloads_of_a_view_are_copied(length: int) -> None:
+    room = bytearray(b"a" * length + b"b" * length)
+    run = decoded([(10, -1, b"a" * length), (20, -1, b"b" * length)], 3)
+    run.payloads = memoryview(room)
+    items = items_of(run, 0, None)
+    room[:] = bytes(2 * length)
+    assert [item.payload for item in items] == [b"a" * length, b"b" * length]
+    assert {type(item.payload) for item in items} == {bytes}
