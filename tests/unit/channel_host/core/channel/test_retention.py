@@ -9,6 +9,7 @@ import pytest
 
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Match
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_blocks import BLOCK_ITEMS
 from stampede_rt_channel_host.core.channel.run import Slice
@@ -64,7 +65,7 @@ def test_a_stricter_policy_collects_at_once_and_the_reason_names_its_limit() -> 
 def test_a_late_item_may_be_stored_between_collected_and_held_items() -> None:
     channel = a_channel(max_items=2)
     put(channel, 10, 20, 40)
-    channel.configure(Policy(max_items=9), CLOCK)
+    channel.configure(Policy(max_items=17), CLOCK)
     assert channel.frontier == 20
     put(channel, 15)
     assert channel.frontier == 15
@@ -166,3 +167,22 @@ def test_a_future_interval_is_not_called_collected_after_a_limit_took_the_last_i
     assert channel.frontier == CLOCK
     assert get(channel, 10, CLOCK, "[)").reason == "COLLECTED"
     assert get(channel, CLOCK + 5, CLOCK + 10).reason == "NOT_YET"
+
+
+def test_a_flow_of_runs_copies_no_rest_of_a_run_and_a_channel_at_rest_does() -> None:
+    cuts: list[tuple[int, int]] = []
+
+    def cut(body: bytes, lo: int, hi: int) -> bytes:
+        cuts.append((lo, hi))
+        return bytes(10)
+
+    channel = ChannelCore(Policy(max_items=17), incarnation=1, cut=cut)
+    for number in range(8):  # the limit is not a multiple of the run: from the third put on, one item of a run is left
+        now = CLOCK + number
+        channel.put(Offer(times=None, durations=None, lengths=(1000,) * 8), now, lambda *_: bytes(8000))
+    assert cuts == [(7, 8)], "only the third put has freed nothing else"
+    full_bytes = channel.footprint_bytes
+    channel.next_deadline(CLOCK + 8)
+    assert cuts == [(7, 8)] * 2
+    assert channel.footprint_bytes == full_bytes - 7 * 64 - 8000 + 10
+    assert channel.next_deadline(CLOCK + 8) is None

@@ -7,6 +7,7 @@ applies retention, and then judges the next item. If it is certain that one step
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Mapping, Sequence
 
 from stampede_rt.errors import ChannelFull, InFuture, ItemTooLarge, StampedeError, TooOld
@@ -43,10 +44,16 @@ class Acceptance:
         """
         stamp, times = None, offer.times
         if times is None:
-            stamp = self.stamp(clock)
-            times = (stamp,) * len(offer.lengths)
-        if self._fits_in_one_step(times, offer.lengths, clock):
-            return self._take_whole(offer, times, stamp, clock, seal)
+            low = high = stamp = self.stamp(clock)
+            times = array("q", (stamp,)) * len(offer.lengths)
+        else:
+            low, high = min(times), max(times)
+        payload_bytes = sum(offer.lengths)
+        if self._fits_in_one_step(offer.lengths, payload_bytes, low, high, clock):
+            body = seal(self._held.next_seq, None, stamp)
+            run = make_run(self._held.next_seq, times, offer.durations, offer.lengths, body)
+            self._held.store(run, payload_bytes, low, high)
+            return PutOutcome(run=run, stamped_time=stamp)
         return _ItemByItem(self, self._held, self._retention, offer, times, clock).run(stamp, seal)
 
     def stamp(self, clock: int) -> int:
@@ -54,15 +61,15 @@ class Acceptance:
         now = clock if self._held.newest is None else max(clock, self._held.newest)
         return max(now, self._least_time())
 
-    def _fits_in_one_step(self, times: Sequence[int], lengths: Sequence[int], clock: int) -> bool:
+    def _fits_in_one_step(self, lengths: Sequence[int], payload_bytes: int, low: int, high: int, clock: int) -> bool:
         """Whether the channel accepts every item, and retention after the last item has the same result as retention
-        after each item.
+        after each item. The items have times from `low` to `high`.
 
         If all items are later than the cutoff of max_age, none of them is outdated, and none of them moves a bucket's
         end to or below the cutoff. `_drops_the_same` tests the other limits.
         """
         held, limits = self._held, self._retention.limits
-        low, high = min(times), max(times)
+        items = len(lengths)
         largest, cutoff = max(lengths), self._retention.cutoff(clock)
         if high > clock + limits.max_future_nanos or (cutoff is not None and low <= cutoff):
             return False
@@ -70,14 +77,13 @@ class Acceptance:
             return False
         if low < self._least_time():
             return False
-        payload_bytes = sum(lengths)
-        if self._retention.has_room(len(times), payload_bytes):
+        if self._retention.has_room(items, payload_bytes):
             return True
         self._retention.apply_time(clock)
-        if self._retention.has_room(len(times), payload_bytes):
+        if self._retention.has_room(items, payload_bytes):
             return True
         drops = limits.drops_oldest and held.items > 0 and self._retention.consumers is None
-        return drops and self._drops_the_same(len(times), payload_bytes, low)
+        return drops and self._drops_the_same(items, payload_bytes, low)
 
     def _least_time(self) -> int:
         """The least time that an accepted item may have."""
@@ -106,14 +112,6 @@ class Acceptance:
         oldest = held.oldest_by_count(excess_items) if excess_items > 0 else held.oldest_by_bytes(excess_bytes)
         bound = held.time_after(oldest)
         return bound is not None and bound <= low
-
-    def _take_whole(self, offer: Offer, times: Sequence[int], stamp: int | None, clock: int, seal: Seal) -> PutOutcome:
-        """Store all items of the offer as one run."""
-        first_seq = self._held.next_seq
-        body = seal(first_seq, None, stamp)
-        run = make_run(first_seq, times, offer.durations, offer.lengths, body)
-        self._held.store(run, sum(offer.lengths), min(times), max(times))
-        return PutOutcome(run=run, stamped_time=stamp)
 
     def refuse(self, index: int, error: StampedeError) -> Rejection:
         """Count a refused item, and return its rejection."""

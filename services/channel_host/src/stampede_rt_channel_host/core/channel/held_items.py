@@ -23,6 +23,8 @@ ARCHIVE = "archive"
 COLLECTED_FOR = (AGE, COUNT, BYTES, CONSUMPTION)
 """The causes for which a channel collects items."""
 
+COPIED_BYTES_MIN = 4096  # of a run, see `Holdings`
+
 Cut = Callable[[bytes, int, int], bytes]
 """Takes a run's body and two positions. Returns the body of the items from the first position up to the second,
 exclusive.
@@ -44,10 +46,11 @@ class HeldItems:
 
     __slots__ = (
         "_blocks", "_cut", "_following", "_kept_body_bytes", "_newest_bytes_most", "_newest_is_open",
-        "_newest_items_most", "_newest_longest", "_on_floor_reset", "_on_gone", "_reported_to", "_snapshots",
-        "_stored_bytes", "_stored_items", "accepted", "accepted_bytes", "came_up_to", "collected", "collected_by",
-        "collected_end", "floor", "floor_resets", "freed_entries", "index", "items", "last_cause", "late", "missed",
-        "newest", "newest_collected", "newest_consumed", "oldest", "overlap_nanos", "payload_bytes", "shared_batches",
+        "_newest_items_most", "_newest_longest", "_on_floor_reset", "_on_gone", "_owes_trim", "_reported_to",
+        "_snapshots", "_stored_bytes", "_stored_items", "accepted", "accepted_bytes", "came_up_to", "collected",
+        "collected_by", "collected_end", "floor", "floor_resets", "freed_entries", "index", "items",
+        "last_cause", "late", "missed", "newest", "newest_collected", "newest_consumed", "oldest",
+        "overlap_nanos", "payload_bytes", "shared_batches",
     )  # fmt: skip
 
     def __init__(self, cut: Cut | None = None) -> None:
@@ -85,6 +88,7 @@ class HeldItems:
         self._stored_items = 0  # the items of these entries
         self._kept_body_bytes = 0  # the bodies of all runs with an entry in the index
         self._cut = cut
+        self._owes_trim = False  # whether the last call of `free` has left a part of the first entry to the next call
         self.freed_entries = 0
         self.missed = 0
         self.floor_resets = 0
@@ -126,7 +130,12 @@ class HeldItems:
     def has_backlog(self) -> bool:
         """Whether there are entries to free, now or after `report_gone` has told the consumers of them."""
         unreported = self._on_gone is not None and self._reported_to < self.floor
-        return unreported or self.index.has_below(self._free_floor)
+        return unreported or self._owes_trim or self.index.has_below(self._free_floor)
+
+    def _may_trim(self, floor: ItemKey) -> bool:
+        """Whether at least three quarters of the first entry are below `floor`, and its run is large."""
+        share = self.index.share_below(floor) if self._cut is not None else None
+        return share is not None and len(share.run.body) > COPIED_BYTES_MIN and share.items * 4 >= len(share.run) * 3
 
     def has_backlog_of(self, entries: int) -> bool:
         """Whether there are at least this number of entries to free, now or after `report_gone`."""

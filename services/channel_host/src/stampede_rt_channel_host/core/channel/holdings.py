@@ -10,7 +10,7 @@ from collections.abc import Callable
 from itertools import islice
 
 from stampede_rt_channel_host.core.channel import item_blocks
-from stampede_rt_channel_host.core.channel.held_items import CONSUMPTION, HeldItems
+from stampede_rt_channel_host.core.channel.held_items import CONSUMPTION, COPIED_BYTES_MIN, HeldItems
 from stampede_rt_channel_host.core.channel.item_blocks import NO_BLOCKS, WholeBlocks
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.oldest_items import (
@@ -30,12 +30,9 @@ FREED_ENTRIES_MAX = 2048
 """The most entries that one call frees, however many items are outdated. The next calls free the rest."""
 
 LIVE_SHARE_MIN = 4
-COPIED_BYTES_MIN = 4096
 COPIED_PARTS_MAX = 4
-"""A channel copies the few remaining items of a large run, and frees the run's body, under these conditions: The body
-has more than COPIED_BYTES_MIN bytes. At most one item in LIVE_SHARE_MIN is left. These items lie in at most
-COPIED_PARTS_MAX parts of the run.
-"""
+"""A channel copies the few remaining items of a run, and frees the run's body, under these conditions: The body has
+more than COPIED_BYTES_MIN bytes. At most one item in LIVE_SHARE_MIN is left, and in at most COPIED_PARTS_MAX parts."""
 
 
 class Holdings(HeldItems):
@@ -52,7 +49,7 @@ class Holdings(HeldItems):
             self._make_way()
         if self.newest is not None and low < self.newest:
             self.late += sum(time < self.newest for time in run.times)
-        self.index.insert(run)
+        self.index.insert(run, has_one_time=low == high)
         self._stored_items += len(run)
         if isinstance(run, ColumnRun):
             run.kept = len(run)
@@ -302,12 +299,16 @@ class Holdings(HeldItems):
         floor = self._free_floor
         for freed in range(FREED_ENTRIES_MAX):
             if self._stored_items == self.items:  # nothing is outdated
+                self._owes_trim = False
                 return False
             if freed >= entries_max and (backlog_bytes_max is None or self.backlog_bytes <= backlog_bytes_max):
                 return self.has_backlog
             if not self._free_entry(floor):
-                self._trim(floor)
-                return False
+                # In a steady flow the next call frees the whole entry, and a copy of its rest would be in vain.
+                self._owes_trim = freed > 0 and self._may_trim(floor)
+                if not self._owes_trim:
+                    self._trim(floor)
+                return self._owes_trim
         return self.has_backlog
 
     def _free_entry(self, floor: ItemKey) -> bool:
@@ -320,11 +321,9 @@ class Holdings(HeldItems):
 
     def _trim(self, floor: ItemKey) -> None:
         """Free the items below `floor` of the first entry, if they are at least three quarters of a large run."""
-        share = self.index.share_below(floor) if self._cut is not None else None
-        if share is not None and len(share.run.body) > COPIED_BYTES_MIN and share.items * 4 >= len(share.run) * 3:
-            trimmed = self.index.trim_below(floor)
-            if trimmed is not None:
-                self._forget(trimmed)
+        trimmed = self.index.trim_below(floor) if self._may_trim(floor) else None
+        if trimmed is not None:
+            self._forget(trimmed)
 
     def _forget(self, part: Slice) -> None:
         """Subtract freed items from the sums of memory. If few items of a large run are left, also free its body."""

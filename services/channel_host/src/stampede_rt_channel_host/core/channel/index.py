@@ -44,13 +44,17 @@ class ChannelIndex:
         """The number of entries."""
         return len(self._by_time)
 
-    def insert(self, run: Run) -> None:
-        """Add all items of a run. Its seqs must be above all seqs in the index."""
+    def insert(self, run: Run, *, has_one_time: bool = False) -> None:
+        """Add all items of a run. Its seqs must be above all seqs in the index. `has_one_time`: of all its items."""
         if isinstance(run, OneRun):
             self._open(run.first_time)
             self._add(run)
             return
-        times, lo, items = [*run.times], 0, len(run)
+        lo, items = 0, len(run)
+        if has_one_time:  # as in a run to which the host gave its time
+            self._insert_ascending(run, 0, items)
+            return
+        times = [*run.times]
         if times == sorted(times):  # faster than the loop, and usual
             self._insert_ascending(run, 0, items)
             return

@@ -110,10 +110,11 @@ class ColumnRun(Run):
     """A run of any number of items.
 
     `kept` is the number of its items that are in the index, because they are held or not freed yet. The shell of
-    channels keeps the run's `slicer` here, so that it parses the body once.
+    channels keeps the run's `slicer` here, so that it parses the body once. `whole_bytes` is the sum of `lengths`;
+    -1: it is not known, because `lengths` may still grow.
     """
 
-    __slots__ = ("durations", "kept", "lengths", "slicer", "times")
+    __slots__ = ("durations", "kept", "lengths", "slicer", "times", "whole_bytes")
 
     def __init__(
         self, first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: Body
@@ -125,10 +126,12 @@ class ColumnRun(Run):
         self.body = body
         self.kept = 0
         self.slicer: Slicer | None = None
+        self.whole_bytes = -1
 
     def payload_bytes(self, lo: int, hi: int) -> int:
         """The payload bytes of the items from position `lo` up to `hi`, exclusive."""
-        return sum(self.lengths[lo:hi])
+        is_known = self.whole_bytes >= 0 and lo == 0 and hi == len(self.lengths)
+        return self.whole_bytes if is_known else sum(self.lengths[lo:hi])
 
     def part(self, lo: int, hi: int, body: Body) -> ColumnRun:
         """The items from position `lo` up to `hi`, exclusive, as a run of their own."""
@@ -192,7 +195,9 @@ def make_run(
     """A run in its smallest layout. Copies the columns."""
     if len(lengths) == 1:
         return OneRun(first_seq, times[0], ABSENT if durations is None else durations[0], lengths[0], body)
-    return ColumnRun(first_seq, pack(times), None if durations is None else pack(durations), pack(lengths), body)
+    run = ColumnRun(first_seq, pack(times), None if durations is None else pack(durations), pack(lengths), body)
+    run.whole_bytes = sum(lengths)
+    return run
 
 
 def pack(column: Sequence[int]) -> Sequence[int]:
