@@ -112,6 +112,14 @@ def test_a_channel_that_would_refuse_the_items_is_named_before_the_first_one(rt:
         rt.import_file(drive, "ahead/")
     with pytest.raises(st.InvalidArgument, match=r"would refuse .* ahead of the host's clock"):
         rt.import_file(drive, "future/", shift="36500d")
+    assert rt.channels("short/*") == rt.channels("short/cam"), "a refused replay creates no channels"
+    rt.channel("default/cam").put(b"now")
+    with pytest.raises(
+        st.InvalidArgument, match="'default/cam' would refuse items of the file: it keeps items for 10 s"
+    ):
+        rt.import_file(drive, "default/")
+    with pytest.raises(st.InvalidArgument, match="none of the chosen topics; it has 'cam', 'imu'"):
+        rt.import_file(drive, "default/", channels="nobody")
     for name in ("short/cam", "short/imu", "ahead/cam", "ahead/imu", "future/cam"):
         assert rt.channel(name).stats().accepted == 0
 

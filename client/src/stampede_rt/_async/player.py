@@ -16,7 +16,7 @@ from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.files.names import channel_name
 from stampede_rt.files.reading import Event
 from stampede_rt.files.schedule import Schedule, target_policy, window_text
-from stampede_rt.files.sources import FileSource, SourceTopic
+from stampede_rt.files.sources import FileSource, SourceTopic, none_chosen
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.transports.concurrency_async import BackgroundStart, BackgroundTask, Signal, in_thread
 from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap, ReplaySummary
@@ -145,7 +145,7 @@ class Player(BackgroundStart, BoundToProcess):
     async def _play_all(self) -> None:
         topics = [one for one in await in_thread(self._source.topics) if self._request.chosen(one.name)]
         if not topics:
-            raise InvalidArgument(f"the file {self._source.path!r} has none of the chosen topics")
+            raise InvalidArgument(none_chosen(self._source.path, await in_thread(self._source.topics)))
         schedule = self._plan(topics, time.time_ns())
         await self._open(topics, schedule)
         self._holds.set()
@@ -173,26 +173,42 @@ class Player(BackgroundStart, BoundToProcess):
     async def _open(self, topics: Sequence[SourceTopic], schedule: Schedule) -> None:
         """Open a channel for each topic with items to put, and check that none of them would refuse the items.
 
-        Raises InvalidArgument, also if there are no items to put. Then it has opened no channel.
+        Raises InvalidArgument, also if there are no items to put. If a channel that exists would refuse items, it has
+        created no other channel.
         """
         firsts = {one.name: await in_thread(partial(self._first_time, one)) for one in topics}
         topics = [one for one in topics if firsts[one.name] is not None]
         if not topics:
             when = window_text(self._request.start, self._request.end)
             raise InvalidArgument(f"the file {self._source.path!r} has no items of the chosen topics{when}")
-        taken: dict[str, str] = {}
+        targets = self._targets(topics)
+        missing: list[tuple[str, SourceTopic]] = []
+        for name, topic in targets:
+            if (channel := await PlayedChannel.open(self._session, name)) is None:
+                missing.append((name, topic))
+            else:
+                await self._add(topic, channel, firsts[topic.name], schedule)
+        for name, topic in missing:
+            policy = target_policy(topic.policy, self._request.shift is not None, schedule.lag_nanos)
+            channel = await PlayedChannel.create(self._session, name, policy)
+            await self._add(topic, channel, firsts[topic.name], schedule)
+
+    async def _add(self, topic: SourceTopic, channel: PlayedChannel, first: int | None, schedule: Schedule) -> None:
+        """Play a topic into a channel, unless the channel would refuse items. Raises InvalidArgument."""
+        self._channels[topic.name] = channel
+        first = topic.start if first is None else first
+        await channel.check(first, max(first, min(topic.end, self._request.end - 1)), schedule)
+
+    def _targets(self, topics: Sequence[SourceTopic]) -> list[tuple[str, SourceTopic]]:
+        """The names of the channels for the topics. Raises InvalidArgument if two topics would become one channel."""
+        taken: dict[str, SourceTopic] = {}
         for topic in topics:
             name = channel_name(topic.name, self._request.prefix)
-            if taken.setdefault(name, topic.name) != topic.name:
+            if (other := taken.setdefault(name, topic)) is not topic:
                 raise InvalidArgument(
-                    f"the topics {taken[name]!r} and {topic.name!r} would both become channel {name!r}; choose one"
+                    f"the topics {other.name!r} and {topic.name!r} would both become channel {name!r}; choose one"
                 )
-            policy = target_policy(topic.policy, self._request.shift is not None, schedule.lag_nanos)
-            self._channels[topic.name] = await PlayedChannel.open(self._session, name, policy)
-        for topic in topics:
-            found = firsts[topic.name]
-            first = topic.start if found is None else found
-            await self._channels[topic.name].check(first, max(first, min(topic.end, self._request.end - 1)), schedule)
+        return [*taken.items()]
 
     def _first_time(self, topic: SourceTopic) -> int | None:
         request = self._request

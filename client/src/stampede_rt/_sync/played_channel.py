@@ -33,15 +33,20 @@ class PlayedChannel:
         self.first_refusal = ""
 
     @classmethod
-    def open(cls, session: Session, name: str, policy: dict[str, Any]) -> PlayedChannel:
-        """Open the channel, or create it with `policy`. An existing one keeps its policy."""
+    def open(cls, session: Session, name: str) -> PlayedChannel | None:
+        """Open the channel; None if it does not exist."""
         try:
-            stated, create = Policy(), False
-            info = session.open_channel(parse_name(name), stated, None, create)
+            info = session.open_channel(parse_name(name), Policy(), None, False)
         except ChannelNotFound:
-            stated, create = parse_policy(**policy), True
-            info = session.open_channel(name, stated, None, create)
-        return cls(Channel(session, session.state_of(info, stated, create)))
+            return None
+        return cls(Channel(session, session.state_of(info, Policy(), False)))
+
+    @classmethod
+    def create(cls, session: Session, name: str, policy: dict[str, Any]) -> PlayedChannel:
+        """Create the channel, or open the one that another caller has created meanwhile."""
+        stated = parse_policy(**policy)
+        info = session.open_channel(parse_name(name), stated, None, True)
+        return cls(Channel(session, session.state_of(info, stated, True)))
 
     @property
     def accepted(self) -> int:
@@ -59,7 +64,7 @@ class PlayedChannel:
         begins, ends = schedule.shifted(first), schedule.shifted(last)
         takes, policy = schedule.due_nanos(last), stats.policy
         future = MAX_FUTURE_DEFAULT_NANOS if policy.max_future_nanos is None else policy.max_future_nanos
-        max_age = policy.max_age_nanos
+        max_age = policy.effective_max_age_nanos
         if max_age is not None and begins < stats.host_time + schedule.due_nanos(first) - max_age:
             why = f"it keeps items for {format_duration(max_age)}"
         elif stats.advance is not None and begins < stats.advance:

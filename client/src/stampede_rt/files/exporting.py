@@ -14,7 +14,7 @@ from stampede_rt.errors import FileError
 from stampede_rt.files.cells import BOOL, FLOAT, FLOATS, INT, INTS, Columns, cells_of
 from stampede_rt.files.entries import FileEntry
 from stampede_rt.files.names import channel_name
-from stampede_rt.files.sources import FileSource
+from stampede_rt.files.sources import FileSource, none_chosen
 from stampede_rt.files.writing import opened_new, write_fault
 from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap
 
@@ -124,9 +124,10 @@ def export_tables(
     One topic becomes the file `output`. Several become files in the folder `output`, by their names. Reads the source
     twice for each topic, and keeps at most 4096 rows in memory. Raises FileError.
     """
-    names = [topic.name for topic in source.topics() if chosen(topic.name)]
+    topics = source.topics()
+    names = [topic.name for topic in topics if chosen(topic.name)]
     if not names:
-        raise FileError(f"the file {source.path!r} has none of the chosen topics")
+        raise FileError(none_chosen(source.path, topics))
     rows: dict[str, int] = {}
     gaps: list[RecordingGap] = []
     for name, path in zip(names, _paths(names, Path(output), form), strict=True):

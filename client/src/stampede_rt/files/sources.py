@@ -17,6 +17,7 @@ from stampede_rt.files.reading import Content, Event, FileIndex, FileReader
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
 CACHE_BYTES = 64 * 1024 * 1024  # the most bytes of decoded chunks
+TOPICS_NAMED = 5  # the most topics that an error names
 Chosen = Callable[[str], bool]
 
 
@@ -28,6 +29,13 @@ class SourceTopic:
     policy: Mapping[str, Any]
     start: int
     end: int
+
+
+def none_chosen(path: str, topics: Sequence[SourceTopic]) -> str:
+    """Return the text of the error if no topic of a file is chosen. It names some topics."""
+    names = ", ".join(repr(one.name) for one in topics[:TOPICS_NAMED]) or "no topics"
+    more = f" and {len(topics) - TOPICS_NAMED} more" if len(topics) > TOPICS_NAMED else ""
+    return f"the file {path!r} has none of the chosen topics; it has {names}{more}"
 
 
 class FileSource(Protocol):

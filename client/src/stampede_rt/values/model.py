@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple, Protocol, overload, runtime_checkab
 from stampede_rt.values.timeline import ResolvedInterval
 
 REPR_BYTES_MAX = 32  # the payload bytes that the `repr` of an item shows
+MAX_AGE_DEFAULT_NANOS = 10_000_000_000
 OVERLAP_NANOS_MAX = 3_600_000_000_000
 """The greatest `Policy.overlap_nanos`, one hour. A read must also look at the items in the time `overlap_nanos` before
 its start."""
@@ -260,6 +261,14 @@ class Policy:
     replicas: int | None = None
     ack: Ack | None = None
     min_replicas: int | None = None
+
+    @property
+    def effective_max_age_nanos(self) -> int | None:
+        """The limit of age: the default if the policy states none of `max_age_nanos`, `max_items`, `max_bytes` and
+        `consumers`.
+        """
+        stated = (self.max_age_nanos, self.max_items, self.max_bytes, self.consumers)
+        return MAX_AGE_DEFAULT_NANOS if all(one is None for one in stated) else self.max_age_nanos
 
     @property
     def is_recorded(self) -> bool:

@@ -10,7 +10,6 @@ from stampede_rt.values.model import OVERLAP_NANOS_MAX, Policy
 from stampede_rt.values.timeline import MAX_INSTANT, format_duration
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
-DEFAULT_MAX_AGE_NANOS = 10_000_000_000
 DEFAULT_MAX_BYTES = 256 * 1024 * 1024
 DEFAULT_MAX_FUTURE_NANOS = 1_000_000_000
 ITEM_BYTES_MAX = 16 * 1024 * 1024
@@ -46,10 +45,8 @@ class ChannelLimits:
         combination of values, is not possible.
         """
         _check(policy)
-        stated = (policy.max_age_nanos, policy.max_items, policy.max_bytes, policy.consumers)
-        unlimited = all(limit is None for limit in stated)
         return cls(
-            max_age_nanos=DEFAULT_MAX_AGE_NANOS if unlimited else policy.max_age_nanos,
+            max_age_nanos=policy.effective_max_age_nanos,
             max_items=policy.max_items,
             max_bytes=DEFAULT_MAX_BYTES if policy.max_bytes is None else policy.max_bytes,
             max_item_bytes=ITEM_BYTES_MAX if policy.max_item_bytes is None else policy.max_item_bytes,
