@@ -16,8 +16,10 @@ from urllib.request import urlopen
 
 import pytest
 
+import stampede_rt as st
 from stampede_rt.cli.interrupts import INTERRUPTED
 from stampede_rt_local.dev import main
+from stampede_rt_local.kept_directory import members_in
 
 READY_SECONDS = 30  # long, because the machine may be busy
 DEV = [sys.executable, "-m", "stampede_rt_local"]
@@ -92,6 +94,12 @@ def running(*arguments: str) -> Iterator[Dev]:
                 os.close(handle)
 
 
+def address_of(dev: Dev) -> str:
+    match = re.match(r"Stampede RT is ready at (localhost:\d+) ", dev.screen)
+    assert match is not None, dev.screen
+    return match[1]
+
+
 def test_the_screen_shows_the_address_and_the_next_command(home: Path) -> None:
     with running() as dev:
         match = re.match(r"Stampede RT is ready at (localhost:\d+) \(1 supernode, 1 host, 1 front-end; ", dev.screen)
@@ -108,8 +116,42 @@ def test_the_screen_shows_the_address_and_the_next_command(home: Path) -> None:
 def test_stampede_dev_runs_the_requested_number_of_hosts_and_supernodes(home: Path) -> None:
     with running("--hosts", "2", "--supernodes", "3", "--archive", str(home / "kept")) as dev:
         assert "(3 supernodes, 2 hosts, 1 front-end; " in dev.screen
-        assert f"Archives of channels are in {home / 'kept'}; everything else is held in memory." in dev.screen
+        assert (
+            f"Archives of channels are in {home / 'kept'}, with all names; everything else is held in memory."
+            in dev.screen
+        )
         assert len(dev.children) == 6
+
+
+def test_the_next_start_with_the_same_archive_has_the_recorded_items_again(home: Path) -> None:
+    words = ("--archive", str(home / "kept"))
+    with running(*words) as dev, st.connect(address_of(dev)) as rt:
+        channel = rt.channel("kept", archive="7d")
+        for number in range(10):
+            channel.put(b"%d" % number)
+        dev.process.send_signal(signal.SIGTERM)
+        dev.process.communicate(timeout=READY_SECONDS)
+    with running(*words) as dev, st.connect(address_of(dev)) as rt:
+        found = rt.channel("kept", create=False).get(st.OLDEST, st.NEWEST)
+        assert ([item.seq for item in found], found.reason) == ([*range(1, 11)], None)
+
+
+def test_another_number_of_supernodes_than_in_the_folder_is_refused(
+    home: Path, complaint: Callable[..., tuple[int, str]]
+) -> None:
+    members_in(home / "kept" / "directory", 1, "localhost")
+    code, said = complaint("--listen", "localhost:0", "--archive", str(home / "kept"), "--supernodes", "3")
+    assert (code, said.count("\n")) == (1, 1)
+    assert "has the directory of 1 supernodes at localhost; start with --supernodes 1" in said
+
+
+def test_the_last_lines_of_a_service_that_does_not_start_are_lines(
+    home: Path, complaint: Callable[..., tuple[int, str]]
+) -> None:
+    (home / "kept").write_bytes(b"")
+    code, said = complaint("--listen", "localhost:0", "--archive", str(home / "kept"))
+    assert code == 1
+    assert "\\n" not in said
 
 
 def test_stampede_dev_with_web_serves_the_page_and_ends_it(home: Path) -> None:

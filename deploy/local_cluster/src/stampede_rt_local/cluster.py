@@ -10,6 +10,7 @@ from pathlib import Path
 
 from stampede_rt.security.tls import TlsFiles
 from stampede_rt_local.certificates import ClusterCertificates
+from stampede_rt_local.kept_directory import members_in
 from stampede_rt_local.namespaces import NetworkNamespace
 from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
@@ -33,9 +34,10 @@ class LocalCluster:
     certificates are for one address. `metrics`: where the first supernode serves its metrics. The other supernodes, the
     front-ends and the hosts take the next ports in this order, or any free ports if its port is 0. The attribute
     `metrics` has the address of each service, by its title. `archive`: the folder in which each host has a folder for
-    recorded channels, or the URL of an object store; then the folders are in `archive_folder`. `data_ports`: whether
-    hosts serve TCP sockets. `feed_transport`: the transport of the feeds between hosts. `multicast`: the multicast
-    group of the hosts. `on_line`, `on_exit`: see ServiceProcess.
+    recorded channels, or the URL of an object store; then the folders are in `archive_folder`. `directory`: the folder
+    in which the supernodes keep the directory over restarts, if not `durable`. `data_ports`: whether hosts serve TCP
+    sockets. `feed_transport`: the transport of the feeds between hosts. `multicast`: the multicast group of the hosts.
+    `on_line`, `on_exit`: see ServiceProcess.
     """
 
     def __init__(
@@ -57,21 +59,21 @@ class LocalCluster:
         metrics: str = "",
         archive: Path | str | None = None,
         archive_folder: Path | None = None,
+        directory: Path | None = None,
         data_ports: bool = False,
         feed_transport: str = "best",
         multicast: str = "",
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
     ) -> None:
-        _check_counts(hosts, supernodes, frontends)
-        _check_places(host_namespaces, tls=tls)
+        _check(hosts, supernodes, frontends, has_namespaces=bool(host_namespaces), tls=tls)
         # A cluster in memory with the user's own secret writes no files. So even after SIGKILL no folder is left.
         self._temporary = folder is None and (durable or tls or secret_file is None)
         self.folder = Path(tempfile.mkdtemp(prefix="stampede-")) if self._temporary else folder
         self.secret: Secret = make_secret_file(secret_file or self._inside("secret"))
         self._listen, self._archive, self._data_ports = parse_address(listen), archive, data_ports
         self._archive_folder, self._feed_transport = archive_folder or default_folder(), feed_transport
-        self._durable, self._host_namespaces = durable, tuple(host_namespaces)
+        self._durable, self._host_namespaces, self._directory = durable, tuple(host_namespaces), directory
         self._on_line, self._on_exit, self._multicast = on_line, on_exit, multicast
         self.certificates = ClusterCertificates(self._inside("certs"), host=self._listen.host) if tls else None
         self._shared = ["--log-level", log_level, "--log-format", log_format, *(["--reflection"] if reflection else [])]
@@ -183,12 +185,15 @@ class LocalCluster:
 
     def _plan_supernodes(self, ports: list[int]) -> list[ServiceProcess]:
         members = {f"s{number}": self._at(port) for number, port in enumerate(ports, start=1)}
+        if self._directory is not None:
+            members = members_in(self._directory, len(ports), self._listen.host)
         self._members = ",".join(f"{name}={address}" for name, address in members.items())
         self._supernode_addresses = ",".join(members.values())
         return [self._plan_supernode(name, address) for name, address in members.items()]
 
     def _plan_supernode(self, name: str, address: str) -> ServiceProcess:
-        arguments = ["--listen", address, "--id", name, "--members", self._members, *self._data_dir(name)]
+        arguments = ["--listen", address, "--id", name, "--members", self._members]
+        arguments += self._data_dir(name) if self._directory is None else ["--data-dir", str(self._directory / name)]
         return self._process(Role.SUPERNODE, name, "stampede_rt_supernode", *arguments)
 
     def _plan_frontends(self, ports: list[int]) -> list[ServiceProcess]:
@@ -222,11 +227,8 @@ class LocalCluster:
         return self._process(Role.HOST, name, "stampede_rt_channel_host", *arguments, namespace=namespace)
 
 
-def _check_places(host_namespaces: Sequence[NetworkNamespace], *, tls: bool) -> None:
-    if tls and host_namespaces:
-        raise ValueError("certificates are of one address, and host_namespaces have several; leave one out")
-
-
-def _check_counts(hosts: int, supernodes: int, frontends: int) -> None:
+def _check(hosts: int, supernodes: int, frontends: int, *, has_namespaces: bool, tls: bool) -> None:
     if min(supernodes, frontends) < 1 or hosts < 0:
         raise ValueError("a cluster needs at least one supernode and one front-end, and no negative number of hosts")
+    if tls and has_namespaces:
+        raise ValueError("certificates are of one address, and host_namespaces have several; leave one out")

@@ -46,8 +46,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _complain(error: Exception, code: int) -> int:
-    print(f"stampede dev: {escaped(str(error))}", file=sys.stderr)
+    print(f"stampede dev: {_shown(str(error))}", file=sys.stderr)
     return code
+
+
+def _shown(text: str) -> str:
+    """The text with escaped control characters, except the ends of its lines."""
+    return "\n".join(map(escaped, text.splitlines()))
 
 
 def _run(settings: DevSettings, began: float) -> int:
@@ -72,6 +77,7 @@ def _run(settings: DevSettings, began: float) -> int:
         metrics=settings.metrics,
         archive=settings.archive,
         archive_folder=settings.archive_folder,
+        directory=settings.directory,
         on_line=pass_on,
         on_exit=ended.put,
     )
@@ -87,7 +93,7 @@ def _run(settings: DevSettings, began: float) -> int:
     except KeyboardInterrupt:
         print("\nstopped; nothing is left running")
         return 0
-    print(f"stampede dev: {story}\neverything else was stopped", file=sys.stderr)
+    print(f"stampede dev: {_shown(story)}\neverything else was stopped", file=sys.stderr)
     return 1
 
 
@@ -115,7 +121,7 @@ def _last_story(cluster: LocalCluster, ended: queue.SimpleQueue[ServiceProcess])
         process = ended.get()
         if not _goes_on_without(process, cluster):
             return process.describe_end()
-        print(f"stampede dev: {escaped(process.describe_end())}\nthe others go on", file=sys.stderr, flush=True)
+        print(f"stampede dev: {_shown(process.describe_end())}\nthe others go on", file=sys.stderr, flush=True)
 
 
 def _goes_on_without(process: ServiceProcess, cluster: LocalCluster) -> bool:
@@ -162,7 +168,7 @@ In Python:
 def _kept(archive: Path | str | None) -> str:
     if archive is None:
         return "Everything is held in memory."
-    return f"Archives of channels are in {escaped(str(archive))}; everything else is held in memory."
+    return f"Archives of channels are in {escaped(str(archive))}, with all names; everything else is held in memory."
 
 
 def _count(number: int, noun: str) -> str:

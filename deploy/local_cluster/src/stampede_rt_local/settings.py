@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 
-from stampede_rt_runtime.archive_places import check_archive, parse_archive
+from stampede_rt_runtime.archive_places import check_archive, default_folder, parse_archive
 from stampede_rt_runtime.logs import FORMATS, LEVELS
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address, parse_address_text
@@ -20,7 +20,9 @@ _WILDCARDS = frozenset({"0.0.0.0", "::"})
 class DevSettings:
     """Runs the whole system on this machine, in memory. Ctrl-C stops it, and its items are lost.
 
-    If one of several hosts or a minority of the supernodes ends, the others go on. The items of that host are lost.
+    With --archive the items of recorded channels stay, and the names of all channels, groups and queues. The next start
+    with the same --archive, --hosts and --supernodes has them again. If one of several hosts or a minority of the
+    supernodes ends, the others go on. The items of that host are lost.
     """
 
     listen: str = field(
@@ -63,7 +65,7 @@ class DevSettings:
         metadata=setting(
             metavar="PLACE",
             parse=parse_archive,
-            help="the folder in which the hosts keep recorded channels over restarts, or an object store: "
+            help="the folder in which recorded channels and all names stay over restarts, or an object store: "
             "s3://BUCKET/PREFIX, gs://, az:// or file:// (extra [objects])",
         ),
     )
@@ -92,6 +94,14 @@ class DevSettings:
         default="warning",
         metadata=setting(metavar="LEVEL", choices=LEVELS, help="log messages of this level and above"),
     )
+
+    @property
+    def directory(self) -> Path | None:
+        """The folder of the directory, which an archive needs at the next start; None without an archive."""
+        if self.archive is None:
+            return None
+        folder = self.archive if isinstance(self.archive, Path) else self.archive_folder or default_folder()
+        return folder / "directory"
 
     def __post_init__(self) -> None:
         check_archive(self.archive, self.archive_folder)

@@ -18,7 +18,7 @@ _shtab_stampede_commands() {
     configure:'change a channel'"'"'s policy, while it is in use'
     context:'saved addresses of clusters, with the files of their credentials'
     demo:'Demonstrations on real media, through a real cluster on this machine:'
-    dev:'Runs the whole system on this machine, in memory. Ctrl-C stops it, and its items are lost. If one of several hosts or a minority of the supernodes ends, the others go on. The items of that host are lost.'
+    dev:'Runs the whole system on this machine, in memory. Ctrl-C stops it, and its items are lost. With --archive the items of recorded channels stay, and the names of all channels, groups and queues. The next start with the same --archive, --hosts and --supernodes has them again. If one of several hosts or a minority of the supernodes ends, the others go on. The items of that host are lost.'
     doctor:'check every part of the cluster, and say what to fix'
     echo:'print items as they come, until Ctrl-C'
     export:'write items of channels, or of a file, as MCAP, Parquet or CSV'
@@ -533,7 +533,7 @@ _shtab_stampede_dev_options=(
   "--secret-file[the file of the shared secret, made if absent\; without it\: the user\'s own file \[default\: none\]]:FILE:_files"
   {--allow-insecure-anywhere,--no-allow-insecure-anywhere}"[listen beyond this machine without encryption, although the whole network can read the items \[default\: no\]]"
   {--reflection,--no-reflection}"[describe the services of each port to callers with a credential, as for grpcurl \[default\: no\]]"
-  "--archive[the folder in which the hosts keep recorded channels over restarts, or an object store\: s3\:\/\/BUCKET\/PREFIX, gs\:\/\/, az\:\/\/ or file\:\/\/ (extra \[objects\]) \[default\: none\]]:PLACE:"
+  "--archive[the folder in which recorded channels and all names stay over restarts, or an object store\: s3\:\/\/BUCKET\/PREFIX, gs\:\/\/, az\:\/\/ or file\:\/\/ (extra \[objects\]) \[default\: none\]]:PLACE:"
   "--archive-folder[with a URL in --archive\: the folder of files that have not moved to the object store\; default\: \~\/.local\/state\/stampede\/archive]:FOLDER:_files -/"
   "--log-format[the form of the log (text, json) \[default\: text\]]:FORMAT:"
   "--metrics[serve metrics for Prometheus\: the first supernode at this address\; the other supernodes, the front-end and the hosts at the next ports, in this order \[default\: none\]]:HOST:PORT:"
