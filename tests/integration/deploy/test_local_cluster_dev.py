@@ -142,7 +142,16 @@ def test_another_number_of_supernodes_than_in_the_folder_is_refused(
     members_in(home / "kept" / "directory", 1, "localhost")
     code, said = complaint("--listen", "localhost:0", "--archive", str(home / "kept"), "--supernodes", "3")
     assert (code, said.count("\n")) == (1, 1)
-    assert "has the directory of 1 supernodes at localhost; start with --supernodes 1" in said
+    assert "has a directory for --supernodes 1 at localhost; start with --supernodes 1" in said
+
+
+def test_fewer_hosts_than_the_folder_has_archives_of_are_refused(
+    home: Path, complaint: Callable[..., tuple[int, str]]
+) -> None:
+    (home / "kept" / "h2").mkdir(parents=True)
+    code, said = complaint("--listen", "localhost:0", "--archive", str(home / "kept"))
+    assert (code, said.count("\n")) == (1, 1)
+    assert "has archives of more hosts than 1; start with --hosts as before" in said
 
 
 def test_the_last_lines_of_a_service_that_does_not_start_are_lines(

@@ -17,6 +17,7 @@ from stampede_rt.errors import PermissionDenied
 from stampede_rt.escaping import escaped
 from stampede_rt.security.credentials import secret_file
 from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.kept_directory import check_hosts
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
 from stampede_rt_local.settings import DEFAULT_ADDRESS, PAGE_MODULE, DevSettings
 from stampede_rt_runtime.listen import CannotListen, NotAllowed, check_listen
@@ -64,6 +65,8 @@ def _run(settings: DevSettings, began: float) -> int:
             shown = line if line.startswith("{") else f"{process.name}: {line}"  # a line of JSON stays one
             print(escaped(shown), file=sys.stderr)
 
+    if settings.directory is not None:
+        check_hosts(settings.directory, settings.hosts)
     cluster = LocalCluster(
         hosts=settings.hosts,
         supernodes=settings.supernodes,

@@ -34,7 +34,19 @@ def members_in(folder: Path, count: int, host: str) -> dict[str, str]:
     hosts = {parse_address(one).host for one in members.values()}
     if len(members) != count or hosts != {host}:
         raise ServiceFailed(
-            f"{folder} has the directory of {len(members)} supernodes at {', '.join(sorted(hosts))}; start with "
+            f"{folder} has a directory for --supernodes {len(members)} at {', '.join(sorted(hosts))}; start with "
             f"--supernodes {len(members)} and that host in --listen, or choose another folder for the archive"
         )
     return members
+
+
+def check_hosts(folder: Path, hosts: int) -> None:
+    """Check that the archives beside the directory are of `hosts` hosts at most. Raises ServiceFailed.
+
+    If a host with an archive were missing, another one would take its channels over, without its archive.
+    """
+    if (folder.parent / f"h{hosts + 1}").exists():
+        raise ServiceFailed(
+            f"{folder.parent} has archives of more hosts than {hosts}; start with --hosts as before, or choose another "
+            "folder for the archive"
+        )
