@@ -113,7 +113,7 @@ class Surface:
         self._pool = pool
 
     def live_in(self, host: HostHere) -> None:
-        """Make the connection one of a program that is this host."""
+        """Give the connection the host that its own program runs."""
         _bare(self.connection)._session.here = host
 
     async def channel(self, name: str | None = None, **policy: Any) -> Any:

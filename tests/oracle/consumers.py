@@ -74,7 +74,10 @@ class OracleConsumers:
         return place
 
     def carry(self, clock: int) -> None:
-        """Move the places to another owner. Of ended leases, it learns only the order in which they ended."""
+        """Move the places to another owner.
+
+        The new owner learns only the order in which leases have ended, not when.
+        """
         self.taken.sort(key=lambda place: (not place.ended, place.until))
         for place in self.taken:
             place.until = clock - 1 if place.ended else place.until

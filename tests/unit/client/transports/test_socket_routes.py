@@ -44,7 +44,7 @@ def test_a_client_tries_only_a_few_of_very_many_paths() -> None:
 
 
 class WatchedRoute(SocketRoute):
-    """Notes with which ticket another thread would open a stream, at each change."""
+    """Notes after each change the ticket that another thread would use to open a stream."""
 
     def __init__(self) -> None:
         self.led_with: list[bytes] = []

@@ -11,7 +11,7 @@ from stampede_rt_channel_host.channels.limits.request_room import ROOM_BYTES, Re
 
 
 class Uploads:
-    """Requests that take room until they are told to end; `under_way` are those that got some, in order."""
+    """Requests that take room until they are told to end; `under_way` are the requests that got room, in order."""
 
     def __init__(self, room: RequestRoom | RequestRooms) -> None:
         self.room = room
@@ -46,7 +46,7 @@ async def turns() -> None:
 
 @asynccontextmanager
 async def uploads(room: RequestRoom | RequestRooms | None = None) -> AsyncIterator[Uploads]:
-    """Into room for 100 bytes, of which one caller gets 50, if no other room is given."""
+    """Requests that share `room`; by default 100 bytes, of which one caller gets 50 at most."""
     found = Uploads(room or RequestRoom(100, 50))
     try:
         yield found
