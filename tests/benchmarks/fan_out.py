@@ -160,7 +160,7 @@ def ages_of(part: Part, ages: Sequence[Age]) -> Ages:
 
 
 def longer_by_round(ages: Mapping[bool, Sequence[Ages]]) -> list[float]:
-    """For each round: the 99th percentile of the ages with the stalled reader, divided by the 99th percentile without it."""
+    """For each round: the 99th percentile of the ages with the stalled reader, divided by the percentile without it."""
     return [with_it.p99 / without.p99 for with_it, without in zip(ages[True], ages[False], strict=True)]
 
 

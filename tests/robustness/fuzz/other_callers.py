@@ -32,7 +32,7 @@ class Takers:
         self.unsure: set[bytes] = set()  # the acknowledgement was interrupted, or failed
 
     async def take(self, calling: Calling, queue: Any, over: asyncio.Event) -> None:
-        """Get, and acknowledge, give back or leave."""
+        """Get messages. Acknowledge each one, give it back, or leave it."""
         while not over.is_set():
             timeout = calling.rng.choice([0, 0.05, 1, None if calling.is_async else 1])
             call = calling.plain(queue.get, timeout)
@@ -104,7 +104,10 @@ async def cuts(calling: Calling, group: Any, over: asyncio.Event) -> None:
 
 
 async def opened(calling: Calling, make: Any, *arguments: Any, **named: Any) -> Any:
-    """Open a stream by an undisturbed call, in which only the blocking client already waits for the opening."""
+    """Open a stream by a call that nothing interrupts.
+
+    The blocking client waits in this call until the stream is open. The asyncio client waits for this later.
+    """
     while True:
         made = await calling.any_way("subscribe to a group", calling.plain(make, *arguments, **named))
         if made not in (FAILED, INTERRUPTED):

@@ -28,7 +28,8 @@ def measure(effort: Effort, chart: Path) -> Table:
     table = Table(["items in a run", "bytes over the payload, an item"])
     table.rows = [[number(run_items), spread(value, 0)] for run_items, value in points]
     table.notes = [
-        f"Resident memory with {held:,} items, minus resident memory without items, minus the payloads (goal: {GOAL_BYTES})."
+        f"Resident memory with {held:,} items, minus resident memory without items, minus the payloads (goal: "
+        f"{GOAL_BYTES})."
     ]
     return table
 

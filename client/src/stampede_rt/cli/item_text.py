@@ -52,7 +52,7 @@ def _check_field(name: str, spec: str, conversion: str | None) -> None:
     if name not in FIELDS and not (name.startswith("attributes[") and name.endswith("]")):
         raise InvalidArgument(f"the format has no field {name!r}; write {', '.join(FIELDS)} or attributes[KEY]")
     width = "".join(one for one in spec if one.isdigit())
-    is_character = spec.endswith("c")  # a number as a character could command the terminal
+    is_character = spec.endswith("c")  # a number as a character could be a control code of the terminal
     if conversion or "{" in spec or is_character or (width and int(width[:9]) > WIDTH_MAX):
         raise InvalidArgument(f"the format of {name!r} is not allowed; write a width such as {{seq:06d}}")
 

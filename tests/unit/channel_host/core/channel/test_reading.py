@@ -64,7 +64,7 @@ def test_adjoining_half_open_intervals_return_each_item_once_by_start() -> None:
     assert times_of(get(channel, 30, NOW, "(]", match=Match.START).slices) == []
 
 
-def test_whole_needs_all_of_the_span_and_takes_the_open_newest_as_ending_now() -> None:
+def test_match_whole_needs_the_whole_span_and_the_span_of_the_newest_item_ends_now() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10, 20, 30)
     assert times_of(get(channel, 10, 29, match=Match.WHOLE).slices) == [10]
@@ -105,7 +105,7 @@ def test_with_overlap_an_answer_names_the_next_bucket_that_it_leaves_out(
     assert (answer.next_times, answer.next_time) == ({(5, 3): 15}, 30)
 
 
-def test_a_bucket_gives_its_highest_seq_newest_first_and_its_lowest_otherwise() -> None:
+def test_the_lowest_seq_of_a_bucket_comes_first_or_with_newest_first_the_highest() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10, 10, 10)
     assert seqs_of(get(channel, match=Match.START, limit=1).slices) == [1]
@@ -270,7 +270,7 @@ def test_newest_after_an_instant_waits_for_a_later_one() -> None:
     assert times_of(answer.slices) == [11]
 
 
-def test_items_of_an_earlier_incarnation_are_lost_and_not_never_or_not_yet() -> None:
+def test_a_read_of_items_of_an_earlier_incarnation_has_the_reason_lost() -> None:
     """In an earlier version, the answer said that nobody had put an item there."""
     channel = ChannelCore(Policy(max_items=9), incarnation=0xABC, lost_before=CLOCK)
     before = get(channel, CLOCK - 20, CLOCK - 10)
