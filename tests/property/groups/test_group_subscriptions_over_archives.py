@@ -1,4 +1,4 @@
-"""Subscriptions of recorded channels through a group bring the same items as those of a channel with all items in
+"""A subscription through a group brings the same items from a recorded channel as from a channel with all items in
 memory.
 """
 
@@ -32,7 +32,7 @@ def small_windows(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class World:
-    """The same items in a channel of memory alone, and in a recorded one with a small memory; and a cut."""
+    """The same items in a channel without an archive and in a recorded channel with a small memory, and one cut."""
 
     def __init__(self, draw: random.Random) -> None:
         self.draw = draw
@@ -46,7 +46,7 @@ class World:
 
     @property
     def horizon(self) -> Horizon:
-        return Horizon(self.cut, lambda: "held back by nobody")
+        return Horizon(self.cut, lambda: "no channel holds the cut back")
 
     def go_on(self) -> None:
         """Some puts, in order or late; perhaps a later cut, and a write of the archive."""

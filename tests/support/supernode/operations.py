@@ -116,7 +116,7 @@ def delete(channel_id: bytes) -> DeleteChannel:
 def open_group(
     name: str, members: tuple[bytes, ...] | None, *, create: bool = True, incarnation: int = 88, **spec: Any
 ) -> OpenGroup:
-    """`members` None: without a set-up."""
+    """`members` None: the command has no GroupSpec."""
     return OpenGroup(
         name=name,
         spec=None if members is None else GroupSpec(channel_ids=members, **spec),

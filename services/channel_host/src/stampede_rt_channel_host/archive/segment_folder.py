@@ -24,7 +24,7 @@ class SegmentPlace(Protocol):
     """
 
     def opened(self, number: int) -> AbstractContextManager[ReadAt]:
-        """Open a segment: within the context the function reads its bytes."""
+        """Open a segment. The context gives a function that reads its bytes."""
         ...
 
     def at_hand(self, number: int) -> AbstractContextManager[ReadAt]:
@@ -60,7 +60,7 @@ class SegmentFolder:
 
     @contextmanager
     def opened(self, number: int) -> Iterator[ReadAt]:
-        """Open a segment: within the context the function reads its bytes."""
+        """Open a segment. The context gives a function that reads its bytes."""
         try:
             file = self.file_of(number).open("rb", buffering=0)
         except FileNotFoundError:
@@ -72,8 +72,8 @@ class SegmentFolder:
     def check_place(self) -> None:
         """Check that the folder of all channels exists. Raises OSError, but not FileNotFoundError.
 
-        If that folder is missing, somebody has removed the archive, or its disk is not mounted. Then no file is lost
-        for certain.
+        If that folder is missing, somebody has removed the archive, or its disk is not mounted. In the second
+        case no file is lost.
         """
         place = self.path.parent
         if not place.is_dir():

@@ -79,7 +79,7 @@ class HostedCopies:
         return owner
 
     def demote(self, owner: HostedChannel, record: RecordedChannel, state: CopyState, now: int) -> None:
-        """Make a replica of a former owner: the new owner had one, and has left its place. Its callers get MOVED."""
+        """Make a replica of a former owner, in place of the replica that the new owner was. Its callers get MOVED."""
         channel = FedChannel.of_owner(owner.core, owner.puts.retries, now)
         owner.is_inherited = True
         self._forget(record.channel_id, gone(record.name))

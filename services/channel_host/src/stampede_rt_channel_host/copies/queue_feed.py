@@ -127,7 +127,7 @@ class QueueFeedStream:
         return replication.journal.steps_from(place.next_step, 1) is not None
 
     async def _send_steps(self, call: Any) -> None:
-        owes_sign = True  # the replica must hear of the owner at least this often
+        owes_sign = True  # after REQUEST_SECONDS without a step the owner owes the replica a sign of life
         self._heard_s = asyncio.get_running_loop().time()
         while True:  # until an error ends the stream, or the caller cancels it
             if self._failure is not None:

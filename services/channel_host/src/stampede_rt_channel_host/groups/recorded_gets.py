@@ -46,7 +46,10 @@ async def read_recorded_in_group(
 async def read_past_in_group(
     channels: ChannelStore, params: GroupReadParams, hosted: HostedChannel, query: Query
 ) -> GroupAnswer:
-    """The answer as of an earlier instant, at the cut of then. Raises Unavailable if the archive cannot be read."""
+    """The answer as of an earlier instant, at the cut of that instant.
+
+    Raises Unavailable if the archive cannot be read.
+    """
     recording, as_of = hosted.recording, params.as_of
     if recording is None or as_of is None:
         raise Unavailable(f"channel {hosted.record.name} is not recorded any more; read again")

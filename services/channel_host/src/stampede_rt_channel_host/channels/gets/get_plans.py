@@ -89,7 +89,7 @@ class GetPlans:
 
 def _plan(request: pb.GetRequest) -> GetPlan:
     if request.HasField("as_of_unix_nano") and request.HasField("group_id") and not request.HasField("cut_unix_nano"):
-        raise InvalidArgument("as_of: a read through a group needs the cut of then; set cut_unix_nano")
+        raise InvalidArgument("as_of: a read through a group needs the cut of that instant; set cut_unix_nano")
     return GetPlan(
         channel_id=request.channel_id,
         epoch=request.epoch,

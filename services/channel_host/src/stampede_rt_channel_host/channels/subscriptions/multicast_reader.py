@@ -20,7 +20,7 @@ def wants_multicast(opening: pb.SubscribeOpen, multicasts: Multicasts | None) ->
 
 
 class MulticastReader:
-    """Most readers have no part in multicast: then nothing here happens."""
+    """A reader's part in multicast. Most readers take no datagrams. For them this object does nothing."""
 
     def __init__(self) -> None:
         self._multicasts: Multicasts | None = None
