@@ -1,4 +1,4 @@
-"""A channel host on real gRPC in a process of its own, whose clock stands until a test moves it.
+"""A channel host on real gRPC in a process of its own, whose clock stands still until a test moves it.
 
 The process serves a directory, too; it is steered by lines: `tick NANOS WALL_STEP` and `settle` on its standard input
 are answered with the host's time. With certificates, the directory and the host take callers with certificates only.

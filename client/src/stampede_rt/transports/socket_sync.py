@@ -277,7 +277,7 @@ def _send_some(connected: socket.socket, left: Buffers) -> Buffers:
 
 
 def _after(buffers: Buffers, sent_bytes: int) -> Buffers:
-    """Return the parts of the buffers behind the sent bytes. They are more than the sent ones."""
+    """Return the parts of the buffers behind the sent bytes. The buffers hold more than the sent bytes."""
     at = 0
     while sent_bytes >= len(buffers[at]):
         sent_bytes -= len(buffers[at])
