@@ -108,8 +108,9 @@ def _end_of_last_share() -> Iterator[None]:
 
 
 # Clients and services read a secret from the user's folder of settings, and `stampede dev` writes one there. The suite
-# uses an empty folder of its own. So it neither reads nor changes the secret of the user who runs it. Nor does it tell
-# commands the size of a terminal that is not theirs: pytest-xdist sets COLUMNS for its workers.
+# uses an empty folder of its own. So it neither reads nor changes the secret of the user who runs it. pytest-xdist
+# sets COLUMNS for its workers. The suite removes it, because the tested commands would take it for their terminal's
+# width.
 _settings_folder = tempfile.TemporaryDirectory(prefix="stampede-tests-")
 os.environ["XDG_CONFIG_HOME"] = _settings_folder.name
 for variable in ("STAMPEDE_SECRET_FILE", "STAMPEDE_URL", "COLUMNS", "LINES"):
@@ -117,7 +118,7 @@ for variable in ("STAMPEDE_SECRET_FILE", "STAMPEDE_URL", "COLUMNS", "LINES"):
 
 # The suite starts hundreds of Python processes. Where bytecode files are forbidden (as in many container images)
 # each of them would compile all its modules again, which takes half of its CPU time. They keep bytecode below `.make`.
-# So do the processes of pytest itself, whose tests are many modules.
+# The processes of pytest keep theirs there, too, because the tests are many modules.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
     sys.dont_write_bytecode = False
     sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = str(Path(__file__).parents[1] / ".make" / "pycache")

@@ -182,9 +182,11 @@ def report(figures: Figures) -> None:
 def main() -> int:
     """Print the figures. Returns 2 if this machine has no S3 server."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.object_store", description=__doc__)
-    parser.add_argument("--folder", type=Path, help="on the disk to measure; default: the folder for temporary files")
+    parser.add_argument(
+        "--folder", type=Path, help="a folder on the measured disk; default: the folder for temporary files"
+    )
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--segments", type=int, default=4, help="of 64 MiB, in each round")
+    parser.add_argument("--segments", type=int, default=4, help="the files of 64 MiB in each round")
     wanted = parser.parse_args()
     try:
         program = build()

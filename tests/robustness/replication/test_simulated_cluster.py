@@ -158,7 +158,7 @@ def test_a_member_whose_state_differs_notices_it_and_never_leads(with_snapshot: 
     at = world.history.acknowledged[NEWER_COMMAND]
     assert world.run_until(world.now + 2.0, lambda: older.replica.status().diverged_at > 0)  # type: ignore[union-attr]
     assert older.replica.status().diverged_at >= at
-    # Its log is sound, so its vote counts: with it the third member leads at once. Without it, it never does.
+    # The log of the diverged member is sound, so its vote counts. The third member needs this vote to lead.
     leader.crash()
     assert world.run_until(world.now + 10.0, lambda: third.replica.status().is_leader)  # type: ignore[union-attr]
     assert isinstance(world.propose(third, b"served", timeout=5.0), list)
@@ -423,7 +423,7 @@ def _leads(member: SimMember) -> bool:
 
 
 def diverge(world: World, older: SimMember) -> None:
-    """Let another caller send the command. A state that no known command has made has no digest."""
+    """Send the new command between two known ones, so that the members compute digests of their states."""
     other = next(one for one in world.members.values() if one is not older and one.replica is not None)
     for command in (b"before", NEWER_COMMAND, b"after"):
         outcomes = world.propose(other, command, timeout=10.0)

@@ -75,7 +75,8 @@ class FileWriter:
         self.path = Path(path)
         self._chunk_bytes = chunk_bytes
         self._stream = opened_new(path, overwrite=overwrite)
-        # This class ends the chunks. The checksum of the data covers the indexes of messages, which have none.
+        # This class ends the chunks. The indexes of messages have no checksum of their own. The checksum of the data
+        # covers them.
         self._writer = Writer(self._stream, chunk_size=1 << 62, compression=kind, enable_data_crcs=True)
         self._topics: dict[Topic, int] = {}
         self._schemas: dict[Schema, int] = {}

@@ -1,4 +1,4 @@
-"""The channels for which a host asks other hosts follow from each group alone, however many groups there are."""
+"""A host asks other hosts for the channels of its groups. When one group changes, it looks at no other group."""
 
 from __future__ import annotations
 

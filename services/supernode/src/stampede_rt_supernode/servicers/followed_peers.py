@@ -1,4 +1,4 @@
-"""Keeps the leases of peers as the directory has the peers: a table of leases that follows the directory's changes."""
+"""Keeps a table of the leases of peers. The table follows the directory's changes of peers."""
 
 from __future__ import annotations
 

@@ -89,8 +89,9 @@ class Holdings(HeldItems):
     def _make_way(self) -> None:
         """Free all outdated items, and reset the floor, because a new item is earlier than some consumed items.
 
-        These are few, except those that a snapshot has kept: consumption collects nothing while the backlog is long
-        (see `Retention.collect_consumed`), and no item may come before items outdated later for another cause.
+        The outdated items are few, except items that a snapshot has kept. One reason is that consumption outdates
+        nothing while many items wait to be freed (see `Retention.collect_consumed`). The other is that a channel
+        refuses a new item earlier than items that were outdated for another cause.
         """
         self.floor_resets += 1
         for note_reset in self._on_floor_reset or ():
