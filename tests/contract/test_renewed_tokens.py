@@ -89,7 +89,7 @@ class Waits:
         self.waiting: dict[str, asyncio.Future[Any]] = {}
 
     async def begin(self) -> None:
-        """Begin all waits. Each `waiting` awaits what `bring` brings."""
+        """Begin all waits. `bring` makes the items and messages for which they wait."""
         rt = self.rt
         channel, full = (
             await rt.channel(self.name),
@@ -118,7 +118,7 @@ class Waits:
             self.waiting[kind] = asyncio.ensure_future(wait)
 
     async def bring(self, own: Any, **proof: Any) -> None:
-        """Bring something to each wait, by the caller `own`, whose connections have the arguments `proof`."""
+        """End each wait by an item, a message or a change, made over `own` and a connection with `proof`."""
         channel = await own.channel(self.name)
         for _ in range(2):  # the second item makes the first one visible in the group
             await channel.put(b"x")

@@ -34,7 +34,7 @@ def asked(rig: Rig, channel: Opened, verb: str) -> Work:
 
 
 def ask(target: str, verb: str, channel_id: str, epoch: str) -> None:
-    """As a client does: one get, or the first items of a subscription."""
+    """Call the host as a client does: one get, or the first items of a subscription."""
     with grpc.insecure_channel(target, options=[("grpc.max_receive_message_length", -1)]) as connection:
         stub = ChannelServiceStub(connection)
         about = {"channel_id": bytes.fromhex(channel_id), "epoch": int(epoch)}

@@ -79,7 +79,7 @@ class Campaign:
                 self.findings.refused += program.refused
 
     def _number(self) -> int:
-        """The first number of a new program, which no other program reaches."""
+        """The first number for the payloads of a new program. The numbers of other programs are all different."""
         self._begun += 1
         return self._begun * 10**6
 
@@ -136,7 +136,7 @@ class Campaign:
         self._host.restart(RESTART_SECONDS_MAX)
         items = self._items()
         missing = acked - _numbers(items)
-        # COLLECTED: the head of the first block is damaged, so that nothing tells that there was one
+        # COLLECTED: the head of the first block is damaged, so that the host does not know that the block existed
         assert not missing or items.reason in ("LOST", "COLLECTED"), (len(missing), items.reason)
         assert len(missing) <= BLOCK_ITEMS_MAX, len(missing)
         self.findings.hidden_by_flips += len(missing)

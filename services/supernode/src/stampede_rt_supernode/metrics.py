@@ -37,7 +37,8 @@ WRITES = histogram(
     "stampede_raft_write_seconds", "How long a write of the log took, with the wait until the disk has it (fsync)."
 )
 DISK_SILENT = gauge(
-    "stampede_raft_disk_silent_seconds", "How long the disk of the data folder has not answered; 0 if up to 3 s."
+    "stampede_raft_disk_silent_seconds",
+    "How long the disk of the data folder has not answered; 0 for up to 3 s without an answer.",
 )
 DIVERGED = gauge("stampede_raft_diverged", "1 if this supernode's directory differs from that of most members, else 0.")
 FEATURE_LEVEL = gauge("stampede_feature_level", "The cluster's feature level, as this supernode knows it.")

@@ -11,7 +11,7 @@ from stampede_rt_channel_host.cluster.task_failures import first_failure
 
 
 async def work(broken: asyncio.Event) -> None:
-    """Wait for ever, while another task waits, and fails when `broken` is set."""
+    """Wait until another task of the same group fails. That task fails when `broken` is set."""
 
     async def fail() -> None:
         await broken.wait()
