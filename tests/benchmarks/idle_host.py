@@ -30,6 +30,7 @@ from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX
 from stampede_rt_channel_host.host import ChannelHost
+from stampede_rt_runtime.memory.huge_pages import start_again_with_huge_pages
 
 FIRST_CHANNELS = 100  # their puts load code, whose memory does not count
 CHANNELS_PER_TURN = 64
@@ -42,9 +43,9 @@ AS_HOST = "--as-host"
 class FilledHost(ChannelHost):
     """A host that carries out the lines of its standard input after it has entered the cluster."""
 
-    async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
+    async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX, **targets: str) -> None:
         """See ChannelHost."""
-        await super().enter(target, timeout_s)
+        await super().enter(target, timeout_s, **targets)
         self._start(_heed(self), "orders")
 
 
@@ -68,7 +69,8 @@ async def _fill(host: ChannelHost, channels: int) -> None:
     for number in range(len(host.store.all()), channels):
         record = channel_pb2.ChannelRecord(
             channel_id=secrets.token_bytes(16), name=f"robots/{number % 1000}/sensors/{number}", epoch=1,
-            host_id=host.identity.host_id, incarnation=secrets.randbits(63), spec=spec, created_by="robot",
+            host_id=host.identity.host_id, incarnation=secrets.randbits(63), spec=spec,
+            created_by=f"robot{number % 2}",  # one caller may have three quarters of the channels
         )  # fmt: skip
         hosted = host.store.adopt(recorded_channel(record))
         run = IncomingRun(encode_run([PAYLOAD], times=None), producer_id=0, first_number=0, wait_nanos=None)
@@ -113,6 +115,7 @@ def measure(steps: Sequence[int], seconds: float, runs: int) -> Table:
 def main() -> int:
     """Print the table, or be the host. Returns the exit code."""
     if AS_HOST in sys.argv:
+        start_again_with_huge_pages("tests.benchmarks.idle_host", sys.argv[1:])  # as a usual host
         served_host.ChannelHost = FilledHost  # type: ignore[misc]
         return app.main([one for one in sys.argv[1:] if one != AS_HOST])
     parser = argparse.ArgumentParser(description=__doc__)
