@@ -7,7 +7,7 @@ import socket
 import threading
 import weakref
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from math import inf
 from queue import SimpleQueue
@@ -27,12 +27,13 @@ from stampede_rt.transports.socket_limits import (
 )
 from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX, messages_of
-from stampede_rt.wire.stream_frames import FrameInRoom, FrameKind, FrameReader, head_of
+from stampede_rt.wire.stream_frames import FrameInRoom, FrameKind, FrameReader, frame_of, head_of
 
 NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)  # a send after the end of the connection must not end the process
 Buffers = Sequence[bytes | memoryview]
 _NOW = getattr(socket, "MSG_DONTWAIT", 0) | NO_SIGNAL
 PARTS_MAX = 512  # of a request that is sent without joining its parts; the system takes 1024 at once
+SHORT_BYTES_MAX = 4096  # of a request whose copy takes less time than a second part of a system call
 PART_BYTES_MIN = 1024  # on average; to join shorter parts takes less time
 
 
@@ -255,7 +256,14 @@ class _Backlog:
         self._queue.put(None)
 
 
-def _buffers_of(request: bytes | list[bytes]) -> Iterator[Buffers]:
+def _buffers_of(request: bytes | list[bytes]) -> Iterable[Buffers]:
+    """Return the frames of a request, each in parts."""
+    if isinstance(request, bytes) and len(request) <= SHORT_BYTES_MAX:
+        return ((frame_of(FrameKind.MESSAGE, request),),)
+    return _long_buffers_of(request)
+
+
+def _long_buffers_of(request: bytes | list[bytes]) -> Iterator[Buffers]:
     """Yield the frames of a request, each in parts. To join parts of 900 KB would take as long as to send them."""
     size = sum(map(len, request)) if isinstance(request, list) and len(request) <= PARTS_MAX else 0
     if max(JOINED_BYTES_MAX, PART_BYTES_MIN * len(request)) < size <= SOCKET_MESSAGE_BYTES_MAX:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import channel_service_pb2, error_pb2, item_pb2, time_pb2
 from stampede_rt.values.model import Item, PastState, Reason
 from stampede_rt.values.timeline import Bound, Interval, Match, MetaTime, ResolvedInterval
 
+INTERVALS_KEPT_MAX = 256
 _TO_META = {
     MetaTime.NOW: time_pb2.META_TIME_NOW,
     MetaTime.NEWEST: time_pb2.META_TIME_NEWEST,
@@ -38,8 +41,9 @@ def bound_from_message(message: time_pb2.Bound, what: str) -> Bound:
     return Bound(_FROM_META[message.meta_time], message.offset_nanos)
 
 
+@lru_cache(INTERVALS_KEPT_MAX)  # a reader often reads the same interval, such as all time for the newest item
 def interval_to_message(interval: Interval) -> time_pb2.Interval:
-    """Return the message for an interval."""
+    """Return the message for an interval. The caller must not change it."""
     return time_pb2.Interval(
         start=bound_to_message(interval.start, exclusive=interval.start_exclusive),
         end=bound_to_message(interval.end, exclusive=interval.end_exclusive),

@@ -285,6 +285,13 @@ def test_a_full_request_of_medium_items_is_sent_without_a_copy_of_its_payloads()
     assert len(frame) == 2
 
 
+@pytest.mark.parametrize(("request_bytes", "parts"), [(0, 1), (4096, 1), (4097, 2)])
+def test_a_short_request_is_sent_in_one_part(request_bytes: int, parts: int) -> None:
+    [frame] = socket_sync._buffers_of(bytes(request_bytes))
+    assert len(frame) == parts
+    assert b"".join(frame) == frame_of(FrameKind.MESSAGE, bytes(request_bytes))
+
+
 @pytest.mark.parametrize("sent_bytes", range(1, 12))
 def test_the_rest_of_a_write_begins_after_the_sent_bytes(sent_bytes: int) -> None:
     parts = [b"abc", b"", b"defg", b"hijkl"]
