@@ -15,10 +15,19 @@ from stampede_rt_channel_host.archive.segment_files import SegmentFiles
 from stampede_rt_channel_host.archive.written_parts import SeqGap
 from stampede_rt_channel_host.channels.past_reads import PastReader
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
-from stampede_rt_channel_host.core.archive import ArchivedRead, ArchivedRun, Hole, Segment, resolved
+from stampede_rt_channel_host.core.archive import (
+    HEAD_BYTES,
+    ROW_BYTES,
+    ArchivedRead,
+    ArchivedRun,
+    Hole,
+    Segment,
+    resolved,
+)
 from stampede_rt_channel_host.core.archive.seq_starts import start_of
 from stampede_rt_channel_host.core.archive.stored_segment import object_name, segment_named
 from stampede_rt_channel_host.core.channel import ChannelCore, Query, ReadAnswer, run_to_end
+from stampede_rt_channel_host.core.group import Horizon
 from tests.unit.channel_host.archive.test_archive_files import ALL, NO_LIMITS, decode, run_at, write
 from tests.unit.channel_host.archive.test_host_archive_writes import archive_in
 
@@ -70,15 +79,22 @@ def read(
     return sorted(part.first_seq + at for part in answer.slices for at in range(part.items)), answer.reason
 
 
-def check(files: SegmentFiles, segments: tuple[Segment, ...], lacks: set[int], last: int) -> None:
-    """Check that each read that lacks some of the items says LOST, and that the others do not."""
+def check(
+    files: SegmentFiles, segments: tuple[Segment, ...], lacks: set[int], last: int, *, knows_times: bool = False
+) -> None:
+    """Check that each read that lacks some of the items says LOST.
+
+    `knows_times`: the archive knows the times of the lost items, so no other read says LOST. Otherwise all other reads
+    say LOST, too: the limits of the channel would still let the lost items come at all these times.
+    """
     for start in range(1, last + 1):
         for end in range(start, last + 1):
             for newest_first in (False, True):
                 found, reason = read(files, segments, start, end, newest_first=newest_first)
                 wanted = {*range(start, end + 1)}
                 assert {*found} == wanted - lacks
-                assert (reason == "LOST") == bool(wanted & lacks), (start, end, newest_first, reason)
+                told = "LOST" if wanted & lacks or not knows_times else None
+                assert reason == told, (start, end, newest_first, reason)
 
 
 @pytest.mark.parametrize("restarts", [1, 2])
@@ -126,7 +142,7 @@ def test_a_file_that_loses_all_its_blocks_after_the_start_is_a_loss(tmp_path: Pa
     _, segments = opened(tmp_path)
     ruin(paths[which])
     lacks = {*range(1 + 4 * which, 5 + 4 * which)}
-    check(SegmentFiles(tmp_path, {}), segments, lacks, 12)
+    check(SegmentFiles(tmp_path, {}), segments, lacks, 12, knows_times=True)
 
 
 def test_items_that_max_bytes_collected_before_all_archived_ones_are_a_loss(tmp_path: Path) -> None:
@@ -146,7 +162,7 @@ def test_items_that_max_bytes_collected_after_all_archived_ones_are_a_loss(tmp_p
                 continue  # such a read does not ask the archive
             found, reason = read(files, segments, start, end, channel)
             assert found == [one for one in range(start, end + 1) if one in (1, 2, 7, 8)]
-            assert (reason == "LOST") == any(one in range(start, end + 1) for one in (3, 4, 5, 6)), (start, end)
+            assert reason == "LOST", (start, end)  # max_items would still let them come late, before all others
 
 
 def test_a_loss_stays_if_the_next_host_has_written_nothing_else(tmp_path: Path) -> None:
@@ -161,8 +177,9 @@ def test_a_loss_stays_if_the_next_host_has_written_nothing_else(tmp_path: Path) 
 
 
 def past(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, channel: ChannelCore, as_of: int, *, start: int = 1
-) -> ReadAnswer:
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, channel: ChannelCore, as_of: int, *, start: int = 1,
+    horizon: Horizon | None = None,
+) -> ReadAnswer:  # fmt: skip
     """The answer of a read of everything from `start` on, as of an instant."""
 
     async def scenario() -> ReadAnswer:
@@ -170,7 +187,7 @@ def past(
         files, segments = opened(tmp_path / "c")
         reader = PastReader(archive, ChannelRecorder(channel, files, segments), channel)
         query = Query(interval=Interval(Bound(None, start), Bound(None, 2**62)), match=Match.START)
-        found = await reader.read(query, as_of, PieceScheduler())
+        found = await reader.read(query, as_of, PieceScheduler(), horizon)
         await archive.close([])
         return found.answer
 
@@ -185,6 +202,17 @@ def test_a_read_as_of_the_time_of_a_damaged_first_file_says_lost(
     channel = ChannelCore(Policy(max_items=100), incarnation=7)
     channel.restore((), after=8, next_seq=9, loss=(None, None))
     assert past(tmp_path, monkeypatch, channel, as_of).reason == "LOST"
+
+
+@pytest.mark.parametrize("cut", [None, 3])
+def test_a_read_through_a_group_as_of_an_instant_before_the_first_item_finds_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: int | None
+) -> None:
+    files_of(tmp_path / "c", (1, 5))
+    channel = ChannelCore(Policy(max_items=100), incarnation=7)
+    channel.restore((), after=4, next_seq=5, loss=(None, None))
+    answer = past(tmp_path, monkeypatch, channel, -1, horizon=Horizon(cut, str))
+    assert (list(answer.slices), answer.reason) == ([], "NOT_YET")
 
 
 @pytest.mark.parametrize(("as_of", "reason"), [(-1, "NOT_YET"), (550, "LOST"), (650, "LOST")])
@@ -210,7 +238,50 @@ def test_a_hole_after_a_first_file_without_a_whole_block_is_a_loss(tmp_path: Pat
     files = SegmentFiles(tmp_path, {})
     for start, end in ((2, 3), (6, 6), (6, 9), (1, 10)):
         assert read(files, segments, start, end, newest_first=newest_first)[1] == "LOST"
-    assert read(files, segments, 9, 10, newest_first=newest_first) == ([9, 10], None)
+    assert read(files, segments, 9, 10, newest_first=newest_first) == ([9, 10], "LOST")  # items could still come late
+
+
+@pytest.mark.parametrize("after_start", [False, True])
+@pytest.mark.parametrize(
+    ("policy", "first", "last"),
+    [
+        (Policy(max_age_nanos=7, max_future_nanos=0), 6, 21),  # the host accepted the items from 15 to 21
+        (Policy(max_age_nanos=7, max_future_nanos=3), 6, 24),
+        (Policy(max_items=3, max_future_nanos=0), 9, 21),  # the file before has more than three items, from 9 on
+        (Policy(max_items=100, max_future_nanos=0), 1, 21),
+    ],
+)
+def test_items_without_known_times_are_a_loss_wherever_the_limits_let_them_come(
+    tmp_path: Path, policy: Policy, first: int, last: int, after_start: bool
+) -> None:
+    for begin, end in ((1, 9), (9, 17), (17, 33)):
+        files, _ = opened(tmp_path)
+        for seq in range(begin, end, 2):
+            if seq != 19 or after_start:
+                files.write([[ArchivedRun(seq, run_at(seq))]], NO_LIMITS)
+            else:
+                files.write([SeqGap(19, 21)], NO_LIMITS)
+        files.close(CleanStop(7, epoch=2))
+    if after_start:
+        raw = bytearray((path := sorted(tmp_path.glob("*.segment"))[-1]).read_bytes())
+        raw[raw.index(b"19 ") - ROW_BYTES - HEAD_BYTES] ^= 1
+        path.write_bytes(raw)
+    files, segments = opened(tmp_path)
+    channel = ChannelCore(policy, incarnation=7)
+    channel.restore((), after=32, next_seq=33, loss=(None, None))
+    told = [time for time in range(1, 33) if read(files, segments, time, time, channel)[1] == "LOST"]
+    assert told == [*range(first, last + 1)]
+
+
+def test_a_read_of_the_newest_items_says_lost_for_a_loss_after_them() -> None:
+    channel = ChannelCore(Policy(max_items=100), incarnation=7)
+    channel.restore([run_at(1), run_at(3)], after=0, next_seq=5, loss=(5, 9))
+    answers = []
+    for end in (4, 6):
+        interval = Interval(Bound(None, 1), Bound(None, end))
+        query = Query(interval=interval, match=Match.START, newest_first=True, limit=1)
+        answers.append(channel.read(query, CLOCK))
+    assert [(one.more, one.reason) for one in answers] == [(True, None), (True, "LOST")]
 
 
 FIRST = start_of(2)

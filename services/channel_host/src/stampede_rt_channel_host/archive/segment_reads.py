@@ -30,6 +30,7 @@ from stampede_rt_channel_host.core.archive import (
     choose_part,
     decode_advances,
     decode_items,
+    doubts_in,
     holes,
     is_whole,
     part_of,
@@ -114,11 +115,12 @@ class SegmentReads:
         for segment, offsets in taken.items():
             missing += holes(blocks_of(segment), offsets)
         reach = reach_of(wanted, chosen)
+        doubts = doubts_in(segments, blocks_of, taken, reach, wanted.limits, None if past is None else past.as_of)
         if past is not None:  # the items that it lacks came up to then
             reach = reach._replace(border=max(reach.border, past.as_of))
         missing += border_holes(segments, blocks_of, taken, reach)
         window = window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
-        return window._replace(holes=missing)
+        return window._replace(holes=missing, doubts=doubts)
 
     def past(self, segments: Sequence[Segment], as_of: int, decode: Callable[[bytes], Run]) -> Past:
         """The segments as they were at an earlier instant."""

@@ -47,6 +47,7 @@ from stampede_rt_channel_host.core.archive.block import (
     encode_opening,
     is_whole,
 )
+from stampede_rt_channel_host.core.archive.doubts import Doubt, doubts_in
 from stampede_rt_channel_host.core.archive.holes import Hole, WindowReach, border_holes, holes
 from stampede_rt_channel_host.core.archive.past import (
     NextItems,
@@ -101,6 +102,7 @@ __all__ = [
     "BlocksOf",
     "Chosen",
     "CutRun",
+    "Doubt",
     "Hole",
     "NextItems",
     "NotAtHand",
@@ -124,6 +126,7 @@ __all__ = [
     "decode_head",
     "decode_items",
     "deliver",
+    "doubts_in",
     "encode_advances",
     "encode_gap",
     "encode_items",

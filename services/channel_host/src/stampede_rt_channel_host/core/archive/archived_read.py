@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Match, ResolvedInterval, format_instant
+from stampede_rt_channel_host.core.archive.doubts import Doubt
 from stampede_rt_channel_host.core.archive.holes import Hole, WindowReach
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan, RecordedItems, earliest, latest
 from stampede_rt_channel_host.core.archive.window import ArchiveWindow, Chosen, Wanted
@@ -15,6 +16,7 @@ from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapsh
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
+from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.reading import Reading
 from stampede_rt_channel_host.core.channel.run import Slice
@@ -54,11 +56,15 @@ def reaches(held: Holdings | HoldingsSnapshot, start: int) -> bool:
 
 
 class WantedWindow(NamedTuple):
-    """The next window to load: the argument of `choose`, and the keys of the window's items (`window_of`)."""
+    """The next window to load: the argument of `choose`, and the keys of the window's items (`window_of`).
+
+    `limits` are those of the channel; None: the reader does not ask where the archive may lack items.
+    """
 
     wanted: Wanted
     low: ItemKey
     high: ItemKey
+    limits: ChannelLimits | None = None
 
 
 def reach_of(window: WantedWindow, chosen: Chosen) -> WindowReach:
@@ -96,6 +102,7 @@ class ArchivedRead:
         self._next_times: dict[ItemKey, int] = {}
         self._bytes = 0
         self._holes: set[Hole] = set()  # those in the interval
+        self._doubts: set[Doubt] = set()  # those in the interval
         self._more = self._is_done = False
         self._edge: int | None = None  # where the next window begins
         self._lowest: int | None = self._held.oldest  # downwards: the earliest time of the windows so far
@@ -125,7 +132,8 @@ class ArchivedRead:
         if self._edge is not None:
             from_time, low = self._edge, (self._edge, 0)
         high = min(border, (within.end, SEQ_END))
-        return WantedWindow(Wanted(self._start, high, self._held.overlap_nanos, size, from_time), low, border)
+        wanted = Wanted(self._start, high, self._held.overlap_nanos, size, from_time)
+        return WantedWindow(wanted, low, border, self._retention.limits)
 
     def _window_down(self, size: int) -> WantedWindow:
         within, query, border = self._within, self._query, self._border
@@ -134,7 +142,8 @@ class ArchivedRead:
             high = border = min(border, (self._edge or 0, SEQ_END))
         if query.after is not None:
             high = min(high, (max(query.after.time, within.start), SEQ_END))
-        return WantedWindow(Wanted(self._start, high, self._held.overlap_nanos, size, down=True), FIRST_KEY, border)
+        wanted = Wanted(self._start, high, self._held.overlap_nanos, size, down=True)
+        return WantedWindow(wanted, FIRST_KEY, border, self._retention.limits)
 
     def take(self, window: ArchiveWindow) -> Pieces[None]:
         """Read the items of a window, which lies after the windows so far."""
@@ -147,6 +156,7 @@ class ArchivedRead:
         self._windows += 1
         first, last = self._within.start, self._last_instant
         self._holes.update(one for one in window.holes if one.start <= last and one.end >= first)
+        self._doubts.update(one for one in window.doubts if one.start <= last and one.end >= first)
         self._last, self._reading = answer, reading
         if searching_more:
             self._more = bool(answer.slices)
@@ -212,7 +222,7 @@ class ArchivedRead:
         slices = [one for page in pages for one in page]
         reason = self._lack(slices)
         if reason is None:
-            reason = reading.reason(self._query, self._within, has_items=bool(slices), more=self._more)
+            reason = reading.reason(self._query, self._within, slices, more=self._more)
         following = self._next_time
         return last._replace(
             slices=slices, next_time=following, more=self._more, reason=reason, next_times=self._next_times
@@ -224,13 +234,14 @@ class ArchivedRead:
 
         If the limit has cut the answer off, holes beyond its last item do not count.
         """
-        lacking = self._holes
+        first, last = self._within.start, self._last_instant
         if self._more and slices and self._query.newest_first:
-            lacking = {one for one in lacking if one.end >= slices[0].first_time}
+            first = slices[0].first_time
         elif self._more and slices:
-            lacking = {one for one in lacking if one.start <= slices[-1].last_time}
+            last = slices[-1].last_time
+        lacking = {one for one in self._holes if one.start <= last and one.end >= first}
         if not lacking:
-            return None
+            return _doubted({one for one in self._doubts if one.start <= last and one.end >= first})
         self.lacks = count = sum(one.items for one in lacking)
         start, end = min(one.start for one in lacking), max(one.end for one in lacking)
         if not count:
@@ -244,3 +255,15 @@ class ArchivedRead:
             f"the archive lacks {count} items between {format_instant(start)} and {format_instant(end)}: max_bytes "
             "collected them before they were archived, or their block or file is damaged or removed",
         )
+
+
+def _doubted(doubts: set[Doubt]) -> Reason | None:
+    """The reason of an answer that may lack items whose times are not known, or None."""
+    if not doubts:
+        return None
+    start, end = min(one.start for one in doubts), max(one.end for one in doubts)
+    return Reason(
+        "LOST",
+        f"the archive lacks {sum(one.items for one in doubts)} items whose times are not known. They were between "
+        f"{format_instant(start)} and {format_instant(end)} if they came as late, or as early, as the limits allow",
+    )

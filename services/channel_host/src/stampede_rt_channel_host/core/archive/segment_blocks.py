@@ -37,6 +37,7 @@ class _Columns(NamedTuple):
     places: array[int]
     lows: array[int]
     highs: array[int]
+    first_seqs: array[int]
     end_seqs: array[int]
     accepted: array[int]
 
@@ -44,7 +45,9 @@ class _Columns(NamedTuple):
 class SegmentBlocks(Sequence[PlacedBlock]):
     """The blocks of a segment, or its first ones, in the order of the file. Immutable."""
 
-    __slots__ = ("_accepted", "_by_high", "_by_low", "_columns", "_high_times", "_least", "_low_times", "_reach")
+    __slots__ = (
+        "_accepted", "_breaks", "_by_high", "_by_low", "_columns", "_high_times", "_least", "_low_times", "_reach",
+    )  # fmt: skip
 
     def __init__(self, blocks: Iterable[PlacedBlock] = ()) -> None:
         self._sort(_columns_of([*blocks], 0))
@@ -61,6 +64,8 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         self._least = array("q", accumulate((lows[at] for at in reversed(self._by_high)), min))  # from this block on
         self._least.reverse()
         self._accepted = array("q", accumulate(columns.accepted, max))
+        pairs = zip(columns.end_seqs, columns.first_seqs[1:], strict=False)
+        self._breaks = array("I", (at for at, (end, first) in enumerate(pairs) if end != first))
 
     def followed_by(self, blocks: Iterable[PlacedBlock]) -> SegmentBlocks:
         """These blocks, and then others."""
@@ -97,6 +102,11 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         """The block at position `at` among those that have items; -1: the last one. None: there is none."""
         places = self._columns.places
         return self[places[at]] if -len(places) <= at < len(places) else None
+
+    def breaks(self) -> Iterator[tuple[BlockHead, BlockHead]]:
+        """The neighbours among the blocks of items between whose seqs others are missing."""
+        for at in self._breaks:
+            yield self._of(at).head, self._of(at + 1).head
 
     def position(self, offset: int) -> int:
         """The position of the block at `offset` among those that have items."""
@@ -186,6 +196,7 @@ def _columns_of(blocks: Sequence[PlacedBlock], first: int) -> _Columns:
         places=array("I", (at for at, _ in with_items)),
         lows=array("q", (head.low[0] for head in heads)),
         highs=array("q", (head.high[0] for head in heads)),
+        first_seqs=array("Q", (head.first_seq for head in heads)),
         end_seqs=array("Q", (head.end_seq for head in heads)),
         accepted=array("q", (head.last_accepted for head in heads)),
     )

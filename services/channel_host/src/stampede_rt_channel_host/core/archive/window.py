@@ -13,6 +13,7 @@ from typing import NamedTuple
 from stampede_rt.errors import Overloaded
 from stampede_rt.values.timeline import format_instant
 from stampede_rt_channel_host.core.archive.block import BlockHead, TimeRange
+from stampede_rt_channel_host.core.archive.doubts import Doubt
 from stampede_rt_channel_host.core.archive.holes import Hole
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
@@ -75,7 +76,8 @@ class ArchiveWindow(NamedTuple):
     """The items of some blocks, in time order: whole buckets, without a gap between them.
 
     `edge` and `following`: see `Chosen`. `end`: no item at or above this key belongs to the window or comes after it;
-    None: the items in memory come after the window. `holes`: the items that the archive lacks here.
+    None: the items in memory come after the window. `holes`: the items that the archive lacks here. `doubts`: where it
+    may lack items.
     """
 
     items: ChannelIndex
@@ -83,6 +85,7 @@ class ArchiveWindow(NamedTuple):
     following: int | None
     end: ItemKey | None
     holes: Sequence[Hole] = ()
+    doubts: Sequence[Doubt] = ()
 
 
 def choose(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) -> Chosen:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from stampede_rt.errors import IncarnationLost
@@ -11,6 +12,7 @@ from stampede_rt_channel_host.core.channel.former_incarnations import FormerInca
 from stampede_rt_channel_host.core.channel.held_items import HeldItems
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.retention import Retention
+from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.selection import Readable, select
 from stampede_rt_channel_host.core.channel.single_items import item_at
 from stampede_rt_channel_host.core.channel.values import Position, Query, ReadAnswer, WakeAt
@@ -107,6 +109,8 @@ class Reading:
             reason = self._reason(query, region, complete, truncated, found.more)
         else:
             reason = reasons[found.more]
+        if reason is None and found.more and query.newest_first:
+            reason = self._lost_after(found.slices[0].first_time, region)
         return ReadAnswer(
             slices=found.slices,
             next_time=found.next_time,
@@ -131,13 +135,16 @@ class Reading:
         over = self._is_over(within)
         return ReadAnswer((found.part,), found.next_time, within, over, truncated, False, reason, self._incarnation)
 
-    def reason(self, query: Query, within: ResolvedInterval, *, has_items: bool, more: bool) -> Reason | None:
+    def reason(self, query: Query, within: ResolvedInterval, slices: Sequence[Slice], *, more: bool) -> Reason | None:
         """The reason of an answer that the caller has put together: why it is empty or partial."""
         region = region_of(query, within)
-        if not has_items:
+        if not slices:
             return self._absence(query, region)
         truncated = not region.is_empty and self._is_truncated(region)
-        return self._reason(query, region, self._is_over(region), truncated, more)
+        found = self._reason(query, region, self._is_over(region), truncated, more)
+        if found is None and more and query.newest_first:
+            return self._lost_after(slices[0].first_time, region)
+        return found
 
     def poll(self, pending: Pending, clock: int) -> Pieces[ReadAnswer | WakeAt]:
         """The answer if the get is released, or when to poll again."""
@@ -218,6 +225,11 @@ class Reading:
         if self._lost_before is None or region.start >= self._lost_before:
             return False
         return self.lost_from is None or region.end >= self.lost_from
+
+    def _lost_after(self, first: int, region: ResolvedInterval) -> Reason | None:
+        """The reason if a limit has cut off the items before the time `first`, and later ones were lost."""
+        rest = replace(region, start=first, start_exclusive=False)
+        return self._lost() if self._reaches_into_loss(rest) else None
 
     def _reason(
         self, query: Query, region: ResolvedInterval, complete: bool, truncated: bool, more: bool

@@ -1,0 +1,146 @@
+"""The times at which an archive may lack items. Pure.
+
+The seqs of an archive tell that items are missing, but not which times they had: an item may come late, or have a time
+in the future. So each hole in the seqs has a stretch of doubt: from the least time that the host could still accept
+then, to the greatest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
+from stampede_rt_channel_host.core.archive.block import BlockHead
+from stampede_rt_channel_host.core.archive.holes import WindowReach
+from stampede_rt_channel_host.core.archive.segment import Segment
+from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
+from stampede_rt_channel_host.core.archive.seq_starts import given_between
+from stampede_rt_channel_host.core.channel.limits import ChannelLimits
+
+
+class Doubt(NamedTuple):
+    """A stretch of time, both ends inclusive, that may lack some of the `items` that the archive lacks."""
+
+    start: int
+    end: int
+    items: int
+
+
+@dataclass(frozen=True)
+class _Search:
+    """A search for doubts: the segments, the limits of the channel, and the numbers of the segments to look into.
+
+    `last`: no item of the archive has a later time.
+    """
+
+    segments: Sequence[Segment]
+    limits: ChannelLimits
+    blocks_of: Callable[[Segment], SegmentBlocks]
+    near: Container[int]
+    last: int
+    _by_size: dict[int, int] = field(default_factory=dict)  # by the place of a segment
+
+    def find(self) -> Iterator[Doubt]:
+        """All doubts. Those in segments that are not near have wider bounds, because their blocks may be far away."""
+        former: BlockHead | Segment | None = None
+        for at, one in enumerate(self.segments):
+            if not one.items:
+                continue
+            if one.number not in self.near:
+                if former is None or one.end_seq - former.end_seq != one.items:  # for the speed of long archives
+                    lacks = self._lacks(former, one.end_seq) - one.items
+                    if lacks > 0:
+                        yield self._doubt(at, former, self._end_after(at), lacks)
+                former = one
+                continue
+            blocks = self.blocks_of(one)
+            first, last = blocks.items_at(0), blocks.items_at(-1)
+            if first is None or last is None:
+                continue  # no block can be read: all its items are missing
+            for earlier, later in ((former, first.head), *blocks.breaks()):
+                lacks = self._lacks(earlier, later.first_seq)
+                if lacks:
+                    end = max(later.low[0], self._latest(later.first_accepted))
+                    yield self._doubt(at, earlier, end, lacks)
+            former = last.head
+        lacks = self._lacks(former, self.segments[-1].end_seq)
+        if lacks:
+            yield self._doubt(len(self.segments) - 1, former, self.last, lacks)
+
+    def _lacks(self, former: BlockHead | Segment | None, end_seq: int) -> int:
+        """How many items are missing before this seq."""
+        return given_between(self.segments[0].first_seq if former is None else former.end_seq, end_seq)
+
+    def _latest(self, accepted: int) -> int:
+        """The greatest time of an item that the host accepted by then."""
+        return accepted + self.limits.max_future_nanos
+
+    def _end_after(self, at: int) -> int:
+        """The end of a doubt in this segment, or after it: the host accepted the items before those of the next one."""
+        following = next((one for one in self.segments[at + 1 :] if one.items), None)
+        high = self.segments[at].high
+        end = self.last if following is None else self._latest(following.last_accepted)
+        return end if high is None else max(end, high[0])
+
+    def _doubt(self, at: int, former: BlockHead | Segment | None, end: int, lacks: int) -> Doubt:
+        """The doubt after the block or segment `former`, in the segment `at`."""
+        if former is None or former.high is None:
+            return Doubt(MIN_INSTANT, end, lacks)
+        if at not in self._by_size:
+            self._by_size[at] = self._least_by_size(at)
+        start = max(self._least_by_age(at, former.last_accepted), self._by_size[at])
+        return Doubt(min(start, end, former.high[0]), max(end, former.high[0]), lacks)
+
+    def _least_by_age(self, at: int, accepted: int) -> int:
+        """The host accepts no item before the last bucket that ended `max_age` before."""
+        if self.limits.max_age_nanos is None or self.limits.max_age_unconsumed_nanos is not None:
+            return MIN_INSTANT
+        bound = accepted - self.limits.max_age_nanos - self.limits.overlap_nanos
+        times = (self._last_before(bound, self.segments[place]) for place in range(at, -1, -1))
+        return next((one for one in times if one is not None), MIN_INSTANT)
+
+    def _last_before(self, bound: int, one: Segment) -> int | None:
+        """The time of an item before `bound`, the latest that is known without a look into a far segment, or None."""
+        if one.low is None or one.high is None or one.low[0] >= bound:
+            return None
+        if one.high[0] < bound:
+            return one.high[0]
+        found = self.blocks_of(one).last_end_before(bound) if one.number in self.near else None
+        return one.low[0] if found is None else found
+
+    def _least_by_size(self, at: int) -> int:
+        """The host accepts no item before those that `max_items` or `max_bytes` have collected."""
+        limits, items, size = self.limits, 0, 0
+        low = self.segments[at].low
+        least = MAX_INSTANT if low is None else low[0]
+        for one in reversed(self.segments[:at]):
+            if one.low is not None:
+                least = min(least, one.low[0])
+            items, size = items + one.items, size + one.length
+            if size > limits.max_bytes or (limits.max_items is not None and items > limits.max_items):
+                return least
+        return MIN_INSTANT
+
+
+def doubts_in(
+    segments: Sequence[Segment],
+    blocks_of: Callable[[Segment], SegmentBlocks],
+    taken: Iterable[Segment],
+    reach: WindowReach,
+    limits: ChannelLimits | None,
+    as_of: int | None,
+) -> list[Doubt]:
+    """The doubts at the times at which a window looked. `taken`: the segments of which it took blocks. `as_of`: the
+    archive is that of this instant.
+    """
+    if limits is None or not segments:
+        return []
+    near = {one.number for one in taken}
+    for one in segments:
+        if one.low is not None and one.high is not None and one.low[0] <= reach.high and reach.low <= one.high[0]:
+            near.add(one.number)
+    last = reach.border if as_of is None else max(reach.border, as_of + limits.max_future_nanos)
+    found = _Search(segments, limits, blocks_of, near, last).find()
+    return [one for one in found if one.start <= reach.high and one.end >= reach.low]
