@@ -115,6 +115,8 @@ class RecordFile:
         """
         while True:
             frame = self.frame_at(offset)
+            if frame is not None and not self._fits(frame):
+                frame = None
             if frame is None and self.size - offset == len(MAGIC) and self._read(offset, len(MAGIC)) == MAGIC:
                 return
             if frame is not None:
@@ -151,14 +153,26 @@ class RecordFile:
             offset += _SEARCH_BYTES
         return None
 
-    def _is_chunk(self, offset: int) -> bool:
-        frame, head = self.frame_at(offset), self._read(offset + _FRAME.size, _CHUNK_HEAD.size)
-        if frame is None or frame.opcode != Opcode.CHUNK or len(head) < _CHUNK_HEAD.size:
+    def _fits(self, frame: RecordFrame) -> bool:
+        """Whether the kind and the length of a record agree with the lengths inside it.
+
+        No checksum covers them, so a flipped bit may hide a chunk: as another record, or behind a record that is too
+        long.
+        """
+        if frame.opcode == Opcode.MESSAGE_INDEX:
+            return frame.length == 6 + int.from_bytes(self._read(frame.offset + _FRAME.size + 2, 4), "little")
+        return (frame.opcode == Opcode.CHUNK) is self._has_lengths_of_chunk(frame)
+
+    def _has_lengths_of_chunk(self, frame: RecordFrame) -> bool:
+        if frame.length < _CHUNK_HEAD.size + 8:
             return False
-        _, _, uncompressed, _, name_length = _CHUNK_HEAD.unpack(head)
-        stored = self._read(offset + _FRAME.size + _CHUNK_HEAD.size + name_length, 8)
-        length = int.from_bytes(stored, "little") + _CHUNK_HEAD.size + name_length + 8
-        if uncompressed > RECORD_BYTES_MAX or length != frame.length:
+        name_length: int = _CHUNK_HEAD.unpack(self._read(frame.offset + _FRAME.size, _CHUNK_HEAD.size))[-1]
+        stored = self._read(frame.offset + _FRAME.size + _CHUNK_HEAD.size + name_length, 8)
+        return int.from_bytes(stored, "little") + _CHUNK_HEAD.size + name_length + 8 == frame.length
+
+    def _is_chunk(self, offset: int) -> bool:
+        frame = self.frame_at(offset)
+        if frame is None or frame.opcode != Opcode.CHUNK or not self._has_lengths_of_chunk(frame):
             return False
         try:
             self.chunk_records(frame)

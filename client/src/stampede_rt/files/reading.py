@@ -113,6 +113,7 @@ class FileReader:
         self._index: FileIndex | None = None
         self._looked = False
         self._data_end = 0
+        self._has_chunks = False  # as far as known
         first = self._records.frame_at(len(MAGIC))
         if first is not None and first.opcode == Opcode.HEADER:
             with suppress(FileError):  # a damaged head: the rest may be whole
@@ -154,6 +155,7 @@ class FileReader:
                 yield found
 
     def _frames(self) -> Iterator[RecordFrame | Damage]:
+        self._has_chunks = self.index is not None and bool(self.index.chunks)
         if self.index is None:
             return self._records.frames()
         ends = {one.chunk_start_offset: one.chunk_start_offset + one.chunk_length for one in self.index.chunks}
@@ -190,13 +192,14 @@ class FileReader:
 
     def _read(self, frame: RecordFrame) -> Content | Attachment | Metadata | None:
         if frame.opcode == Opcode.CHUNK:
+            self._has_chunks = True
             return self._content(frame, self._records.chunk_records(frame))
         if frame.opcode == Opcode.MESSAGE:
             body = self._records.body(frame)
             if len(body) < 22:
                 raise FileError(f"the message at byte {frame.offset} of {self.path!r} is too short")
             content = self._content(frame, [_message(body)])
-            if content.bare and self.index is not None and self.index.chunks:
+            if content.bare and self._has_chunks:
                 raise FileError(f"the message at byte {frame.offset} of {self.path!r} is in no chunk")
             return content
         if frame.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
