@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -10,7 +10,7 @@ import pytest
 from stampede_rt.values.timeline import NOW, OLDEST, Bound, Interval
 from stampede_rt_channel_host.archive.clean_stop import CleanStop, name_of_stop, stop_named
 from stampede_rt_channel_host.archive.objects.opened_store import OpenedStore
-from stampede_rt_channel_host.archive.objects.segment_store import LaterOwner, SegmentStore
+from stampede_rt_channel_host.archive.objects.segment_store import FoundObject, LaterOwner, SegmentStore
 from stampede_rt_channel_host.core.channel import Query
 from tests.support.channel_host.object_stores import CHANNEL, PREFIX, FakeStore, moving_files
 from tests.support.channel_host.recorded_hosts import Host, Owner, quick_looks  # noqa: F401
@@ -263,3 +263,25 @@ def test_the_name_of_the_object_tells_all_about_a_clean_stop(stop: CleanStop) ->
 @pytest.mark.parametrize("name", ["", "x", "1_2_x_x_x.stopped", "000000001_2_x_x.stopped", "000000001_2_x_x_x.segment"])
 def test_an_object_with_another_name_tells_nothing(name: str) -> None:
     assert stop_named(name) is None
+
+
+@pytest.mark.asyncio
+async def test_a_listing_that_began_before_the_last_segment_was_made_is_repeated(tmp_path: Path) -> None:
+    class Late(FakeStore):
+        """A store whose first listing has the clean stop, but not the segment that the owner made before it."""
+
+        hides = False
+
+        def find(self, prefix: str) -> Iterator[FoundObject]:
+            hides, self.hides = self.hides, False
+            yield from (one for one in super().find(prefix) if not (hides and one.name.endswith(".segment")))
+
+    store = Late()
+    first = await owner(tmp_path / "a", store, 1)
+    await first.put(1, 2, 3)
+    await stop(first)
+    store.hides = True
+    second = await owner(tmp_path / "b", store, 2)
+    assert (await second.read(all_up_to(3))).reason is None
+    assert await second.times(ALL) == [1, 2, 3]
+    await stop(second)

@@ -70,8 +70,10 @@ class StoredSegments(SegmentFolder):
         Raises StoreError, and LaterOwner if there are segments of a later epoch. Ignores objects that are no segments.
         Any thread may call it.
         """
-        listed = [(one.name, one.bytes) for one in self._store.find(self.prefix)]
-        found, stops = self._segments_of(listed), self._stops_of(name for name, _ in listed)
+        found, stops = self._listed()
+        end_seq = max((one.segment.end_seq for one in found.values()), default=0)
+        if any(one.epoch == epoch - 1 and one.end_seq > end_seq for one in stops.values()):
+            found, stops = self._listed()  # the former owner made the last segment and this object during the listing
         later = [one.name for one in found.values() if one.segment.number >= first_number(epoch + 1)]
         later += [name for name, stop in stops.items() if stop.epoch > epoch]
         if later:
@@ -82,6 +84,11 @@ class StoredSegments(SegmentFolder):
         self.stops = {name: stop for name, stop in stops.items() if stop.epoch < epoch}
         self._index_overlaps([found[one] for one in sorted(found)], following)
         return found
+
+    def _listed(self) -> tuple[dict[int, StoredSegment], dict[str, CleanStop]]:
+        """The segments in the store, and the clean stops, by the names of their objects. Raises StoreError."""
+        listed = [(one.name, one.bytes) for one in self._store.find(self.prefix)]
+        return self._segments_of(listed), self._stops_of(name for name, _ in listed)
 
     def _index_overlaps(self, found: Sequence[StoredSegment], following: int | None) -> None:
         """Read the indexes of the segments whose last items the next segment has, too. Then the thread of writes, which
