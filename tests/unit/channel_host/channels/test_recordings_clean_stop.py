@@ -10,7 +10,7 @@ import pytest
 from stampede_rt.values.timeline import NOW, OLDEST, Bound, Interval
 from stampede_rt_channel_host.archive.clean_stop import CleanStop, name_of_stop, stop_named
 from stampede_rt_channel_host.archive.objects.opened_store import OpenedStore
-from stampede_rt_channel_host.archive.objects.segment_store import FoundObject, LaterOwner, SegmentStore
+from stampede_rt_channel_host.archive.objects.segment_store import FoundObject, LaterOwner, SegmentStore, StoreError
 from stampede_rt_channel_host.core.channel import Query
 from tests.support.channel_host.object_stores import CHANNEL, PREFIX, FakeStore, moving_files
 from tests.support.channel_host.recorded_hosts import Host, Owner, quick_looks  # noqa: F401
@@ -285,3 +285,22 @@ async def test_a_listing_that_began_before_the_last_segment_was_made_is_repeated
     assert (await second.read(all_up_to(3))).reason is None
     assert await second.times(ALL) == [1, 2, 3]
     await stop(second)
+
+
+@pytest.mark.asyncio
+async def test_a_host_that_cannot_tell_the_next_owner_about_its_stop_logs_why(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Refusing(FakeStore):
+        """A store that takes segments only."""
+
+        async def create(self, name: str, content: bytes | bytearray) -> bool:
+            if name.endswith(".stopped"):
+                raise StoreError("the store refuses this name")
+            return await super().create(name, content)
+
+    one = await owner(tmp_path / "a", Refusing(), 1)
+    await one.put(1)
+    await stop(one)
+    whys = [vars(line).get("why") for line in caplog.records if vars(line).get("event") == "archive_store_failed"]
+    assert whys == ["the store refuses this name"]

@@ -307,8 +307,8 @@ class SegmentMover:
         async with self._moving:
             if self._task is not None:
                 self._task.cancel()
-            await self.move_all()
-            await self._tried(self._note_stops())
+            failure = await self.move_all()
+            self._note(failure or await self._tried(self._note_stops()))
 
     def close(self) -> None:
         """End the moves. Logs if closed files have not moved."""
