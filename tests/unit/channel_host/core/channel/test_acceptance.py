@@ -59,6 +59,16 @@ def test_the_error_of_an_item_too_far_ahead_has_the_measured_offset() -> None:
     assert error.metadata == {"offset_nanos": "101", "host_time_unix_nano": str(CLOCK)}
 
 
+def test_the_error_of_an_item_without_a_time_blames_the_clock_of_the_host() -> None:
+    channel = a_channel(clock_ahead=100, max_items=9)
+    put(channel, CLOCK + 100)
+    channel.configure(Policy(max_items=9, max_future_nanos=99), CLOCK)
+    error = channel.put(Offer(times=None, durations=None, lengths=[1]), CLOCK, seal).rejections[0].error
+    assert isinstance(error, InFuture)
+    assert "the newest item or the advance of channel 'cam/left' is 100 ns ahead of the host's clock" in error.message
+    assert "the clock of the host's machine" in error.message
+
+
 def test_an_item_before_the_newest_collected_bucket_is_too_old_but_one_in_it_is_not() -> None:
     channel = a_channel(max_items=2)
     put(channel, 10, 10, 20)

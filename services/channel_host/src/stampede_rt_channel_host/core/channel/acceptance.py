@@ -144,8 +144,11 @@ class Acceptance:
             f"{limits.max_items or 'any number of'} items and {limits.max_bytes} bytes; put {when}, or raise its limits"
         )
 
-    def fault(self, time: int, duration: int, length: int, clock: int) -> StampedeError | None:
-        """The error with which the channel refuses an item, however much room there is, or None."""
+    def fault(self, time: int, duration: int, length: int, clock: int, *, is_stamp: bool) -> StampedeError | None:
+        """The error with which the channel refuses an item, however much room there is, or None.
+
+        `is_stamp`: the time is from `stamp`, and not from the producer.
+        """
         limits = self._retention.limits
         if length > limits.max_item_bytes or length + ITEM_OVERHEAD_BYTES > limits.max_bytes:
             return ItemTooLarge(
@@ -153,12 +156,19 @@ class Acceptance:
                 f"{min(limits.max_item_bytes, limits.max_bytes - ITEM_OVERHEAD_BYTES)}; split it, or raise the limits"
             )
         if time > clock + limits.max_future_nanos:
-            return InFuture(
-                f"an item is {format_duration(time - clock)} ahead of the host's clock; {self._channel} takes at most "
-                f"{format_duration(limits.max_future_nanos)} (max_future): set the producer's clock",
-                metadata=_offset(time, clock),
-            )
+            return self._in_future(time, clock, is_stamp=is_stamp)
         return self._too_old(time, duration, length, clock)
+
+    def _in_future(self, time: int, clock: int, *, is_stamp: bool) -> InFuture:
+        ahead = f"{format_duration(time - clock)} ahead of the host's clock"
+        most = f"takes at most {format_duration(self._retention.limits.max_future_nanos)} (max_future)"
+        text = f"an item is {ahead}; {self._channel} {most}: set the producer's clock"
+        if is_stamp:
+            text = (
+                f"the newest item or the advance of {self._channel} is {ahead}, and an item without a time would "
+                f"be, too; it {most}: set the clock of the host's machine, or put with a time"
+            )
+        return InFuture(text, metadata=_offset(time, clock))
 
     def _too_old(self, time: int, duration: int, length: int, clock: int) -> TooOld | None:
         """The error of an item that is too old, or None if the item is not."""
@@ -232,7 +242,7 @@ class _ItemByItem:
             duration = ABSENT if self._offer.durations is None else self._offer.durations[index]
             length = self._offer.lengths[index]
             self._retention.apply_time(self._clock)
-            fault = self._to.fault(time, duration, length, self._clock)
+            fault = self._to.fault(time, duration, length, self._clock, is_stamp=stamp is not None)
             as_if = self._as_if_put_at(time)
             if fault is None and not self._has_room(min(as_if, time), length):
                 in_vain = self._retention.makes_no_room_at(as_if)
