@@ -157,6 +157,14 @@ def test_a_subscription_holds_few_of_many_earlier_pages(rt: st.Connection, monke
         next(items)
 
 
+def test_a_missing_channel_or_group_is_named_with_a_remedy_that_a_replay_has(rt: st.Connection) -> None:
+    with rt.replay(st.now(), speed=0) as replay:
+        with pytest.raises(st.ChannelNotFound, match="no channel nobody, and a replay creates none"):
+            replay.channel("nobody")
+        with pytest.raises(st.GroupNotFound, match="create it through the connection"):
+            replay.group("nobody", [])
+
+
 def test_a_stepped_replay_clock_moves_only_by_steps(rt: st.Connection) -> None:
     channel = rt.channel("clock/steps", max_age="60s", archive="7d")
     start = channel.stats().host_time

@@ -15,7 +15,7 @@ from stampede_rt._sync.replayed_channel import ReplayedChannel
 from stampede_rt._sync.replayed_group import ReplayedGroup
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.virtual_clock import VirtualClock
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import ChannelNotFound, GroupNotFound, InvalidArgument
 from stampede_rt.values.codecs import CodecLike
 from stampede_rt.values.grouping import CrossSection, Over
 from stampede_rt.values.replaying import not_replayed
@@ -89,7 +89,10 @@ class ReplayedConnection:
     def channel(self, name: str, *, codec: CodecLike | None = None, **stated: Any) -> ReplayedChannel:
         """Get a recorded channel. Ignores the arguments that say how to create one. Raises ChannelNotFound."""
         check_arguments(self._connection.channel, stated)
-        return self._replayed(self._connection.channel(name, codec=codec, create=False))
+        try:
+            return self._replayed(self._connection.channel(name, codec=codec, create=False))
+        except ChannelNotFound as error:
+            raise ChannelNotFound(f"there is no channel {name}, and a replay creates none") from error
 
     def _replayed(self, channel: Channel) -> ReplayedChannel:
         return ReplayedChannel(channel, self._clock, self._end)
@@ -97,7 +100,10 @@ class ReplayedConnection:
     def group(self, name: str, channels: Sequence[object] | None = None, **stated: Any) -> ReplayedGroup:
         """Get a group by its name, with its present members. Ignores the other arguments. Raises GroupNotFound."""
         check_arguments(self._connection.group, stated)
-        return ReplayedGroup(self._connection.group(name), self._clock, self._end)
+        try:
+            return ReplayedGroup(self._connection.group(name), self._clock, self._end)
+        except GroupNotFound as error:
+            raise GroupNotFound(f"there is no group {name}; create it through the connection, not a replay") from error
 
     def cross_section(
         self,
