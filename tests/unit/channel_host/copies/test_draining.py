@@ -11,7 +11,14 @@ from typing import Any
 import grpc
 import pytest
 
-from stampede_rt.errors import ChannelNotFound, InvalidArgument, Overloaded, StampedeError
+from stampede_rt.errors import (
+    ChannelNotFound,
+    InvalidArgument,
+    Overloaded,
+    PermissionDenied,
+    StaleBinding,
+    StampedeError,
+)
 from stampede_rt.status import to_error_message
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import migration_service_pb2_grpc
@@ -125,6 +132,25 @@ async def test_a_drain_asks_a_host_with_too_many_moves_again_later() -> None:
     busy = Host(*[FULL] * 5)
     assert await drained(3, busy) == Drained(3, {})
     assert sorted(busy.taken) == [b"c0", b"c1", b"c2"]
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        StaleBinding("channel c0 is at epoch 2, not 1", reason="WRONG_EPOCH"),
+        PermissionDenied("no caller has asked this host", metadata={"host_id": "00"}),
+    ],
+)
+async def test_a_drain_asks_again_if_it_has_ended_a_move_itself_and_has_another_epoch(error: StampedeError) -> None:
+    """The link to the other host broke. The drain left the channel."""
+    host = Host(error)
+    assert await drained(1, host) == Drained(1, {})
+    assert host.taken == [b"c0"]
+
+
+async def test_a_drain_leaves_a_channel_that_no_host_may_take() -> None:
+    host = Host(always=PermissionDenied("a rule denies it"))
+    assert await drained(1, host) == Drained(0, {"cam/0": "a rule denies it"})
 
 
 async def test_all_channels_of_a_drain_are_named_in_one_stream() -> None:

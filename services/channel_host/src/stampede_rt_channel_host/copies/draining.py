@@ -14,7 +14,9 @@ from stampede_rt.errors import (
     DeadlineExceeded,
     MoveConflict,
     Overloaded,
+    PermissionDenied,
     QueueNotFound,
+    StaleBinding,
     StampedeError,
     Unavailable,
 )
@@ -35,7 +37,8 @@ logger = logging.getLogger(__name__)
 
 Dial = Callable[[str], grpc.aio.Channel]
 NAMES_LOGGED_MAX = 20
-_AGAIN = (Overloaded, Unavailable, DeadlineExceeded, MoveConflict)  # another host, or the same one later, may take it
+# Another host, or the same one later, may take it. After StaleBinding this host has ended the move, and tries again.
+_AGAIN = (Overloaded, Unavailable, DeadlineExceeded, MoveConflict, StaleBinding)
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.05, 1.0
 BEGIN_SECONDS_MAX = 2.0  # the drain tries another host if one has not begun a move by then
 
@@ -278,10 +281,17 @@ async def _move(own: _Own, place: OtherHost, others: _Others, left: dict[bytes, 
             left[own.id] = str(error)
             if error.reason == "SHUTTING_DOWN":
                 others.leave_out(host)
-            elif not isinstance(error, _AGAIN):
+            elif not _may_pass(error):
                 return
         host = others.after(own, host)
         await asyncio.sleep(delay_s)
         delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
     if host is not None or not own.is_here:
         left.pop(own.id, None)
+
+
+def _may_pass(error: StampedeError) -> bool:
+    """Whether a move that failed with this error may succeed later, at this or another host."""
+    # this host allows a move at one epoch, and may have got another epoch since then
+    is_of_former_epoch = isinstance(error, PermissionDenied) and "host_id" in error.metadata
+    return is_of_former_epoch or isinstance(error, _AGAIN)
