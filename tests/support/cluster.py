@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import pytest
 
+import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_runtime.access.rules import VERBS_OF
 from tests.support.operator import operating
@@ -61,6 +62,12 @@ def acting_as_operator(cluster: LocalCluster) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(SECRET_VARIABLE, str(cluster.secret_file))
         yield
+
+
+def drained(cluster: LocalCluster, host: str) -> st.DrainInfo:
+    """Drain a host as an operator, also under `make test-acl`."""
+    with acting_as_operator(cluster), st.connect(cluster.address, transport="grpc") as operator:
+        return operator.drain(host)
 
 
 def find_secret_of(cluster: LocalCluster, patch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.cluster import running_cluster
+from tests.support.cluster import drained, running_cluster
 from tests.support.waiting import wait_until
 
 MS = 10**6
@@ -60,7 +60,6 @@ def payloads(items: Any) -> list[int]:
     return [int(item.payload) for item in items]
 
 
-@pytest.mark.without_rules("it acts as an operator")
 def test_a_recorded_channel_moves_with_its_memory_and_is_recorded_at_the_new_host(rt: Any) -> None:
     channel, began = filled(rt)
     incarnation = channel.incarnation
@@ -82,7 +81,6 @@ def test_a_recorded_channel_moves_with_its_memory_and_is_recorded_at_the_new_hos
     assert set(payloads(whole)) == {*range(100), *range(200 - HELD, 210)}
 
 
-@pytest.mark.without_rules("it acts as an operator")
 def test_puts_that_waited_for_the_disk_are_on_the_disk_of_the_new_host(rt: Any, cluster: LocalCluster) -> None:
     channel, began = filled(rt, ack="disk")
     rt.move(channel, "h2")
@@ -91,10 +89,9 @@ def test_puts_that_waited_for_the_disk_are_on_the_disk_of_the_new_host(rt: Any, 
     wait_until(lambda: payloads(read(channel, began, 100 - HELD, 100)) == [*range(100 - HELD, 100)], "it is back")
 
 
-@pytest.mark.without_rules("it acts as an operator")
-def test_no_move_or_drain_gives_a_recorded_channel_to_a_host_without_an_archive(rt: Any) -> None:
+def test_no_move_or_drain_gives_a_recorded_channel_to_a_host_without_an_archive(rt: Any, cluster: LocalCluster) -> None:
     channel, _ = filled(rt)
     with pytest.raises(st.InvalidArgument, match="this host has no archive; move it to a host that has one"):
         rt.move(channel, "h3")
-    assert rt.drain("h1").left == {}
+    assert drained(cluster, "h1").left == {}
     assert next(one.host for one in rt.channels(channel.name)) == "h2"

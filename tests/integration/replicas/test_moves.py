@@ -11,7 +11,7 @@ from stampede_rt.cli.commands import run
 from stampede_rt_local.cluster import LocalCluster
 from tests.integration.proxies.readers import all_saw, eventually, passes, produced, reading
 from tests.integration.replicas.test_replicas import holds_all, in_sync, opened, owner_of
-from tests.support.cluster import cluster_fixture
+from tests.support.cluster import cluster_fixture, drained
 
 cluster = cluster_fixture(hosts=3, supernodes=1, scope="function")
 
@@ -24,7 +24,6 @@ def names_in_sync(rt: Any, channel: Any) -> list[str]:
     return [name_of(rt, one) for one in in_sync(channel)]
 
 
-@pytest.mark.without_rules("it acts as an operator")
 def test_a_channel_with_a_replica_moves_under_load_and_survives_the_loss_of_its_new_host(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
@@ -53,7 +52,6 @@ def test_a_channel_with_a_replica_moves_under_load_and_survives_the_loss_of_its_
         holds_all(channel, last)
 
 
-@pytest.mark.without_rules("it acts as an operator")
 def test_a_drain_moves_channels_with_replicas_and_a_stopped_host_is_replaced(
     cluster: LocalCluster, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -64,7 +62,7 @@ def test_a_drain_moves_channels_with_replicas_and_a_stopped_host_is_replaced(
             passes(producing, 50)
             assert run(["replicas", "cam", "--url", cluster.address]) == 0
             assert [line.split()[1:3] for line in capsys.readouterr().out.splitlines()[1:]] == [["in", "sync"]] * 2
-            assert rt.drain("h1").left == {}
+            assert drained(cluster, "h1").left == {}
             assert owner_of(rt, channel) in ("h2", "h3")
             passes(producing, 50)
             cluster.hosts[0].stop()
@@ -74,7 +72,6 @@ def test_a_drain_moves_channels_with_replicas_and_a_stopped_host_is_replaced(
         holds_all(channel, last)
 
 
-@pytest.mark.without_rules("it acts as an operator")
 def test_a_channel_does_not_move_while_too_few_replicas_have_its_items(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt, replicas=2, min_replicas=2)
