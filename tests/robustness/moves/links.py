@@ -55,6 +55,7 @@ class Link:
     def __init__(self, world: World, source: Host, caller: Host | None = None) -> None:
         self.world, self.source, self.caller = world, source, caller
         self.is_of_move = False
+        self.is_held = False  # the present move has asked for the hold
         self.to_source: asyncio.Queue[Any] = asyncio.Queue()
         self.to_destination: asyncio.Queue[Any] = asyncio.Queue()
         self.serving: asyncio.Task[None] | None = None
@@ -82,10 +83,12 @@ class Link:
         if self.serving is None:
             self.serving = asyncio.create_task(self._serve())
         self.is_of_move |= bool(request.open.move_id)
+        self.is_held &= not request.HasField("open")
         if request.committed_epoch:
             self.world.at("source hears of the commit")
         if request.released:
             self.world.at("source hears of the release")
+        self.world.passes(self)
         self.to_source.put_nowait((self.due_s(), request.SerializeToString()))
         await asyncio.sleep(0)
 
@@ -142,12 +145,14 @@ class Context:
     async def read(self) -> Any:
         request = await arrived(self._link.to_source)
         await self._link.source.running.wait()
-        if request is not EOF and pb.FeedRequest.FromString(request).hold:
+        if request is not EOF and pb.FeedRequest.FromString(request).hold and not self._link.is_held:
+            self._link.is_held = True
             self._link.world.at("held")
         return request
 
     async def write(self, message: bytes) -> None:
         await self._link.source.running.wait()
+        self._link.world.passes(self._link)
         self._link.to_destination.put_nowait((self._link.due_s(), message))
         await asyncio.sleep(0)
 

@@ -10,6 +10,7 @@ from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, Placed, Release
 from stampede_rt_channel_host.copies.move_directory import Kept
 from stampede_rt_channel_host.copies.replica_directory import FeedSource, ListedReplica, ListedReplicas
+from stampede_rt_channel_host.core.placing import OtherHost
 from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChange
 from stampede_rt_supernode.codecs.record_codec import channel_record
@@ -94,6 +95,15 @@ class SimulatedDirectory(GatheredMoves):
             in_sync=change.in_sync, change_number=change.number,
         ))  # fmt: skip
         await self._reach()  # the answer may be lost
+
+    async def other_hosts(self) -> list[OtherHost]:
+        await self._reach()
+        tables = self.world.log.directory.tables
+        return [
+            OtherHost(one.host_id, one.name, one.name, 0, len([*tables.channels_at(one.host_id)]))
+            for one in tables.live_hosts()
+            if one.host_id != self.host.identity.host_id
+        ]
 
     async def kept_here(self, channel_id: bytes) -> Kept:
         await self._reach()

@@ -139,6 +139,9 @@ class World:
         """How long a message is on its way over a link."""
         return 0.0
 
+    def passes(self, link: Any) -> None:
+        """Note that a message begins its way over a link."""
+
     def reaches(self, link: Link) -> bool:
         """Whether there is a way between the hosts of a link."""
         return True

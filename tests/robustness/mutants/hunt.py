@@ -16,6 +16,7 @@ from tests.robustness.directory import upgrading
 from tests.robustness.histories.linearizability import NotLinearizable
 from tests.robustness.replication import simulate as log
 from tests.robustness.takeovers import simulate as takeovers
+from tests.robustness.takeovers import simulate_drains as drains
 from tests.robustness.takeovers import simulate_queues as queues
 
 SIMULATORS: dict[str, Callable[[int], object]] = {
@@ -24,6 +25,7 @@ SIMULATORS: dict[str, Callable[[int], object]] = {
     "upgrading": upgrading.run,
     "takeovers": takeovers.run,
     "queues": queues.run,
+    "drains": drains.run,
 }
 # The errors of the checks, and the errors of the product that notices a fault itself and stops.
 BROKEN_PROMISES = (AssertionError, NotLinearizable, InvariantViolation)

@@ -259,7 +259,19 @@ MUTANTS = (
             ("            self._move.hold()\n", "            pass\n"),
             ("if not self._move.is_held or not self._is_level():", "if not self._is_level():"),
         ),
-        noticed_by="tests/robustness/moves/test_early_holds.py",
+        noticed_by="drains",
+    ),
+    Mutant(
+        name="a_broken_stream_of_a_drain_is_the_last_one",
+        file=f"{HOST}/copies/drain_requests.py",
+        edits=(("            self._stream = None\n            writing", "            writing"),),
+        noticed_by="drains",
+    ),
+    Mutant(
+        name="a_host_answers_a_drain_once_for_each_channel",
+        file=f"{HOST}/copies/moves_of_drains.py",
+        edits=(("        self._under_way.discard(channel_id)\n", ""),),
+        noticed_by="drains",
     ),
     Mutant(
         name="a_release_at_any_epoch",

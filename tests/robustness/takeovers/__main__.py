@@ -14,9 +14,13 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
-from tests.robustness.takeovers import simulate, simulate_queues
+from tests.robustness.takeovers import simulate, simulate_drains, simulate_queues
 
-SIMULATORS: dict[str, Callable[[int], Any]] = {"channels": simulate.run, "queues": simulate_queues.run}
+SIMULATORS: dict[str, Callable[[int], Any]] = {
+    "channels": simulate.run,
+    "queues": simulate_queues.run,
+    "drains": simulate_drains.run,
+}
 
 
 class Played(NamedTuple):

@@ -10,6 +10,7 @@ from typing import Any
 from stampede_rt.errors import StampedeError
 from tests.robustness.takeovers.world import Cluster
 
+Fault = Callable[[int], Coroutine[Any, Any, None]]
 FAULTY_SECONDS = 30.0
 LEASE_ENDS_SECONDS = 7.0
 
@@ -18,25 +19,31 @@ class Faults:
     """The faults of one run. `owner_number`: a host that owns something. `move`: move something to that host."""
 
     def __init__(
-        self, cluster: Cluster, rng: random.Random, owner_number: Callable[[], int],
-        move: Callable[[int], Coroutine[Any, Any, None]],
+        self, cluster: Cluster, rng: random.Random, owner_number: Callable[[], int], move: Fault
     ) -> None:  # fmt: skip
         self.cluster, self.rng = cluster, rng
         self.owner_number, self.move = owner_number, move
+        self._running: list[asyncio.Task[None]] = []
+
+    def kinds(self) -> list[Fault]:
+        """The faults to choose from."""
+        faults = [self.kill, self.stop, self.slow, self.cut, self.cut_off, self.change_leader, self.move]
+        return [*faults, self.kill_behind_slow_links, self.kill_alone, self.kill_twice]
+
+    def begin(self, fault: Fault, number: int) -> None:
+        """Begin a fault at this host. It ends by itself, or with `disturb`."""
+        self._running.append(asyncio.create_task(fault(number)))
 
     async def disturb(self) -> None:
         """One fault after the other, some of them at the same time."""
-        cluster, rng, running = self.cluster, self.rng, []
-        faults = [self.kill, self.stop, self.slow, self.cut, self.cut_off, self.change_leader, self.move]
-        faults += [self.kill_behind_slow_links, self.kill_alone, self.kill_twice]
+        cluster, rng, faults = self.cluster, self.rng, self.kinds()
         ends_s = self.cluster.clock.now_s + FAULTY_SECONDS
         while self.cluster.clock.now_s < ends_s:
             await asyncio.sleep(rng.uniform(0.2, 5.0))
-            fault, number = rng.choice(faults), rng.choice([*cluster.hosts, self.owner_number()])
-            running.append(asyncio.create_task(fault(number)))
-        for task in running:
+            self.begin(rng.choice(faults), rng.choice([*cluster.hosts, self.owner_number()]))
+        for task in self._running:
             task.cancel()
-        results = await asyncio.gather(*running, return_exceptions=True)
+        results = await asyncio.gather(*self._running, return_exceptions=True)
         for one in results:
             if isinstance(one, Exception) and not isinstance(one, StampedeError):
                 raise one

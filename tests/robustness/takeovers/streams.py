@@ -107,6 +107,7 @@ class Call:
                 raise Unavailable("the host does not answer")
             self.cluster.links.append(self)
             self._serving = asyncio.create_task(self._serve())
+        self.cluster.passes(self)
         self.to_host.put_nowait((self.due_s(), message))
 
     async def _while_running(self) -> None:
@@ -132,6 +133,7 @@ class Call:
 
     def answer(self, message: object, sent_s: float = 0.0) -> None:
         """Send something to the caller. `sent_s`: when the host has begun to send it."""
+        self.cluster.passes(self)
         self._to_caller.put_nowait((self.due_s(), (sent_s, message)))
 
     async def _serve(self) -> None:

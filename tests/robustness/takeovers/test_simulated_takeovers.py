@@ -9,12 +9,13 @@ import pytest
 from stampede_rt.errors import StampedeError
 from stampede_rt.values.model import Policy
 from tests.robustness.moves.links import Link
-from tests.robustness.takeovers import simulate, simulate_queues
+from tests.robustness.takeovers import simulate, simulate_drains, simulate_queues
 from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 from tests.robustness.takeovers.world import Cluster
 
 SEEDS_IN_SUITE, BLOCKS = 12, 2
 QUEUE_SEEDS_IN_SUITE = 4
+DRAIN_SEEDS_IN_SUITE = 6
 REPORTS_PER_SECOND_MAX = 12  # of one replica and its owner: each sends five, and answers
 IDLE_SECONDS = 10.0
 
@@ -49,6 +50,22 @@ def test_no_message_of_a_queue_is_lost_or_comes_back_after_its_ack_under_faults(
     assert acknowledged > 100 * QUEUE_SEEDS_IN_SUITE, "there were too many faults: nothing was tested"
     assert dead_letters > 0, "there were no dead letters"
     assert changes > 0, "there were too few faults: the owner never changed"
+
+
+def test_drains_lose_nothing_of_live_hosts_and_leave_no_channel_when_their_streams_break() -> None:
+    early_holds = breaks = losses = moved = 0
+    for seed in range(DRAIN_SEEDS_IN_SUITE):
+        try:
+            found = simulate_drains.run(seed)
+        except Exception as error:
+            error.add_note(f"replay: python -m tests.robustness.takeovers --of drains --first {seed} --seeds 1")
+            raise
+        early_holds += found.early_holds
+        breaks += found.breaks
+        losses += found.losses
+        moved += found.moved
+    assert min(early_holds, breaks, losses) > 0
+    assert moved > 2 * breaks, "there were too many faults: nothing was tested"
 
 
 @pytest.mark.parametrize("ack", ["host", "replica"])

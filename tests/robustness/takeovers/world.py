@@ -272,7 +272,7 @@ class Cluster(World):
         await asyncio.sleep(0)
 
 
-def serving(cluster: Cluster) -> list[int]:
+def serving(cluster: Cluster, channel_id: bytes) -> list[int]:
     """The hosts that serve the channel, at whatever epoch.
 
     Leaves out a former owner that has not heard of a commit: its channel is held, so it has the items of the new owner.
@@ -280,11 +280,11 @@ def serving(cluster: Cluster) -> list[int]:
     found: dict[int, int] = {}
     held = set()
     for number, host in cluster.hosts.items():
-        hosted = host.store.known(cluster.channel_id)
+        hosted = host.store.known(channel_id)
         if hosted is None or hosted.copy is not None or not host.running.is_set():
             continue
         try:
-            host.store.find(cluster.channel_id, hosted.epoch)
+            host.store.find(channel_id, hosted.epoch)
         except StampedeError:
             continue
         found[number] = hosted.epoch
