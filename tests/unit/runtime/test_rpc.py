@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -7,7 +8,7 @@ import grpc
 import pytest
 
 from stampede_rt.errors import ChannelNotFound
-from stampede_rt_runtime.rpc import Context, errors_as_status
+from stampede_rt_runtime.rpc import Begun, Context, errors_as_status
 
 
 class Aborted(Exception):
@@ -79,3 +80,69 @@ async def test_the_stream_of_a_disconnected_caller_is_closed_at_once() -> None:
     assert await anext(stream) == "first"
     await stream.aclose()
     assert servicer.closed
+
+
+async def test_the_first_step_runs_at_once_and_the_rest_when_it_is_awaited() -> None:
+    steps: list[str] = []
+    waits = asyncio.get_running_loop().create_future()
+
+    async def work() -> None:
+        steps.append("first")
+        await waits
+        steps.append("second")
+        await asyncio.sleep(0)
+        steps.append("third")
+
+    begun = Begun(work())
+    assert (steps, begun.is_done) == (["first"], False)
+    waits.set_result(None)
+    await begun
+    assert (steps, begun.is_done) == (["first", "second", "third"], True)
+    await begun
+
+
+async def test_a_coroutine_that_need_not_wait_is_done() -> None:
+    assert Begun(_nothing()).is_done
+
+
+async def _nothing() -> None:
+    pass
+
+
+async def _fail(waits: asyncio.Future[None] | None) -> None:
+    if waits is not None:
+        await waits
+    raise ValueError
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+async def test_an_error_comes_when_the_rest_is_awaited(is_late: bool) -> None:
+    waits = asyncio.get_running_loop().create_future() if is_late else None
+    begun = Begun(_fail(waits))
+    assert not begun.is_done
+    if waits is not None:
+        waits.set_result(None)
+    with pytest.raises(ValueError):
+        await begun
+
+
+async def test_a_cancellation_reaches_the_coroutine() -> None:
+    ended: list[str] = []
+    waits = asyncio.get_running_loop().create_future()
+
+    async def work() -> None:
+        try:
+            await waits
+        except asyncio.CancelledError:
+            ended.append("cancelled")
+            raise
+
+    async def rest(begun: Begun) -> None:
+        await begun
+
+    task = asyncio.create_task(rest(Begun(work())))
+    await asyncio.sleep(0)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert ended == ["cancelled"]

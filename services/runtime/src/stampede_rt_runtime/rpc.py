@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Generator
 from contextlib import aclosing
 from typing import Any, TypeAlias, TypeVar
 
@@ -40,6 +40,43 @@ def write_now(context: Context) -> Callable[[bytes], None] | None:
     """
     write: Callable[[bytes], None] | None = getattr(context, "write_now", None)
     return write
+
+
+class Begun(Awaitable[None]):
+    """A coroutine whose first step has run. Await this object for the rest and for any error, also of the first step.
+
+    `is_done`: there is no rest, and no error. The coroutine must not ask for its task.
+    """
+
+    def __init__(self, work: Coroutine[Any, Any, None]) -> None:
+        self._work = work
+        self._error: Exception | None = None
+        self._waits_for: Any = None
+        self.is_done = False
+        try:
+            self._waits_for = work.send(None)
+        except StopIteration:
+            self.is_done = True
+        except Exception as error:  # noqa: BLE001 - `__await__` raises it
+            self._error = error
+
+    def close(self) -> None:
+        """End the coroutine where it waits. Idempotent."""
+        self._work.close()
+
+    def __await__(self) -> Generator[Any, Any, None]:
+        if self._error is not None:
+            raise self._error
+        try:
+            while not self.is_done:
+                try:
+                    value = yield self._waits_for
+                except BaseException as error:  # noqa: BLE001 - the coroutine gets it, such as a cancellation
+                    self._waits_for = self._work.throw(error)
+                else:
+                    self._waits_for = self._work.send(value)
+        except StopIteration:
+            self.is_done = True
 
 
 def takes_parts(context: Context) -> bool:

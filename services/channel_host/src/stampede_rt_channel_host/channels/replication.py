@@ -192,9 +192,9 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         self._show(self._now())
 
     def _show(self, now: int) -> None:
+        self.wake_waits()  # first: no reader can ask before the change is shown, in the same turn of the event loop
         if self._view is not None and self._is_filled and self._view.show(self.replicated_next, now):
             self._on_shown(now)
-        self.wake_waits()
 
 
 def own_again(replication: Replication | None, record: RecordedChannel, *, is_fallback: bool) -> None:

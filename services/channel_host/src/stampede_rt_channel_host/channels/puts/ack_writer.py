@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.puts.held_acks import HELD_ACKS_MAX, HeldAck, HeldAcks, Spawn
 from stampede_rt_runtime.access.control import current_work
-from stampede_rt_runtime.rpc import Context, write_now
+from stampede_rt_runtime.rpc import Begun, Context
 
 # The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refused items,
 # the message stays below its size limit.
@@ -18,7 +18,7 @@ ACKS_QUEUED_MAX = 256
 class AckWriter:
     """Writes the acks of one stream. Acks that become due during a write go out in the next message.
 
-    Over a socket an ack that has waited is written in the turn of the event loop in which it becomes due.
+    The write of an ack that has waited begins in the turn of the event loop in which the ack becomes due.
     """
 
     def __init__(self, context: Context, encode: Callable[[list[pb.PutAck]], bytes], spawn: Spawn) -> None:
@@ -29,6 +29,7 @@ class AckWriter:
         self._acks: list[pb.PutAck] = []
         self._held = HeldAcks(self._on_due, spawn)
         self._is_writing = self._is_closed = False
+        self._begun: Begun | None = None  # a write, of which the task awaits the rest
         self._news = asyncio.Event()  # there are acks to write, or no more acks come
         self._room = asyncio.Event()  # a write has taken the acks
         self._task: asyncio.Task[None] | None = spawn(self._run())
@@ -82,6 +83,8 @@ class AckWriter:
         """Write nothing more, and drop everything that refers back to this object. Idempotent."""
         if self._task is not None:
             self._task.cancel()
+        if self._begun is not None:
+            self._begun.close()
         self._held.close()
         self._task = None
 
@@ -97,20 +100,26 @@ class AckWriter:
         return acks
 
     def _on_due(self, at_once: bool) -> None:
-        """Write the acks that have become due, if the transport takes them now. Otherwise let the task write them."""
-        write = write_now(self._context) if at_once and not self._is_writing else None
-        if write is None:
+        """Write the acks that have become due. If `at_once` is False, the task does it. It awaits unfinished writes."""
+        if at_once and not self._is_writing:
+            self._work.spend_write()
+            begun = Begun(self._context.write(self._encode(self._take())))
+            if begun.is_done:
+                self.wake()
+            else:
+                self._begun, self._is_writing = begun, True
+        if not at_once or self._begun is not None or self._is_closed:
             self._news.set()
-            return
-        self._work.spend_write()
-        write(self._encode(self._take()))
-        if self._is_closed:
-            self._news.set()
-        self.wake()
 
     async def _run(self) -> None:
-        while not (self._is_closed and not self._acks and not self._held):
-            if self._is_writing or not self._has_due:
+        while not (self._is_closed and not self._acks and not self._held and self._begun is None):
+            if (begun := self._begun) is not None:
+                self._begun = None
+                try:
+                    await begun
+                finally:
+                    self._is_writing = False
+            elif self._is_writing or not self._has_due:
                 self._news.clear()
                 await self._news.wait()
             else:
