@@ -10,7 +10,8 @@ import pytest
 from stampede_rt.errors import InvalidArgument, StaleBinding
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.copies.queue_feed_servicer import STEPS_AT_ONCE_MAX, _Feed
-from stampede_rt_channel_host.copies.queue_steps import whole_parts
+from stampede_rt_channel_host.copies.queue_steps import step_parts, whole_parts
+from stampede_rt_channel_host.core.queue import QueueStep
 from tests.support.channel_host.queue_cores import Core
 
 
@@ -57,8 +58,50 @@ def test_a_feed_takes_only_steps_at_once() -> None:
     )
     record: Any = SimpleNamespace(queue_id=b"q" * 16, created_by="")
     feed = _Feed(queues, record)
-    assert feed.take_steps(pb.FeedQueueRequest())
-    assert not feed.take_steps(pb.FeedQueueRequest(begins_anew=True))
-    assert not feed.take_steps(pb.FeedQueueRequest(parts=[pb.FedQueuePart()] * (STEPS_AT_ONCE_MAX + 1)))
+    answers = list[Any]()
+    assert feed.take_steps(pb.FeedQueueRequest(), answers.append)
+    assert answers == [pb.FeedQueueResponse()]
+    assert not feed.take_steps(pb.FeedQueueRequest(begins_anew=True), answers.append)
+    too_many = pb.FeedQueueRequest(parts=[pb.FedQueuePart()] * (STEPS_AT_ONCE_MAX + 1))
+    assert not feed.take_steps(too_many, answers.append)
     feed._parts.begin_anew()
-    assert not feed.take_steps(pb.FeedQueueRequest())
+    assert not feed.take_steps(pb.FeedQueueRequest(), answers.append)
+    assert len(answers) == 1
+
+
+def test_a_copy_answers_a_step_that_surely_fits_before_it_repeats_the_step() -> None:
+    """Callers of the owner wait for the answer. A step that the copy must try is answered later, or not at all."""
+    owner, core, events = Core(), Core(), list[Any]()
+    journal = owner.queue.journal(1)
+    copy = SimpleNamespace(journal=core.queue.journal(1), record=SimpleNamespace(incarnation=1), owner_epoch=4)
+
+    def repeat(_: Any, step: QueueStep, ago_nanos: int) -> None:
+        copy.journal.apply(step, core.now - ago_nanos)
+        events.append("repeated")
+
+    room = SimpleNamespace(claim=lambda size: None, set=lambda size: None)
+    copies = SimpleNamespace(of=lambda queue_id: copy, apply=repeat, heard=lambda copy, record: None)
+    queues: Any = SimpleNamespace(
+        copies=copies, memory=SimpleNamespace(charge_for=lambda owner: room), known=lambda queue_id: None,
+        in_use=SimpleNamespace(set=lambda: None),
+    )  # fmt: skip
+    record: Any = SimpleNamespace(queue_id=b"q" * 16, created_by="", epoch=4)
+    feed = _Feed(queues, record)
+
+    def sent() -> list[Any]:
+        assert journal.note(owner.now)
+        steps = journal.steps_from(copy.journal.next_step, 2**20)
+        assert steps is not None
+        events.clear()
+        request = pb.FeedQueueRequest(parts=[part for one in steps for part in step_parts(one, owner.now)])
+        assert feed.take_steps(request, lambda place: events.append(place.next_step))
+        return [*events]
+
+    owner.put(3)
+    assert sent() == [2, "repeated"]
+    owner.taker(1, credit=10)
+    assert owner.dispatched() == {1: [1]}
+    assert sent() == [3, "repeated"], "the first fresh message is taken"
+    owner.put(3)
+    owner.dispatched()
+    assert sent() == ["repeated", 4], "the step changes a message that it brings"

@@ -64,10 +64,7 @@ class QueueFeeds:
             return False
         request: pb.FeedQueueRequest = parse(pb.FeedQueueRequest, bytes(raw), "FeedQueueRequest")
         self._check_latest(feed)
-        if not feed.take_steps(request):
-            return False
-        write(feed.place().SerializeToString())
-        return True
+        return feed.take_steps(request, lambda place: write(place.SerializeToString()))
 
     def _check_latest(self, feed: _Feed) -> None:
         """Raises StaleBinding (MOVED) if a later feed may change the copy."""
@@ -127,18 +124,33 @@ class _Feed:
                 self._repeat(*arrived)
         self._note(self.record.queue_id)
 
-    def take_steps(self, request: pb.FeedQueueRequest) -> bool:
+    def take_steps(self, request: pb.FeedQueueRequest, answer: Callable[[pb.FeedQueueResponse], None]) -> bool:
         """Apply a request that has a few steps. Returns False, and does nothing, if it has more, or a part of a queue.
 
+        Calls `answer` with the place after the request, as soon as nothing can fail: callers of the owner wait for it.
         Does not wait.
         """
         if request.begins_anew or self._parts.is_whole or len(request.parts) > STEPS_AT_ONCE_MAX:
             return False
-        for arrived in self._arrivals(request):
-            assert not isinstance(arrived, WholeQueue), "no whole queue is on its way"
-            self._repeat(*arrived)
+        steps = [one for one in self._arrivals(request) if not isinstance(one, WholeQueue)]  # none is on its way
+        early = self._place_after(steps)
+        if early is not None:
+            answer(early)
+        for step in steps:
+            self._repeat(*step)
         self._note(self.record.queue_id)
+        if early is None:
+            answer(self.place())
         return True
+
+    def _place_after(self, steps: list[tuple[QueueStep, int]]) -> pb.FeedQueueResponse | None:
+        """The place of the copy after one step that surely fits; None if the copy must try."""
+        copy = self._copies.of(self.record.queue_id)
+        if copy is None or len(steps) != 1 or not copy.journal.surely_takes(step := steps[0][0]):
+            return None
+        return pb.FeedQueueResponse(
+            next_step=step.number + 1, incarnation=copy.record.incarnation, owner_epoch=self.record.epoch
+        )
 
     def _arrivals(self, request: pb.FeedQueueRequest) -> Iterator[WholeQueue | tuple[QueueStep, int]]:
         """Check a request, and take its parts in. Returns the things that are complete now."""

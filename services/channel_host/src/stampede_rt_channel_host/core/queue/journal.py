@@ -105,6 +105,20 @@ class QueueJournal:
                 break
         return found
 
+    def surely_takes(self, step: QueueStep) -> bool:
+        """Whether `apply` cannot fail: this is the next step, and the copy holds each message that the step changes.
+
+        False if it takes a longer look.
+        """
+        changed = (*(one.seq for one in step.changes.items), *step.removed)
+        new = {seq for seq in changed if self._queue_items.tracked.get(seq) is None}
+        return step.number == self.next_step and (not new or new == {self._next_fresh()})
+
+    def _next_fresh(self) -> int | None:
+        """The seq of the first fresh message; None if there is none."""
+        run = self._queue_items.fresh_run()
+        return None if run is None else run.first_seq + self._queue_items.fresh_position
+
     def apply(self, step: QueueStep, now: int) -> None:
         """Repeat a step of the owner. `now`: the copy's clock. Ignores a step that the copy has repeated before.
 
@@ -136,8 +150,7 @@ class QueueJournal:
 
     def _tracked(self, seq: int) -> TrackedItem:
         """The first fresh message. It must have this seq, because messages are delivered and dropped in order."""
-        run = self._queue_items.fresh_run()
-        if run is None or run.first_seq + self._queue_items.fresh_position != seq:
+        if self._next_fresh() != seq:
             raise InvalidArgument(f"a step of the queue changes message {seq}, which the copy does not hold")
         return self._queue_items.track_fresh()
 
