@@ -75,7 +75,9 @@ class FedCopy:
         if self.feed is None:
             try:
                 follows = self.upstream is not None
-                self.feed = ChannelFeed(self.source, self.channel.place, clock, self.window, follows=follows)
+                self.feed = ChannelFeed(
+                    self.source, self.channel.place, clock, self.window, follows=follows, takes_puts=True
+                )
             except Unavailable:
                 assert self.source is not self.pair.core, "an owner is never behind"
                 return False

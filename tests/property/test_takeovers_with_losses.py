@@ -82,7 +82,7 @@ class Scenario:
     def _begin_copy(self) -> None:
         self.copy = FedChannel(POLICY, incarnation=self.core.incarnation, name="cam", knows_owner=True)
         self.copy.take_losses(self.core.losses)
-        self.feed = ChannelFeed(self.core, None, self.clock, self.window)
+        self.feed = ChannelFeed(self.core, None, self.clock, self.window, takes_puts=True)
 
     def put(self, count: int) -> None:
         times = [self.clock + at for at in range(count)]

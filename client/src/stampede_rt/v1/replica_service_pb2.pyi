@@ -48,7 +48,7 @@ class FeedRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[FeedOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., sent_nanos: _Optional[int] = ..., subscriptions: _Optional[int] = ..., ready: bool = ..., hold: bool = ..., committed_epoch: _Optional[int] = ..., released: bool = ..., held_next_seq: _Optional[int] = ...) -> None: ...
 
 class FeedOpen(_message.Message):
-    __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts", "move_id", "another_may_follow", "hand_over_when_idle")
+    __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts", "move_id", "another_may_follow", "hand_over_when_idle", "takes_puts")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
@@ -58,6 +58,7 @@ class FeedOpen(_message.Message):
     MOVE_ID_FIELD_NUMBER: _ClassVar[int]
     ANOTHER_MAY_FOLLOW_FIELD_NUMBER: _ClassVar[int]
     HAND_OVER_WHEN_IDLE_FIELD_NUMBER: _ClassVar[int]
+    TAKES_PUTS_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     host_id: bytes
@@ -67,7 +68,8 @@ class FeedOpen(_message.Message):
     move_id: bytes
     another_may_follow: bool
     hand_over_when_idle: bool
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ..., owner_facts: bool = ..., move_id: _Optional[bytes] = ..., another_may_follow: bool = ..., hand_over_when_idle: bool = ...) -> None: ...
+    takes_puts: bool
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ..., owner_facts: bool = ..., move_id: _Optional[bytes] = ..., another_may_follow: bool = ..., hand_over_when_idle: bool = ..., takes_puts: bool = ...) -> None: ...
 
 class FeedPlace(_message.Message):
     __slots__ = ("incarnation", "next_seq", "floor_resets", "owner_until_unix_nano", "owner_epoch")
@@ -124,7 +126,7 @@ class FeedKey(_message.Message):
     def __init__(self, time_unix_nano: _Optional[int] = ..., seq: _Optional[int] = ...) -> None: ...
 
 class FeedState(_message.Message):
-    __slots__ = ("first_seq", "next_seq", "cleared", "collection", "advance_unix_nano", "channel", "heard_nanos", "staleness_nanos", "source_next_seq", "floors", "owner", "handoff")
+    __slots__ = ("first_seq", "next_seq", "cleared", "collection", "advance_unix_nano", "channel", "heard_nanos", "staleness_nanos", "source_next_seq", "floors", "owner", "handoff", "put")
     FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
     NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     CLEARED_FIELD_NUMBER: _ClassVar[int]
@@ -137,6 +139,7 @@ class FeedState(_message.Message):
     FLOORS_FIELD_NUMBER: _ClassVar[int]
     OWNER_FIELD_NUMBER: _ClassVar[int]
     HANDOFF_FIELD_NUMBER: _ClassVar[int]
+    PUT_FIELD_NUMBER: _ClassVar[int]
     first_seq: int
     next_seq: int
     cleared: FeedKey
@@ -149,7 +152,8 @@ class FeedState(_message.Message):
     floors: _containers.RepeatedCompositeFieldContainer[_group_pb2.CutFloor]
     owner: OwnerFacts
     handoff: FeedHandoff
-    def __init__(self, first_seq: _Optional[int] = ..., next_seq: _Optional[int] = ..., cleared: _Optional[_Union[FeedKey, _Mapping]] = ..., collection: _Optional[_Union[FeedCollection, _Mapping]] = ..., advance_unix_nano: _Optional[int] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., heard_nanos: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., floors: _Optional[_Iterable[_Union[_group_pb2.CutFloor, _Mapping]]] = ..., owner: _Optional[_Union[OwnerFacts, _Mapping]] = ..., handoff: _Optional[_Union[FeedHandoff, _Mapping]] = ...) -> None: ...
+    put: FedPut
+    def __init__(self, first_seq: _Optional[int] = ..., next_seq: _Optional[int] = ..., cleared: _Optional[_Union[FeedKey, _Mapping]] = ..., collection: _Optional[_Union[FeedCollection, _Mapping]] = ..., advance_unix_nano: _Optional[int] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., heard_nanos: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., floors: _Optional[_Iterable[_Union[_group_pb2.CutFloor, _Mapping]]] = ..., owner: _Optional[_Union[OwnerFacts, _Mapping]] = ..., handoff: _Optional[_Union[FeedHandoff, _Mapping]] = ..., put: _Optional[_Union[FedPut, _Mapping]] = ...) -> None: ...
 
 class FeedHandoff(_message.Message):
     __slots__ = ("host_time_unix_nano", "permit")
@@ -182,6 +186,30 @@ class FedProducer(_message.Message):
     owner: str
     runs: _containers.RepeatedCompositeFieldContainer[FedRun]
     def __init__(self, producer_id: _Optional[int] = ..., owner: _Optional[str] = ..., runs: _Optional[_Iterable[_Union[FedRun, _Mapping]]] = ...) -> None: ...
+
+class FedPut(_message.Message):
+    __slots__ = ("producer_id", "owner", "first_number", "items", "first_seq", "stamped_unix_nano", "judged_ago_nanos", "until_unix_nano", "accepted", "accepted_bytes")
+    PRODUCER_ID_FIELD_NUMBER: _ClassVar[int]
+    OWNER_FIELD_NUMBER: _ClassVar[int]
+    FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
+    ITEMS_FIELD_NUMBER: _ClassVar[int]
+    FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
+    STAMPED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    JUDGED_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    UNTIL_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    ACCEPTED_FIELD_NUMBER: _ClassVar[int]
+    ACCEPTED_BYTES_FIELD_NUMBER: _ClassVar[int]
+    producer_id: int
+    owner: str
+    first_number: int
+    items: int
+    first_seq: int
+    stamped_unix_nano: int
+    judged_ago_nanos: int
+    until_unix_nano: int
+    accepted: int
+    accepted_bytes: int
+    def __init__(self, producer_id: _Optional[int] = ..., owner: _Optional[str] = ..., first_number: _Optional[int] = ..., items: _Optional[int] = ..., first_seq: _Optional[int] = ..., stamped_unix_nano: _Optional[int] = ..., judged_ago_nanos: _Optional[int] = ..., until_unix_nano: _Optional[int] = ..., accepted: _Optional[int] = ..., accepted_bytes: _Optional[int] = ...) -> None: ...
 
 class FedRun(_message.Message):
     __slots__ = ("first_number", "items", "judged_items", "parts", "rejections", "judged_ago_nanos")

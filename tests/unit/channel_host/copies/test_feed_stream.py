@@ -62,15 +62,16 @@ class Fed:
 
 
 @asynccontextmanager
-async def fed() -> AsyncIterator[Fed]:
+async def fed(*, takes_puts: bool = True) -> AsyncIterator[Fed]:
     async with running_host() as rig:
         spec = policy_to_spec(parse_policy(replicas=1, ack="replica"))
         record = rig.directory.add_channel("a", rig.host.identity.host_id, spec)
         channel = Opened(rig, record)
         feed = await held_stream(rig.sockets, "/stampede_rt.v1.ReplicaService/Feed")
         opening = pb.FeedOpen(
-            channel_id=record.channel_id, epoch=record.epoch, host_id=REPLICA, target="replica:1", owner_facts=True
-        )
+            channel_id=record.channel_id, epoch=record.epoch, host_id=REPLICA, target="replica:1", owner_facts=True,
+            takes_puts=takes_puts,
+        )  # fmt: skip
         hosted = await rig.host.store.bind_for_feed(record.channel_id, record.epoch)
         assert hosted.replication is not None
         hosted.replication.know([KnownReplica(REPLICA, 1, False)])
@@ -107,6 +108,20 @@ async def test_a_put_goes_to_the_replica_in_the_turn_in_which_it_comes() -> None
             assert one.acks()[-1].copies == 2
         await pauses()
         assert one.put(), "the task of the feed has nothing to send, and waits"
+
+
+@pytest.mark.parametrize("takes_puts", [False, True])
+async def test_a_replica_that_knows_the_producer_gets_the_short_form_of_a_put_if_it_understands_it(
+    takes_puts: bool,
+) -> None:
+    async with fed(takes_puts=takes_puts) as one:
+        forms = []
+        for _ in range(3):
+            [part] = parts_in(one.put())
+            forms.append((part.fields.state.HasField("owner"), part.fields.state.HasField("put")))
+            one.report()
+        full, short = (True, False), (False, True)
+        assert forms == ([full, short, short] if takes_puts else [full] * 3)
 
 
 async def test_the_items_that_come_while_the_replica_lacks_one_go_out_together() -> None:

@@ -22,8 +22,15 @@ from stampede_rt_channel_host.cluster.cut_floors import floor_from_message
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.cluster.task_failures import first_failure
 from stampede_rt_channel_host.copies.fed_responses import FedResponse, read_response
-from stampede_rt_channel_host.copies.messages import advance_of, cleared_of, collection_of, losses_of, place_to, run_of
-from stampede_rt_channel_host.copies.owner_messages import owner_of
+from stampede_rt_channel_host.copies.messages import (
+    advance_of,
+    cleared_of,
+    collection_of,
+    facts_of,
+    losses_of,
+    place_to,
+    run_of,
+)
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, FedChannel, Losses, Run
 from stampede_rt_channel_host.core.records import RecordedChannel
@@ -108,6 +115,7 @@ class CopyFeed:
             target=self._target,
             place=None if held is None else place_to(_core(held).place, held.epoch),
             owner_facts=self._owner_facts,
+            takes_puts=self._owner_facts,
         )
 
     def _held(self) -> HostedChannel | None:
@@ -153,10 +161,10 @@ class CopyFeed:
     async def _send(self, write: Write) -> None:
         await write(self._next_request())
 
-    def _next_request(self) -> pb.FeedRequest:
-        """The request that is due."""
+    def _next_request(self, grant_bytes_min: int = 0) -> pb.FeedRequest:
+        """The request that is due. It grants no less than `grant_bytes_min`, because the source looks at each grant."""
         now_s = asyncio.get_running_loop().time()
-        grants = now_s >= self._may_grant_s
+        grants = now_s >= self._may_grant_s and self._granted >= grant_bytes_min
         if grants and self._bytes_per_second:
             self._may_grant_s = now_s + self._granted / self._bytes_per_second
         self._news.clear()
@@ -197,7 +205,7 @@ class CopyFeed:
 
     def _report(self, write: Callable[[pb.FeedRequest], None], next_seq: int) -> None:
         """Tell the source that this host holds all items before `next_seq`, because it stores them in this step."""
-        request = self._next_request()
+        request = self._next_request(self._grant_bytes)
         request.held_next_seq = self._reported_seq = next_seq
         write(request)
 
@@ -258,6 +266,7 @@ class CopyFeed:
             state.first_seq = end_seq
             state.ClearField("cleared")
             state.ClearField("owner")
+            state.ClearField("put")
             await asyncio.sleep(0)
         self._store_last(state, [run_of(bytes(body)) for body in rest])
 
@@ -272,7 +281,7 @@ class CopyFeed:
 
     def _beginning_of(self, state: pb.FeedState) -> dict[str, Any]:
         """The fields of a part that the copy applies before its runs."""
-        owner = owner_of(state.owner, self._store.now()) if state.HasField("owner") else None
+        owner = facts_of(state, self._store.now())
         return {"first_seq": state.first_seq, "cleared": cleared_of(state), "owner": owner}
 
     def _store_runs(self, runs: Sequence[Run], answer: Callable[[], None] | None = None, **part: Any) -> int:

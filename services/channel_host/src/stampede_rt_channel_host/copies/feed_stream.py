@@ -161,9 +161,9 @@ class FeedStream:
         self._source, self._replication = hosted.core, hosted.replication
         self._begins_anew = place is not None and _has_others_items(hosted, opening.place)
         place = None if self._begins_anew else place
-        feed = ChannelFeed(
-            hosted.core, place, self._store.now(), hosted.puts.retries, is_exact=hosted.replication is not None
-        )
+        is_exact, retries = hosted.replication is not None, hosted.puts.retries
+        now, takes_puts = self._store.now(), opening.takes_puts
+        feed = ChannelFeed(hosted.core, place, now, retries, is_exact=is_exact, takes_puts=takes_puts)
         self._begins_anew |= feed.begins_anew
         holds_nothing = place is None or self._begins_anew
         if self._replication is None or not holds_nothing or await self._replication.begin_anew(opening.host_id):

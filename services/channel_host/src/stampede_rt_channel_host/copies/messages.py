@@ -9,7 +9,7 @@ from stampede_rt.v1 import item_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt.wire.plain_runs import read_sealed_run
 from stampede_rt.wire.run_slices import SealedColumns, sealed_columns
-from stampede_rt_channel_host.copies.owner_messages import owner_to
+from stampede_rt_channel_host.copies.owner_messages import owner_of, owner_to, put_of, put_to
 from stampede_rt_channel_host.core.channel import (
     FIRST_KEY,
     FORMER_MAX,
@@ -18,8 +18,10 @@ from stampede_rt_channel_host.core.channel import (
     FeedPart,
     FeedPlace,
     FormerIncarnation,
+    Growth,
     ItemKey,
     Losses,
+    OwnerPart,
     Run,
     make_run,
 )
@@ -78,13 +80,16 @@ def losses_of(message: pb.FeedOpened) -> Losses:
 
 def state_to(part: FeedPart, now: int) -> pb.FeedState:
     """The facts of a part, without its items and without the facts about the source itself. `now`: its clock."""
+    owner = part.owner
+    is_put = owner is not None and isinstance(owner.counters, Growth)
     return pb.FeedState(
         first_seq=part.first_seq,
         next_seq=part.next_seq,
         cleared=None if part.cleared is None else _key_to(part.cleared),
         collection=None if part.collection is None else _collection_to(part.collection),
         advance_unix_nano=part.advance,
-        owner=None if part.owner is None else owner_to(part.owner, now),
+        owner=None if owner is None or is_put else owner_to(owner, now),
+        put=None if owner is None or not is_put else put_to(owner, now),
     )
 
 
@@ -113,6 +118,13 @@ def collection_of(state: pb.FeedState) -> Collection | None:
 def advance_of(state: pb.FeedState) -> int | None:
     """The advance; None: as before."""
     return state.advance_unix_nano if state.HasField("advance_unix_nano") else None
+
+
+def facts_of(state: pb.FeedState, now: int) -> OwnerPart | None:
+    """The facts that only the owner knows; None: as before. `now`: the clock of the copy's host."""
+    if state.HasField("put"):
+        return put_of(state.put, now)
+    return owner_of(state.owner, now) if state.HasField("owner") else None
 
 
 def run_of(body: bytes) -> Run:

@@ -15,13 +15,14 @@ from stampede_rt.status import from_error_message, to_error_message
 from stampede_rt.v1 import channel_pb2, channel_service_pb2, subject_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.channel_status import counters_to
-from stampede_rt_channel_host.core.channel import ConsumerPlace, Counters, FedPlaces, OwnerPart
+from stampede_rt_channel_host.core.channel import ConsumerPlace, Counters, FedPlaces, Growth, OwnerPart
 from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.run_outcome import ItemRefusal, RunOutcome, RunPart
 
 
 def owner_to(part: OwnerPart, now: int) -> pb.OwnerFacts:
-    """A part, as a message. `now`: the owner's clock."""
+    """A part with counters, as a message. `now`: the owner's clock."""
+    assert isinstance(part.counters, Counters), "see `put_to`"
     return pb.OwnerFacts(
         producers=[_producer_to([*runs], now) for _, runs in groupby(part.runs, lambda run: run.producer_id)],
         consumers=None if part.places is None else _places_to(part.places),
@@ -39,6 +40,37 @@ def owner_of(message: pb.OwnerFacts, now: int) -> OwnerPart:
         _counters_of(message.counters, message.late),
         message.until_unix_nano if message.HasField("until_unix_nano") else None,
     )
+
+
+def put_to(part: OwnerPart, now: int) -> pb.FedPut:
+    """A part with a `Growth`, as a message. `now`: the owner's clock."""
+    assert isinstance(part.counters, Growth), "see `owner_to`"
+    (run,) = part.runs
+    (accepted,) = run.outcome.parts
+    return pb.FedPut(
+        producer_id=run.producer_id,
+        owner=run.owner,
+        first_number=run.first_number,
+        items=accepted.items,
+        first_seq=accepted.first_seq,
+        stamped_unix_nano=accepted.stamped_time,
+        judged_ago_nanos=max(0, now - run.outcome.time),
+        until_unix_nano=part.until,
+        accepted=part.counters.accepted,
+        accepted_bytes=part.counters.accepted_bytes,
+    )
+
+
+def put_of(message: pb.FedPut, now: int) -> OwnerPart:
+    """A part with a `Growth`, from a message. `now` and errors: as for `owner_of`."""
+    items, first_seq = message.items, message.first_seq
+    if not (message.producer_id and items and first_seq):
+        raise InvalidArgument("the feed has a put without a producer or items; install the same release on both hosts")
+    stamp = message.stamped_unix_nano if message.HasField("stamped_unix_nano") else None
+    part = RunPart(0, first_seq, items, stamp)
+    outcome = RunOutcome(items, items, (part,), (), now - message.judged_ago_nanos)
+    run = KeptRun(message.producer_id, message.first_number, outcome, message.owner)
+    return OwnerPart((run,), None, Growth(message.accepted, message.accepted_bytes), message.until_unix_nano)
 
 
 def retries_to(window: RetryWindow, now: int) -> bytes:

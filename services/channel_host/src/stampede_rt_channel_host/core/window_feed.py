@@ -41,6 +41,24 @@ class WindowFeed:
             self._sent = {at: one for at, one in self._sent.items() if self._window.producers.get(at) is one[0]}
         return found
 
+    def take_put(self) -> KeptRun | None:
+        """The run of the only new record, if it continues the runs of its producer and all its items were accepted.
+
+        None for anything else: call `take`.
+        """
+        window = self._window
+        if window.recorded != self._recorded + 1:
+            return None
+        producer_id, producer = next(reversed(window.producers.items()))
+        if self._sent.get(producer_id) != (producer, producer.recorded - 1):
+            return None
+        first_number, outcome = next(producer.runs())
+        if len(outcome.parts) != 1 or outcome.parts[0].items != outcome.items:
+            return None
+        self._sent[producer_id] = producer, producer.recorded
+        self._recorded, self._left_at = window.recorded, outcome.time
+        return KeptRun(producer_id, first_number, outcome, producer.owner)
+
     def _changed(self) -> list[tuple[int, KnownProducer]]:
         """The producers with new records, the longest silent one first."""
         changed = []

@@ -131,6 +131,11 @@ class Acceptance:
         """The number of refused items for each reason."""
         return dict.fromkeys(REASONS, 0) | self._rejected
 
+    @property
+    def refused_items(self) -> int:
+        """The number of all refused items."""
+        return sum(self._rejected.values())
+
     def full(self, in_vain: bool = False) -> ChannelFull:
         """The error of an item for which there is no room. `in_vain`: no wait would make room for the item."""
         limits, held = self._retention.limits, self._held

@@ -10,6 +10,7 @@ from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
 from stampede_rt_channel_host.core.channel.archive_backlog import ArchiveBacklog
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot
+from stampede_rt_channel_host.core.channel.consumption import Consumers
 from stampede_rt_channel_host.core.channel.former_incarnations import Losses
 from stampede_rt_channel_host.core.channel.held_items import COUNT, Cut
 from stampede_rt_channel_host.core.channel.holdings import Holdings
@@ -19,7 +20,7 @@ from stampede_rt_channel_host.core.channel.reading import Reading
 from stampede_rt_channel_host.core.channel.restoring import leave_to_archive, restore
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.run import Run, Slice
-from stampede_rt_channel_host.core.channel.values import Counters
+from stampede_rt_channel_host.core.channel.values import Counters, Growth, OddCounts
 from stampede_rt_channel_host.core.ring_writer import RingFacts
 
 FREED_ENTRIES_PER_CALL = 32
@@ -104,6 +105,23 @@ class BaseChannel:
             held_bytes=held.payload_bytes,
             late=held.late,
         )
+
+    @property
+    def growth(self) -> Growth:
+        """The counts of accepted items, as of the last call."""
+        return Growth(self._held.accepted, self._held.accepted_bytes)
+
+    @property
+    def odd_counts(self) -> OddCounts:
+        """The counts that a copy cannot work out from the items alone, as of the last call."""
+        held = self._held
+        others = sum(held.collected.values()) - held.collected.get(held.last_cause, 0)
+        return OddCounts(self._acceptance.refused_items, held.late, held.last_cause, others)
+
+    @property
+    def known_consumers(self) -> Consumers | None:
+        """The consumers, if the channel counts consumption. The caller must only read them."""
+        return self._retention.consumers
 
     def look(self, now: int) -> tuple[Holdings, Retention]:
         """The items that are not too old at `now`, and their retention. The caller must only read them."""

@@ -109,14 +109,14 @@ class ChannelFeed:
 
     def __init__(
         self, source: ChannelCore, place: FeedPlace | None, now: int, window: RetryWindow | None = None, *,
-        is_exact: bool = False, follows: bool = False,
+        is_exact: bool = False, follows: bool = False, takes_puts: bool = False,
     ) -> None:  # fmt: skip
         """Begin a feed at `place`. None: the copy holds nothing, and the feed begins with the oldest item.
 
         With `window`, the retry window of the channel's owner, the feed has the facts that only the owner knows, too.
         `is_exact`: a part tells which items have left only if it brings the copy to the end of the source. So no item
         leaves the copy before the copy has the items that took its place. `follows`: the source is itself a copy of the
-        owner from which `place` comes.
+        owner from which `place` comes. `takes_puts`: see `OwnerFactsFeed`.
 
         If the source cannot continue at `place`, because the incarnation or the floor differs, `begins_anew` is True.
         The copy then drops its items, and the feed begins with the oldest item. Raises Unavailable if the source is
@@ -133,7 +133,7 @@ class ChannelFeed:
         self._sent: tuple[Collection | None, int | None] = None, None
         held.tell_resets(self._note_reset)
         since = None if self.begins_anew or place is None else place.owner_until
-        self.owner = None if window is None else OwnerFactsFeed(source, window, since)
+        self.owner = None if window is None else OwnerFactsFeed(source, window, since, takes_puts=takes_puts)
 
     @property
     def next_seq(self) -> int:

@@ -12,12 +12,13 @@ forgets such runs, and accepts their items anew.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.consumer_places import ConsumerPlace, Place
 from stampede_rt_channel_host.core.channel.consumption import Consumers
-from stampede_rt_channel_host.core.channel.values import Counters
+from stampede_rt_channel_host.core.channel.values import Counters, Growth, OddCounts
 from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.window_feed import WindowFeed
 
@@ -41,27 +42,33 @@ class FedPlaces(NamedTuple):
 class OwnerPart(NamedTuple):
     """The owner's facts in one part of a feed.
 
-    `runs`: the runs of producers, the earliest first. `places`: None if the places have not changed. `until`: with
-    this part the copy has all runs that the owner judged before this time of its clock; None: more runs follow.
+    `runs`: the runs of producers, the earliest first. `places`: None if the places have not changed. `counters`: a
+    `Growth` if only these counts have changed; then `runs` has one run, of which the owner has accepted all items.
+    `until`: with this part the copy has all runs that the owner judged before this time of its clock; None: more
+    runs follow.
     """
 
     runs: tuple[KeptRun, ...]
     places: FedPlaces | None
-    counters: Counters
+    counters: Counters | Growth
     until: int | None
 
 
 class OwnerFactsFeed:
-    """The source's side. `since`: the copy has all runs before this time (`OwnerPart.until`); None: it has none."""
+    """The source's side. `since`: the copy has all runs before this time (`OwnerPart.until`); None: it has none.
 
-    def __init__(self, source: ChannelCore, window: RetryWindow, since: int | None) -> None:
+    `takes_puts`: the copy understands a `Growth`.
+    """
+
+    def __init__(self, source: ChannelCore, window: RetryWindow, since: int | None, *, takes_puts: bool) -> None:
         self._source = source
         self._window = WindowFeed(window, since)
         self._sent: tuple[Consumers | None, int] = None, 0  # the consumers and their changes as of the last round
         self._round: Iterator[ConsumerPlace] | None = None
         self._next_round = -(2**63)
         self._clock = 0
-        self._sent_counters: Counters | None = None
+        self._takes_puts = takes_puts
+        self._sent_counts: tuple[Growth, OddCounts | Counters] | None = None  # as of the last part
 
     @property
     def is_level(self) -> bool:
@@ -72,23 +79,41 @@ class OwnerFactsFeed:
         """Whether the copy has all facts. If places have changed since the last round, begins another one."""
         self._next_round = min(self._next_round, now)
         has_places = self._round is None and self._places_now() == self._sent
-        return has_places and self._window.is_level and self._source.latest_counters() == self._sent_counters
+        return has_places and self._window.is_level and self._counts_now() == self._sent_counts
 
     def take(self, now: int) -> OwnerPart | None:
         """The next part, or None if nothing has changed."""
         self._clock = now
+        if self._takes_puts and (put := self._take_put(now)) is not None:
+            return put
         was_level = self._window.is_level
         runs = tuple(self._window.take(RUNS_PER_PART))
         places = self._take_places(now)
-        counters = self._source.latest_counters()
-        if was_level and places is None and counters == self._sent_counters:
+        counts = self._counts_now()
+        if was_level and places is None and counts == self._sent_counts:
             return None
-        self._sent_counters = counters
-        return OwnerPart(runs, places, counters, now if self._window.is_level else None)
+        self._sent_counts = counts
+        return OwnerPart(runs, places, self._source.latest_counters(), now if self._window.is_level else None)
+
+    def _take_put(self, now: int) -> OwnerPart | None:
+        """The part if one accepted run is the only news; otherwise None."""
+        growth, odd = counts = self._counts_now()
+        is_only = self._sent_counts is not None and self._sent_counts[1] == odd
+        if not is_only or self._round is not None or self._places_now() != self._sent:
+            return None
+        run = self._window.take_put()
+        if run is None:
+            return None
+        self._sent_counts = counts
+        return OwnerPart((run,), None, growth, now)
+
+    def _counts_now(self) -> tuple[Growth, OddCounts | Counters]:
+        """The counts of which the copy must hear. A copy that takes puts works the other ones out."""
+        source = self._source
+        return source.growth, source.odd_counts if self._takes_puts else source.latest_counters()
 
     def _places_now(self) -> tuple[Consumers | None, int]:
-        _, retention = self._source.look(self._clock)
-        consumers = retention.consumers
+        consumers = self._source.known_consumers
         return consumers, 0 if consumers is None else consumers.changes
 
     def _take_places(self, now: int) -> FedPlaces | None:
@@ -155,7 +180,10 @@ class OwnerFacts:
         """Take over a part. Safe to repeat for the last part."""
         for run in part.runs:
             self.window.adopt(run)
-        self.counters = part.counters
+        if isinstance(part.counters, Counters):
+            self.counters = part.counters
+        elif self.counters is not None:
+            self.counters = replace(self.counters, **part.counters._asdict())
         if part.until is not None:
             self.until = part.until
         if part.places is not None:

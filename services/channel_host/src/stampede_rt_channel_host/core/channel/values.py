@@ -217,6 +217,22 @@ class SubscriptionBatch:
         return not self.slices and self.gap is None
 
 
+class Growth(NamedTuple):
+    """The two counts of `Counters` that grow with each accepted item."""
+
+    accepted: int
+    accepted_bytes: int
+
+
+class OddCounts(NamedTuple):
+    """Sums of the other counts: refused items, late items, and the items collected for other causes than the last."""
+
+    refused: int
+    late: int
+    last_cause: str
+    collected_otherwise: int
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Counters:
     """The counts of a channel's items at one moment. Always `accepted == held + sum(collected.values())`.
