@@ -148,7 +148,7 @@ def _mounts(
 def _address(name: str, service: Mapping[str, Any]) -> str:
     networks = service.get("networks", {})
     if len(networks) != 1:
-        raise NotProvable(f"{name}: {len(networks)} networks; one is carried out here")
+        raise NotProvable(f"{name}: {len(networks)} networks; this proof supports one")
     (network,) = networks.values()
     return str(network["ipv4_address"])
 

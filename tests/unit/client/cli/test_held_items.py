@@ -1,4 +1,4 @@
-"""The items that a command records before it plays them: from which instant on."""
+"""The instant from which on a command records the items that it then plays."""
 
 from __future__ import annotations
 

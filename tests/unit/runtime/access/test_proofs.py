@@ -1,4 +1,4 @@
-"""From the proofs of a call to its caller."""
+"""The proofs of a call decide which caller it has."""
 
 from __future__ import annotations
 

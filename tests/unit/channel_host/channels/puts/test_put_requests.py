@@ -1,4 +1,4 @@
-"""Requests whose runs stay in place read as protobuf reads them."""
+"""The host decodes requests without copying their runs, with the same result as protobuf."""
 
 from __future__ import annotations
 
