@@ -24,7 +24,7 @@ async def fence(rig: Rig, channels: int) -> tuple[str, Work]:
 
 
 async def registration(rig: Rig, channels: int) -> tuple[str, Work]:
-    """The answer names as many channels and queues as it may."""
+    """The answer to the registration names the most channels and queues that an answer may name."""
     adopt(rig, channels)
 
     async def work() -> None:
@@ -53,7 +53,7 @@ async def elsewhere(rig: Rig, channels: int) -> tuple[str, Work]:
 
 
 async def touched(rig: Rig, channels: int) -> tuple[str, Work]:
-    """The state after a put into each of them within half a second."""
+    """A sweep after all channels have changed within half a second."""
     adopt(rig, channels)
     store = rig.host.store
     for hosted in store.all():

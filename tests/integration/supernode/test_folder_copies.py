@@ -11,7 +11,7 @@ from tests.support.supernode.processes import Supernode, free_ports, register
 
 
 def copied(original: Supernode, folder: Path, port: int) -> Supernode:
-    """A process at another port, of a copy of the folder as it is now."""
+    """Copy the folder as it is now, and return a process at another port that uses the copy."""
     shutil.copytree(folder / original.name, folder / "copy")
     address = f"127.0.0.1:{port}"
     return Supernode(original.name, address, ["--listen", address, "--data-dir", str(folder / "copy")])

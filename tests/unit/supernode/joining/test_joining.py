@@ -68,7 +68,7 @@ async def test_a_cluster_founded_from_a_backup_has_all_acknowledged_commands(
         restored = await prepared("init", "r", ports[1], tmp_path, "--restore", str(backup))
         await restored.start()
         assert (await resolve(restored, "cam/kept")).channel.channel_id == opened.channel.channel_id
-        # Another cluster, for processes that would accept either: a former member may return.
+        # The restored cluster has another id, so that no process takes a returning former member for a part of it.
         async for _ in attempts():
             if await cluster_id(restored) != former_id:
                 break

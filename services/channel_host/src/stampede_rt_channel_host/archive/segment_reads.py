@@ -41,7 +41,7 @@ from stampede_rt_channel_host.core.archive import (
 from stampede_rt_channel_host.core.channel import Run
 
 Opened = Callable[[int], AbstractContextManager[ReadAt]]
-"""Opens a segment: within the context the function reads its bytes."""
+"""Opens a segment. The context gives a function that reads its bytes."""
 
 
 class SegmentReads:
@@ -116,7 +116,7 @@ class SegmentReads:
             missing += holes(blocks_of(segment), offsets)
         reach = reach_of(wanted, chosen)
         doubts = doubts_in(segments, blocks_of, taken, reach, wanted.limits, None if past is None else past.as_of)
-        if past is not None:  # the items that it lacks came up to then
+        if past is not None:  # the host had accepted the missing items by that instant
             reach = reach._replace(border=max(reach.border, past.as_of))
         missing += border_holes(segments, blocks_of, taken, reach)
         window = window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)

@@ -91,8 +91,8 @@ async def test_a_caller_beyond_its_share_waits_for_a_turn_before_each_further_pi
 @pytest.mark.parametrize(
     ("messages", "why"),
     [
-        ([piece(b"x")], "tells a request of 0 bytes"),
-        ([piece(b"x", 20 * 2**20 + 1)], "tells a request of 20971521 bytes"),
+        ([piece(b"x")], "announces a request of 0 bytes"),
+        ([piece(b"x", 20 * 2**20 + 1)], "announces a request of 20971521 bytes"),
         ([piece(b"x", 2)], "ended before the last piece"),
         ([piece(b"x", 2), piece(b"y", 1)], "a new first piece"),
         ([piece(b"x", 2), piece(b"")], "without content"),
