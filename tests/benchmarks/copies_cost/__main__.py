@@ -1,4 +1,4 @@
-"""The costs of copies and moves, each compared with the same work without them, in turns.
+"""The costs of copies and moves, each compared with the same work without them. The two cases alternate.
 
     python -m tests.benchmarks.copies_cost --only ack|proxy|feed|drain [--rounds 5]
 
@@ -26,7 +26,7 @@ PARTS: dict[str, Callable[[int], Table]] = {
 def main() -> None:
     """Measure all parts, or one of them, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=PARTS, help="this part alone")
+    parser.add_argument("--only", choices=PARTS, help="measure only this part")
     parser.add_argument("--rounds", type=int, default=5)
     arguments = parser.parse_args()
     for name in [arguments.only] if arguments.only else PARTS:

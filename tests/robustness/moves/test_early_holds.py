@@ -52,7 +52,7 @@ async def test_the_destination_dies(step: str) -> None:
     scenario = Scenario(step, lambda world: world.kill(DESTINATION))
     await scenario.move(is_of_drain=True)
     scenario.world.expire(DESTINATION)
-    if STEPS.index(step) < AFTER_THE_REMOVAL:  # from then on only the destination has the items, as any owner
+    if STEPS.index(step) < AFTER_THE_REMOVAL:  # after the removal only the destination has the items, like any owner
         assert scenario.world.owner is scenario.source
         scenario.check(await scenario.settle())
 

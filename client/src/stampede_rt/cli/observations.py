@@ -18,7 +18,7 @@ class Observation:
     - `knows_supernodes`: whether a front-end knows supernodes.
     - `lost_for_nanos`: the time since the directory ended the lease of a host that did not deregister.
     - `refused_items`: the number of items that a host refused as Overloaded since its start, the last one
-      `refused_ago_nanos` ago. `refused_for_archive`: the last one because its archive had no room.
+      `refused_ago_nanos` ago. `refused_for_archive`: whether the last refusal was for lack of room in the archive.
     - `refused_calls`: the number of calls that a host refused or ended as Overloaded since its start, the last one
       `refused_call_ago_nanos` ago.
     - `busy_permille`: the share of a core that a host used by its last report to the directory, in thousandths; None if

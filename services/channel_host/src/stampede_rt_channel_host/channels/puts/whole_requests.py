@@ -58,7 +58,8 @@ class WholeRequests:
         whole_bytes = first.request_bytes
         if not 0 < whole_bytes <= REQUEST_BYTES_MAX:
             raise InvalidArgument(
-                f"the first piece announces a request of {whole_bytes} bytes; a request has 1 to {REQUEST_BYTES_MAX} bytes"
+                f"the first piece announces a request of {whole_bytes} bytes; a request has 1 to {REQUEST_BYTES_MAX} "
+                "bytes"
             )
         with ExitStack() as held:
             held.callback(await self._room.take(self._account.subject, whole_bytes))
