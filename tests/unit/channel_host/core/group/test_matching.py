@@ -144,7 +144,7 @@ def test_matching_after_a_time_drops_and_counts_items_at_that_time() -> None:
     assert matcher.dropped == 1
 
 
-def test_an_item_exactly_as_far_as_the_tolerance_matches_and_may_match_two() -> None:
+def test_an_item_at_the_distance_of_the_tolerance_matches_and_may_match_two_items() -> None:
     left, remote = channel(10, 12), RemoteTrack()
     remote.add([(9, 1)])
     matcher = Matcher(left, {RIGHT: remote}, 3, NOW, after=Position(-1, 0))
