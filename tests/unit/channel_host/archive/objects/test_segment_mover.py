@@ -26,6 +26,11 @@ def quick_retries(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(segment_mover, "BACK_OFF_SECONDS_MAX", 0.05)
 
 
+def remove_files(folder: Path) -> None:
+    for path in folder.rglob("*.segment"):
+        path.unlink()
+
+
 async def fill(one: Host) -> None:
     """Write until an item is refused because of the limit of the disk."""
     while True:  # each write takes some of the room
@@ -72,6 +77,20 @@ async def test_files_stay_on_the_disk_up_to_its_limit_while_the_store_is_unreach
         assert one.mover.counts().failures > 0
     events = [getattr(line, "event", "") for line in caplog.records]
     assert [events.count(f"archive_store_{what}") for what in ("failed", "recovered")] == [1, 1]
+
+
+@pytest.mark.asyncio
+async def test_a_file_that_somebody_has_removed_does_not_hold_up_the_later_ones(tmp_path: Path) -> None:
+    store = FakeStore()
+    async with host(tmp_path, store) as one:
+        await one.serve(1)
+        await one.write()
+        remove_files(tmp_path)
+        assert "somebody has removed its file" in await one.mover.move_all()
+        assert not await one.mover.move_all()
+        await one.write()
+        assert not await one.mover.move_all()
+        assert (len(store.objects), one.local()) == (1, [])
 
 
 @pytest.mark.asyncio
