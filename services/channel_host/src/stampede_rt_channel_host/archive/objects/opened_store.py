@@ -121,6 +121,9 @@ def _refuses(error: BaseException) -> bool:
 def _short(error: BaseException, url: str) -> str:
     """The text of an error: one line, without queries of URLs, which may have credentials."""
     text = str(error).partition("\n\n")[0]
+    said = re.search(r"<Code>(.*?)</Code>.*?<Message>(.*?)</Message>", text, re.DOTALL)
+    if said is not None:
+        text = f"{text.partition('<')[0]}{said[1]}: {said[2]}"
     text = re.sub(r"\?[^\s\"')]*", "?...", text)
     allow = _ALLOW_HTTP.get(url.partition("://")[0], "AWS_ALLOW_HTTP")
     text = text.replace("builder error", f"the endpoint is http://, and {allow} is not true")
