@@ -249,6 +249,8 @@ def test_a_hole_after_a_first_file_without_a_whole_block_is_a_loss(tmp_path: Pat
         (Policy(max_age_nanos=7, max_future_nanos=3), 6, 24),
         (Policy(max_items=3, max_future_nanos=0), 9, 21),  # the file before has more than three items, from 9 on
         (Policy(max_items=100, max_future_nanos=0), 1, 21),
+        (Policy(max_bytes=7 * 71, max_future_nanos=0), 9, 21),  # the file before has eight items of 71 bytes
+        (Policy(max_bytes=8 * 71, max_future_nanos=0), 1, 21),
     ],
 )
 def test_items_without_known_times_are_a_loss_wherever_the_limits_let_them_come(

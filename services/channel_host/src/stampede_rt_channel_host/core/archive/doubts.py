@@ -12,12 +12,16 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
-from stampede_rt_channel_host.core.archive.block import BlockHead
+from stampede_rt_channel_host.core.archive.block import HEAD_BYTES, ROW_BYTES, BlockHead
 from stampede_rt_channel_host.core.archive.holes import WindowReach
 from stampede_rt_channel_host.core.archive.segment import Segment
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
 from stampede_rt_channel_host.core.archive.seq_starts import given_between
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
+from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
+
+FILE_BYTES_PER_ITEM = HEAD_BYTES + ROW_BYTES + 64
+"""The most bytes that an item without attributes takes in a segment besides its payload: alone in its block and run."""
 
 
 class Doubt(NamedTuple):
@@ -112,16 +116,21 @@ class _Search:
 
     def _least_by_size(self, at: int) -> int:
         """The host accepts no item before those that `max_items` or `max_bytes` have collected."""
-        limits, items, size = self.limits, 0, 0
+        limits, items, charge = self.limits, 0, 0
         low = self.segments[at].low
         least = MAX_INSTANT if low is None else low[0]
         for one in reversed(self.segments[:at]):
             if one.low is not None:
                 least = min(least, one.low[0])
-            items, size = items + one.items, size + one.length
-            if size > limits.max_bytes or (limits.max_items is not None and items > limits.max_items):
+            items, charge = items + one.items, charge + _least_charge(one)
+            if charge > limits.max_bytes or (limits.max_items is not None and items > limits.max_items):
                 return least
         return MIN_INSTANT
+
+
+def _least_charge(one: Segment) -> int:
+    """The least bytes that the items of a segment count against max_bytes. In a file an item has more bytes."""
+    return one.items * ITEM_OVERHEAD_BYTES + max(0, one.length - one.items * FILE_BYTES_PER_ITEM)
 
 
 def doubts_in(
