@@ -16,7 +16,7 @@ PAYLOAD = bytes(600_000)  # in three pieces
 
 @pytest.fixture
 def room_in_turns(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
-    """The room that is taken at each wait of a function for a turn. Every step of every caller waits."""
+    """The used room of large requests each time that a function waits for a turn. Every step of every caller waits."""
     found: list[tuple[str, int]] = []
     budgets: list[MemoryBudget] = []
     made = MemoryBudget.__init__

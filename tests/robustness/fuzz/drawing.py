@@ -10,7 +10,10 @@ T = TypeVar("T")
 
 
 class ByteSource:
-    """Gives numbers and bytes from `data`, and zeros once it is used up: the first of all choices, and no chance."""
+    """Gives numbers and bytes from `data`, and zeros at its end.
+
+    Then `choice` gives the first option, `chance` False.
+    """
 
     def __init__(self, data: bytes) -> None:
         self._data = data

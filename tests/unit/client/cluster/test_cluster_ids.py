@@ -33,7 +33,7 @@ STRANGER = WrongCluster("this supernode is of cluster y")
         ("x", "memory-y", (), False),
     ],
 )
-def test_only_the_successor_of_a_cluster_and_one_in_memory_after_another_take_over_its_parts(
+def test_a_part_changes_only_to_the_successor_of_its_cluster_or_from_one_cluster_in_memory_to_another(
     own: str, to: str, former: tuple[str, ...], may: bool
 ) -> None:
     assert may_change_to(own, to, former) is may
