@@ -36,8 +36,8 @@ def test_a_write_fails_if_somebody_has_removed_the_open_file_and_the_next_one_be
         path.rename(path.with_suffix(".kept"))
     with pytest.raises(OSError, match="somebody has removed its file"):
         write(files, 3, 1)
-    check(files, before, {1, 2}, 2)
-    check(files, write(files, 3, 2), {1, 2}, 6)
+    check(files, before, {1, 2}, 2, knows_times=True)
+    check(files, write(files, 3, 2), {1, 2}, 6, knows_times=True)
     files.close(None)
 
 
@@ -60,9 +60,9 @@ def test_a_file_that_somebody_removes_is_a_loss_also_if_its_blocks_are_known(tmp
     paths = files_of(tmp_path, (1, 5), (5, 9), (9, 13))
     files = SegmentFiles(tmp_path, {})
     segments = files.open(2).segments
-    check(files, segments, set(), 12)
+    check(files, segments, set(), 12, knows_times=True)
     paths[1].unlink()
-    check(files, segments, {5, 6, 7, 8}, 12)
+    check(files, segments, {5, 6, 7, 8}, 12, knows_times=True)
 
 
 def test_a_file_that_leaves_by_the_limits_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
