@@ -35,7 +35,7 @@ class Faults:
         self._running.append(asyncio.create_task(fault(number)))
 
     async def disturb(self) -> None:
-        """One fault after the other, some of them at the same time."""
+        """Begin faults at random times. A fault may begin before the earlier ones have ended."""
         cluster, rng, faults = self.cluster, self.rng, self.kinds()
         ends_s = self.cluster.clock.now_s + FAULTY_SECONDS
         while self.cluster.clock.now_s < ends_s:

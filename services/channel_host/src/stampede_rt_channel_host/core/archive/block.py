@@ -105,7 +105,7 @@ def encode_items(runs: Sequence[ArchivedRun]) -> tuple[BlockHead, list[bytes]]:
 
 
 NOTHING_LOST = MIN_INSTANT
-"""The acceptance instant of a gap of no seqs that withdraws an earlier one."""
+"""The acceptance instant of a gap without seqs that withdraws an earlier one."""
 
 
 def encode_gap(first_seq: int, end_seq: int, near: ItemKey, accepted: int) -> tuple[BlockHead, list[bytes]]:
