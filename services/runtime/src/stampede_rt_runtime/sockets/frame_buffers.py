@@ -23,7 +23,7 @@ PLACE_BYTES = 2**18
 
 To read 256 KiB takes about 0.1 ms."""
 ROOMS_KEPT = 4
-"""The rooms of former frames that the port keeps for the next ones.
+"""The buffers of former frames that the port keeps for the next ones.
 
 New memory for each frame would be filled with zeros first, and cost a page fault for each 4 KiB.
 """
@@ -52,7 +52,7 @@ class _Line:
 
 
 class FrameBuffers:
-    """One buffer for all short reads; rooms and places for long frames. A caller without quotas needs no place."""
+    """One buffer for all short reads; buffers and places for long frames. A caller without quotas needs no place."""
 
     def __init__(self) -> None:
         self.short = memoryview(bytearray(SHORT_BYTES))
