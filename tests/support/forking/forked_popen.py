@@ -73,7 +73,7 @@ def _fork(request: bytes, streams: list[int]) -> int:
     """Have the loaded process fork, and return the process id of the fork, which is a child of this process."""
     with _one_at_a_time:
         calls = _loaded_process()
-        # From here to the answer the kernel gives orphans of this process to it.
+        # From here to the answer the kernel makes this process the parent of its orphaned descendants.
         _set_subreaper(1)
         try:
             socket.send_fds(calls, [request], streams)
