@@ -75,7 +75,7 @@ class PlayedChannel:
         else:
             return
         raise InvalidArgument(
-            f"channel {self.name!r} would refuse items of the file: {why}, and they would be of "
+            f"channel {self.name!r} would refuse items of the file: {why}, and their times would be "
             f"{format_instant(begins)} to {format_instant(ends)}; shift them to now, or choose another prefix"
         )
 

@@ -1,6 +1,6 @@
 """Chooses the blocks of an archive that a read needs next, and makes their items readable. Pure.
 
-A read takes the archive in windows: stretches of whole buckets, in the direction of the read, of a bounded number of
+A read takes the archive in windows: ranges of whole buckets, in the direction of the read, of a bounded number of
 bytes. A bucket is all items of one time.
 """
 

@@ -32,7 +32,7 @@ logger = logging.getLogger(__name__)
 ASK_OTHERS_SECONDS = 5.0
 # The beginnings of the log's sentence about an unconfirmed refusal. The sentence ends with "once ...".
 OUTDATED_FOLLOWS = "This member goes on, but ends"
-REFUSED_FOLLOWS = "This member goes on as a follower without a vote, but ends for good"
+REFUSED_FOLLOWS = "This member goes on as a follower without a vote, but ends"
 # The leader queues more entries and pieces of a snapshot on a link only while fewer bytes than this wait there.
 ROOM_BYTES = 4 << 20
 
