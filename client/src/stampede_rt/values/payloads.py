@@ -52,7 +52,7 @@ def check_attributes(attributes: Mapping[str, str] | None) -> None:
 def copied_attributes(attributes: Mapping[str, str] | None) -> dict[str, str] | None:
     """Return a copy, because the caller may change its mapping after the call; None if there are no attributes.
 
-    Reads the mapping once. Raises InvalidArgument unless the copy has text alone, and at most ATTRIBUTES_BYTES_MAX.
+    Reads the mapping once. Raises InvalidArgument unless the copy has only text, and at most ATTRIBUTES_BYTES_MAX.
     """
     if not isinstance(attributes, Mapping):
         check_attributes(attributes)

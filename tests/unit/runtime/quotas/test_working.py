@@ -110,7 +110,7 @@ async def test_a_changed_share_takes_effect_at_once() -> None:
 
 
 class Clock:
-    """The time of the loop, which only work passes."""
+    """The time of the loop. It passes only by `works`."""
 
     def __init__(self) -> None:
         self.now = 10**9
