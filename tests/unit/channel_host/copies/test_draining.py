@@ -148,6 +148,16 @@ async def test_a_drain_asks_again_if_it_has_ended_a_move_itself_and_has_another_
     assert host.taken == [b"c0"]
 
 
+async def test_a_drain_to_silent_hosts_only_ends_and_lets_its_host_do_other_work(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It went from one to the other for ever, without a pause."""
+    monkeypatch.setattr(draining, "BEGIN_SECONDS_MAX", 0.01)
+    monkeypatch.setattr("tests.unit.channel_host.copies.test_draining.SECONDS_MAX", 1.0)
+    left = (await drained(1, Host(is_frozen=True), Host(is_frozen=True))).left
+    assert [*left] == ["cam/0"]
+
+
 async def test_a_drain_leaves_a_channel_that_no_host_may_take() -> None:
     host = Host(always=PermissionDenied("a rule denies it"))
     assert await drained(1, host) == Drained(0, {"cam/0": "a rule denies it"})

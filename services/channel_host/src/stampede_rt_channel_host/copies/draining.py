@@ -206,7 +206,7 @@ class _Others:
         """
         async with self._room.taken(host.host_id, is_queue=own.is_queue):
             other = self.after(own, host) if host.host_id in self._silent else host
-            if other is host or other is None:
+            if other is host or other is None or other.host_id in self._silent:
                 await self._ask(own, host)
                 self._room.answered(host.host_id)
         return other or host
