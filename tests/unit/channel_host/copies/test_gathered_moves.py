@@ -14,7 +14,7 @@ from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves
 
 
 class Directory(GatheredMoves):
-    """Commits no move with others, and refuses each one once all of them have asked."""
+    """Commits none of the moves together. Refuses each move when all of them have asked."""
 
     def __init__(self) -> None:
         super().__init__()
