@@ -60,7 +60,7 @@ class Place:
 
 
 class LookedAt(UnackedRuns):
-    """The unacknowledged runs. Each look whether there are some first calls the next one of `looks`."""
+    """The unacknowledged runs. Before each answer whether there are some, it calls the next function of `looks`."""
 
     looks: list[Any] | None = None
 
