@@ -141,7 +141,7 @@ async def _attacked(
 async def memory_back(
     watched: PlacedProcess, calm: int, name: str, held_bytes: Callable[[], Awaitable[int | None]]
 ) -> int:
-    """Wait until the memory is near that before the first attack. Raises TimeoutError.
+    """Wait until the memory is near `calm`, the memory before the first attack. Raises TimeoutError.
 
     `held_bytes`: the bytes of channels and queues, which a host may keep; None: the process is no host.
     """
