@@ -18,7 +18,7 @@ from stampede_rt.wire.request_pieces import (
 )
 
 
-def test_over_a_socket_a_request_is_cut_later() -> None:
+def test_over_a_socket_a_larger_request_still_fits_in_one_message() -> None:
     request = bytes(SOCKET_MESSAGE_BYTES_MAX)
     assert list(messages_of(request, SOCKET_MESSAGE_BYTES_MAX)) == [request]
     messages = [*messages_of(request + request + b"x", SOCKET_MESSAGE_BYTES_MAX)]
