@@ -45,7 +45,7 @@ class Operator:
         self._rules.remove(rule)
 
     def keep_rules(self) -> None:
-        """Leave the rules so far as they are at the end."""
+        """Do not remove at the end the rules that were added until now."""
         self._rules.clear()
 
     def take_back(self) -> None:

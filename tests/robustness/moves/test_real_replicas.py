@@ -1,6 +1,7 @@
 """kill -9 and SIGSTOP at each step of a move of a channel or queue with a replica, for real: nothing at all is lost.
 
-`make test` tries some steps. `make kill-moves` tries all, to the host of the replica and to a host without a copy.
+`make test` tries some steps. `make kill-moves` tries all, in moves to the host of the replica and in moves to a host
+without a copy.
 """
 
 from __future__ import annotations
@@ -129,7 +130,7 @@ def in_sync(replicas: Any) -> list[bytes]:
 
 
 class Scenario:
-    """A move, with a fault at one step. `copies` reads the replicas, `owner` the name of the owner."""
+    """A move, with a fault at one step. `copies` returns the replicas. `owner` is the name of the first owner."""
 
     def __init__(self, rt: Any, hosts: Hosts, copies: Callable[[], Any], owner: str) -> None:
         self.rt, self.hosts, self.source = rt, hosts, owner

@@ -230,7 +230,7 @@ def parse_lease(value: DurationLike | None) -> int | None:
     """
     nanos = duration_of("lease", value, least=1)
     if nanos is not None and nanos > LEASE_NANOS_MAX:
-        raise InvalidArgument(f"lease is {value!r}; it is at most 1 h: extend it while you work")
+        raise InvalidArgument(f"lease is {value!r}; give at most 1 h, and extend the lease while you work")
     return nanos
 
 

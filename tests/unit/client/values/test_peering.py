@@ -43,7 +43,7 @@ def test_an_error_names_its_queue_once() -> None:
 
 
 def test_the_error_names_a_wrong_lease() -> None:
-    with pytest.raises(InvalidArgument, match="lease is '2h'; it is at most 1 h"):
+    with pytest.raises(InvalidArgument, match="lease is '2h'; give at most 1 h"):
         parse_queue_policy(lease="2h")
     assert isinstance(error_for("PEER_NOT_FOUND", "x"), StampedeError)
 

@@ -15,7 +15,7 @@ logger = logging.getLogger(__name__)
 
 ACCEPTED_AT_ONCE = 4
 PAUSE_SECONDS = 0.001
-"""The time until the next connections are accepted, if ACCEPTED_AT_ONCE have come. So floods take a bounded time."""
+"""The time until the next connections are accepted, if ACCEPTED_AT_ONCE have come. Other work can run in that time."""
 RETRY_SECONDS = 1.0  # after a failure, such as that no file descriptor is left
 
 
