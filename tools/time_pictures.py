@@ -132,7 +132,8 @@ def figure_3(rt: st.Connection) -> Picture:
     assert blocks.cut is not None
     return Picture(
         "What text and audio show together (the paper's Figure 3)",
-        "shaded: what a reader of the group gets, its reference the text and its bound the end of the newest text item",
+        "shaded: the items that a reader of the group gets. The reference is the text, and the bound is the end of its "
+        "newest item",
         [
             Lane("text\n1 s", ORANGE, drawn(text.get(st.OLDEST, now), base, shown=texts)),
             Lane("audio\n125 ms", GREEN, drawn(audio.get(st.OLDEST, now), base, texts=False, shown=blocks)),

@@ -1,4 +1,4 @@
-"""Reads of a recorded channel as of an earlier instant: when the host knew an item, not when it happened."""
+"""Reads of a recorded channel as of an earlier instant: of the items that the host had accepted by that instant."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from stampede_rt_channel_host.core.group import Horizon, RecordedView
 Done = TypeVar("Done")
 TRIES = 3  # how often a read is tried if the limits of the archive remove its segments meanwhile
 RETRY_SECONDS = 0.02
-ARCHIVED_WITHIN_SECONDS = 5.0  # the longest wait until the archive has the items that were accepted by then
+ARCHIVED_WITHIN_SECONDS = 5.0  # the longest wait for items that are not archived yet
 
 
 async def tried(read: Callable[[], Awaitable[Done]]) -> Done:
