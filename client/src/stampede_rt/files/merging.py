@@ -26,7 +26,8 @@ def merge(
 ) -> RecordingSummary:
     """Write the items of several files to one, each item once. An item of one file fills the gap of another.
 
-    The items of a channel come in the order of their seqs, late items among them, while at most 64 MiB wait for this.
+    The items of a channel are written in the order of their seqs, also late items, as long as at most 64 MiB of items
+    must wait for earlier ones.
 
     Raises FileError, also if a file is damaged; InvalidArgument.
     """
