@@ -102,7 +102,8 @@ def test_a_process_ends_even_if_it_does_not_close_its_connection(cluster: LocalC
 
 
 def test_an_interrupt_ends_a_get_that_waits(cluster: LocalCluster) -> None:
-    # The signal comes at the thread that sends it: it does not wake the main thread, whose handler must run for it.
+    # The signal goes to the thread that sends it, and does not wake the main thread. But only the main thread can run
+    # the handler.
     code = (
         "import signal, sys, threading, stampede_rt as st\n"
         "rt = st.connect(sys.argv[1])\n"

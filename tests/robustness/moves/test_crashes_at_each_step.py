@@ -272,7 +272,7 @@ async def test_a_destination_that_freezes_does_not_keep_the_channel_from_other_m
 async def test_a_copy_that_ends_its_side_while_its_feed_waits_for_a_turn_ends_the_feed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The feed forgot the end, and waited for the next item."""
+    """In an earlier version, the feed forgot the end, and waited for the next item."""
     work = WorkOfABusyCaller()
     monkeypatch.setattr(feed_stream, "current_work", lambda: work)
     scenario = Scenario()

@@ -171,7 +171,7 @@ def count_of(what: str, value: int | None, *, below: int = 2**63) -> int | None:
 
 
 def max_bytes_of(value: int | None) -> int | None:
-    """Return `value`; None if it is None. Raises InvalidArgument if `value` is not a number of MAX_BYTES_MIN or more."""
+    """Return `value`; None if it is None. Raises InvalidArgument unless it is a number of MAX_BYTES_MIN or more."""
     found = count_of("max_bytes", value)
     if found is not None and found < MAX_BYTES_MIN:
         raise InvalidArgument(

@@ -142,7 +142,7 @@ async def test_a_drain_asks_a_host_with_too_many_moves_again_later() -> None:
     ],
 )
 async def test_a_drain_asks_again_if_it_has_ended_a_move_itself_and_has_another_epoch(error: StampedeError) -> None:
-    """The link to the other host broke. The drain left the channel."""
+    """In an earlier version, a drain gave such a channel up after the link to the other host had broken."""
     host = Host(error)
     assert await drained(1, host) == Drained(1, {})
     assert host.taken == [b"c0"]
@@ -151,7 +151,7 @@ async def test_a_drain_asks_again_if_it_has_ended_a_move_itself_and_has_another_
 async def test_a_drain_to_silent_hosts_only_ends_and_lets_its_host_do_other_work(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """It went from one to the other for ever, without a pause."""
+    """In an earlier version, the drain went from one host to the other for ever, without a pause."""
     monkeypatch.setattr(draining, "BEGIN_SECONDS_MAX", 0.01)
     monkeypatch.setattr("tests.unit.channel_host.copies.test_draining.SECONDS_MAX", 1.0)
     left = (await drained(1, Host(is_frozen=True), Host(is_frozen=True))).left
