@@ -6,7 +6,7 @@ _PRESENT = "a replay shows the past, and changes nothing: use the handle of the 
 _PEERS = "queues, mailboxes and peers are not recorded: use the connection"
 _CLUSTER = "the directory and the hosts keep no past: use the connection"
 _FILES = "files have no virtual clock: use the connection"
-_CUTS = "an event's time depended on unrecorded messages between hosts: match, or subscribe to group[channel]"
+_CUTS = "an event's time depended on unrecorded messages between hosts: use match(), or subscribe to group[channel]"
 
 NOT_REPLAYED = {
     "Connection": {

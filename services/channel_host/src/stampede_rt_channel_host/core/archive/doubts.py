@@ -1,8 +1,8 @@
 """The times at which an archive may lack items. Pure.
 
 The seqs of an archive tell that items are missing, but not which times they had: an item may come late, or have a time
-in the future. So each hole in the seqs has a stretch of doubt: from the least time that the host could still accept
-then, to the greatest.
+in the future. So each hole in the seqs has an interval of doubt: from the least time that the host could still
+accept then, to the greatest.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FILE_BYTES_PER_ITEM = HEAD_BYTES + ROW_BYTES + 64
 
 
 class Doubt(NamedTuple):
-    """A stretch of time, both ends inclusive, that may lack some of the `items` that the archive lacks."""
+    """An interval of times, both ends inclusive, at which some of the `items` lost items may have been."""
 
     start: int
     end: int
