@@ -121,7 +121,7 @@ def test_a_host_that_restarts_after_a_clean_stop_has_lost_nothing(cluster: Local
     assert unserved.get(began - MS, began).reason != "LOST"
 
 
-def test_a_host_that_restarts_after_a_crash_has_lost_only_the_last_stretch(
+def test_a_host_that_restarts_after_a_crash_has_lost_only_the_newest_items(
     cluster: LocalCluster, rt: st.Connection
 ) -> None:
     channel, began = rt.channel("rig/killed", max_items=8, archive="7d"), time.time_ns() - 10**9

@@ -35,7 +35,7 @@ class Connection:
         return begin
 
     def unary_unary(self, method: str, **_: Any) -> Callable[..., Any]:
-        """BindChannel, with which the owner has a replica begin."""
+        """BindChannel. The owner calls it so that a replica begins."""
 
         async def bind(request: Any, timeout: float) -> None:  # as gRPC has it
             await self.source.running.wait()

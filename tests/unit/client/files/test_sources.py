@@ -61,7 +61,7 @@ GAPPED += entries("cam", range(23, 30))
     ("start", "end", "gaps"),
     [(9, 12, [6]), (10, 12, []), (1, 5, []), (1, 6, [6]), (6, 9, [6]), (21, 40, [20]), (24, 40, []), (5, 24, [6, 20])],
 )
-def test_a_stretch_of_a_file_has_the_gaps_that_a_cut_of_it_has(
+def test_an_interval_of_a_file_has_the_same_gaps_as_a_cut_of_the_file(
     tmp_path: Path, chunk_items: int, start: int, end: int, gaps: list[int]
 ) -> None:
     path = write(tmp_path / "a.mcap", GAPPED, chunk_items=chunk_items)

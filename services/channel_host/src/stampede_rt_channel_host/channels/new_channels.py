@@ -49,7 +49,8 @@ def core_of_replica(copy: FedChannel, held: RecordedChannel, record: RecordedCha
     """The channel that a replica becomes as `record` says; None if the replica does not know enough.
 
     The directory makes the host of a copy the owner, in the same or the next incarnation, only if the copy is a replica
-    in sync. The next one: the former owner may have acknowledged items that the copy lacks. `held`: its record.
+    in sync. It is the next incarnation if the former owner may have acknowledged items that the copy lacks. `held`: the
+    record of the copy.
     """
     if copy.owner_facts is None:
         return None

@@ -39,7 +39,7 @@ class PlacedBlock(NamedTuple):
 class Scan(NamedTuple):
     """The blocks of a segment. `end` is the offset after its last whole block: the bytes after it are a torn tail.
 
-    If nothing can be torn, `end` is the end of the file. `damaged` are the stretches of bytes in which no block could
+    If nothing can be torn, `end` is the end of the file. `damaged` are the ranges of bytes in which no block could
     be found, and the blocks whose content is damaged.
     """
 

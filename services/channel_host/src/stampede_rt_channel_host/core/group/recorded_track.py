@@ -41,9 +41,9 @@ class NotLoaded(Exception):
 
 
 class RecordedTrack:
-    """The items of a recorded member at this host. Below the floor of the channel it holds keys of one stretch.
+    """The items of a recorded member at this host. Below the floor of the channel it holds keys of one interval.
 
-    No item comes below the floor any more, so a loaded stretch stays right.
+    No item comes below the floor any more, so a loaded interval stays right.
     """
 
     def __init__(self, channel: ChannelCore, channel_id: bytes, *, is_ascending: bool = False) -> None:
@@ -107,8 +107,8 @@ class RecordedTrack:
     def _load(self, high: ItemKey, low: ItemKey, floor: ItemKey) -> Reads:
         """Load the last bucket from `low` on before the time of `high`, and all keys from there up to `high`.
 
-        If the track has a stretch, it grows, unless the searches are ascending. So the searches for one item, which go
-        to and fro, come to an end.
+        If the track has an interval, it grows, unless the searches are ascending. So the searches for one item, which
+        change their direction, come to an end.
         """
         if self._is_ascending:
             self._keys, self._low, self._end = [], LAST_KEY, FIRST_KEY
@@ -130,7 +130,7 @@ class RecordedTrack:
             self._end = rest_end
 
     def _extend(self, floor: ItemKey) -> Reads:
-        """Load the next keys after the stretch, up to `floor`. Raises Overloaded if there are too many."""
+        """Load the next keys after the interval, up to `floor`. Raises Overloaded if there are too many."""
         after = Position(self._keys[-1][0], self._keys[-1][1]) if self._keys and self._end > self._keys[-1] else None
         answer = (yield replace(_up_to(self._end[0], floor), after=after, limit=PAGE_KEYS_MAX)).answer()
         slices = [split_at(part, floor)[0] for part in answer.slices]
