@@ -1,4 +1,4 @@
-"""A host that a test kills at a step of the way of a segment to the object store: see `stepped_host`."""
+"""A host that a test kills at a step while it moves a segment to the object store: see `stepped_host`."""
 
 from __future__ import annotations
 
