@@ -74,7 +74,7 @@ def run_sub(arguments: argparse.Namespace) -> int:
 
 
 class _Stream:
-    """The merge, with a thread for each channel that puts its items into it."""
+    """The merge. For each channel, a thread puts the items of the channel into the merge."""
 
     def __init__(self, rt: Connection, arguments: argparse.Namespace) -> None:
         self._rt = rt

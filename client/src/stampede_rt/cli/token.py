@@ -127,8 +127,8 @@ def _checked(serial: str) -> str:
 def _new_file(path: Path | None) -> Iterator[TextIO | None]:
     """Yield a new file for a token; None if no path is given. Removes the file if the block fails.
 
-    The file is made before the token: if it cannot be written, no token exists that the user does not have. Never
-    overwrites a file, because that file may hold another secret.
+    The file is made before the token, so that no token is made if the file cannot be written. Never overwrites a file,
+    because that file may hold another secret.
     """
     if path is None:
         yield None
