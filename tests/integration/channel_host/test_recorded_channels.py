@@ -166,7 +166,7 @@ def test_a_get_and_a_subscription_say_that_the_items_of_a_damaged_block_are_lost
     with channel.subscribe(start=began) as events:
         assert [next(events).payload[8:9] for _ in range(5)] == [b"0", b"1", b"3", b"4", b"5"]
         assert (events.dropped, events.losses) == (1, 1)
-        assert "their block is damaged" in caplog.text
+        assert "their block or file is damaged" in caplog.text
 
 
 def test_every_example_of_the_guide_prints_the_stated_output(

@@ -1,4 +1,4 @@
-"""A local cluster whose hosts are in network namespaces: its clients reach them there, and from other ones."""
+"""A local cluster whose hosts are in network namespaces. Clients reach them from outside and from other ones."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_a_client_in_a_namespace_reads_from_a_host_in_another() -> None:
                 assert pool.apply(read_newest, (cluster.address, "cam")) == b"there"
 
 
-def test_hosts_in_namespaces_cannot_have_certificates_of_one_address() -> None:
+def test_certificates_are_refused_for_hosts_in_namespaces() -> None:
     with pytest.raises(ValueError, match="leave one out"):
         LocalCluster(tls=True, host_namespaces=NamespaceNetwork(1).namespaces)
 

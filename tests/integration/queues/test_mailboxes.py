@@ -25,7 +25,7 @@ def payload_of(message: st.Message | None) -> bytes:
     return message.payload
 
 
-def test_a_message_is_found_by_the_name_of_its_receiver(cluster: LocalCluster) -> None:
+def test_a_message_reaches_a_peer_that_its_sender_found_by_name(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="planner") as planner, st.connect(cluster.address) as sender:
         (receiver,) = sender.peers("planner")
         sender.send(receiver, b"hello", attributes={"kind": "greeting"}, content_type="text/plain")

@@ -158,7 +158,10 @@ def test_certificates_and_authority_are_replaced_under_load_without_a_failed_cal
         assert only.is_authority
         late = st.TlsFiles(ca=certificates.ca, certificate=former.certificate, key=former.key)
         for address in services:
-            wait_until(lambda address=address: not accepts(address, late), f"{address} refuses the former authority")
+            wait_until(
+                lambda address=address: not accepts(address, late),
+                f"{address} refuses the former certificate",
+            )
         load.go_on()
         cluster.supernodes[0].restart()  # comes back to peers that know only the new authority
         load.go_on()

@@ -153,7 +153,7 @@ def test_a_host_cannot_open_a_feed_under_the_id_of_another_host(cluster: LocalCl
         raise AssertionError(f"the feed was not refused: {await call.code()}")
 
     told = ask(cluster.hosts[0].address, cluster.tls_files("h9", Role.HOST), feed)
-    assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot be fed as host h1: its certificate must")
+    assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot act as host h1: its certificate must")
     opening.host_id = b"n" * 16
     told = ask(cluster.hosts[0].address, cluster.tls_files("h9", Role.HOST), feed)
     assert told.startswith("NOT_FOUND: ")
@@ -175,7 +175,7 @@ def test_a_replica_of_a_queue_is_fed_only_by_the_owner_that_the_certificate_name
         told = ask(address, cluster.tls_files("cam"), feed)
         assert told.startswith("PERMISSION_DENIED: client cam may not call MigrationService/FeedQueue")
         told = ask(address, cluster.tls_files("h9", Role.HOST), feed)
-        assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot be fed as host h1: its certificate")
+        assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot act as host h1: its certificate")
         told = ask(
             address, cluster.tls_files("h1", Role.HOST), feed
         )  # the certificate is right, but no replica is here
@@ -203,7 +203,7 @@ def test_a_queue_is_handed_over_only_to_the_host_that_the_certificate_names(clus
         told = ask(address, cluster.tls_files("cam"), take_over)
         assert told.startswith("PERMISSION_DENIED: client cam may not call MigrationService/HandOverQueue")
         told = ask(address, cluster.tls_files("h9", Role.HOST), take_over)
-        assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot be fed as host h1: its certificate")
+        assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot act as host h1: its certificate")
         opening.host_id = b"n" * 16
         assert ask(address, cluster.tls_files("h9", Role.HOST), take_over).startswith("NOT_FOUND: ")
         queue.put(b"kept")

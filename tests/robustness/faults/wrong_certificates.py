@@ -31,7 +31,7 @@ async def rotate(scene: Scene) -> None:
         former = _copied(certificates.files(Role.CLIENT, "stranger"), Path(namespace))
         await _rotated(certificates, victims, former)
     recovery = await scene.recovery(time.monotonic())
-    evidence = f"all {len(victims)} services show new certificates and refuse the former"
+    evidence = f"all {len(victims)} services show new certificates and refuse a caller with a former one"
     kind = "rotation of all certificates and of the authority"
     scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=evidence)
 
@@ -48,7 +48,7 @@ async def _rotated(certificates: Certificates, victims: list[PlacedProcess], for
     await _each(victims, lambda one: _shows_own(one, newcomer), "shows its new certificate")
     certificates.forget_former()
     late = TlsFiles(ca=certificates.ca, certificate=former.certificate, key=former.key)
-    await _each(victims, lambda one: not accepts(one, late), "refuses the former authority's")
+    await _each(victims, lambda one: not accepts(one, late), "refuses a certificate of the former authority")
 
 
 async def wrong_certificates(scene: Scene) -> None:
@@ -84,7 +84,7 @@ def _certificates(scene: Scene) -> Certificates:
 
 
 def _copied(files: TlsFiles, folder: Path) -> TlsFiles:
-    """Copies of the files under names that no rotation changes."""
+    """Copies of the files in another folder, where no rotation overwrites them."""
     ca, certificate, key = (shutil.copy(path, folder) for path in files.paths())
     return TlsFiles(ca=ca, certificate=certificate, key=key)
 
@@ -95,7 +95,7 @@ async def _each(victims: list[PlacedProcess], holds: Callable[[PlacedProcess], b
     for one in victims:
         while not await asyncio.to_thread(holds, one):
             if time.monotonic() > deadline:
-                raise FaultHadNoEffect(f"not so {SEEN_SECONDS} s after the change: {one.name} {what}")
+                raise FaultHadNoEffect(f"{SEEN_SECONDS} s after the change this is still not true: {one.name} {what}")
             await asyncio.sleep(0.1)
 
 

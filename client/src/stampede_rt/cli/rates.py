@@ -32,9 +32,9 @@ def add_verbs(subparsers: Any) -> None:
         verb = add_verb(subparsers, name, f"{text}, until Ctrl-C", run)
         verb.add_argument("channel", help=help_)
         verb.add_argument(
-            "--every", type=period_seconds, default=1.0, metavar="SECONDS", help="print a line this often; default 1"
+            "--every", type=period_seconds, default=1.0, metavar="SECONDS", help="take a reading this often; default 1"
         )
-        verb.add_argument("--count", type=parse_count, metavar="N", help="stop after N lines")
+        verb.add_argument("--count", type=parse_count, metavar="N", help="stop after N readings")
 
 
 def period_seconds(text: str) -> float:

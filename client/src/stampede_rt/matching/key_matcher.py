@@ -28,9 +28,9 @@ class KeyMatch(NamedTuple):
 def has_passed(newest: int | None, advance: int | None, instant: int, lateness_nanos: int) -> bool:
     """Return whether no item can come at or before `instant`, if items are at most `lateness_nanos` behind the newest.
 
-    `newest` is the time of the newest item, `advance` the highest advance; each may be None. With a lateness of 0,
-    items come in order. Then items that may still come into the newest bucket are ignored. No item comes before an
-    advance.
+    `newest` is the time of the newest item, `advance` the highest advance; each may be None. A lateness of 0
+    says that items come in order. Then the function returns True as soon as the newest item is at `instant`, although
+    more items with the same time may come. No item comes before an advance.
     """
     by_item = newest is not None and newest - lateness_nanos >= instant + bool(lateness_nanos)
     return by_item or (advance is not None and advance > instant)
@@ -40,7 +40,7 @@ class KeyMatcher:
     """Matches the keys of one channel, in the order of time, with the nearest key of every other channel.
 
     The caller adds keys, also late ones, and takes the decided matches. `unique`: each key of another channel goes into
-    one match at most (see `Pairing`). `low`: the keys of the matched channel from here on get a match.
+    one match at most (see `Pairing`). `low`: the keys of the channel `per` from this key on get a match.
     """
 
     def __init__(self, per: bytes, others: Iterable[bytes], tolerance: int, low: ItemKey, *, unique: bool) -> None:

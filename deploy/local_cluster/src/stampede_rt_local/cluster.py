@@ -231,4 +231,4 @@ def _check(hosts: int, supernodes: int, frontends: int, *, has_namespaces: bool,
     if min(supernodes, frontends) < 1 or hosts < 0:
         raise ValueError("a cluster needs at least one supernode and one front-end, and no negative number of hosts")
     if tls and has_namespaces:
-        raise ValueError("certificates are of one address, and host_namespaces have several; leave one out")
+        raise ValueError("local certificates name one address, and host_namespaces have several; leave one out")

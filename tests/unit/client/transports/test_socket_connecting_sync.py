@@ -89,7 +89,7 @@ async def test_a_port_without_a_greeting_delays_no_stream_and_is_used_after_it_g
     assert not route.may_lead  # the next streams do not even try
     with await asyncio.to_thread(greet, listening):
         await asyncio.to_thread(wait_until, lambda: route.tcp.address, "the port is reached in the background")
-    assert route.late_arrivals == 1  # streams over gRPC make way
+    assert route.late_arrivals == 1  # streams over TCP will replace idle streams over gRPC
     assert route.offers_tcp
     greeting = asyncio.ensure_future(asyncio.to_thread(greet, listening))
     connected = await asyncio.to_thread(over_threads, route, port)

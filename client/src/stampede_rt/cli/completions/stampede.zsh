@@ -356,8 +356,8 @@ _shtab_stampede_bw_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  "--every[print a line this often\; default 1]:SECONDS:"
-  "--count[stop after N lines]:N:"
+  "--every[take a reading this often\; default 1]:SECONDS:"
+  "--count[stop after N readings]:N:"
   ":the channel\'s name:"
 )
 
@@ -908,8 +908,8 @@ _shtab_stampede_hz_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  "--every[print a line this often\; default 1]:SECONDS:"
-  "--count[stop after N lines]:N:"
+  "--every[take a reading this often\; default 1]:SECONDS:"
+  "--count[stop after N readings]:N:"
   ":a name, or a glob such as \'rig\/\*\':"
 )
 

@@ -20,8 +20,8 @@ class FeedCallers:
     async def check(self, context: Context, host_id: bytes) -> None:
         """Raises PermissionDenied if the caller has the certificate of another host than `host_id`.
 
-        The reports of a replica decide which puts are acknowledged. In a cluster without certificates every caller
-        passes. Raises HostNotFound for a host that never registered.
+        The check is needed because, for example, the reports of a replica decide which puts are acknowledged. In a
+        cluster without certificates every caller passes. Raises HostNotFound for a host that never registered.
         """
         caller = caller_identity(context)
         if caller is None:
@@ -31,6 +31,6 @@ class FeedCallers:
             self._names[host_id] = name
         if caller.name != name:
             raise PermissionDenied(
-                f"{caller} cannot be fed as host {name}: its certificate must contain that name, "
+                f"{caller} cannot act as host {name}: its certificate must contain that name, "
                 "because a host speaks only for itself"
             )

@@ -20,7 +20,7 @@ def test_one_caller_may_use_three_quarters_of_a_limit_and_others_the_rest() -> N
     here.check("greedy")
 
 
-def test_a_name_that_several_callers_share_has_no_share_of_its_own() -> None:
+def test_a_name_that_several_callers_use_has_no_limit() -> None:
     here = CreationShares("h1", "queues", 4)
     for name in ("", "@clients", "@cluster"):
         for _ in range(9):

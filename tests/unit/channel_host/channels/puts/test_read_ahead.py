@@ -46,7 +46,7 @@ async def test_requests_read_ahead_are_charged_until_they_are_handled_or_the_str
     ahead.start()
     await turns()
     assert memory.used_bytes == 4 * 2**20
-    await ahead.next()  # the host has not handled this request yet: its caller may have to wait for its turn
+    await ahead.next()  # this request still counts, because it may wait for the turn of its client
     assert memory.used_bytes == 4 * 2**20
     ahead.release()
     assert memory.used_bytes == 3 * 2**20
@@ -62,7 +62,7 @@ async def test_nothing_is_read_ahead_on_any_stream_when_the_hosts_memory_is_used
     for one in streams:
         one.start()
     await turns()
-    assert memory.used_bytes <= 3 * 2**20 + len(streams) * 2**20  # each stream reads one request beyond the limit
+    assert memory.used_bytes <= 3 * 2**20 + len(streams) * 2**20  # each stream may end a read that it has begun
     before = requests.reads
     Charge(memory).set(3 * 2**20)
     late = ReadAhead(requests, memory, unlimited())
@@ -82,14 +82,14 @@ async def test_nothing_is_read_ahead_for_a_caller_whose_bytes_in_flight_are_used
         one.start()
     await turns()
     assert not account.has_room(Quota.BYTES_IN_FLIGHT)
-    assert requests.reads <= 2 + len(ahead)  # each stream reads one request beyond the limit
+    assert requests.reads <= 2 + len(ahead)  # each stream may end a read that it has begun
     for one in ahead:
         one.close()
     assert account.has_room(Quota.BYTES_IN_FLIGHT, 2 * 2**20)
 
 
 def large_blocks(size: int) -> int:
-    """The bytes of all objects of at least that size in this process."""
+    """How many references to `bytes` of at least that size this process has."""
     return sum(
         isinstance(held, bytes) and len(held) >= size for one in gc.get_objects() for held in gc.get_referents(one)
     )

@@ -21,9 +21,9 @@ class GroupDefinition:
     """The members and settings of a group.
 
     If `reference` is None, the group's cut is the smallest cut of all members ("oldest"). With `by_end`, a channel's
-    cut is the latest end by duration in its newest bucket, at most `max_lead_nanos` after the bucket's time. "oldest"
-    leaves out a member that has been silent for `idle_after_nanos`. Only cuts of the same `incarnation` can be
-    compared.
+    cut is the latest time plus duration of the items in its newest bucket, at most `max_lead_nanos` after the bucket's
+    time. "oldest" leaves out a member that has been silent for `idle_after_nanos`. Only cuts of the same `incarnation`
+    can be compared.
     """
 
     members: frozenset[bytes]
@@ -109,8 +109,8 @@ class GroupCut:
     def holder(self) -> bytes | None:
         """The member that holds the cut back: only a change of this member can raise the cut.
 
-        None: no change of one member can. The answer is as of the last refresh. Do not use it for groups with
-        `idle_after_nanos`, because any change may raise their cuts.
+        None: the cut is not confirmed yet, or the group has no members. The answer is as of the last refresh. Do not
+        use it for groups with `idle_after_nanos`, because any change may raise their cuts.
         """
         if not self._confirmed:
             return None
@@ -158,7 +158,7 @@ class GroupCut:
         return (self.member(channel_id, now) for channel_id in sorted(self._definition.members))
 
     def waiting_on(self, now: int) -> list[bytes]:
-        """The members that hold the group's cut back: they are not idle, and their own cuts are not later than the
+        """The members that hold the group's cut back: they count for it, and their own cuts are not later than the
         group's cut.
         """
         cut = self.cut
@@ -168,7 +168,8 @@ class GroupCut:
     def next_idle(self, now: int) -> int | None:
         """The time at which a member at this host next becomes idle, or None. This may move the cut without a put.
 
-        A member at another host becomes idle only at a sign of life of that host.
+        It leaves out members at other hosts. This host learns how long they have been silent when a report or a sign of
+        life of their owner comes.
         """
         after = self._definition.idle_after_nanos
         if after is None or self._definition.reference is not None:
@@ -199,7 +200,7 @@ class GroupCut:
     def _still_holds(self, now: int) -> bool:
         """Whether the member that held the cut back at the last look still holds it back.
 
-        Most changes concern other members.
+        Most changes concern other members. While it holds the cut back, nobody must look at all members.
         """
         known = self._board.find(self._holder)
         if self._is_idle(known, now):
@@ -233,8 +234,8 @@ class GroupCut:
     def _counting(self, now: int) -> Iterable[bytes]:
         """The members whose cuts decide the group's cut: the reference, or all members that are not idle.
 
-        If all members are idle, only the member that became idle last counts. Before it became idle, no other member
-        counted either, so the group's cut does not change.
+        If all members are idle, only the member that became idle last counts. Just before it became idle, it was
+        already the only member that counted, so the group's cut does not change.
         """
         definition = self._definition
         if definition.reference is not None:

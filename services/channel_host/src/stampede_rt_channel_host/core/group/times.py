@@ -38,8 +38,8 @@ class ChannelTimes(NamedTuple):
     def has_passed(self, instant: int, lateness_nanos: int = 0) -> bool:
         """Whether no item can come at or before `instant`, if every item is at most `lateness_nanos` behind the newest.
 
-        With a lateness of 0, items come in order. Then the method ignores items that may still come into the newest
-        bucket. No item comes before an advance.
+        A lateness of 0 says that items come in order. Then the method returns True as soon as the newest item is at
+        `instant`, although more items with the same time may come. No item comes before an advance.
         """
         return has_passed(self.newest, self.advance, instant, lateness_nanos)
 

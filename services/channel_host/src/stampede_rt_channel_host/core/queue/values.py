@@ -27,7 +27,7 @@ class SealRun(Protocol):
 class LeasedSlice(NamedTuple):
     """The messages of a run from position `lo` up to `hi`, exclusive, each with a delivery id and a delivery number.
 
-    A number in `deliveries` counts the deliveries of the message's copy, from 1.
+    A number in `deliveries` counts the deliveries of this copy of the message (see the limit `copies`), from 1.
     """
 
     run: QueuedRun
@@ -114,7 +114,7 @@ class DeadLetter(NamedTuple):
 
 
 class PendingDelivery(NamedTuple):
-    """A message that is leased to a taker. `number` counts the deliveries of the message's copy, from 1."""
+    """A message that is leased to a taker. `number` counts the deliveries of this copy of it, from 1."""
 
     delivery_id: int
     seq: int

@@ -1,4 +1,4 @@
-"""Builds a node: the library's class under our rules, and the objects that it needs."""
+"""Builds a node with its objects. The class of a node inherits from our rules, and then from the library's class."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def build_node(
 
 
 def _begin_rules(node: PreVoteElections, settings: ReplicationSettings) -> None:
-    """Give the fields of our rules their first values. The node has its clock, state machine and peers."""
+    """Give the fields of our rules their first values. The node has its clock, state machine and peers already."""
     node.digests, node.poll = Digests(node.state_machine.adopt_digest), DigestPoll()
     node.self_member, node._named = settings.self_member, dict(node.peers)
     node._strangers, node.disputed_by, node.had_leader_at = {}, {}, node.clock()
