@@ -20,6 +20,7 @@ import stampede_rt as st
 from stampede_rt.cli.interrupts import INTERRUPTED
 from stampede_rt_local.dev import main
 from stampede_rt_local.kept_directory import members_in
+from stampede_rt_local.settings import DevSettings
 
 READY_SECONDS = 30  # long, because the machine may be busy
 DEV = [sys.executable, "-m", "stampede_rt_local"]
@@ -134,6 +135,16 @@ def test_the_next_start_with_the_same_archive_has_the_recorded_items_again(home:
     with running(*words) as dev, st.connect(address_of(dev)) as rt:
         found = rt.channel("kept", create=False).get(st.OLDEST, st.NEWEST)
         assert ([item.seq for item in found], found.reason) == ([*range(1, 11)], None)
+
+
+def test_each_object_store_has_a_directory_of_its_own(home: Path) -> None:
+    one, other, again = (
+        DevSettings(archive=f"s3://{bucket}/a", archive_folder=home).directory for bucket in ("one", "other", "one")
+    )
+    assert one == again != other
+    assert one is not None
+    assert other is not None
+    assert one.parent == other.parent == home
 
 
 def test_another_number_of_supernodes_than_in_the_folder_is_refused(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 from stampede_rt_local.ports import free_ports
@@ -24,7 +25,10 @@ def members_in(folder: Path, count: int, host: str) -> dict[str, str]:
         members = {f"s{number}": str(Address(host, port)) for number, port in enumerate(ports, start=1)}
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         draft = path.with_suffix(".draft")
-        draft.write_text(json.dumps(members))
+        with draft.open("w") as file:
+            file.write(json.dumps(members))
+            file.flush()
+            os.fsync(file.fileno())
         draft.rename(path)
         return members
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -97,11 +98,16 @@ class DevSettings:
 
     @property
     def directory(self) -> Path | None:
-        """The folder of the directory, which an archive needs at the next start; None without an archive."""
+        """The folder of the directory, which an archive needs at the next start; None without an archive.
+
+        Each object store has a directory of its own, because it has archives of other channels.
+        """
         if self.archive is None:
             return None
-        folder = self.archive if isinstance(self.archive, Path) else self.archive_folder or default_folder()
-        return folder / "directory"
+        if isinstance(self.archive, Path):
+            return self.archive / "directory"
+        digest = hashlib.sha256(str(self.archive).encode()).hexdigest()[:16]
+        return (self.archive_folder or default_folder()) / f"directory-{digest}"
 
     def __post_init__(self) -> None:
         check_archive(self.archive, self.archive_folder)

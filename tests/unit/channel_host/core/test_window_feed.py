@@ -94,3 +94,14 @@ def test_a_copied_window_takes_over_the_entry_of_its_owner_if_the_two_differ() -
     assert window.find(1, 3, 2, 2) == whole(9, 2, 2)
     with pytest.raises(InvalidArgument, match="overlap"):
         window.find(1, 4, 2, 2)
+
+
+def test_a_put_that_the_window_has_forgotten_is_no_put_to_take() -> None:
+    """The host's clock may go on by more than the window keeps, while a write of the feed is under way."""
+    window = RetryWindow()
+    feed = WindowFeed(window, None)
+    window.record(1, 1, whole(1, 1, 7))
+    window.expire(10**18)
+    assert feed.take_put() is None
+    assert feed.take(1000) == []
+    assert feed.is_level

@@ -47,7 +47,9 @@ class WindowFeed:
         None for anything else: call `take`.
         """
         window = self._window
-        if window.recorded != self._recorded + 1:
+        if (
+            window.recorded != self._recorded + 1 or not window.producers
+        ):  # forgotten already
             return None
         producer_id, producer = next(reversed(window.producers.items()))
         if self._sent.get(producer_id) != (producer, producer.recorded - 1):

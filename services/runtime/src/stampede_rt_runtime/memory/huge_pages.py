@@ -14,6 +14,7 @@ from collections.abc import Sequence
 VARIABLE = "GLIBC_TUNABLES"
 _TUNABLE = "glibc.malloc.hugetlb"
 _FIRST_GLIBC = (2, 35)
+_AGAIN = "stampede_started_again"  # the name of an option -X of Python
 _MODES = "/sys/kernel/mm/transparent_hugepage/enabled"
 
 
@@ -39,8 +40,11 @@ def start_again_with_huge_pages(command: str, words: Sequence[str]) -> None:
     Call it before the program loads much or starts anything. `command` and `words` are the end of the process's command
     line. Does nothing if they are not, because the caller then runs inside another program. Process id, standard
     streams and parent stay.
+
+    The second start knows by an option of Python that it is the second. glibc removes the variable from a program with
+    special rights, such as file capabilities. Such a program continues without huge pages.
     """
-    if sys.orig_argv[-len(words) - 1 :] != [command, *words]:
+    if _AGAIN in sys._xoptions or not sys.executable or sys.orig_argv[-len(words) - 1 :] != [command, *words]:
         return
     with contextlib.suppress(OSError, ValueError):  # another system or C library, or the program's file has gone
         with open(_MODES) as file:
@@ -48,7 +52,8 @@ def start_again_with_huge_pages(command: str, words: Sequence[str]) -> None:
         glibc = os.confstr("CS_GNU_LIBC_VERSION") or ""
         value = tunables_with_huge_pages(os.environ.get(VARIABLE, ""), glibc, modes)
         if value is not None:
-            os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], {**os.environ, VARIABLE: value})
+            command_line = [sys.executable, "-X", _AGAIN, *sys.orig_argv[1:]]
+            os.execve(sys.executable, command_line, {**os.environ, VARIABLE: value})
 
 
 def has_huge_pages() -> bool:
