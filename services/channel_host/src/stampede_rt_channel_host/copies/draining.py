@@ -159,7 +159,7 @@ class Draining:
         if drained.left:
             names = ", ".join([*drained.left][:NAMES_LOGGED_MAX])
             extra = {"event": "channels_not_moved", "channels": names, "count": len(drained.left)}
-            logger.warning("%d channels could not be moved to other hosts", len(drained.left), extra=extra)
+            logger.warning("could not move %d channels and queues to other hosts", len(drained.left), extra=extra)
         elif drained.moved:
             extra = {"event": "host_drained", "channels": drained.moved}
             logger.info("all channels have moved to other hosts", extra=extra)
