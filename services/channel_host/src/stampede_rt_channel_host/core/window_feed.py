@@ -47,9 +47,7 @@ class WindowFeed:
         None for anything else: call `take`.
         """
         window = self._window
-        if (
-            window.recorded != self._recorded + 1 or not window.producers
-        ):  # forgotten already
+        if window.recorded != self._recorded + 1 or not window.producers:  # forgotten already
             return None
         producer_id, producer = next(reversed(window.producers.items()))
         if self._sent.get(producer_id) != (producer, producer.recorded - 1):
