@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
 
 import pytest
 
@@ -13,6 +15,7 @@ from tests.robustness.takeovers import simulate, simulate_drains, simulate_queue
 from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 from tests.robustness.takeovers.world import Cluster
 
+T = TypeVar("T")
 SEEDS_IN_SUITE, BLOCKS = 12, 2
 QUEUE_SEEDS_IN_SUITE = 4
 DRAIN_SEEDS_IN_SUITE = 6
@@ -20,15 +23,21 @@ REPORTS_PER_SECOND_MAX = 12  # of one replica and its owner: each sends five, an
 IDLE_SECONDS = 10.0
 
 
+def played(kind: str, run: Callable[[int], T], seeds: Iterable[int]) -> Iterator[T]:
+    """The outcome of each seed. An error of `run` says how to play its seed again."""
+    for seed in seeds:
+        try:
+            outcome = run(seed)
+        except Exception as error:
+            error.add_note(f"replay: python -m tests.robustness.takeovers --of {kind} --first {seed} --seeds 1")
+            raise
+        yield outcome
+
+
 @pytest.mark.parametrize("block", range(BLOCKS))
 def test_a_channel_loses_and_duplicates_nothing_and_no_caller_is_stuck_under_faults(block: int) -> None:
     acknowledged = changes = 0
-    for seed in range(block, SEEDS_IN_SUITE, BLOCKS):
-        try:
-            found = simulate.run(seed)
-        except Exception as error:
-            error.add_note(f"replay: python -m tests.robustness.takeovers --of channels --first {seed} --seeds 1")
-            raise
+    for found in played("channels", simulate.run, range(block, SEEDS_IN_SUITE, BLOCKS)):
         acknowledged += found.acknowledged
         changes += found.takeovers + found.moves
     # Virtual time is the same on every machine, so these numbers do not depend on the load.
@@ -38,12 +47,7 @@ def test_a_channel_loses_and_duplicates_nothing_and_no_caller_is_stuck_under_fau
 
 def test_no_message_of_a_queue_is_lost_or_comes_back_after_its_ack_under_faults() -> None:
     acknowledged = dead_letters = changes = 0
-    for seed in range(QUEUE_SEEDS_IN_SUITE):
-        try:
-            found = simulate_queues.run(seed)
-        except Exception as error:
-            error.add_note(f"replay: python -m tests.robustness.takeovers --of queues --first {seed} --seeds 1")
-            raise
+    for found in played("queues", simulate_queues.run, range(QUEUE_SEEDS_IN_SUITE)):
         acknowledged += found.acknowledged
         dead_letters += found.dead_letters
         changes += found.owners - 1
@@ -54,12 +58,7 @@ def test_no_message_of_a_queue_is_lost_or_comes_back_after_its_ack_under_faults(
 
 def test_drains_lose_nothing_of_live_hosts_and_leave_no_channel_when_their_streams_break() -> None:
     early_holds = breaks = losses = moved = 0
-    for seed in range(DRAIN_SEEDS_IN_SUITE):
-        try:
-            found = simulate_drains.run(seed)
-        except Exception as error:
-            error.add_note(f"replay: python -m tests.robustness.takeovers --of drains --first {seed} --seeds 1")
-            raise
+    for found in played("drains", simulate_drains.run, range(DRAIN_SEEDS_IN_SUITE)):
         early_holds += found.early_holds
         breaks += found.breaks
         losses += found.losses
