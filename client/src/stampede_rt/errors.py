@@ -218,7 +218,7 @@ class PermissionDenied(StampedeError):
 
 
 class Overloaded(StampedeError):
-    """The server has reached one of its bounds, or the caller one of its quotas. Try again later.
+    """The server has reached one of its bounds, or the caller has reached one of its quotas. Try again later.
 
     `retryable` is False for the quotas `channels`, `queues`, `groups` and `bytes-archived`, and if the archive of a
     host is full: there is no room until someone deletes something.

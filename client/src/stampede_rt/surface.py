@@ -248,7 +248,7 @@ def connect(
     - `url`: the addresses of the front-ends, as "host:port,host:port". Default: `$STAMPEDE_URL`, or localhost:7580.
     - `name`: the name under which this connection is a peer. A peer has a mailbox, to which others can send.
     - `proof`: a secret text of 16 characters or more that the program keeps over restarts. A restarted program that
-      gives the same proof takes over the name and the mailbox at once.
+      gives the same proof takes over the name and the mailbox immediately.
     - `secret`: the cluster's secret or a client token, or the path of its file (a `pathlib.Path`). The client reads a
       file again when it has changed. On the cluster's own machine the client finds the secret by itself.
     - `zone`: the name of the caller's network or site. The client prefers supernodes of the same zone.
@@ -308,13 +308,13 @@ def host(
     """Connect to a cluster, and make this process a channel host of it (docs/embedding.md).
 
     New channels and queues of this connection are at this host, unless the call names another place. All programs of
-    the cluster use them like others, and the directory may place channels of other programs here, unless the host is
-    `private`.
+    the cluster can use them. The directory may place channels of other programs here, unless the host is `private`.
 
     - `name`: the name of the host, and the name of this connection as a peer. Default: the host gets the name of the
       machine with a random end, and the connection is not a peer. With certificates it is the name in the certificate.
-    - `listen`: the address at which the host listens, as "HOST:PORT". Default: any free port at localhost, or, if a
-      front-end is on another machine, at this machine's address towards it; this needs certificates.
+    - `listen`: the address at which the host listens, as "HOST:PORT". Default: any free port at localhost. If a
+      front-end is on another machine: any free port at this machine's address towards it. The host then needs
+      certificates.
     - `advertise`: the address at which others reach the host. Default: `listen`.
     - `max_memory`: the most memory that all items at this host may use, in bytes or as "512MiB". Beyond it the host
       refuses puts.

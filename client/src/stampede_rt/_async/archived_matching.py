@@ -97,7 +97,7 @@ class ArchivedMember:
         return list(zip(page.times, page.seqs, strict=True))
 
     def has_passed(self, instant: int, lateness_nanos: int) -> bool:
-        """Return whether no item could come at or before `instant`, and the caller has all keys up to there."""
+        """Return whether no further item can come at or before `instant`, and the caller has all keys up to it."""
         return self.loaded_to >= instant and has_passed(self.newest_time, self.advance, instant, lateness_nanos)
 
     async def item(self, key: ItemKey, as_of: int, *, payloads: bool) -> Item | None:
@@ -131,7 +131,7 @@ class ArchivedMatching:
 
     @property
     def reason(self) -> Reason | None:
-        """Why matches may be missing, or differ from the matches of that time; None: the archives have all items."""
+        """Why matches may be missing, or differ from the matches of a live reader; None: the archives have all."""
         return next((one.reason for one in self.members if one.reason is not None), None)
 
     async def begin(self, as_of: int) -> None:

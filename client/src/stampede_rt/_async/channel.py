@@ -66,13 +66,13 @@ class Channel(Reader):
         item with the time at which it accepts the item. `duration` is text such as "33ms", a timedelta, or int
         nanoseconds. `ack` says when the host acknowledges this put: "host", "disk" (it is on stable storage) or
         "replica"; without it the channel's policy decides. `timeout` in seconds is the longest wait for room on a full
-        channel with on_full="block"; None waits without a limit. With ack="replica" or "disk" it is also the longest
-        wait for these. The client tries again after a broken connection, and the host never stores an item twice. Puts
-        that are under way at the same time may arrive in any order. If their order matters, wait for the end of each
-        put before you begin the next one. Raises TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError; NotReplicated
-        if the replicas did not have the item in time, though the channel has accepted it; NotArchived if the disk did
-        not take the item; InvalidArgument if the channel cannot give such an `ack`; Unavailable if the host cannot be
-        reached.
+        channel with on_full="block"; None waits without a limit. With ack="replica" or "disk", `timeout` also bounds
+        the wait for the replicas or the disk. The client tries again after a broken connection, and the host never
+        stores an item twice. Puts that are under way at the same time may arrive in any order. If their order matters,
+        wait for the end of each put before you begin the next one. Raises TooOld, InFuture, ChannelFull, ItemTooLarge,
+        CodecError; NotReplicated if the replicas did not have the item in time, though the channel has accepted it;
+        NotArchived if the disk did not take the item; InvalidArgument if the channel cannot give such an `ack`;
+        Unavailable if the host cannot be reached.
         """
         item = SingleItem.parse(self._state.coding, payload, time, duration, attributes, content_type, ack=ack)
         on_full = self.info.policy.on_full

@@ -44,7 +44,7 @@ class ChannelRecording:
         self._end_seq: int | None = None
         self._ending = False
         self._done = Signal()
-        self.begun = Signal()  # is set when the channel is recorded, or cannot be
+        self.begun = Signal()  # is set when the recording of the channel has begun, or has failed
         self.tallies: list[ChannelTally] = []
         self.problem = ""  # why nothing of the channel could be recorded
         self._background = BackgroundTask(self._run, f"recording of channel {self.name!r}")

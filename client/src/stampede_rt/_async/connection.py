@@ -148,8 +148,8 @@ class Connection(Mailboxes, RealClock, Reference):
         keeps the items on disk for that time, and up to that size. Reads of the channel find them there. The host needs
         the option --archive. `replicas`, 4 at most, is the number of copies at other hosts. If the host is lost, one of
         them takes over, and lacks at most the items of the last second. With `ack="replica"` nothing is lost: the host
-        acknowledges a put only when all replicas in sync have the item, and at least `min_replicas` (default 1) of
-        them. Readers see the item only then. `host` names the host of a new channel. If the channel exists at another
+        acknowledges a put only when all replicas in sync have the item, and at least `min_replicas` (default 1) are in
+        sync. Readers see the item only then. `host` names the host of a new channel. If the channel exists at another
         live host, the call raises ChannelExists. If the channel does not exist and `create` is False, the call raises
         ChannelNotFound. Blocks for at most 10 s.
 
@@ -232,7 +232,7 @@ class Connection(Mailboxes, RealClock, Reference):
         """Replay recorded channels from the instant `start` of their hosts' clocks, under a virtual clock.
 
         It moves only while the program waits: `speed` times as fast as real time, and with 0 without pauses. With
-        `step=True` only `step` moves it. `end`: the last instant; None: of the last change. Raises InvalidArgument.
+        `step=True` only `step` moves it. `end`: the last instant; None: the last change. Raises InvalidArgument.
         """
         return ReplayedConnection(self, self._session, *parse_replay(start, end, speed, step), step=step)
 
@@ -255,7 +255,7 @@ class Connection(Mailboxes, RealClock, Reference):
         whose span shares an instant with the span of the reference's item. If `reference` has no such item,
         `section.time` is None, and the answer has only the reference.
 
-        `timeout` in seconds bounds the whole call: 0 answers at once, None waits without a limit. The call waits for
+        `timeout` in seconds bounds the whole call: 0 does not wait, None waits without a limit. The call waits for
         the first item of each channel, or with `complete` until no more items of `others` can come. `as_of` as in
         `Channel.get`.
         """

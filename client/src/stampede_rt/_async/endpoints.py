@@ -36,7 +36,7 @@ class EndpointPool:
         self.metadata = CallMetadata(credentials.present_secret)
         self._material = credentials.material()  # the certificates of the endpoints
         self._endpoints: dict[str, ServerEndpoint] = {}
-        self._former: list[ServerEndpoint] = []  # endpoints with the certificates before, perhaps with open streams
+        self._former: list[ServerEndpoint] = []  # endpoints with earlier certificates, perhaps with open streams
         self._mutex = Mutex()
         self.closed = False
 

@@ -295,7 +295,7 @@ class Group(Reference):
         raise failure
 
     async def add(self, channel: Channel) -> None:
-        """Make a channel a member. The cut stays, and the channel's items before the cut are visible at once.
+        """Make a channel a member. The cut stays, and the channel's items before the cut are visible immediately.
 
         Blocks for at most 10 s. Raises InvalidArgument, GroupNotFound, Unavailable.
         """
@@ -326,7 +326,8 @@ class Group(Reference):
     async def delete(self) -> None:
         """Delete the group for everyone. Its channels stay.
 
-        The directory forgets the group at once. The hosts learn of it a moment later, and may answer reads until then.
+        The directory forgets the group immediately. The hosts learn of the deletion a moment later, and may answer
+        reads until then.
         Blocks for at most 10 s. Raises GroupNotFound, Unavailable.
         """
         request = group_directory_pb.DeleteGroupRequest(request_id=request_id(), group_id=self.info.group_id)

@@ -44,7 +44,7 @@ async def open_channel(
 async def open_queue_near(
     session: Session, name: str, stated: QueuePolicy, host: str | None, create: bool
 ) -> QueueInfo:
-    """Open a queue. If this process is a host, and the caller names none, a new queue goes to this host."""
+    """Open a queue. If this process is a host, and the caller names no host, a new queue goes to this host."""
     if session.here is not None and create and host is None:
         try:
             return await open_queue(session, name, stated, session.here.name, create)

@@ -164,7 +164,7 @@ class MatchSubscription(BoundToProcess):
             except StopAsyncIteration as end:
                 self._resume()
                 if not self._closed:  # otherwise another part of the program called `close`
-                    raise Unavailable(f"the host at {binding.target} ended the stream of matches at once") from end
+                    raise Unavailable(f"the host at {binding.target} ended the stream of matches immediately") from end
             except BaseException:
                 self._resume()
                 raise

@@ -37,7 +37,7 @@ class Moves(Proxies):
 
         Returns when the new host accepts puts; blocks for `timeout` at most. Puts wait for some milliseconds meanwhile,
         and blocked gets and subscriptions continue at the new host: nothing is lost, and nothing comes twice. If the
-        channel is at that host already, the call returns at once. Raises HostNotFound, PermissionDenied without the
+        channel is at that host already, the call returns immediately. Raises HostNotFound, PermissionDenied without the
         right to configure the channel, MoveConflict if another move of the channel is under way, Unavailable if too few
         of its replicas are in sync, Overloaded if 32 channels move from or to one host, or if the copy cannot catch up
         with the producers, and DeadlineExceeded (the move then continues).
@@ -56,9 +56,9 @@ class Moves(Proxies):
 
         Returns when the new host serves the queue; blocks for `timeout` at most. Calls and streams of the queue wait
         meanwhile, because the whole queue moves at once. Takers keep their leases, and settle at the new host. If the
-        queue is at that host already, the call returns at once. Raises QueueNotFound, HostNotFound, PermissionDenied
-        without the right to configure the queue, Overloaded if 8 queues move from or to one host, Unavailable if the
-        queue does not arrive within 5 s, and DeadlineExceeded (the move then continues).
+        queue is at that host already, the call returns immediately. Raises QueueNotFound, HostNotFound,
+        PermissionDenied without the right to configure the queue, Overloaded if 8 queues move from or to one host,
+        Unavailable if the queue does not arrive within 5 s, and DeadlineExceeded (the move then continues).
         """
         deadline_s = monotonic_s() + parse_duration(timeout, "timeout") / 1e9
 

@@ -201,7 +201,7 @@ class MulticastSubscription(Subscription):
         merge, end_seq = receiving.merge, gap.last_seq + 1
         new = end_seq - max(gap.first_seq, merge.next_seq)  # the host may have reported a part of the gap before
         held = merge.take_up_to(end_seq)
-        had = sum(gap.first_seq <= item.seq < end_seq for item in held)  # they came before they were collected
+        had = sum(gap.first_seq <= item.seq < end_seq for item in held)  # items that came before retention took them
         gap.items = max(0, min(gap.items, new) - had)
         self._ready.extend(held)
 

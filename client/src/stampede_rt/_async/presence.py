@@ -104,7 +104,7 @@ class Presence:
         except PeerExists as error:
             raise PeerExists(
                 f"another live peer has the name {self._name!r}; take another name, or wait until that peer leaves or "
-                "its lease ends. A restarted program gets its name back at once if it gives the same proof to "
+                "its lease ends. A restarted program gets its name back immediately if it gives the same proof to "
                 "connect() both times",
                 metadata=error.metadata,
             ) from error

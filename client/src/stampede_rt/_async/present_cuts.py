@@ -29,7 +29,7 @@ async def confirm_members(group: GroupMembers, member: Channel) -> None:
     If not, ask the directory for the present ones. Raises GroupNotFound, ChannelNotFound, Unavailable.
     """
     response = await _ask(group, member, group_pb.GetCutRequest(group_id=group.info.group_id))
-    if not response.HasField("floor"):  # a group that shows nothing has no version there
+    if not response.HasField("floor"):  # the answer for a group that shows nothing has no version
         await group.refresh()
 
 

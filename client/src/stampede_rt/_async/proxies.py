@@ -18,7 +18,7 @@ from stampede_rt.values.policy import parse_name
 from stampede_rt.values.proxying import ProxyInfo
 from stampede_rt.wire.records import proxy_info
 
-BEGIN_TRIES = 4  # each waits for about 5 s
+BEGIN_TRIES = 4  # each try waits for about 5 s
 
 
 class Proxies(Discovery):

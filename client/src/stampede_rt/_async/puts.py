@@ -94,7 +94,7 @@ class Puts:
             except (Full, NotArchived):
                 if (
                     part is left or monotonic_s() - asked_s < renew_s / 2
-                ):  # the host refused the put at once: no put waits for room, or the disk fails
+                ):  # the host refused the put without a wait: no put waits for room, or the disk fails
                     raise
             renew_s = RENEW_S
 

@@ -89,9 +89,9 @@ class MessageTaking:
     async def get(self, timeout: float | None = None) -> Message | None:
         """Return the next message, or None after `timeout`. The message is leased to this handle.
 
-        `timeout` in seconds: 0 takes only a message that the host can deliver at once, None waits without a limit. The
-        host serves the taker that has waited longest. Raises QueueNotFound; Unavailable if the host cannot be reached
-        for 10 s; InvalidArgument if this handle is closed.
+        `timeout` in seconds: 0 takes only a message that the host can deliver immediately, None waits without a limit.
+        The host serves the taker that has waited longest. Raises QueueNotFound; Unavailable if the host cannot be
+        reached for 10 s; InvalidArgument if this handle is closed.
         """
         with span("take", queue=self.name):
             return await self._taker.get(Wait.parse(timeout))

@@ -119,7 +119,7 @@ class Reader(Reference):
         `bounds`: "[]", "[)", "(]" or "()". `match`: "span", "whole" (the whole span is in the interval) or "start"
         (the item's time is in it). `limit` keeps the earliest items, or with `newest_first` the latest. With `after`,
         an item or an instant, the answer has only later items, or with `newest_first` only earlier ones. `timeout` in
-        seconds: 0 answers at once, None waits without a limit. The call waits for the first match, or with `complete`
+        seconds: 0 does not wait, None waits without a limit. The call waits for the first match, or with `complete`
         until no more items can come into the interval. After the timeout it returns the items that are there.
 
         With `max_staleness`, such as "500ms", a proxy of the channel may answer if its state is at most this old. With
@@ -128,7 +128,7 @@ class Reader(Reference):
         reads only the items that the host has in memory, and never waits for the archive of a recorded channel.
 
         `as_of` is a past instant. The answer is as the host of a recorded channel would have given it at that instant:
-        with the items that it had accepted by then and that its archive still holds. Do not combine it with a timeout.
+        with the items that it had accepted by then and that its archive still holds. With `as_of` state no timeout.
         Raises InvalidInterval, InvalidArgument, IncarnationLost, Unavailable.
         """
         interval = parse_interval(start, end, bounds)
@@ -198,7 +198,7 @@ class Reader(Reference):
     ) -> Item | None:
         """Return the newest item, or None. With `after`, return the item only if it is later than this instant or item.
 
-        `timeout` in seconds: 0 answers at once, None waits without a limit. `max_staleness`, `least_seq` and
+        `timeout` in seconds: 0 does not wait, None waits without a limit. `max_staleness`, `least_seq` and
         `as_of` as in `get`.
         """
         demand = parse_staleness(max_staleness), parse_least_seq(least_seq)

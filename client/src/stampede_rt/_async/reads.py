@@ -59,7 +59,7 @@ async def read_as_of(
 
 
 async def _read_once(session: Session, state: ChannelState, query: ReadQuery, view: SeenCut | None) -> Items:
-    """Perform one request. A wait without limit becomes one of RENEW_S."""
+    """Perform one request. If the query waits without a limit, the request waits for RENEW_S."""
     wait_s = RENEW_S if query.wait.seconds is None else query.wait.seconds
     began_s = monotonic_s()
 

@@ -59,9 +59,9 @@ class ReplayedVisible(ReplayedSteps):
         self._shown, self._own, self._group, self._clock = shown, own, group, clock
         self._start, self._after, self._payloads = start, after, payloads
         self._at = clock.now  # the instant of the last change that was looked at
-        self._cut = MIN_INSTANT  # the items before it have come
+        self._cut = MIN_INSTANT  # the client has fetched the items before this instant
         self._seen: int = MIN_INSTANT  # the group's cut as of `_at`
-        self._page_after: Item | None = None  # the last item of the page before, while the cut shows many items
+        self._page_after: Item | None = None  # the last item of the previous page, while the cut shows many items
         self._late: EarlierPages | None = None
         self._followers: list[_Follower] = []
         self._ready: deque[Item] = deque()
@@ -83,7 +83,7 @@ class ReplayedVisible(ReplayedSteps):
         return None
 
     async def _begin(self) -> None:
-        """Find the cut at that time, and how far the members had come."""
+        """Find the cut at the beginning of the subscription, and how far the members had come by then."""
         group, at = self._group, self._at
         self._seen = self._cut = (await as_known(lambda instant: cut_as_of(group, instant), at)).cut
         start, after = self._start, self._after

@@ -119,7 +119,7 @@ class Sampler(BackgroundStart, BoundToProcess):
         except ChannelNotFound as error:
             self.error = error
             _log.error("sampling for %s has ended: %s", self._name, error)
-        except SystemExit as end:  # of the function; Python says nothing about it if it ends a thread
+        except SystemExit as end:  # the function raised it; Python prints nothing if SystemExit ends a thread
             self.error = StampedeError(f"its function raised {end!r}")
             _log.error("sampling for %s has ended: %s", self._name, self.error)
             raise

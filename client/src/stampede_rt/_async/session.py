@@ -78,9 +78,9 @@ class Session:
         self.put_streams = PutStreams()
         self._binding_locks = KeyedLock()
         self.here: HostHere | None = None  # the channel host in this process, which belongs to this connection
-        self.closing = False  # from the beginning of `aclose` on
+        self.closing = False  # True from the beginning of `aclose` on
         self.closed = False  # True after `aclose` has ended all tasks
-        self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # the connection as a consumer
+        self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # of the connection as a consumer
         self.consumer_places: dict[bytes, SessionTask] = {}  # by channel id; see `consuming`
         self._attached: dict[SessionTask, None] = {}  # in the order of `attach`
 

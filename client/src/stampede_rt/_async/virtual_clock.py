@@ -9,7 +9,8 @@ from stampede_rt.transports.concurrency_async import Signal, monotonic_s
 class VirtualClock:
     """An instant that moves forward to the instants for which a program waits.
 
-    `speed` 2.0: a wait of 1 s takes half a second of real time; 0: none. With `step` the instant moves only by `step`.
+    `speed` 2.0: a wait of 1 s takes half a second of real time; 0: no real time. With `step` only `step` moves the
+    instant.
     A connection ends its clocks when it closes (`SessionTask`).
     """
 
@@ -21,7 +22,7 @@ class VirtualClock:
         self._moved = Signal()  # is set, and replaced, whenever the instant moves
 
     async def reach(self, instant: int) -> None:
-        """Wait until the clock is at `instant`. Returns at once if it is already there.
+        """Wait until the clock is at `instant`. Returns immediately if the clock is already there.
 
         Raises Unavailable when the replay or its connection is closed.
         """
@@ -57,5 +58,5 @@ class VirtualClock:
         self.move(self.now)
 
     async def end(self) -> None:
-        """Close: the connection closes."""
+        """Close, because the connection closes."""
         self.close()

@@ -21,9 +21,9 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
     """An iterator over `Matched` items (see `Group.match`), and a context manager. The iteration ends with the last
     match.
 
-    `unmatched` and `dropped` count as in a `MatchSubscription`. `reason` says why matches may be missing, or differ
-    from the matches of that time: COLLECTED or LOST, if the archive of a member has dropped or lost items. None:
-    nothing is missing. A step raises Overloaded if too many items wait for a match.
+    `unmatched` and `dropped` count as in a `MatchSubscription`. `reason` is COLLECTED or LOST if the archive of a
+    member has dropped or lost items. Some matches may then be missing, or may differ from the matches that a live
+    reader got. `reason` is None if nothing is missing. A step raises Overloaded if too many items wait for a match.
     """
 
     def __init__(self) -> None:
@@ -47,7 +47,7 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
 
     @property
     def reason(self) -> Reason | None:
-        """Why matches may be missing, or differ from the matches of that time; None: nothing is missing."""
+        """Why matches may be missing, or differ from the matches of a live reader; None: nothing is missing."""
         return None if self._matching is None else self._matching.reason
 
     @property

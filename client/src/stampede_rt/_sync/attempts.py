@@ -57,8 +57,8 @@ def attempt(locator: Locator, operation: Callable[[Binding, float], Result], tim
     Blocks for `timeout_s` seconds at most, or TRY_S_MIN longer if the last try begins at the end. `operation` gets the
     binding and the seconds that it may take. If the caller has too many open streams for its quota, `attempt` begins no
     try after OPEN_STREAMS_S: often only the caller itself can close a stream.
-    Raises the error of the last try. If that error is DeadlineExceeded, raises the error of an earlier try, if there
-    was one, because the earlier error says more.
+    Raises the error of the last try. If that error is DeadlineExceeded, and an earlier try has also failed, raises the
+    error of the earlier try, because it says more.
     """
     locator.check()
     deadline_s = time.monotonic() + timeout_s

@@ -49,7 +49,7 @@ def newest_here(session: Session, state: ChannelState) -> Item | None:
 
 
 def at_here(session: Session, state: ChannelState, time: int) -> Items | None:
-    """Return the answer to a read at an instant, if one item of this process is all of it. Waits for nothing."""
+    """Return the answer to a read at an instant, if the answer is one item that this process put. Waits for nothing."""
     here, binding = session.here, session.cache.binding(state.info.channel_id, thread_id())
     if here is None or binding is None or binding.target != here.target:
         return None

@@ -45,9 +45,9 @@ class Files(Moves):
 
         The recording never delays a producer. The file and the summary name the items that retention collects before
         the recording has read them: for every channel accepted = recorded + missing. The recording keeps at most 1 MiB
-        for each channel in memory, and two chunks of the file. This call returns when all present channels are
-        recorded; with asyncio, the handle for that. Raises FileError if the file cannot be made, or if `mcap` is
-        not installed; InvalidArgument.
+        for each channel in memory, and two chunks of the file. This call returns when the recording of all present
+        channels has begun; with asyncio, the handle for that. Raises FileError if the file cannot be made, or if
+        `mcap` is not installed; InvalidArgument.
         """
         from stampede_rt._sync.recorder import Recorder, parse_globs  # they load mcap
         from stampede_rt.files.writing import FileWriter
@@ -79,12 +79,12 @@ class Files(Moves):
         """Play a file into channels, and return a handle with `stop`, `wait` and `summary`.
 
         Each topic that matches `channels` becomes the channel of its name with `prefix` before it. Items come in the
-        order and at the pace at which they came, `speed` times as fast; 0: as fast as possible. `start` and `end`: only
-        items with times of the file between these two, `end` exclusive. `loop`: play again and again, until `stop`.
+        order and at the pace at which they came, `speed` times as fast; 0: as fast as possible. The replay takes only
+        items with recorded times from `start` on and before `end`. `loop`: play again and again, until `stop`.
 
-        `shift`: "now" moves the times so that the items come as if they were new, by one amount for all, so that
-        durations and distances stay. At a speed above 1 the first item is then in the past, by the time that the replay
-        gains. A duration such as "-1h" moves all times by this duration; None keeps them as recorded. A channel that
+        `shift`: "now" moves all times by the same amount, so that the items come as if they were new. Durations and
+        distances stay. At a speed above 1 the first item is then in the past, by the time that the replay gains. A
+        duration such as "-1h" moves all times by this duration; None keeps the recorded times. A channel that
         does not exist is created with its recorded policy; without a shift it gets no max_age.
 
         The call returns when all channels are open; with asyncio, the handle for that. Raises InvalidArgument,

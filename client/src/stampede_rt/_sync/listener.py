@@ -121,7 +121,7 @@ class Listener(BackgroundStart, BoundToProcess):
             failure = StampedeError(f"on_item of {self._name} failed with a defect: {type(defect).__name__}: {defect}")
             failure.__cause__ = defect
             self._fail(failure)
-        except SystemExit as end:  # of the function; Python says nothing about it if it ends a thread
+        except SystemExit as end:  # the function raised it; Python prints nothing if SystemExit ends a thread
             self._fail(StampedeError(f"its function raised {end!r}"))
             raise
         finally:

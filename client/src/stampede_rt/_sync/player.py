@@ -174,8 +174,8 @@ class Player(BackgroundStart, BoundToProcess):
     def _open(self, topics: Sequence[SourceTopic], schedule: Schedule) -> None:
         """Open a channel for each topic with items to put, and check that none of them would refuse the items.
 
-        Raises InvalidArgument, also if there are no items to put. If a channel that exists would refuse items, it has
-        created no other channel.
+        Raises InvalidArgument, also if there are no items to put. If an existing channel would refuse items, this
+        method creates no channel.
         """
         firsts = {one.name: in_thread(partial(self._first_time, one)) for one in topics}
         topics = [one for one in topics if firsts[one.name] is not None]

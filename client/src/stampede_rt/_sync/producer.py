@@ -56,8 +56,8 @@ class Producer(BoundToProcess):
         self._builder = RunBuilder()
         self._unacked = UnackedRuns()
         self._steps = Steps()  # guards the builder and the order of writes; the threads that bring acks do not wait
-        self._news: deque[tuple[int, channel_pb.PutAck | StampedeError]] = deque()  # of streams, by their generations
-        self._interrupting_bytes = 0  # of puts by signal handlers that have interrupted other puts
+        self._news: deque[tuple[int, channel_pb.PutAck | StampedeError]] = deque()  # each with its stream's generation
+        self._interrupting_bytes = 0  # of items that signal handlers put while they interrupted other puts
         self._moved = Signal()  # is set when an ack has come, or when the stream has ended
         self._stream: RunStream | None = None
         self._opened: list[RunStream] = []  # holds the latest stream, which `_give_up` cancels
@@ -99,15 +99,16 @@ class Producer(BoundToProcess):
     ) -> None:
         """Accept one item for sending.
 
-        The producer sends an item at once if no earlier item is unacknowledged. Otherwise it collects items in runs,
-        and sends several runs together. If 256 items or 224 KiB are collected, the call blocks while 8 MiB or 64 runs
-        are unacknowledged. The call also blocks while the producer opens a stream.
+        The producer sends an item immediately if no earlier item is unacknowledged. Otherwise it collects items in
+        runs, and sends several runs together. If 256 items or 224 KiB are collected, the call blocks while 8 MiB or 64
+        runs are unacknowledged. The call also blocks while the producer opens a stream.
 
         `timeout` in seconds is the longest wait, by default 10; None waits without a limit, as a channel with
         on_full="block" may need. The other arguments are as in `Channel.put`. If a put raises or is cancelled, the
         producer does not send its item. Raises DeadlineExceeded after the timeout, InvalidArgument, ItemTooLarge,
-        CodecError; Unavailable if the host cannot be reached for 10 s. A signal handler may put, too. Without room it
-        gets DeadlineExceeded at once if it interrupts a put, as does `__del__` on the thread of a host of this process.
+        CodecError; Unavailable if the host cannot be reached for 10 s. A signal handler may put, too. If the handler
+        interrupts a put, and there is no room, its put raises DeadlineExceeded without a wait. The same holds for
+        `__del__` on the thread of a host of this process.
         """
         self._session.check_process()
         if self._finished:
@@ -197,7 +198,7 @@ class Producer(BoundToProcess):
 
         If no sent run is unacknowledged, this sends everything. A call that a signal has ended may be repeated.
         """
-        self._builder.drop(self._unacked.last)  # if a signal has ended a call between the two
+        self._builder.drop(self._unacked.last)  # a signal may have ended a call between `add` and `drop`
         while len(self._builder) and self._has_room():
             _in_flight.add(self)
             self._unacked.add(self._builder.cut())
@@ -232,11 +233,11 @@ class Producer(BoundToProcess):
                 self._moved.wait(None if left_s == float("inf") else left_s)
 
     def _holds(self, condition: Callable[[], bool]) -> bool:
-        """Whether there is no failure and `condition` holds. No other thread counts an ack while this looks."""
+        """Whether there is no failure and `condition` holds. No other thread counts an ack during this check."""
         found: list[bool] = []
 
         def look() -> None:
-            self._take_news()  # a signal may have interrupted it
+            self._take_news()  # a signal may have interrupted the last call
             found.append(self._failure is None and condition())
 
         self._do(look)
@@ -255,7 +256,7 @@ class Producer(BoundToProcess):
             self._failure = self._backoff = None
             raise failure
         self._session.cache.forget(self._state.info.channel_id)
-        if failure.reason == "MOVED":  # the new host takes the items at once
+        if failure.reason == "MOVED":  # the new host takes the items without a delay
             self._session.cache.follow(self._state.info.channel_id, failure.metadata)
         else:
             sleep(min(delay_s, left_s))
@@ -314,7 +315,7 @@ class Producer(BoundToProcess):
     def _note(self, news: channel_pb.PutAck | StampedeError) -> None:
         if isinstance(news, StampedeError):
             self._failure = news
-        elif self._unacked.awaits(news.first_number):  # otherwise the ack was counted before a signal
+        elif self._unacked.awaits(news.first_number):  # otherwise a call that a signal ended has counted the ack
             self._count(news)
 
     def _count(self, ack: channel_pb.PutAck) -> None:

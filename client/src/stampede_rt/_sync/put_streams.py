@@ -16,7 +16,7 @@ from stampede_rt.transports.grpc_sync import PutExchange
 STREAMS_MAX = 512  # the most streams of puts of one connection
 OWNER_STREAMS_MAX = 16  # the most open streams of one owner and thread, for puts with different deadlines
 Owner = int | tuple[object, str]
-"""The owner of a stream. A handle that owns streams is named by its id.
+"""The owner of a stream. If a handle has streams of its own, the owner is the id of the handle.
 
 All other handles share one owner: the kind of put, with the host's address.
 """
@@ -55,10 +55,9 @@ class PutStreams:
     for the longest time.
 
     A put that waits for room blocks later puts on its stream. A handle whose puts may wait therefore has streams of its
-    own. The blocking client needs
-    none, because each of its threads has only one put under way. A put with an earlier deadline uses another of these
-    streams, so that it does not wait beyond its deadline. Puts of one handle and thread with equal timeouts stay in
-    order (decision 0150).
+    own. A put with an earlier deadline uses another of these streams, so that it does not wait beyond its deadline.
+    Puts of one handle and thread with equal timeouts stay in order (decision 0150). In the blocking client no handle
+    needs streams of its own, because each thread has only one put under way.
     """
 
     def __init__(self) -> None:

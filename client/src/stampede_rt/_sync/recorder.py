@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 CHANNELS_MAX = 1000  # the most channels of one recording; each may keep 1 MiB in memory
 GLOBS_MAX = 64
 DRAIN_S = 5.0  # how long the end of a recording waits for items that the host has accepted before the end
-FINISHED_AT_ONCE = 32  # channels
+FINISHED_AT_ONCE = 32  # the channels whose recordings end in parallel
 _log = logging.getLogger("stampede_rt")
 
 
@@ -68,7 +68,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         self._watches: list[Watch] = []
         self._ending = False
         self._stop = Signal()
-        self._holds = Signal()  # is set when all present channels are recorded, or when the recording has ended
+        self._holds = Signal()  # is set when the recording of all present channels has begun, or when it has ended
         self._ended = Signal()
         self.active = True
         self.summary: RecordingSummary | None = None

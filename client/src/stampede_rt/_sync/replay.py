@@ -78,7 +78,7 @@ class ReplayedConnection:
     def step(self, duration: DurationLike) -> int:
         """Move the clock of a replay with `step=True` forward by `duration`, and return its instant.
 
-        The calls that wait for an instant up to then continue.
+        Calls that wait for this instant, or for an earlier one, then continue.
         """
         nanos = parse_duration(duration, "duration")
         if nanos < 0:

@@ -110,7 +110,7 @@ class SharedRings:
 
     def _keep(self, known: _KnownChannel, mapping: RingMapping) -> None:
         known.mapping = mapping
-        if self._is_closed or all(one is not known for one in self._channels.values()):  # forgotten while it opened
+        if self._is_closed or all(one is not known for one in self._channels.values()):  # dropped meanwhile
             self._give_up(known)
         open_ones = [one for one in self._channels.values() if one.mapping is not None]
         for one in open_ones[:-RINGS_MAX]:

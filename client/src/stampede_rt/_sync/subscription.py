@@ -161,7 +161,7 @@ class Subscription(BoundToProcess):
             self._receive()
 
     def _took_all(self, last: Item) -> None:
-        """Tell the window of all ready items, of which the program has just taken the last one. Then it may grant."""
+        """Note in the credit window that the program has taken all ready items. `last` is the last of them."""
         if self._follower is None:
             self._window.take_all(self._ready_bytes, cost_of((last,)), monotonic_s())
             self._ready_bytes = 0

@@ -14,7 +14,7 @@ from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
-# How long `parts_behind` asks again; hosts and supernodes learn of changes at once, front-ends within 1 s.
+# How long `parts_behind` asks again; hosts and supernodes learn of changes immediately, front-ends within 1 s.
 IN_FORCE_SECONDS = 5.0
 CALL_SECONDS = 1.0  # the timeout of one call to one part
 PAUSE_SECONDS = 0.02  # between two rounds; a round asks each part once

@@ -26,8 +26,8 @@ _EXPLANATION = """The verbs of each kind of thing:
 {verbs}
 A mailbox counts as its peer. The caller that registers a peer may take from its mailbox.
 
-In WHO and NAME "*" matches any characters, also "/", and "?" one. A rule that denies overrides all rules that
-allow. Without any rule clients may do everything. Rules do not limit operators, and holders of the cluster's secret."""
+In WHO and NAME "*" matches any characters, also "/", and "?" matches one. A rule that denies overrides all rules that
+allow. Without any rule clients may do everything. Rules do not limit operators or holders of the cluster's secret."""
 NOT_ALLOWED = 3  # the exit status of `check` if a client may not do something
 EFFECTS_SHOWN = 20  # rows of a table of effects
 

@@ -1,4 +1,4 @@
-"""Colours on a terminal. None if the output is not a terminal, if `$NO_COLOR` is set, or if `$TERM` is "dumb"."""
+"""Colours on a terminal. Text stays plain if there is no terminal, if `$NO_COLOR` is set, or if `$TERM` is "dumb"."""
 
 from __future__ import annotations
 

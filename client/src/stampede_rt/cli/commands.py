@@ -55,10 +55,10 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _run_and_flush(arguments: Sequence[str]) -> int:
-    """Run one command, and write its output out.
+    """Run one command, and flush its output.
 
-    If the disk is full, or if the reader of a pipe has ended, this function raises the error, and not the end of the
-    interpreter.
+    Raises an error if the disk is full, or if the reader of a pipe has ended. Without the flush the interpreter would
+    raise this error at its end.
     """
     try:
         if arguments and arguments[0] in SERVICE_VERBS:

@@ -2,7 +2,7 @@
 
 The file `stampede/contexts.json` below `$XDG_CONFIG_HOME` (default `~/.config`) has them, and only its owner may read
 it. A context names the files of secrets and keys. A secret that `stampede context add` reads from standard input goes
-into a file of its own beside it. Nothing here prints a secret.
+into a file of its own in the same folder. Nothing here prints a secret.
 """
 
 from __future__ import annotations

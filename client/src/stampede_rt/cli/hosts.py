@@ -58,7 +58,7 @@ def _for_programs(host: HostInfo) -> dict[str, Any]:
 
 
 def _machine(host: HostInfo) -> str | None:
-    """Return the machine in the host's address. The host has a Unix socket if there is none: "this machine"."""
+    """Return the machine in the host's address, or "this machine" if the address is a Unix socket."""
     if not host.endpoints:
         return None
     target = host.endpoints[0]

@@ -83,7 +83,7 @@ class _Stream:
         self._payloads = not arguments.no_payloads
         self._merge = TimeMerge(arguments.wait)
         self._changed = threading.Condition()  # guards everything below
-        self._ids: dict[str, bytes] = {}  # of the channels that threads read: the latest id that the directory named
+        self._ids: dict[str, bytes] = {}  # for each channel that a thread reads: the latest id from the directory
         self._error: StampedeError | None = None
         self._is_over = self._is_full = False
         self.dropped = 0
@@ -140,8 +140,7 @@ class _Stream:
         threading.Thread(target=self._read, args=(name, start), daemon=True).start()
 
     def _note(self, info: ChannelInfo) -> None:
-        """Note a channel for the thread that reads its name. If there are too many channels, there is no thread; then
-        print a warning."""
+        """Note a channel for the thread that reads its name. If there are too many channels, print a warning."""
         if info.name in self._ids:
             self._ids[info.name] = info.channel_id
         elif not self._is_full and not self._is_over:

@@ -1,7 +1,7 @@
 """Merges the items of several channels in the order of their times. Pure.
 
 The merge waits for a channel that has no item at the moment, but only for `wait_s`: then the channel counts as quiet.
-An item whose time is before the time of an item that the merge has given out is late. The merge gives it out at once.
+An item is late if the merge has given out an item with a later time. The merge gives out a late item immediately.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ QUOTAS = (
     "changes-per-second", "bytes-held", "bytes-archived", "cpu-percent",
 )  # fmt: skip
 IN_BYTES = frozenset({"bytes-in-flight", "bytes-held", "bytes-archived"})
-OF_EACH_HOST = {"bytes-held": "--memory-bytes-max", "bytes-archived": "--archive-bytes-max"}  # the defaults are 7/8
+OF_EACH_HOST = {"bytes-held": "--memory-bytes-max", "bytes-archived": "--archive-bytes-max"}  # default: 7/8 of it
 DEFAULT = "(default)"  # the text for the subject of a default limit
 UNLIMITED = 2**62  # a limit of this number or more is no limit
 _UNITS = {"": 1, "B": 1, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
@@ -43,7 +43,7 @@ def add_verbs(subparsers: Any) -> None:
         help=f"{', '.join(QUOTAS)}; a number, bytes also with KiB, MiB, GiB; or `unlimited`",
     )  # fmt: skip
     rm = add_verb(verbs, "rm", "remove limits, so that the next pattern or the default counts", run_rm)
-    rm.add_argument("who", metavar="WHO", help="as it was set")
+    rm.add_argument("who", metavar="WHO", help="the same text as in `quota set`")
     rm.add_argument("quotas", metavar="QUOTA", nargs="*", type=_quota, help="left out: all of WHO")
     add_verb(verbs, "ls", "list all limits that were set, and the defaults", run_ls)
     check = add_verb(verbs, "check", "print the limits of one caller, each with the setting that decides it", run_check)

@@ -29,15 +29,21 @@ def add_verbs(subparsers: Any) -> None:
         "sources", nargs="+", metavar="SOURCE", help="one MCAP file, or channels or globs such as 'rig/*'"
     )
     replay.add_argument(
-        "--as", dest="prefix", default="replay/", metavar="PREFIX", help='before the names; default "replay/"'
+        "--as",
+        dest="prefix",
+        default="replay/",
+        metavar="PREFIX",
+        help='the beginning of the names of the channels; default "replay/"',
     )
     replay.add_argument(
         "--speed", type=_speed, default=1.0, metavar="N", help='such as 2 or 0.5; "max" is without pauses; default 1'
     )
-    replay.add_argument("--loop", action="store_true", help="again and again, until Ctrl-C; needs --shift now")
+    replay.add_argument("--loop", action="store_true", help="play again and again, until Ctrl-C; needs --shift now")
     importing = add_verb(subparsers, "import", "put the items of a file into channels", run_import, output=False)
     importing.add_argument("path", metavar="FILE", help="MCAP, rosbag2 (its folder, or a file in it), or XDF")
-    importing.add_argument("--as", dest="prefix", default="", metavar="PREFIX", help="before the names; default none")
+    importing.add_argument(
+        "--as", dest="prefix", default="", metavar="PREFIX", help="the beginning of the names of the channels"
+    )
     for verb in (replay, importing):
         verb.add_argument("--from", dest="start", type=checked(parse_time), metavar="TIME", help="the first time")
         verb.add_argument("--to", dest="end", type=checked(parse_time), metavar="TIME", help="the end, exclusive")
@@ -45,7 +51,9 @@ def add_verbs(subparsers: Any) -> None:
             "--channel", action="append", metavar="GLOB", help="a name, or a glob such as 'rig/*'; may be repeated"
         )
         verb.add_argument(
-            "--shift", metavar="SHIFT", help='"now", or a duration such as -1h, for all times; default: as recorded'
+            "--shift",
+            metavar="SHIFT",
+            help='move all times to "now", or by a duration such as -1h; default: the recorded times',
         )
         add_summary(verb, "-o")
 

@@ -73,8 +73,8 @@ _PEERS = _Source(lambda rt, glob: rt.watch_peers(glob), lambda rt, glob: rt.peer
 def _follow(rt: Connection, glob: str, source: _Source, rows: Queue[Any]) -> None:
     """Put all changes, and the error that ends the watch, into the queue. Runs on a thread of its own.
 
-    If supernodes no longer keep the changes since a break, it begins a new watch, and puts the
-    differences from the known things.
+    If supernodes no longer keep the changes since a break, this function begins a new watch, and puts the differences
+    from the known things.
     """
     known: Known | None = None
     try:
@@ -93,7 +93,7 @@ def _follow(rt: Connection, glob: str, source: _Source, rows: Queue[Any]) -> Non
 def _pass_on(change: Change | PeerChange, known: Known, rows: Queue[Any]) -> None:
     """Put one change into the queue, and note it in `known`.
 
-    A host notes its load every few seconds. People need not see such a change.
+    A host reports its load every few seconds. The command does not print these reports.
     """
     thing = change.peer if isinstance(change, PeerChange) else change.subject
     facts, former = facts_of(thing), known.get(id_of(thing))
@@ -120,7 +120,7 @@ def id_of(thing: Thing) -> bytes:
 
 
 def facts_of(thing: Thing) -> Facts:
-    """Return the facts about a thing that a change tells."""
+    """Return the facts that a change reports about a thing."""
     if isinstance(thing, PeerInfo):
         name = thing.name or thing.peer_id.hex()
         return {"kind": "peer", "name": name, "alive": thing.alive, "detail": thing.zone}

@@ -1,6 +1,6 @@
 """The age of an update: the seconds since the client first sent it. Each repeated request states its age.
 
-The directory remembers its answers by request id for a while. It refuses updates that are older than this
+The directory remembers its answers by request id for a limited time. It refuses updates that are older than this time
 (directory_service.proto). The client measures the age by its own clock, so no two clocks need to agree.
 """
 

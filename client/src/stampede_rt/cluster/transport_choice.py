@@ -15,7 +15,7 @@ class Transport(StrEnum):
 
     GRPC = "grpc"
     SOCKET = "socket"
-    """A Unix or TCP socket for each stream. A program that chooses it gets an error where there is none."""
+    """A Unix or TCP socket for each stream. If that is impossible, the program gets an error."""
     TCP = "tcp"
     """A TCP socket for each stream, also to a host on the same machine. If that is impossible, the program gets an
     error.

@@ -1,7 +1,7 @@
 """The contents of a file: topics, messages, gaps and advances, and the facts that MCAP has no field for. Pure.
 
 The facts of the messages in a chunk are one more message of that chunk, in JSON, on the topic `stampede/facts`.
-docs/files.md describes it.
+docs/files.md describes this JSON.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ class _Counts:
 class FileTally:
     """Counts entries, gaps and advances in the order of a file.
 
-    After `damage` the next seq of each channel tells how many of its items the damage may have taken.
+    After `damage` the next seq of each channel shows how many of its items the damage may have taken.
     """
 
     def __init__(self) -> None:

@@ -156,8 +156,8 @@ class RecordFile:
     def _fits(self, frame: RecordFrame) -> bool:
         """Whether the kind and the length of a record agree with the lengths inside it.
 
-        No checksum covers them, so a flipped bit may hide a chunk: as another record, or behind a record that is too
-        long.
+        No checksum covers the kind and the lengths. A flipped bit in them may hide a chunk: the chunk looks like
+        another record, or lies inside a record that is too long.
         """
         if frame.opcode == Opcode.MESSAGE_INDEX:
             return frame.length == 6 + int.from_bytes(self._read(frame.offset + _FRAME.size + 2, 4), "little")
@@ -200,7 +200,7 @@ class RecordFile:
     def data_is_whole(self, data_end: int) -> bool:
         """Whether the record at `data_end` ends the data, and the bytes before it have the checksum that it states.
 
-        The checksum 0 means that it states none.
+        The checksum 0 means that the record states none.
         """
         frame = self.frame_at(data_end)
         if frame is None or frame.opcode != Opcode.DATA_END or frame.length != 4:

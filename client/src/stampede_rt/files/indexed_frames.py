@@ -16,7 +16,8 @@ def indexed_frames(records: RecordFile, ends: Mapping[int, int]) -> Iterator[Rec
     """Yield the records as `RecordFile.frames` does, but each chunk of the index as a chunk or as damage.
 
     `ends`: for the first byte of each chunk that the index names, the first byte after the chunk. No checksum covers
-    the head of a record. So a flipped bit there may show a chunk as another record, as a longer one, or as the end.
+    the head of a record. A flipped bit in it may make a chunk look like another record, like a longer chunk, or like
+    the end of the file.
     """
     starts, offset = sorted(ends), len(MAGIC)
     while True:

@@ -113,7 +113,7 @@ class FileReader:
         self._index: FileIndex | None = None
         self._looked = False
         self._data_end = 0
-        self._has_chunks = False  # as far as known
+        self._has_chunks = False  # whether this reader has found a chunk so far
         first = self._records.frame_at(len(MAGIC))
         if first is not None and first.opcode == Opcode.HEADER:
             with suppress(FileError):  # a damaged head: the rest may be whole

@@ -41,7 +41,7 @@ class MessageKind(IntEnum):
 
 
 class Head(NamedTuple):
-    """The clear part of a datagram. `number` differs in all datagrams under one key."""
+    """The part of a datagram that is not encrypted. `number` differs in all datagrams under one key."""
 
     stream_id: bytes
     key_number: int

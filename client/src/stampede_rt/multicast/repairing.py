@@ -7,7 +7,8 @@ from enum import Enum
 REORDERED_S = 0.02  # datagrams that overtake each other: a reader waits this long for missing ones
 BEAT_S_MAX = 1.0  # a host without new items sends a heartbeat at least this often
 SILENT_S = 3.5 * BEAT_S_MAX  # after this time without a message, datagrams do not reach the reader any more
-VAIN_REPAIRS_MAX = 64  # repairs in a row without any item by multicast: the network or the reader is too slow for it
+# After this many repairs in a row without an item by multicast, the network or the reader counts as too slow for it.
+VAIN_REPAIRS_MAX = 64
 KEY_ASKED_S = 1.0  # how often a reader asks for a new key; anybody can send datagrams that name another one
 
 

@@ -35,11 +35,11 @@ class Rejected(Enum):
     """Why a reader drops a datagram."""
 
     FOREIGN = "foreign"
-    """It belongs to another channel, host or program."""
+    """The datagram belongs to another channel, host or program."""
     OTHER_KEY = "other_key"
     """The datagram names another key: the host has a new key, or the datagram is forged."""
     FORGED = "forged"
-    """Changed on the way, or made by somebody without the key."""
+    """The datagram was changed on the way, or its sender does not have the key."""
 
 
 class Sealer:

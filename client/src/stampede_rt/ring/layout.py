@@ -52,8 +52,9 @@ CHANGES_WORD = 32  # the host adds 1 after each change; its lower half is the fu
 
 # The words of a slot.
 SEQ, ITEMS, FIRST_TIME, LAST_TIME, OFFSET, LENGTH, DURATION, PAYLOAD = range(8)
-# DURATION and PAYLOAD tell about a run of one item. DURATION is the item's duration or -1. PAYLOAD has the length of
-# the payload, and in its lower 16 bits where in the run it begins; 0: read the whole run, because the item has labels.
+# DURATION and PAYLOAD describe a run of one item. DURATION is the item's duration or -1. PAYLOAD has the length of the
+# payload, and in its lower 16 bits where in the run it begins; 0: read the whole run, because the item has labels (a
+# content type or attributes).
 PAYLOAD_BEGIN_MAX = 0xFFFF
 
 OPEN, CLOSED = 1, 2

@@ -80,8 +80,7 @@ def read_secrets(path: Path | None = None) -> tuple[str, ...] | None:
         raise _no_secret(path)
     if len(values) > SECRETS_MAX:
         raise PermissionDenied(
-            f"the secret file {path} has {len(values)} lines; write one secret, or two while one takes the place "
-            "of the other"
+            f"the secret file {path} has {len(values)} lines; write one secret, or two while you replace a secret"
         )
     return values
 

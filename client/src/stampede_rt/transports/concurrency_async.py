@@ -43,7 +43,7 @@ class Mutex:
 
 
 class Steps:
-    """Runs steps at once. In the blocking client several threads and signal handlers run them, one after the other."""
+    """Runs steps immediately. In the blocking client several threads and signal handlers run steps, one by one."""
 
     is_interrupted = False
 
@@ -120,7 +120,7 @@ class StepTask:
 
     Usually a step runs in the task of its caller, and ends with it. After a caller has cancelled a step, further steps
     run in tasks of their own, which continue without their callers. The next caller waits for the step under way.
-    Otherwise a caller that waits for less time than the opening of a stream takes would begin this opening for ever.
+    Otherwise a caller with a short timeout would begin the opening of a stream again and again, and never get an item.
     """
 
     def __init__(self) -> None:

@@ -47,7 +47,7 @@ class KeyedLock:
 
     @contextmanager
     def hold(self, key: Hashable, timeout_s: float) -> Iterator[None]:
-        """Continue at once."""
+        """Continue immediately."""
         yield
 
 
@@ -84,7 +84,7 @@ class Signal:
         self._waiting: deque[threading.Lock] = deque()  # one for each waiting caller, who waits until it is released
 
     def set(self) -> None:
-        """Wake all waiting callers, also if `clear` follows at once."""
+        """Wake all waiting callers, also if `clear` follows immediately."""
         self._is_set, self._round = True, object()
         with suppress(IndexError):  # another thread has woken them
             for _ in range(len(self._waiting)):
@@ -147,7 +147,7 @@ class Steps:
                 self._run_waiting()
 
     def offer(self, step: Callable[..., None], *arguments: Any) -> None:
-        """Have the step run now, or by the thread that runs a step at present. Waits for nothing.
+        """Run the step now, or leave it to the thread that runs a step at present. Waits for nothing.
 
         Call it only on threads of the library: Ctrl-C could leave the steps locked.
         """

@@ -69,8 +69,8 @@ def _system_call() -> Any:
 def _buffer_calls() -> tuple[Any, Any]:
     """PyObject_GetBuffer and PyBuffer_Release, as objects of this module alone.
 
-    Those of `ctypes.pythonapi` belong to the whole process. If a thread sets their argument types while another thread
-    calls them, Python may use types that it has freed.
+    The objects of `ctypes.pythonapi` belong to the whole process. If a thread sets their argument types while another
+    thread calls them, Python may use types that it has freed.
     """
     get = ctypes.PYFUNCTYPE(ctypes.c_int, ctypes.py_object, ctypes.POINTER(_Buffer), ctypes.c_int)
     release = ctypes.PYFUNCTYPE(None, ctypes.POINTER(_Buffer))

@@ -107,11 +107,11 @@ class ServerEndpoint(Stubs):
         return BidiStream(self._begin_bidi(method), self.target, self._tasks)
 
     def open_read_bidi(self, method: BidiMethod) -> BidiStream[Any]:
-        """Do the same. The blocking client has a faster stream for a caller that reads after it has sent."""
+        """As `open_bidi`. The blocking client has a faster stream for a caller that reads after it has sent."""
         return self.open_bidi(method)
 
     def gets(self) -> GetExchange:
-        """Return an open stream for gets that has room for one more get. Nearly always it is the first stream."""
+        """Return an open stream that takes one more get. It is nearly always the first stream."""
         for exchange in self._gets:
             if exchange.is_outdated:
                 exchange.end_if_idle()
@@ -224,7 +224,7 @@ class GetExchange(CallStream):
 
     @property
     def takes_more(self) -> bool:
-        """Whether the stream is open and has room for another call."""
+        """Whether the stream is open and takes another call."""
         return not self.broken and len(self._waiting) < CALLS_MAX
 
     def end_if_idle(self) -> None:

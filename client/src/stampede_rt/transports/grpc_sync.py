@@ -211,7 +211,7 @@ class ServerEndpoint(Stubs):
             stream.end()
 
     def ended(self) -> None:
-        """Return at once. The threads of streams are daemons, and end by themselves."""
+        """Return immediately. The threads of streams are daemons, and end by themselves."""
 
 
 class GetExchange(LockstepStream):

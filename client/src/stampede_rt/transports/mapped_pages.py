@@ -1,4 +1,4 @@
-"""Takes the pages of mapped memory at once. Otherwise the first use of each page costs a fault of a microsecond."""
+"""Takes all pages of mapped memory in one call. Otherwise the first use of each page costs a fault of a microsecond."""
 
 from __future__ import annotations
 

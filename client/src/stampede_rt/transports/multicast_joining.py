@@ -19,8 +19,8 @@ RECEIVED_BYTES_MAX = 8 * 2**20  # the kernel allows less, unless net.core.rmem_m
 def join_group(group: str, target: str) -> socket.socket:
     """Return a socket that receives the datagrams of the group "ADDRESS:PORT". It does not block.
 
-    It joins at the interface over which this machine reaches `target`, "HOST:PORT". Blocks for at most RESOLVE_S_MAX,
-    to resolve a name. Raises OSError, and ValueError for an address that is not an IPv4 multicast group.
+    The socket joins at the interface over which this machine reaches `target`, "HOST:PORT". Blocks for at most
+    RESOLVE_S_MAX, to resolve a name. Raises OSError, and ValueError for an address that is not an IPv4 multicast group.
     """
     address, _, port = group.rpartition(":")
     if not ipaddress.IPv4Address(address).is_multicast:
@@ -48,7 +48,7 @@ def received(joined: socket.socket) -> list[bytes]:
     try:
         while len(datagrams) < DATAGRAMS_PER_POLL:
             datagrams.append(joined.recv(DATAGRAM_BYTES_MAX + 1))
-    except OSError:  # none is left, or the interface is down: the silence tells the reader
+    except OSError:  # none is left, or the interface is down: then the reader notices the silence
         pass
     return datagrams
 

@@ -56,7 +56,7 @@ class RingMapping:
         self._listened_nanos = 0
         self._mutex = threading.Lock()  # held by the thread that listens
         self._is_ended = False
-        self._newest: tuple[int, FoundNewest] | None = None  # by the facts with this sequence number
+        self._newest: tuple[int, FoundNewest] | None = None  # with the sequence number of the facts that named it
         self._forks = forking.forks()
         connected.setblocking(False)
         forking.keep_out_of_children(connected)

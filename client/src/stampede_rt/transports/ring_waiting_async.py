@@ -50,8 +50,8 @@ class RingWaits:
     async def wait(self, mapping: RingMapping, changes: int, timeout_s: float) -> bool:
         """Wait until the ring changes, for at most `timeout_s` and WAIT_S_MAX.
 
-        Returns False at once if the thread can wait for no further ring. `changes` is the number of changes before the
-        caller's last look.
+        Returns False immediately if the thread can wait for no further ring. `changes` is the number of changes before
+        the caller's last look.
         """
         wait = _Wait(mapping, changes)
         with self._mutex:
@@ -111,7 +111,7 @@ class RingWaits:
     def _words(self) -> list[tuple[int, int]]:
         """Wake the callers whose ring has changed.
 
-        Returns the words for which the others wait. The caller has the mutex.
+        Returns the words for which the other callers wait. The caller of this method has the mutex.
         """
         words = {ctypes.addressof(self._news): self._news.value}
         for wait in [*self._waits]:

@@ -78,8 +78,8 @@ class SingleThreadCall:
 
     One thread at a time reads, and any thread may send and cancel.
 
-    gRPC takes one message at a time. `send` begins to send a message at once if no other is being sent. Otherwise the
-    reading thread sends it, so a caller that sends twice must read in between, or have another thread that reads.
+    gRPC takes one message at a time. `send` begins to send a message immediately if gRPC is sending no other. Otherwise
+    the reading thread sends it, so a caller that sends twice must read in between, or have another thread that reads.
 
     gRPC frees a call when the last event of the call is taken, and its queue of events must not be used after that. So
     this class counts the events that have not come yet. After an interrupt at an unknown place it takes no event any

@@ -197,7 +197,7 @@ class SocketCall(asyncio.BufferedProtocol):
             self._end(asyncio.CancelledError())
 
     def add_done_callback(self, callback: Callable[[Any], object]) -> None:
-        """Call `callback` with this stream at its end; soon if it has ended."""
+        """Call `callback` with this stream at its end, or soon if the stream has already ended."""
         if self._is_over:
             self._loop.call_soon(callback, self)
         else:

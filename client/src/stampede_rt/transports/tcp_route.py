@@ -50,7 +50,7 @@ class TcpRoute:
         self.address: str | None = None
         """The IP address at which the client has reached the port; None: it has not."""
         self.is_slow = False
-        """Whether an attempt took too long or failed. Then streams do not wait for the next one."""
+        """Whether an attempt took too long or failed. Then streams do not wait for the next attempt."""
         self.head_start_s: float | None = None
         """How long a stream on asyncio waits for a first connection; None: HEAD_START_S."""
         self.reaching: Any = None
@@ -117,7 +117,7 @@ def _all_of(tls: TlsLayer) -> bytes:
 
 
 def prepare(connected: socket.socket) -> None:
-    """Let a TCP socket send at once.
+    """Let a TCP socket send each message immediately.
 
     A client needs no TCP_USER_TIMEOUT: the signs of life show that the host is there. With TCP_USER_TIMEOUT the system
     would also end the connection to a live host that takes no bytes for a long time, because a put waits for room.

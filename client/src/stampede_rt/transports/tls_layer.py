@@ -1,7 +1,7 @@
 """The TLS of one connection, without its socket. The owner moves the encrypted bytes.
 
-Both clients and the host's port use it: Python's `SSLSocket` lets no thread send while another one reads, and asyncio's
-own TLS keeps buffers of several 100 KiB for each connection, and limits no handshakes.
+Both clients and the host's port use this module. Python's `SSLSocket` lets no thread send while another one reads.
+asyncio's own TLS keeps buffers of several 100 KiB for each connection, and limits no handshakes.
 """
 
 from __future__ import annotations

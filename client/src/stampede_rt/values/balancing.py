@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 DIFFERENCE_PERMILLE_MIN = 100
-"""Hosts whose loads differ by less stay as they are: a tenth of a core."""
+"""Hosts whose loads differ by less than this stay as they are: a tenth of a core."""
 MOVES_MAX = 1000  # the most moves of one plan
 
 

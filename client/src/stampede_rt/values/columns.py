@@ -23,7 +23,7 @@ class DecodedRun:
     `payloads` has the payloads one after the other; None: the items have none, or all of them are made. `next_time` is
     the time of the bucket after the run; None: it is the next run, or the run has the newest bucket.
 
-    Payloads that are a view must be made at once, because the memory of the view is used again.
+    If `payloads` is a view, make each payload immediately, because other data will overwrite the memory of the view.
     """
 
     times: Sequence[int]
@@ -45,7 +45,7 @@ class DecodedRun:
 class ItemColumns(Sequence[Item]):
     """The items of runs that follow each other in time. It makes an item when the item is first touched, and keeps it.
 
-    Several threads may read it at once.
+    Several threads may read it at the same time.
     """
 
     def __init__(
@@ -212,7 +212,7 @@ def span_ends(
     following, bucket = next_time, None
     if not overlap and (following is None or following > times[-1]):
         starts: list[int | None] | None = None
-        if len(times) == times.count(times[0]):  # the host has given all items of a run its time
+        if len(times) == times.count(times[0]):  # all items have one time, as when the host stamped them
             starts = [following] * len(times)
         elif all(map(lt, times, times[1:])):
             starts = [*times[1:], following]  # each next item ends a span

@@ -26,9 +26,9 @@ class ConsumerStats:
 class ReaderStats:
     """An open subscription to a channel.
 
-    `subscriber`: its caller's verified name, or its address with "@"; then "#" and a number of its own. `collected`
-    counts the items that left the channel before the reader took them. `skipped` counts the items that a reader of the
-    newest item did not take, because a newer item came.
+    `subscriber`: the caller's verified name, or "@" and the caller's address; then "#" and a number of the
+    subscription. `collected` counts the items that left the channel before the reader took them. `skipped` counts the
+    items that a reader of the newest item did not take, because a newer item came.
     """
 
     subscriber: str
@@ -40,8 +40,8 @@ class ReaderStats:
 class WriterStats:
     """A caller whose items a channel accepted.
 
-    `name`: its verified name, or its address with "@". `last_put`: the time of its last accepted put, in nanoseconds
-    since 1970, by the host's clock.
+    `name`: the caller's verified name, or "@" and the caller's address. `last_put`: the time of the caller's last
+    accepted put, in nanoseconds since the epoch, by the host's clock.
     """
 
     name: str

@@ -15,7 +15,7 @@ from stampede_rt.v1 import item_pb2
 from stampede_rt.wire.varints import decode_varint
 
 LONG_BYTES = 4096
-"""Protobuf decodes a shorter response, which is faster."""
+"""Protobuf decodes shorter responses, because it is faster for them."""
 _RUNS_TAG = 3 << 3 | 2  # SubscribeResponse.runs and FeedResponse.runs
 _RUN_TAG = 1 << 3 | 2  # DeliveredRun.run
 _NEXT_TIME = struct.Struct("<Bq")
@@ -82,7 +82,7 @@ def _field_at(view: memoryview, at: int) -> tuple[int, int]:
 
 
 def _long_run(view: memoryview) -> LongRun:
-    """Return a delivered run whose fields come in the order of their numbers, and any other run encoded anew."""
+    """Return a delivered run. A run is encoded anew if its fields do not come in the order of their numbers."""
     if view[0] == _RUN_TAG:
         length, begin = decode_varint(view, 1)
         behind = view[begin + length :]

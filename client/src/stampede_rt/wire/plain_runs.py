@@ -1,4 +1,4 @@
-"""Runs of one item without labels, encoded and read without protobuf, which takes longer for them. Pure."""
+"""Runs of one item without labels (attributes and a content type). Protobuf would take longer for them. Pure."""
 
 from __future__ import annotations
 

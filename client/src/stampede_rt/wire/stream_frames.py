@@ -28,7 +28,7 @@ class FrameKind(IntEnum):
 Frame = tuple[int, bytes]
 """The kind and the body of a frame."""
 FrameInRoom = tuple[int, bytes | memoryview]
-"""The same. The body of a long frame may be a view of its room."""
+"""The kind and the body of a frame. The body of a long frame may be a view of its room."""
 
 
 def head_of(kind: FrameKind, body_bytes: int) -> bytes:
@@ -63,10 +63,9 @@ class FrameReader:
     ) -> None:
         """`bytes_max`: the longest body of each kind of frame that may come.
 
-        `kept_bytes_max`: the reader writes each frame of up to this length into the same room, unless somebody still
-        has a view of it, and keeps that room.
-        New memory for each frame would cost a page fault for each 4 KiB. `new_room` gives the room for a frame of a
-        stated length; it may be longer.
+        `kept_bytes_max`: the reader keeps one room, and writes each frame of up to this length into it, unless somebody
+        still has a view of the room. New memory for each frame would cost a page fault for each 4 KiB. `new_room` gives
+        the room for a frame of a stated length; the room may be longer.
         """
         self._new_room = new_room
         self._kept_bytes_max = kept_bytes_max
