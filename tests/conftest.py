@@ -48,8 +48,8 @@ FIRST_OF_ALL = (
 def pytest_collection() -> Generator[None, None, None]:
     """Collect the tests while the garbage collector is off, and keep the collected tests out of its later searches.
 
-    Each worker collects all tests. With the garbage collector a quarter of the time would go into looks at objects that
-    stay.
+    Each worker collects all tests. If the garbage collector were on, a quarter of the time would go into its searches
+    through objects that stay alive.
     """
     gc.disable()
     try:
@@ -62,8 +62,9 @@ def pytest_collection() -> Generator[None, None, None]:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the tests of FIRST_OF_ALL first, in its order. The rest stays as it is.
 
-    With STAMPEDE_TEST_ACL rules of access restrict the client of the tests (`make test-acl`). Then skip the tests with
-    a mark that says why they cannot run so: @pytest.mark.without_rules("its services know no rules").
+    If STAMPEDE_TEST_ACL is set (`make test-acl`), rules of access restrict the client of the tests. Some tests cannot
+    run in this way. They have a mark with the reason, @pytest.mark.without_rules("its services know no rules"), and are
+    skipped.
     """
     if os.environ.get("STAMPEDE_TEST_ACL"):
         for item in items:

@@ -3,7 +3,8 @@
     python -m tests.benchmarks.charged_calls [--calls 400] [--rounds 60]
 
 One good client puts and gets, one call after the other, on a thread of its own. In each second round the host counts
-nothing, as for a member of the cluster. The figures are medians of the processor time of the host's event loop.
+nothing, as if the caller were a member of the cluster. The figures are medians of the processor time of the host's
+event loop.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class Measured:
 
 
 class Callers:
-    """Decides whether the streams that open next have a caller with quotas, whose work is counted."""
+    """Decides whether the caller of the streams that open next has quotas, so that the host counts its work."""
 
     has_quotas = True
 

@@ -2,10 +2,11 @@
 
     python -m tests.benchmarks.crowded_host [--runs 5]
 
-Others are gets that are blocked on the channel and that the put cannot release, channels in which nothing happens, and
-consumers. The channels are a host's own, called as its streams call them; no gRPC is between.
+The other calls are gets that are blocked on the channel and that the put cannot release. The other channels are idle,
+or the channel has many consumers. The benchmark calls the host's channels directly, as the host's streams call them,
+without gRPC.
 
-The last row is of a cluster of processes: how long a client takes to open a new channel and put its first item, when
+The last row is about a cluster of processes: the time in which a client opens a new channel and puts its first item, if
 many channels are open already.
 """
 
@@ -123,7 +124,7 @@ def puts_beside_gets_ahead(others: int) -> list[float]:
 
 
 def puts_beside_consumers(others: int) -> list[float]:
-    """All consumers have consumed the earlier items, and owe this one."""
+    """All consumers have consumed the earlier items, and must still consume this item."""
     host, channel = with_consumers(others)
     return timed(lambda at: host.put(channel, START + at))
 

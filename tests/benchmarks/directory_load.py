@@ -31,14 +31,14 @@ from tests.support.supernode.processes import Cluster
 
 WRITERS = 64
 READERS = 64
-CLIENT_PROCESSES = os.cpu_count() or 1  # more would wait for one another
+CLIENT_PROCESSES = os.cpu_count() or 1  # more processes would wait for a processor
 RECONNECTIONS = 5
 SAMPLE_SECONDS = 5.0
 CALL_SECONDS = 20.0
 MISSED_ENTRIES = 12_000  # more than two snapshots apart
 START_SECONDS_MAX = 180.0
 FAN_OUT_SECONDS_MAX = 120.0
-# Connections of their own, as many processes would have them: gRPC would share one otherwise.
+# Each stub has its own connection, as in a process of its own. By default gRPC shares one connection.
 OWN_CONNECTION = (("grpc.use_local_subchannel_pool", 1),)
 
 Stub = Any
@@ -51,7 +51,7 @@ def percentile(seconds: list[float], share: float) -> str:
 
 
 async def rate_of(work: Callable[[int], Awaitable[Any]], *, workers: int, seconds: float) -> tuple[float, list[float]]:
-    """How often a second the workers together do `work`, and how long each took."""
+    """How often per second all workers together do `work`, and how long each call of `work` took."""
     took: list[float] = []
     until = time.monotonic() + seconds
 
@@ -174,7 +174,7 @@ async def reconnect(cluster: Cluster, clients: int) -> list[Row]:
 async def come_at_once(
     cluster: Cluster, clients: int, processes: ProcessPoolExecutor
 ) -> tuple[list[float], float, float]:
-    """How long each had to wait, and the CPU of the supernodes and of the clients meanwhile."""
+    """How long each client had to wait, and the CPU time of the supernodes and of the clients meanwhile."""
     addresses, share = [supernode.address for supernode in cluster.supernodes], -(-clients // CLIENT_PROCESSES)
     loop, at, before = asyncio.get_running_loop(), time.monotonic() + 0.5, cpu_seconds(cluster)
     coming = [loop.run_in_executor(processes, come, addresses, share, at) for _ in range(CLIENT_PROCESSES)]

@@ -172,7 +172,7 @@ def snapshots(folder: Path, channels: int) -> list[Row]:
     began, cpu = time.perf_counter(), time.process_time()
     again = Alone(folder / "one", proposed=one.proposed)
     rows = [("start of a log: store read, directory decoded", _took(began, cpu))]
-    gc.freeze()  # the event loop of a supernode does the rest, and there is none here
+    gc.freeze()  # in a supernode its event loop does the rest; this benchmark has no event loop
     again.step_until(lambda: again.replica.status().is_leader)
     rows.append(_taken(again, "first snapshot after the start"))
     again.open_channels(CHANGED)

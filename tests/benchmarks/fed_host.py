@@ -35,7 +35,7 @@ NO_GROUP = "-"
 class Fed:
     """The work of this process meanwhile: items put, CPU, messages sent to other hosts, and the median lag of the cut.
 
-    `behind_ms` is None without a group, and if it showed nothing.
+    `behind_ms` is None without a group, and if the host had no cut of the group.
     """
 
     items: int

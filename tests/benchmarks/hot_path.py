@@ -125,7 +125,9 @@ def interval(channel: st.Channel, bare: BareClient, size: int) -> tuple[Callable
 
 
 def subscribe(channel: st.Channel, bare: BareClient, size: int) -> tuple[Callable[[], int], Callable[[], int]]:
-    """RUNS runs from a pipelined producer to a subscriber; bare, the same bytes relayed in as many messages."""
+    """A pipelined producer sends RUNS runs to a subscriber. The bare server relays as many messages of the same
+    bytes.
+    """
     payload, count = bytes(size), RUN_ITEMS[size]
     producer, received = channel.producer(), channel.subscribe()
     send, out = bare.relay()

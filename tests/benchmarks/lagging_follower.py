@@ -1,8 +1,9 @@
 """Whether a follower behind a slow link catches up under load: `python -m tests.benchmarks.lagging_follower`.
 
-Three real supernodes on this machine; one is reached through a relay with a limited rate. It is killed and started
-again while many channels are there and writes go on. Prints how many entries it lacks, before, at its restart, and
-every few seconds after. Exit code 1 if it has not caught up in the end.
+Three real supernodes run on this machine. The others reach one follower through a relay with a limited rate. The
+benchmark kills and restarts this follower while many channels exist and writes go on. It prints how many entries the
+follower lacks: before the kill, at the restart, and every few seconds afterwards. The exit code is 1 if the follower
+has not caught up in the end.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ class Load:
 
 @contextlib.asynccontextmanager
 async def narrow_cluster(folder: Path, bytes_per_second: float) -> AsyncIterator[list[Supernode]]:
-    """Three supernodes; the last is reached through the relay, and does not lead."""
+    """Three supernodes. The others reach the last one through the relay. The last one does not lead."""
     ports = free_ports(4)
     addresses = {f"s{number}": f"127.0.0.1:{port}" for number, port in enumerate(ports[:3], start=1)}
     reached = {**addresses, "s3": f"127.0.0.1:{ports[3]}"}
@@ -103,7 +104,7 @@ async def narrow_cluster(folder: Path, bytes_per_second: float) -> AsyncIterator
 
 
 async def leader_of(supernodes: list[Supernode]) -> Supernode:
-    """The leader among these."""
+    """The leader among these supernodes."""
     async for _ in processes.attempts():
         for one in supernodes:
             with contextlib.suppress(grpc.aio.AioRpcError):
@@ -140,7 +141,7 @@ async def lag(leader: Supernode, follower: Supernode) -> int:
 
 
 async def measure(channels: int, writes_per_second: float, megabits_per_second: float, seconds: float) -> bool:
-    """Whether it caught up."""
+    """Whether the follower caught up."""
     with tempfile.TemporaryDirectory(prefix="srt-") as folder:
         async with narrow_cluster(Path(folder), megabits_per_second * 1e6 / 8) as supernodes:
             follower = supernodes[2]
@@ -174,7 +175,7 @@ async def restart_and_watch(leader: Supernode, follower: Supernode, load: Load, 
 
 
 async def level(leader: Supernode, follower: Supernode) -> None:
-    """Wait until the follower has all entries of the leader, as long as a start may take."""
+    """Wait until the follower has all entries of the leader, at most as long as a start may take."""
     async for _ in processes.attempts():
         if await lag(leader, follower) < CAUGHT_UP_ENTRIES:
             return

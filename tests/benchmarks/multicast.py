@@ -2,7 +2,7 @@
 
 `python -m tests.benchmarks.multicast` (root, Linux): a host in one network namespace, all readers in one process in
 another. A producer puts ITEMS items of 18 KB, then ITEMS of 200 B. The kernel counts the bytes at the link of the host,
-all heads included, in both directions of the host's own traffic. `host s`: the CPU time of the host.
+all packet headers included, in both directions of the host's own traffic. `host s`: the CPU time of the host.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ WAYS: tuple[Literal["multicast"] | None, ...] = (None, "multicast")
 
 
 def read(namespace: NetworkNamespace, address: str, name: str, readers: int, via: Any, tell: Any) -> None:
-    """Read the channel with all readers. Tells when all have begun, and the counts at the end."""
+    """Read the channel with all readers. Sends "begun" when all readers follow it, and the counts at the end."""
     namespace.enter()
     asyncio.run(_read(address, name, readers, via, tell))
 

@@ -1,7 +1,8 @@
 """How fast the archive of a host moves to an object store and back: `python -m tests.benchmarks.object_store`.
 
-The store is a real S3 server (versitygw) on this machine. The peer is obstore itself, in the same run: it uploads the
-same objects, and reads them by ranges of the same size. Needs Go, or the built server. Takes less than a minute.
+The store is a real S3 server (versitygw) on this machine. The table compares the host with obstore alone, in the same
+run: obstore uploads the same objects, and reads them by ranges of the same size. Needs Go, or the built server. Takes
+less than a minute.
 """
 
 from __future__ import annotations
@@ -164,7 +165,7 @@ def stored_again(folder: Path) -> MovingFiles:
 
 
 def _go_on() -> None:
-    """Nobody else waits for a turn."""
+    """Do nothing: no other work waits for a turn."""
 
 
 def report(figures: Figures) -> None:

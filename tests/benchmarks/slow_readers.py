@@ -42,7 +42,7 @@ def read(taken: Iterator[int], rest_s: float, until_s: float, ages_s: list[float
 
 
 def readers(channel: Any, group: Any) -> dict[str, tuple[Any, Callable[[Any], int]]]:
-    """The kinds of readers. Each comes with a function that returns the time of the things that it gives."""
+    """The kinds of readers. Each kind comes with a function that returns the time of a thing that the reader got."""
     return {
         'subscribe(mode="newest")': (channel.subscribe(mode="newest"), lambda item: item.time),
         "subscribe()": (channel.subscribe(), lambda item: item.time),
@@ -56,7 +56,7 @@ def main() -> None:
     """Print a line for each kind of reader."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=24.0)
-    parser.add_argument("--rest", type=float, default=0.2, help="how long a reader rests after each, in seconds")
+    parser.add_argument("--rest", type=float, default=0.2, help="how long a reader rests after each item, in seconds")
     asked = parser.parse_args()
     with LocalCluster(hosts=1, supernodes=1) as cluster:
         secret = cluster.secret_file.read_text().strip()

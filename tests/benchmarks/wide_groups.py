@@ -65,7 +65,7 @@ def fed_hosts(count: int, *flags: str) -> Iterator[FedHosts]:
 def _line(process: subprocess.Popen[str]) -> str:
     assert process.stdout is not None
     if not (line := process.stdout.readline()):
-        raise RuntimeError(f"a host ended with exit code {process.wait(PATIENCE_SECONDS)}; what it said is above")
+        raise RuntimeError(f"a host ended with exit code {process.wait(PATIENCE_SECONDS)}; its output is above")
     return line
 
 

@@ -285,7 +285,7 @@ async def test_a_right_that_is_lost_for_one_channel_ends_the_waiting_get_of_that
 
 async def test_the_loss_of_the_right_to_a_group_ends_no_gets_of_its_channels(scene: Scene) -> None:
     await scene.allow("read", "channel", "*")
-    for verb in ("read", "list"):  # with `list` the host tells the name
+    for verb in ("read", "list"):  # with the right `list` the caller may see the name in the error
         await scene.allow(verb, "group", "pair")
     channel, own = await scene.channel("a"), await scene.own.channel(scene.name("a"))
     through = (await scene.group())[scene.name("a")]
@@ -330,7 +330,7 @@ async def test_a_put_that_waits_for_room_is_refused_when_its_caller_loses_the_ri
     kept = {"max_age": "1h"} if kind == "channel" else {}
     own = await getattr(scene.own, opens)(scene.name("full"), max_items=1, on_full="block", **kept)
     await scene.allow(verb, kind, "full")
-    await scene.allow("list", kind, "full")  # otherwise the host would not tell the name
+    await scene.allow("list", kind, "full")  # otherwise the error would not contain the name
     handle = await getattr(scene.rt, opens)(scene.name("full"), create=False)
     await handle.put(b"1")
     waiting = asyncio.ensure_future(handle.put(b"2", timeout=30))

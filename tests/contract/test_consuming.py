@@ -103,7 +103,7 @@ async def test_a_consumer_above_the_limit_is_refused_until_another_one_leaves(te
     with pytest.raises(st.ChannelFull, match="counts 2 consumers"):
         await cyd.consume(items)
     await team.leaves(1)
-    assert await held(ann) == [b"2", b"3"], "who left holds nothing back"
+    assert await held(ann) == [b"2", b"3"], "a consumer that has left holds nothing back"
     assert await cyd.consume(items) == 1
     assert await ann.consume(items) == 2
     assert await held(ann) == []

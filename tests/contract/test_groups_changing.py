@@ -158,7 +158,7 @@ async def test_a_match_counts_partners_that_retention_removed_before_the_client_
 async def test_a_group_made_of_descriptors_has_their_channels(surface: Surface) -> None:
     left, right = await channel_at_each_host(surface)
     base = st.now() - 20 * SECOND
-    first = await surface.group(group_name(), [left, right])  # shows nothing: the right one is empty
+    first = await surface.group(group_name(), [left, right])  # shows nothing: the right channel is empty
     second = await surface.group(group_name(), [first[left]])
     await left.put(b"0", time=base)
     await left.put(b"1", time=base + SECOND)

@@ -74,7 +74,7 @@ async def test_an_item_too_large_for_datagrams_is_fetched_from_the_host(surface:
             await channel.put(payload)
         got = await take(subscription, 3)
         assert [len(item.payload) for item in got] == [5, 3 * 2**20, 11]
-        assert subscription.multicast.repairs > 1  # the first one was asked at the switch to the datagrams
+        assert subscription.multicast.repairs > 1  # the reader made the first request when it changed to the datagrams
         await channel.put(b"after")
         assert [item.payload for item in await take(subscription, 1)] == [b"after"]
 

@@ -1,4 +1,4 @@
-"""Several callers step through one iterator at the same time: each thing goes to one of them."""
+"""Several callers step through one iterator at the same time: each item or event goes to one of them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ pytestmark = pytest.mark.parametrize("surface", ["aio", "sync"], indirect=True)
 
 
 async def shared(things: AsyncIterator[Any], bring: Callable[[int], Awaitable[object]]) -> list[Any]:
-    """Step with CALLERS callers at once. Bring one thing after the other until all of them have one."""
+    """CALLERS callers step through `things` at the same time. Bring one thing after the other until each caller has
+    one.
+    """
     steps = [asyncio.ensure_future(anext(things)) for _ in range(CALLERS)]
     async with asyncio.timeout(45):
         for number in range(CALLERS):

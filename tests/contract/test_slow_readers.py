@@ -138,7 +138,9 @@ async def begin(left: Any, right: Any, start: int) -> None:
 
 
 async def fill(left: Any, right: Any, group: Any, start: int) -> None:
-    """Put ITEMS more into both channels, and a last one that stays hidden. Wait until all hosts show the others."""
+    """Put ITEMS more items into both channels, and a last item that stays hidden. Wait until all hosts show the other
+    items.
+    """
     for number in range(ITEMS + 1):
         await left.put(b"%d" % number, time=start + number * MS)
         await right.put(b"%d" % number, time=start + number * MS)

@@ -32,7 +32,7 @@ class Refused:
 class Waits:
     """The verdict that a put has to wait.
 
-    At `retry_at` age, or the end of a lease, makes room; None: neither ever does.
+    At the instant `retry_at`, age or the end of a lease makes room. None: neither of them ever makes room.
     """
 
     retry_at: int | None

@@ -80,7 +80,7 @@ class OracleHeard:
 def all_in_all(told: list[Told]) -> Told:
     """The times of a channel from everything that was told of its present incarnation.
 
-    Items of earlier ones are lost.
+    Items of earlier incarnations are lost.
     """
     epoch = max(one.epoch for one in told)
     life = next(one.incarnation for one in told if one.epoch == epoch)
@@ -159,7 +159,7 @@ class OracleGroup:
     def is_idle(self, channel_id: bytes, clock: int) -> bool:
         """Whether the channel was silent for the idle time, as far as the host knows.
 
-        Before the host hears of it: no.
+        It is not idle before the host has heard of it.
         """
         heard = self.heard(channel_id)
         if heard is None or self.idle_after is None:
@@ -179,8 +179,8 @@ class OracleGroup:
         return min(own) + self.idle_after if own else None
 
     def counting(self, clock: int) -> list[bytes]:
-        """The members that determine the cut: the reference, or all members that are not idle, or those that spoke
-        last.
+        """The members that determine the cut: the reference, or else all members that are not idle. If all are idle:
+        the members that became silent last.
         """
         if self.reference is not None:
             return [self.reference]
@@ -317,7 +317,7 @@ class OracleView(OracleReader):
 class OracleFollower:
     """A reader to which every item becomes visible once.
 
-    `owed`: the seqs that it must still get, or hear the loss of.
+    `owed`: the seqs that the reader must still get, or whose loss it must still learn.
     """
 
     channel: OracleChannel

@@ -183,7 +183,8 @@ def _is_earlier(item: Item, position: Position) -> bool:
 def _remaining(query: Query, interval: ResolvedInterval) -> ResolvedInterval:
     """The part of the interval into which the answer can still get items: the interval cut at the query's positions.
 
-    After an item, its own bucket still has room, because later items get higher seqs. Before an item it has none.
+    After an item, further items can come into its own bucket, because later items get higher seqs. Before an item they
+    cannot.
     """
     start, start_open = interval.start, interval.start_exclusive
     end, end_open = interval.end, interval.end_exclusive

@@ -59,7 +59,7 @@ class ArchivedChannel:
         self.advances: list[tuple[int, int]] = []  # the instant of each acceptance, and the advance
         self._unwritten: list[ArchivedAdvance] = []
         self._advance: ArchivedAdvance | None = None
-        self.offers: list[tuple[int, Offer]] = []  # each accepted one, with the instant of its acceptance
+        self.offers: list[tuple[int, Offer]] = []  # each accepted offer, with the instant of its acceptance
         self._blocks: dict[int, list[PlacedBlock]] = {}  # by the number of the segment
         self._files: dict[int, bytes] = {}
         self.segments: list[Segment] = []
@@ -158,7 +158,7 @@ class ArchivedChannel:
             moment.close()
 
     def view(self, query: Query, horizon: Horizon, within: ResolvedInterval | None = None) -> RecordedView:
-        """The answer before a cut, to one request, of a get that may wait."""
+        """The answer to one request of a get that may wait, before a cut."""
         moment = self.channel.snapshot(self.now)
         try:
             view = RecordedView(moment, span_of(self.segments), query, horizon)

@@ -63,7 +63,7 @@ def shown(answer: ReadAnswer, overlap: int) -> tuple[object, ...]:
 
 
 def tell(draw: random.Random, *, advances: bool = False) -> tuple[ChannelCore, ArchivedChannel, list[Position], int]:
-    """Put the same items into a channel in memory and into a recorded one. Returns them, the items and the time."""
+    """Put the same items into a channel in memory and into a recorded one. Returns both, the positions and the time."""
     overlap = draw.choice([None, None, 3, 8])
     large = ChannelCore(Policy(max_items=10**6, overlap_nanos=overlap), incarnation=7)
     limits = draw.choice([{"max_items": draw.randrange(1, 5)}, {"max_age_nanos": draw.randrange(1, 9)}])

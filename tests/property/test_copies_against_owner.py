@@ -95,7 +95,7 @@ def test_a_copy_counts_the_items_that_left_before_it_could_get_them_as_missed() 
 
 
 def test_a_copy_continues_after_a_late_item_before_consumed_items() -> None:
-    """The floor then moves back. Unless the feed said so, the copy would keep items that the owner has freed."""
+    """The floor then moves back. If the feed did not say this, the copy would keep items that the owner has freed."""
     scenario = Scenario(Policy(consumers=1, max_future_nanos=8))
     copy, pair = scenario.copies[0], scenario.pair
     pair.put(_timed(100, 101, 102))

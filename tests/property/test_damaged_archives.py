@@ -1,6 +1,6 @@
 """Random recorded channels with gaps, damaged files and late items: a read that lacks an item says LOST.
 
-No read of a channel without gaps and damage says so.
+No read of a channel without gaps and damage says LOST.
 
 `STAMPEDE_PROPERTY_EXAMPLES` sets the number of channels.
 """

@@ -98,7 +98,7 @@ class Network:
     def attack(self, next_seq: int) -> None:
         match self.rng.randrange(5):
             case 0 if self.seen:
-                self.under_way.append(self.rng.choice(self.seen))  # an old one again
+                self.under_way.append(self.rng.choice(self.seen))  # an old datagram again
             case 1 if self.seen:
                 changed = bytearray(self.rng.choice(self.seen))
                 changed[self.rng.randrange(len(changed))] ^= 1 << self.rng.randrange(8)
@@ -106,7 +106,7 @@ class Network:
             case 2:
                 self.under_way.append(self.rng.randbytes(self.rng.randrange(DATAGRAM_BYTES_MAX)))
             case 3:
-                self.under_way += Sending(self.rng, self.rng.randbytes(KEY_BYTES)).put()  # somebody without the key
+                self.under_way += Sending(self.rng, self.rng.randbytes(KEY_BYTES)).put()  # a sender without the key
             case _:
                 self.under_way += self.of_other_reader(next_seq)
 

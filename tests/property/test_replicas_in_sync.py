@@ -140,7 +140,8 @@ class LaggingModel(Model):
         super().step(rng)
         self.accepted |= dict.fromkeys(range(first, self.next_seq), self.clock)
         delisted = {host_id for host_id, host in self.hosts.items() if not host.is_listed}
-        self.under_way = [one for one in self.under_way if one.host_id not in delisted]  # a new entry is another one
+        # A later entry of such a host is another replica.
+        self.under_way = [one for one in self.under_way if one.host_id not in delisted]
         if self.owner.within_lag(self.clock):
             self.acknowledged_at = self.clock
         self.check_loss()

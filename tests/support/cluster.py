@@ -52,7 +52,7 @@ def secured_cluster_fixture(**settings: Any) -> Callable[..., Iterator[LocalClus
 
 
 def judges_tests() -> bool:
-    """Whether the tests run as a client whom rules judge (`make test-acl`)."""
+    """Whether the tests run as a client to which rules of access apply (`make test-acl`)."""
     return bool(os.environ.get("STAMPEDE_TEST_ACL"))
 
 

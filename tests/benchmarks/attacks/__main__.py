@@ -70,7 +70,7 @@ def row(measured: Measured, attack: str) -> list[str]:
 
 
 def measure(name: str, seconds: float, runs: int) -> Measured:
-    """The run whose ratio is the median. Tells of each run on standard error. Raises Unfinished."""
+    """The run whose ratio is the median. Prints each run on standard error. Raises Unfinished."""
     every, limit_s = [], RUN_SECONDS_MAX + 4 * seconds
     for _ in range(runs):
         apart = in_own_process(run_trial, name, seconds, Setup(apart=True), seconds=limit_s)

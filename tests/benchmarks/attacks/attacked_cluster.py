@@ -19,7 +19,7 @@ from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
 
 GOOD_CHANNEL = "good"
 TRANSPORT = "socket"  # of good clients and attackers: reads of shared memory would not reach the host
-NAME_VARIABLE = "STAMPEDE_ATTACK_NAME"  # the attacker names its things so
+NAME_VARIABLE = "STAMPEDE_ATTACK_NAME"  # the attacker's things have this name as their prefix
 OPTIONS = [
     ("grpc.max_receive_message_length", -1),
     ("grpc.use_local_subchannel_pool", 1),  # each has a connection of its own
@@ -35,7 +35,7 @@ class AttackedCluster:
 
     `data_port`: the address of the host's TCP port for streams. `flooded`: a bare server that gets the calls of an
     attack instead of the host, see `bare.py`; empty: the host. `member_secret`: the secret of the cluster; empty: its
-    services ask nobody for one.
+    services ask no caller for a secret.
     """
 
     frontend: str

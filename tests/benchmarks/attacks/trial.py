@@ -57,7 +57,7 @@ class Good:
         return statistics.quantiles(self.puts_ms, n=100, method="inclusive")[percent - 1]
 
     def note(self, put_ms: float) -> None:
-        """Count a put that did not succeed, if it was the longest."""
+        """Count the time of a put that did not succeed, if the time is longer than that of all other puts."""
         if put_ms > max(self.puts_ms, default=0.0):
             self.puts_ms.append(put_ms)
 

@@ -104,7 +104,7 @@ async def idle_connections(attacked: AttackedCluster, under_way: Callable[[], No
 
 
 async def malformed(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
-    """77 bytes that are no request, to calls of all services, by some with the secret and by some without."""
+    """77 bytes that are no request, to calls of all services, by some callers with the secret and some without."""
     under_way()
     await all_of(*(_send_malformed(attacked, with_secret=bool(number % 2)) for number in range(CALLERS)))
 

@@ -29,7 +29,7 @@ CALL_S = 60
 
 
 def measure(rounds: int) -> Table:
-    """Make the table. The channels go from one host to the other and back, and the bare copy takes turns with that."""
+    """Make the table. The channels go from one host to the other and back. Drains and bare copies take turns."""
     drains_s, kept_s, thrown_s = list[float](), list[float](), list[float]()
     with running_cluster(hosts=2, supernodes=1) as cluster, st.connect(cluster.address, transport="grpc") as rt:
         _fill(rt)

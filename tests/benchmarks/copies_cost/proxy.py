@@ -18,7 +18,7 @@ from tests.support.cluster import running_cluster
 from tests.support.waiting import wait_until
 
 SUBSCRIBERS = 2  # in all cases
-SECONDS = 4.0  # the time of each case: some seconds, because the system tells CPU time in steps of 10 ms
+SECONDS = 4.0  # the time of each case: some seconds, because the system counts CPU time in steps of 10 ms
 WORKS = {"30 frames/s of 18 KB": (18_000, 30), "1000 items/s of 64 B": (64, 1000)}
 NONE, SUBSCRIBER, PROXY = "none", "a subscriber", "a proxy"
 

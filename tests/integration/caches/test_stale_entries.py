@@ -98,7 +98,9 @@ class Client(NamedTuple):
 
 @pytest.fixture
 async def clients(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[list[Client]]:
-    """Both clients, over different transports. The blocking one has one thread, so one endpoint for a channel."""
+    """Both clients, over different transports. The blocking client has one thread, so it has one endpoint for each
+    channel.
+    """
     traces = Traces()
     traces.install(monkeypatch)
     address = cluster.address

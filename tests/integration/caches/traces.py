@@ -77,7 +77,7 @@ class Trace:
 
 
 class Traces:
-    """The traces of all connections. `install` puts the notes into both clients."""
+    """The traces of all connections. After `install` both clients add their events to these traces."""
 
     def __init__(self) -> None:
         self._by_metadata: dict[int, Trace] = {}
@@ -142,6 +142,6 @@ class Traces:
 
 
 def failure(error: StampedeError) -> str:
-    """The reason of a service; UNREACHABLE if the error is of the client, because no service answered."""
+    """The reason that a service gave; UNREACHABLE if the client raised the error because no service answered."""
     own = isinstance(error, Unavailable) and error.reason == Unavailable.reason and not error.from_service
     return UNREACHABLE if own else error.reason

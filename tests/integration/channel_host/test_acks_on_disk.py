@@ -82,7 +82,7 @@ def test_a_full_disk_refuses_only_puts_that_wait_for_it_and_doctor_reports_it(
             while ballast.write(b"\0" * 4096):
                 pass
         refusals = []
-        while len(refusals) < 3:  # the last block of the segment may have room for a few
+        while len(refusals) < 3:  # the last block of the segment may have space for a few items
             try:
                 channel.put(b"x" * 2000, timeout=30)
             except st.NotArchived as error:

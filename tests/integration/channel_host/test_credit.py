@@ -22,7 +22,7 @@ async def rig() -> AsyncIterator[Rig]:
 
 
 async def begun(channel: Opened, **fields: Any) -> Any:
-    """A subscription that holds, without credit."""
+    """A subscription that the host has opened, without credit."""
     call = await channel.subscribe_slowly(**fields)
     async with asyncio.timeout(45):
         assert (await call.read()).HasField("opened")

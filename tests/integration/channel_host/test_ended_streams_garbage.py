@@ -49,7 +49,7 @@ def left_to_the_collector() -> Iterator[Counter[str]]:
 
 def is_of_a_stream(found: object) -> bool:
     """Whether this object belongs to the host's side of a stream. The host also makes calls, in `cluster`."""
-    module = str(type(found).__module__)  # a class of C may have a descriptor there
+    module = str(type(found).__module__)  # in some classes that are written in C, this attribute is a descriptor
     return module.startswith(("stampede_rt_runtime", "stampede_rt_channel_host")) and ".cluster." not in module
 
 
@@ -118,7 +118,7 @@ async def invalid_put(rig: Rig, stream: RawStream) -> None:
 
 
 async def filled(rig: Rig) -> Any:
-    """The channel of a test, with ITEMS at its first use."""
+    """The channel of a test. The first call makes it, and puts ITEMS into it."""
     known = rig.__dict__.get("filled")
     if known is None:
         known = rig.__dict__["filled"] = await rig.open()

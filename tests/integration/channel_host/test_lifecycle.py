@@ -286,7 +286,7 @@ async def test_a_host_that_registers_again_drops_the_channels_that_have_moved_aw
         await kept.put(run_of(b"x"))
         rig.directory.move_away(lost.channel_id)
         registered = rig.directory.calls["RegisterHost"]
-        rig.directory.lease_ttl_nanos = 600 * S  # no busy machine loses the lease of the next registration
+        rig.directory.lease_ttl_nanos = 600 * S  # so long that even a busy machine keeps the next lease
         rig.directory.hosts[HOST_ID].alive = False
         await rig.directory.called("RegisterHost", times=registered + 1)
         async with asyncio.timeout(30):

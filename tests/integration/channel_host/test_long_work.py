@@ -62,7 +62,7 @@ async def large(rig: Rig) -> Large:
 
 async def test_a_large_get_does_not_delay_other_calls_and_shows_the_channel_as_it_was_at_the_start(rig: Rig) -> None:
     one, other = await large(rig), await rig.open("other")
-    async with rig.host.store.scheduler._turn:  # as while other long work has its turn
+    async with rig.host.store.scheduler._turn:  # as if other long work had its turn
         getting = asyncio.create_task(one.channel.get(without_payloads=True))
         await one.until(begun=True)
         assert (await other.put(run_of(b"beside")))[0].first_seq == 1

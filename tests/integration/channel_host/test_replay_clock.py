@@ -58,9 +58,10 @@ def surveyed(rt: Any, found: list[object]) -> list[object]:
 
 
 def film(left: st.Channel, right: st.Channel, began: int, *seen: list[object]) -> None:
-    """Put the frames of both cameras: some of the right ones late, out of order, or never.
+    """Put the frames of both cameras. Some frames of the right camera come late, out of order, or never.
 
-    Before the next frame, wait until the live consumer has `seen` all decided frames, so that it decides each early.
+    Before the next frame, wait until the live consumer has `seen` all decided frames, so that it decides about each
+    frame early.
     """
     decided = 0
     for number in range(FRAMES):

@@ -1,4 +1,6 @@
-"""A large request keeps its room until the host judges it, so that requests that wait for a turn have a bound."""
+"""A large request keeps its reserved bytes until the host judges it, so that requests that wait for a turn have a
+bound.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ PAYLOAD = bytes(600_000)  # in three pieces
 
 @pytest.fixture
 def room_in_turns(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
-    """The used room of large requests each time that a function waits for a turn. Every step of every caller waits."""
+    """The reserved bytes of all large requests, each time that a function waits for a turn. Every step of every caller
+    waits.
+    """
     found: list[tuple[str, int]] = []
     budgets: list[MemoryBudget] = []
     made = MemoryBudget.__init__
@@ -38,7 +42,7 @@ def room_in_turns(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
 
 
 def room_of(turns: list[tuple[str, int]], *functions: str) -> int:
-    """How often one of the functions waited; the request had room each time."""
+    """How often one of the functions waited. The request had its reserved bytes each time."""
     room_bytes = [taken_bytes for function, taken_bytes in turns if function in functions]
     assert all(taken_bytes > len(PAYLOAD) for taken_bytes in room_bytes)
     return len(room_bytes)

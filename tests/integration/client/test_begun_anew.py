@@ -1,4 +1,4 @@
-"""A restarted cluster in memory has forgotten everything. Handles then find the channels that have their names."""
+"""A cluster in memory has no data after a restart. Handles then find the channels that have their names."""
 
 from __future__ import annotations
 

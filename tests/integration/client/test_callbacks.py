@@ -23,7 +23,7 @@ def test_a_callback_continues_with_the_items_of_a_new_incarnation(
         channel = rt.channel("cam/left", max_age="60s")
         handle = channel.on_item(lambda item: called.put(item.payload))
         beside: list[bytes | None] = []
-        also = channel.on_item(lambda item: beside.append(item.payload), via="multicast")  # the host sends none
+        also = channel.on_item(lambda item: beside.append(item.payload), via="multicast")  # the host sends no datagrams
         channel.put(b"before")
         assert called.get(timeout=10) == b"before"
         wait_until(lambda: beside == [b"before"], "the other callback has the item that will be lost")

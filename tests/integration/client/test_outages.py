@@ -78,7 +78,7 @@ def test_after_a_long_outage_all_streams_of_the_program_continue(
         wait_until(lambda: b"after" in got, "on_item goes on")
         queue.put(b"after")
         wait_until(lambda: [message.payload for message in taken] == [b"after"], "the iteration over the queue goes on")
-        wait_until(lambda: len(raised) == 2, "who must know that all was lost")
+        wait_until(lambda: len(raised) == 2, "the subscription and the watch report that all was lost")
         assert isinstance(raised["subscription"], st.IncarnationLost)
         assert isinstance(raised["watch"], st.WatchRestart)
         assert (listener.losses, listener.error) == (1, None)

@@ -64,7 +64,7 @@ def process(environment: dict[str, str]) -> Run:
 
 @pytest.fixture
 def following(environment: dict[str, str]) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Start commands that run until Ctrl-C. Kills those that are left."""
+    """Start commands that run until Ctrl-C. At the end kills all that still run."""
     started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: str) -> subprocess.Popen[str]:
@@ -386,9 +386,10 @@ def test_help_lists_every_verb(stampede: Run) -> None:
         assert f" {verb} " in text
 
 
-# To ask for the next response, gRPC takes the lock of the stream and then the lock of its connection. Ctrl-C comes when
-# it has the second, and before the `with` that would release it has begun. Meanwhile the thread that sends requests has
-# the first and waits for the second. Here a thread plays its part, so that it is there in time.
+# To ask for the next response, gRPC takes the lock of the stream and then the lock of its connection. Here Ctrl-C comes
+# after gRPC has taken the lock of the connection, and before the `with` block that would release this lock has begun.
+# The thread that sends requests then takes the lock of the stream, and waits for the lock of the connection. The test
+# replaces this thread by its own, which surely waits in time.
 ECHO_INTERRUPTED_WITHIN_A_LOCK = """
 import os, signal, sys, threading
 

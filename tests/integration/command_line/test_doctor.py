@@ -83,13 +83,13 @@ def test_doctor_reports_a_killed_host_and_its_channels_until_it_restarts(cluster
         wait_until(lambda: doctor("--url", cluster.address)[1].count(" ago") == 2)
     code, said = doctor("--url", cluster.address)
     assert (code, "Everything is well." in said) == (1, False)
-    assert re.search(r"^host h2 +\S+ +lost \S+ m?s ago", said, re.M), "it held nothing, and is missed all the same"
+    assert re.search(r"^host h2 +\S+ +lost \S+ m?s ago", said, re.M), "h2 held nothing, but doctor reports it, too"
     assert "channels: cam/left belonged to host h1, which is lost with its items" in said
     assert "queues: jobs belonged to host h1, which is lost with its items" in said
     empty.restart()
     code, said = doctor("--url", cluster.address)
     assert (code, "lost" in row(said, "host h2"), "lost" in row(said, "host h1")) == (1, False, True)
-    cluster.hosts[0].restart()  # without a data folder: as another one
+    cluster.hosts[0].restart()  # without a data folder it comes back as another host
     code, said = doctor("--url", cluster.address)
     assert (code, "came back without its data folder" in said) == (1, True)
     with st.connect(cluster.address) as rt:

@@ -84,7 +84,7 @@ class Everything(
         return [directory_pb2.SupernodeRecord(supernode_id="s1", endpoint=place)]
 
     async def Ping(self, request: Any, context: Any) -> Any:
-        """Ping of the supernode and of the host. The request tells which."""
+        """Answer a ping of the supernode or of the host. The type of the request says which of them the caller asks."""
         if isinstance(request, gatekeeper_pb.GatekeeperServicePingRequest):
             ahead = self._now() + self.host_ahead_nanos
             return gatekeeper_pb.GatekeeperServicePingResponse(

@@ -30,7 +30,9 @@ def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
 
 @pytest.fixture
 def terminal(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> Terminal:
-    """Runs one command on a terminal. Fails if its status is another one, or if it writes control characters."""
+    """Runs one command on a terminal. Fails if the command ends with another status than `status`, or writes control
+    characters.
+    """
     monkeypatch.setenv("STAMPEDE_URL", cluster.address)
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(cluster.secret_file))
     monkeypatch.setenv("TERM", "xterm-256color")

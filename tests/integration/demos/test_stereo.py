@@ -25,7 +25,7 @@ SECONDS, RUNS_MAX = 4, 3
 def outcome() -> Outcome:
     """A run with certificates in which the mapper answered within the planner's patience.
 
-    A busy machine needs more than one for that. Lost pairs are no reason to run again.
+    A busy machine may need several runs for that. Lost pairs are no reason to run again.
     """
     for _ in range(RUNS_MAX - 1):
         with contextlib.suppress(DemoFailed):

@@ -104,7 +104,7 @@ async def test_the_asyncio_client_matches_as_of_an_instant(cluster: LocalCluster
     assert found == [[b"1", b"1"], [b"2", b"2"]]
 
 
-def test_matches_as_of_an_instant_refuse_what_archives_do_not_tell(rt: st.Connection) -> None:
+def test_matches_as_of_an_instant_are_refused_if_archives_cannot_give_them(rt: st.Connection) -> None:
     rig = Rig(rt, "refusals")
     rig.put(0)
     with pytest.raises(st.InvalidArgument, match="give start"):
@@ -119,7 +119,7 @@ def test_matches_as_of_an_instant_refuse_what_archives_do_not_tell(rt: st.Connec
         rig.group.match(rig.left, "1ms", start=st.OLDEST, as_of=st.now() + 3600 * 10**9)
 
 
-def test_a_past_cut_that_a_dropped_archive_does_not_tell_is_named_as_collected(rt: st.Connection) -> None:
+def test_a_past_cut_whose_items_the_archive_has_dropped_is_named_as_collected(rt: st.Connection) -> None:
     rig = Rig(rt, "dropped", archive="forever", archive_bytes="1MiB")
     instants = []
     for number in range(24):

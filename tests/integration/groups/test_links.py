@@ -99,8 +99,8 @@ async def test_a_member_is_followed_though_the_group_was_last_named_at_its_host_
     async with asyncio.timeout(WAIT_SECONDS):
         while hosted.record.spec_version < 2:
             await left.host.status(group)
-    hosted.named_s = -1_000.0  # long ago
-    cluster.directory.change_members(group.group_id, [left, right, third, fourth])  # just after it asked
+    hosted.named_s = -1_000.0  # long ago, but the host has just asked for the record
+    cluster.directory.change_members(group.group_id, [left, right, third, fourth])
     await fourth.put(t + 5)
     await heard(left, fourth, group, t + 5)
 

@@ -43,7 +43,7 @@ async def test_a_group_shows_items_before_the_newest_item_of_its_reference(host:
     assert not (await audio.get())[1].HasField("cut_unix_nano")
 
 
-async def test_a_member_that_is_silent_for_long_is_left_out_until_it_speaks(host: Host, clock: ManualClock) -> None:
+async def test_a_member_that_is_silent_for_long_is_left_out_until_its_next_item(host: Host, clock: ManualClock) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now()
     group = host.directory.add_group("pair", [left, right], idle_after_nanos=2 * S)
     await host.status(group)

@@ -240,7 +240,7 @@ def test_reads_through_a_group_as_of_an_instant_equal_the_reads_at_that_instant(
     assert rig.group.status().cut == rig.group.get(st.OLDEST, st.NOW)[rig.imu].cut  # the present cut stays
 
 
-def test_a_group_refuses_reads_as_of_an_instant_if_archives_do_not_tell_its_past_cuts(rt: st.Connection) -> None:
+def test_a_group_refuses_reads_as_of_an_instant_if_archives_cannot_give_its_past_cuts(rt: st.Connection) -> None:
     rig = Rig(rt, "refused")
     live = rt.channel("refused/live")
     kinds = {"idle_after": {"idle_after": "5s"}, "bound": {"bound": "end"}}

@@ -26,7 +26,8 @@ SILENT_S = 0.02
 class LossyMulticast:
     """Carries multicast from `sender` to `receivers`. Of each receiver's frames it loses the part `loss`.
 
-    It holds the part `late` of them back until the next few frames have passed. `carried` and `lost` count frames.
+    It holds the part `late` of the frames back until the next few frames have passed. `carried` and `lost` count
+    frames.
     """
 
     def __init__(
@@ -64,7 +65,7 @@ class LossyMulticast:
                 self._release()
 
     def _carry(self, frame: bytearray) -> None:
-        frame[UDP_CHECKSUM] = b"\0\0"  # the sender left it to the network card; 0: there is none
+        frame[UDP_CHECKSUM] = b"\0\0"  # the sender leaves the checksum to the network card; 0: no checksum
         for link, to in self._to.items():
             chance = self._rng.random()
             if chance < self.loss:

@@ -30,7 +30,7 @@ def rt(cluster: LocalCluster) -> Iterator[Any]:
 
 
 def following(channel: Any, reader: Reading) -> bool:
-    """Put an item. Whether the reader takes the items from datagrams."""
+    """Put an item. Returns whether the reader takes the items from datagrams."""
     channel.put(b"an item")
     return bool(reader.subscription.multicast.following)
 

@@ -27,7 +27,7 @@ READERS = 3
 
 
 def read(namespace: NetworkNamespace, address: str, name: str, tell: Any) -> None:
-    """Read a channel to its end in this process. Tells each seq, and at the end the checks and the counts."""
+    """Read a channel to its end in this process. Sends each seq to `tell`, and the checks and counts at the end."""
     namespace.enter()
     with st.connect(address, transport="grpc") as rt:
         subscription = rt.channel(name, create=False).subscribe(st.OLDEST, via="multicast")

@@ -48,7 +48,7 @@ def test_readers_of_a_killed_proxy_continue_at_the_owner(cluster: LocalCluster) 
             cluster.hosts[1].kill()
             passes(producing, 100)
             all_saw(readers, producing.stop())
-            eventually(lambda: rt.proxies(channel) == [], "the directory has it no more")
+            eventually(lambda: rt.proxies(channel) == [], "the directory no longer lists the proxy")
             assert channel.stats().subscriptions == 6
 
 

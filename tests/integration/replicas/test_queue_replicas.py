@@ -159,7 +159,7 @@ def test_a_queue_gets_another_replica_when_one_is_lost(cluster: LocalCluster, ho
                 eventually(lambda: in_sync(queue) not in ([], [lost]), "another host has the replica")
             else:
                 with frozen(process):
-                    eventually(lambda: lost not in in_sync(queue), "the log has it as out of sync")
+                    eventually(lambda: lost not in in_sync(queue), "the directory lists the replica as out of sync")
                 running.passes(50)
             running.stop()
         assert owner_of(rt) == "h1"

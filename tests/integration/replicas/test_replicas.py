@@ -77,7 +77,9 @@ def test_no_acknowledged_or_read_item_is_lost_or_repeated_when_the_owner_is_kill
 
 
 def got_all_but_the_lost(seqs: list[int], inherited: int, last: int) -> bool:
-    """Whether a reader got what the former owner had sent, and then all items of the new one that it did not have."""
+    """Whether a reader got the items that the former owner had sent, and then all items of the new owner that it
+    lacked.
+    """
     # The number of items from the former owner.
     seen = next((at for at, seq in enumerate(seqs) if seq != at + 1), len(seqs))
     if seen == len(seqs):  # the reader had seen no item that was lost
@@ -173,7 +175,7 @@ def test_puts_continue_with_another_replica_when_one_is_lost(cluster: LocalClust
                 eventually(lambda: in_sync(channel) not in ([], [lost]), "another host has the replica")
             else:
                 with frozen(process):
-                    eventually(lambda: lost not in in_sync(channel), "the log has it as out of sync")
+                    eventually(lambda: lost not in in_sync(channel), "the directory lists the replica as out of sync")
                 passes(producing, 100)
             last = producing.stop()
             all_saw(readers, last)

@@ -139,7 +139,7 @@ async def _queue_went_on(things: Things, incarnation: int) -> None:
     await letter.ack()
     stats = await until(
         things.jobs, lambda stats: stats.dead_lettered == 1
-    )  # it counts the letter after the dead queue
+    )  # `jobs` counts the letter only after the dead-letter queue has stored it
     assert (things.jobs.incarnation, stats.held) == (incarnation, 0)
     assert (await things.dead.stats()).held == 0
 

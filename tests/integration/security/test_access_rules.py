@@ -110,8 +110,8 @@ def test_no_caller_finds_the_host_of_a_hidden_channel_by_an_open_beside_it(
 def test_no_error_shows_a_hidden_name_to_a_caller_that_gave_only_an_id(
     cluster: LocalCluster, operator: Operator
 ) -> None:
-    """In an earlier version, errors told the name of a channel, queue, group or peer, and the owner of a peer, to every
-    caller with its id.
+    """In an earlier version, a caller with only the id of a channel, queue, group or peer learned its name from an
+    error, and also the owner of a peer.
     """
     with st.connect(cluster.address, name="unseen/peer") as rt:
         things(cluster)
@@ -347,7 +347,7 @@ def test_a_serial_number_with_leading_zeros_revokes_the_certificate_that_has_it(
     metadata = call_metadata(cluster.secret.text)
     with grpc.insecure_channel(cluster.supernodes[0].address) as connection:
         stub: Any = access_grpc.AccessServiceStub(connection)
-        for serial in ("000abc12", "00000000000abc13"):  # the second has the digits of a token's
+        for serial in ("000abc12", "00000000000abc13"):  # the second number has as many digits as a token's
             request = access_pb.RevokeCredentialRequest(request_id=secrets.token_bytes(16), serial=serial)
             stub.RevokeCredential(request, metadata=metadata, timeout=10)
         listed = stub.ListRevokedCredentials(

@@ -1,6 +1,6 @@
-"""A part of the contract's tests, with rules of access that restrict their client. `make test-acl` runs all of them so.
+"""A part of the contract's tests, with rules of access that restrict their client. `make test-acl` runs all.
 
-tests/integration/security/test_secured_contract.py plays others with certificates and rules.
+tests/integration/security/test_secured_contract.py runs another part with certificates and rules.
 """
 
 # ruff: noqa: F401  # the tests come from tests/contract, and take this file's fixtures

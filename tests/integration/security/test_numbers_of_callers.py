@@ -1,4 +1,6 @@
-"""A consumer place or delivery belongs to the caller that uses it. No other caller that rules judge can change it."""
+"""A consumer place or delivery belongs to the caller that uses it. No other caller that rules restrict can change
+it.
+"""
 
 from __future__ import annotations
 

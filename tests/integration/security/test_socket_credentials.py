@@ -116,7 +116,7 @@ async def test_a_revoked_token_ends_all_streams_of_its_caller(
         await all_admitted(operator, "revoked", capsys)
         assert await asyncio.to_thread(run, ["token", "revoke", str(file), "--url", cluster.address]) == 0
         await ended(found, ALL)
-        for name in ALL - {"reads nothing"}:  # the host cannot write to that one
+        for name in ALL - {"reads nothing"}:  # the host cannot write to this stream
             assert "revoked" in await told(found[name]), name
 
 

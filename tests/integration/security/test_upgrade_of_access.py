@@ -79,7 +79,7 @@ def test_rules_are_refused_while_a_member_does_not_know_them_and_accepted_after_
     assert status == 0
     with st.connect(cluster.address, secret=token.split()[0]) as rt:
         video = rt.channel("video")
-        assert video.info.created_by == "", "nobody knew when it was made"
+        assert video.info.created_by == "", "no part of the cluster knew owners when the channel was made"
         video.put(b"frame")
         with pytest.raises(st.PermissionDenied, match="client cam may not read channel video"):
             video.newest()

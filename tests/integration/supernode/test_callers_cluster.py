@@ -34,8 +34,8 @@ class FakeSupernode(directory_service_pb2_grpc.DirectoryServiceServicer, peer_se
     """A supernode that knows no hosts and no peers.
 
     `mute`: it answers no ping. `served` has the cluster that each caller named, and `clocks_asked` whether the caller
-    asked for clocks, which only the leader tells. It lists the addresses in `members`, and takes the first for the
-    leader.
+    asked for clocks, which only the leader reports. The supernode lists the addresses in `members`, and names the first
+    as the leader.
     """
 
     def __init__(self, cluster_id: str, *, former: tuple[str, ...] = (), mute: bool = False) -> None:
@@ -172,7 +172,7 @@ async def test_a_call_and_a_watch_skip_a_supernode_of_another_cluster(world: Wor
 async def test_a_call_for_the_leader_skips_another_cluster_at_the_known_leaders_address(
     world: World, kind: str, others_know: bool
 ) -> None:
-    """The others may not have elected another leader yet. Then none of them tells clocks."""
+    """The other members may not have elected another leader yet. Then none of them reports clocks."""
     former, follower = FakeSupernode("x"), FakeSupernode("x")
     targets = [await world.supernode(former), await world.supernode(follower)]
     former.members = follower.members = targets

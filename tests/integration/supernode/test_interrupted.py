@@ -34,7 +34,8 @@ def test_a_service_that_is_interrupted_while_it_is_loaded_ends_quietly(
     )
     try:
         assert started.stderr is not None
-        # Each module has its line once it is imported; those that it needs come before it.
+        # Python prints a line for each module after its import. The lines of the modules that it imports come before
+        # its own.
         reached = next((line for line in started.stderr if line.rpartition("|")[2].strip() == module), None)
         assert reached, f"{service} ended before it imported {module}"
         started.send_signal(signal.SIGINT)

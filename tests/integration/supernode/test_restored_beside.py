@@ -70,7 +70,7 @@ def restored_at(address: str, backup: Path, folder: Path, *words: str) -> Iterat
 
 
 async def hosts_at(cluster: LocalCluster, address: str, *, include_dead: bool) -> list[Any]:
-    """The hosts that the directory at this address tells of."""
+    """The hosts that the directory at this address lists."""
     async with dial(address, secret=cluster.secret) as channel:
         stub: Any = directory_service_pb2_grpc.DirectoryServiceStub(channel)
         return list((await stub.ListHosts(pb.ListHostsRequest(include_dead=include_dead), timeout=LIMIT_S)).hosts)
@@ -99,7 +99,7 @@ def test_hosts_and_front_ends_stay_in_their_cluster_and_lose_no_item(cluster: Lo
         gone.kill()
         with restored_at(gone.address, backup, tmp_path / "restored"):
             for one in living:
-                one.pause()  # a stall, in which the stranger is the only one that answers
+                one.pause()  # now the restored supernode, a stranger to this cluster, is the only one that answers
             try:
                 [frontend] = cluster.frontends
                 for host in cluster.hosts:
@@ -122,11 +122,9 @@ def test_hosts_and_front_ends_stay_in_their_cluster_and_lose_no_item(cluster: Lo
                     assert (info.host, info.incarnation, info.epoch) == owned, "it keeps its owner"
                 newcomer.channel("cam/new").put(b"taken by those that live")
             assert "restored is there" in supernode_command("status", "--member", living[0].address)
-            # It knows them from the backup. Neither of them comes, so their leases end there.
+            # The stranger knows both hosts from the backup. Neither host renews its lease there, so their leases end.
             assert len(asyncio.run(hosts_at(cluster, gone.address, include_dead=True))) == len(cluster.hosts)
-            until(
-                lambda: not asyncio.run(hosts_at(cluster, gone.address, include_dead=False)), "their leases end there"
-            )
+            until(lambda: not asyncio.run(hosts_at(cluster, gone.address, include_dead=False)), "both leases end there")
             assert len(asyncio.run(hosts_at(cluster, living[0].address, include_dead=False))) == len(cluster.hosts)
 
 

@@ -1,6 +1,6 @@
 // A whole client of Stampede RT in Go, generated from proto/ alone: bind, open a channel, subscribe, put, get.
 // Usage: client ADDRESS SECRET_FILE CHANNEL TEXT...
-// Puts each TEXT as one item and prints what it put, what the last 30 s hold and what the subscription brought.
+// Puts each TEXT as one item. Prints the seqs of its puts, the items of the last 30 s and the items of the subscription.
 package main
 
 import (
@@ -78,7 +78,7 @@ func open(ctx context.Context, address, name string) (context.Context, channel) 
 // put sends runs of one item and reads their acks, which come in order.
 func (c channel) put(ctx context.Context, texts []string) (seqs []uint64) {
 	stream := must(c.data.Put(ctx))
-	producer := random.Uint64() // with the numbers, it makes retries safe
+	producer := random.Uint64() // this id and the numbers make retries safe
 	for number, text := range texts {
 		run := &v1.ItemRun{
 			TimeUnixNano: []int64{time.Now().UnixNano()}, PayloadLengthBytes: []uint32{uint32(len(text))},
@@ -137,7 +137,7 @@ func main() {
 	ctx, ch := open(ctx, os.Args[1], os.Args[3])
 	news := must(ch.data.Subscribe(ctx))
 	check(news.Send(&v1.SubscribeRequest{Open: &v1.SubscribeOpen{ChannelId: ch.id, Epoch: ch.epoch}, CreditBytes: 1 << 20}))
-	must(news.Recv()) // has `opened`: the subscription holds, from here on nothing is missed
+	must(news.Recv()) // has `opened`: from here on the subscription misses no item
 	put := ch.put(ctx, os.Args[4:])
 	var subscribed []item
 	for len(subscribed) < len(put) {

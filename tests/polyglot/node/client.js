@@ -2,8 +2,8 @@
 //
 //   node client.js PROTO_FOLDER ADDRESS SECRET_FILE CHANNEL TEXT...
 //
-// Puts each TEXT as one item and prints what it put, what the last 30 s hold and what the subscription brought.
-// With AS_OF, an instant in nanoseconds, it prints what the host of a recorded channel knew then of the last 30 s.
+// Puts each TEXT as one item. Prints the seqs of its puts, the items of the last 30 s and the items of the subscription.
+// With AS_OF, an instant in nanoseconds, "the last 30 s" are the items that the host of a recorded channel knew then.
 "use strict";
 
 const crypto = require("node:crypto");
@@ -68,7 +68,7 @@ async function open(name) {
 // Runs of one item; their acks come in order.
 async function put({ data, at }, texts) {
   const stream = data.Put(metadata);
-  const producer_id = crypto.randomBytes(8).readBigUInt64LE().toString(); // with the numbers, it makes retries safe
+  const producer_id = crypto.randomBytes(8).readBigUInt64LE().toString(); // this id and the numbers make retries safe
   texts.forEach((text, index) => {
     const payloads = Buffer.from(text);
     const run = {
@@ -121,13 +121,13 @@ async function main() {
   const news = channel.data.Subscribe(metadata);
   news.write({ open: channel.at, credit_bytes: 1 }); // 1: one item
   const responses = news[Symbol.asyncIterator]();
-  await responses.next(); // has `opened`: the subscription holds, from here on nothing is missed
+  await responses.next(); // has `opened`: from here on the subscription misses no item
   const seqs = await put(channel, texts);
   const subscribed = [];
   while (subscribed.length < texts.length) {
     for (const item of unpack((await responses.next()).value.runs)) {
       subscribed.push(item);
-      news.write({ credit_bytes: Buffer.byteLength(item.Text) + 64 }); // done with it: the next one
+      news.write({ credit_bytes: Buffer.byteLength(item.Text) + 64 }); // credit for the next item
     }
   }
   console.log(JSON.stringify({ put: seqs, last: await last(channel, 30), subscribed }));

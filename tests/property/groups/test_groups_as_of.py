@@ -58,7 +58,7 @@ class Then:
 
 
 def past_cut(small: dict[bytes, ArchivedChannel], as_of: int) -> PastCut:
-    """The cut as a client computes it: the smallest of the members' newest times and advances of then."""
+    """The cut as a client computes it: the smallest of the members' newest times and advances at that instant."""
     marks = []
     for one in small.values():
         found, advance = one.read_as_of(NEWEST, as_of), one.past(as_of).advance
@@ -98,7 +98,7 @@ def test_a_past_cut_from_archives_that_have_dropped_items_is_right_or_says_what_
 
 
 def has_lost_its_newest(channel: ArchivedChannel, as_of: int) -> bool:
-    """Whether a dropped item was later in time than all kept ones of then. Nothing in the archive tells of it."""
+    """Whether a dropped item was the latest item at that instant. The kept items do not show this."""
     gone = channel.segments[0].first_seq
     accepted = [(offer.times[0], seq) for seq, (at, offer) in enumerate(channel.offers, 1) if at <= as_of]
     return bool(accepted) and max(accepted)[1] < gone and any(seq >= gone for _, seq in accepted)

@@ -37,7 +37,9 @@ def counted_cluster(folder: Path) -> Iterator[LocalCluster]:
 
 @dataclass
 class Report:
-    """The things of all processes before and after the cycles. `complaints`: what has grown more than it may."""
+    """The things of all processes before and after the cycles. `complaints`: the things that have grown more than they
+    may.
+    """
 
     kind: str
     cycles: int
@@ -62,7 +64,7 @@ HEADER = """| cycle | cycles | time | process | files | threads | tasks | object
 
 
 def run(cluster: LocalCluster, folder: Path, kind: str, warm_up: int, cycles: int) -> Report:
-    """Run cycles to warm up, count, run the others, and count again until nothing has grown, or for 20 s."""
+    """Run cycles to warm up, count, run the other cycles, and count again until nothing has grown, or for 20 s."""
     with KINDS[kind](cluster) as cycle:
         for _ in range(warm_up):
             cycle()

@@ -1,6 +1,6 @@
 """Peers in simulated time.
 
-Each wants one of a few names, keeps its lease, and believes that no other peer has its name.
+Each peer wants one of a few names, keeps its lease, and believes that no other peer has its name.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ class UpgradedMember(DirectoryMember):
     software: type[DirectoryReplica] = DirectoryReplica
     # Whether it ever ran the newer release, and may have reported the newer level.
     was_newer = False
-    # Its machine is off until then: nobody can start or upgrade the member.
+    # Its machine is off until this time. Meanwhile no operator can start or upgrade the member.
     off_until = 0.0
 
     @property
@@ -102,7 +102,9 @@ class UpgradedMember(DirectoryMember):
             raise PromiseBroken(f"the level has risen above what {self.member.member_id} has ever reported to know")
 
     def _is_in(self) -> bool:
-        """Whether another member has applied its addition, so that it is more than a process that wants to join."""
+        """Whether another member has applied the addition of this member. Before that it is a process that wants to
+        join.
+        """
         replicas = [one.replica for one in self.world.alive() if one is not self]
         return any(self.member in _applied_members(one) for one in replicas if one)
 

@@ -195,7 +195,7 @@ class DirectoryTrial:
 
         In half of the cases hosts and peers cannot reach it either. In the other half two of them reach only it.
 
-        In the second case it may also freeze, and go on as if no time had passed.
+        In the second case the leader may also freeze, and go on as if no time had passed.
         """
         random_source, world = self.world.random_source, self.world
         leaders = self._leaders()

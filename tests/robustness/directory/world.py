@@ -94,7 +94,9 @@ class Submission:
         raise errors.Unavailable("not within the time")
 
     def _later(self, resume: Resume) -> Resume:
-        """Resume through the event loop of the process, once the log's thread is back from its disk."""
+        """Return a function that resumes through the event loop of the process, once the log's thread is back from its
+        disk.
+        """
         later = self._world.later(resume)
         return lambda value: self._member.after_disk(lambda: later(value))
 
@@ -280,7 +282,7 @@ class DirectoryWorld(World):
         await wait(lambda resume: self.after(seconds, lambda: resume(None)))
 
     def later(self, resume: Resume) -> Resume:
-        """`resume`, through the event loop of the process, a moment later."""
+        """Return a function that calls `resume` a moment later, through the event loop of the process."""
         return lambda value: self.after(self.random_source.random() * 0.002, lambda: resume(value))
 
     def leases_ended(self, index: int, processes: set[Process]) -> None:

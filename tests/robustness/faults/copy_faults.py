@@ -26,7 +26,7 @@ from tests.robustness.real_cluster.traffic import Traffic
 
 PUT_PAUSE_SECONDS, TAKEOVERS_MAX = 0.02, 3
 FROZEN_SECONDS = LEASE_TTL_SECONDS + 3.0
-DISTURBED_SECONDS = 3.0  # longer than a replica keeps its flag without a word
+DISTURBED_SECONDS = 3.0  # longer than a silent replica keeps its in-sync flag
 
 
 class Replicated:
@@ -87,7 +87,7 @@ class Replicated:
         """Put until a put is acknowledged. Returns the time since `since`. Raises AssertionError, TimeoutError."""
         async with patience(f"no put into {self.channel.name} was acknowledged"):
             while True:
-                with suppress(st.StampedeError):  # nobody can take a put at the moment
+                with suppress(st.StampedeError):  # no host can take a put at the moment
                     item = await self.traffic.put(self.channel)
                     break
                 await asyncio.sleep(RETRY_SECONDS)
@@ -124,7 +124,9 @@ async def _seen(channel: aio.Channel) -> str:
 
 
 async def _synced(channel: aio.Channel) -> list[bytes]:
-    """Wait until the channel has a replica in sync, and return the hosts of those. The caller limits the wait."""
+    """Wait until the channel has a replica in sync. Returns the hosts of its replicas in sync. The caller limits the
+    wait.
+    """
     while True:
         if found := await _in_sync(channel):
             return found
@@ -211,7 +213,9 @@ async def kill_replica(scene: Scene) -> None:
 
 
 async def freeze_replica(scene: Scene) -> None:
-    """Stop the host of the replica for longer than it keeps its flag, and shorter than its lease."""
+    """Stop the host of the replica for longer than the replica keeps its in-sync flag, but not as long as the host's
+    lease.
+    """
     async with _prepare(scene) as (found, _, replica):
         began = time.monotonic()
         await replica.freeze()
@@ -300,7 +304,9 @@ async def _fill(filler: aio.Channel, began: float) -> int:
 
 
 async def fill_replica(scene: Scene) -> None:
-    """Fill the memory of the replica's host. It can take no items then, and must lose its flag before puts go on."""
+    """Fill the memory of the replica's host. The replica can take no items then. It must lose its in-sync flag before
+    puts go on.
+    """
     async with _prepare(scene) as (found, _, replica):
         began = time.monotonic()
         name = f"robust-filler/{time.monotonic_ns()}"
@@ -316,7 +322,7 @@ async def fill_replica(scene: Scene) -> None:
 
 FILLER_BYTES, FILLER_SECONDS = 4 * 2**20, 5.0
 FILLER: dict[str, Any] = {"max_age": "1h", "max_bytes": 2**30, "on_full": "reject"}
-DELAYS = 4  # the number of figures about delays; a fifth one limits the bytes a second
+DELAYS = 4  # the number of figures about delays; a fifth figure limits the bytes per second
 SLOW_LINKS: dict[str, tuple[float, ...]] = {
     "links with a delay of 100 to 300 ms": (0.1, 0.2, 0.0, 0.0),
     "links with 20 % loss": (0.002, 0.01, 0.2, 0.0),

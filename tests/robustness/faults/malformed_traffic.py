@@ -97,7 +97,7 @@ def _check_unharmed(victims: Sequence[PlacedProcess], canary: Path) -> None:
         raise AssertionError("a pickle that came from the network was loaded")
     for one in victims:
         if not one.running:
-            raise AssertionError(f"{one.name} ended because of what came from the network: {one.last_words()!r}")
+            raise AssertionError(f"{one.name} ended because of bytes from the network: {one.last_words()!r}")
 
 
 def giant_frame() -> bytes:

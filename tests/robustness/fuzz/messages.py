@@ -32,7 +32,7 @@ class KnownValues:
         self._spared: set[Any] = set()
 
     def spare(self, *values: Any) -> None:
-        """Never learn these."""
+        """Never learn these values."""
         self._spared.update(values)
 
     def add(self, name: str, *values: Any) -> None:

@@ -96,8 +96,8 @@ class Judged:
     `lost`: items that were acknowledged, or that a reader saw, but that a later reader of the same incarnation did not
     see. `doubled`: items that a reader saw twice. `gone_with_host`: items that were acknowledged or seen under an
     incarnation which has ended; without replicas the promise allows this loss, and the new incarnation informs the
-    readers. `violations` describes everything that the
-    model does not allow: lost and doubled items, items that nobody put, two owners, and stale reads.
+    readers. `violations` describes everything that the model does not allow: lost and doubled items, items that nobody
+    put, two owners, and stale reads.
     """
 
     channels: int

@@ -45,7 +45,7 @@ FIRST, SECOND = put(b"1", 0, A, 1), put(b"2", 2, A, 2)
         [FIRST, SECOND, newest(4, A, 2), listed(6, A, (1, b"1"), (2, b"2"))],
         # Two puts at the same time may be stored in either order.
         [put(b"1", 0, A, 2), put(b"2", 0, A, 1), newest(4, A, 2)],
-        # The channel has a new owner. The former owner's items are gone, and the new incarnation tells readers so.
+        # The channel has a new owner. The former owner's items are gone. Readers learn this from the new incarnation.
         [FIRST, put(b"2", 2, B, 1), newest(4, B, 1), listed(6, B, (1, b"2"))],
         # A new owner without an item yet.
         [FIRST, newest(2, B, 0), put(b"2", 4, B, 1)],
@@ -73,7 +73,7 @@ def test_a_history_with_one_owner_at_a_time_is_accepted(history: list[Operation]
         ([FIRST, put(b"2", 2, A, 1)], "no order of these operations"),
         # A reader gets an item as the newest one after a later item was acknowledged.
         ([FIRST, SECOND, newest(4, A, 1)], "no order of these operations"),
-        # An acknowledged item is lost, though its owner is still there and has newer ones.
+        # An acknowledged item is lost, though its owner is still there and has newer items.
         ([FIRST, SECOND, listed(4, A, (2, b"2"))], "b'1' was acknowledged or seen, and is lost"),
         # An item that nobody has acknowledged, but that a reader has got, is lost.
         (
@@ -102,7 +102,7 @@ def test_items_that_a_replica_still_has_are_not_lost() -> None:
     lacks_more = [*goes_on[:-1], listed(12, A + 1, (1, b"1"), (3, b"4"))]
     assert judge_items(lacks_more).gone_with_host == 2
     assert "1 items were lost" in early_losses(lacks_more)[0]
-    assert early_losses(lacks_more[:-1]) == [], "nobody has read what is there"
+    assert early_losses(lacks_more[:-1]) == [], "no reader has read the items that are there"
     shown = listed(8, A, (1, b"1"), (2, b"2"), (3, b"3"))  # the owner showed item 3, and did not acknowledge it
     lost = [FIRST, SECOND, shown, put(b"4", 10, A + 1, 2), listed(12, A + 1, (1, b"1"), (2, b"4"))]
     assert early_losses(lost) == [], "item 2 was one of the last second"

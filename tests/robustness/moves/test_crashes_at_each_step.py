@@ -178,7 +178,9 @@ async def test_a_move_loses_nothing_if_the_link_between_the_hosts_breaks(step: s
 async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_while(
     step: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Longer than changes wait, so that the source ends the move when it reaches the directory again."""
+    """The directory is away for longer than changes wait. So the source ends the move when it reaches the directory
+    again.
+    """
     for module in (moving, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)
 
@@ -195,7 +197,7 @@ async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_whi
 async def test_every_put_gets_an_answer_while_the_directory_is_away_for_long(
     step: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At the source before the commit, and at the destination after it; also puts that come after the first answers."""
+    """The source answers before the commit, and the destination after it. Puts that come later get answers, too."""
     for module in (moving, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.02)
     scenario = Scenario(step, lambda world: setattr(world, "is_cut_off", True))

@@ -187,7 +187,9 @@ async def test_a_move_loses_nothing_if_the_link_between_the_hosts_breaks(
 async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_while(
     scenarios: list[ReplicatedScenario], step: str, replica_at: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Longer than changes wait, so that the source ends the move when it reaches the directory again."""
+    """The directory is away for longer than changes wait. So the source ends the move when it reaches the directory
+    again.
+    """
     for module in (moving, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)
 
@@ -244,7 +246,7 @@ async def test_the_new_owner_dies_at_once_and_the_channel_comes_back_to_the_form
 async def test_a_replica_begins_anew_if_it_may_have_items_of_a_former_owner_that_the_owner_lacks(
     scenarios: list[ReplicatedScenario], owner_epoch: int, ahead: int, begins_anew: bool
 ) -> None:
-    """The owner has accepted other items with these seqs meanwhile, so the seqs alone do not tell."""
+    """The owner has accepted other items with these seqs meanwhile, so the seqs alone do not show the difference."""
     scenario = ReplicatedScenario(DESTINATION)
     scenarios.append(scenario)
     await scenario.begin()

@@ -1,4 +1,6 @@
-"""The source of a drain holds an idle channel unasked. Something breaks at each step, while puts come all the same."""
+"""The source of a drain holds an idle channel before the destination asks it to. At each step something breaks, and
+puts still come.
+"""
 
 from __future__ import annotations
 

@@ -153,7 +153,7 @@ class SimMember:
         raise PromiseBroken(f"{self.member.member_id} is refused though all are of one release")
 
     def after_disk(self, call: Callable[[], None]) -> None:
-        """Call once the step has come so far and its waits for the disk are over, unless the process ends before."""
+        """Call the function once the step's waits for the disk up to now are over, unless the process ends before."""
         start = self._starts
         self.world.after(self._waited, lambda: call() if self.replica and self._starts == start else None)
 

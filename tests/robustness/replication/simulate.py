@@ -28,8 +28,8 @@ OFTEN = 15  # entries between two snapshots: few, so that most seeds have many s
 PROCESSES_MAX = 12
 # A connection that stalls for longer is ended, and its messages are lost.
 SILENCE_SECONDS = RaftTiming().link_silence_seconds
-# After everything is healed every member must serve, and then hold everything, within this time. Twice the worst
-# of 120 seeds; the promise for the first of it, an election included, is 5 s.
+# After everything is healed every member must serve, and then hold everything, within this time. It is twice the
+# longest time of 120 seeds. The promise for serving again, with an election, is 5 s.
 HEAL_SECONDS = 8.0
 
 

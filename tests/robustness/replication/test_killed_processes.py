@@ -48,7 +48,7 @@ class MemberProcess:
         return self._process.returncode
 
     async def kill(self) -> None:
-        """Kill the process with SIGKILL: it flushes nothing, and tells nobody."""
+        """Kill the process with SIGKILL: it flushes nothing, and sends no last message."""
         if self._process is not None and self._process.returncode is None:
             self._process.kill()
             await self._process.communicate()

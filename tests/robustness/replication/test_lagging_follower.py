@@ -1,4 +1,6 @@
-"""A follower behind a narrow link catches up under load; `tests.benchmarks.lagging_follower` does it with more."""
+"""A follower behind a narrow link catches up under load; `tests.benchmarks.lagging_follower` measures this with more
+writes.
+"""
 
 from __future__ import annotations
 

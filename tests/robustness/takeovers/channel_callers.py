@@ -116,7 +116,7 @@ class ChannelCallers:
         return items
 
     def judge(self, items: list[Item]) -> int:
-        """Check that nothing else is lost than what may be. Returns the number of lost items."""
+        """Check that all lost items are items that may be lost. Returns their number."""
         there, order = set(items), self.cluster.incarnations[self.channel_id]
         lost = 0
         for at, incarnation in enumerate(order):

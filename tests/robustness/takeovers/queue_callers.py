@@ -148,7 +148,7 @@ class Taker:
     async def _ack(self, message: Message, delivery: Delivery, known: Incarnation) -> None:
         known.perhaps_acked[delivery.delivery_id] = message
         error = await self._settled(delivery, known, acknowledge=queue_pb2.Acknowledge())
-        del known.perhaps_acked[delivery.delivery_id]  # after an error the ack has had no effect, in no try
+        del known.perhaps_acked[delivery.delivery_id]  # after an error no try of the ack has had an effect
         if error is None:
             known.acked.add(message)
             known.left_s[message] = self.cluster.clock.now_s

@@ -1,6 +1,6 @@
 """Take-overs and moves of a channel with replicas under random faults.
 
-No acknowledged or seen item may be lost, with the exception of those that `ack="host"` allows, and none may be there
+No acknowledged or seen item may be lost, except the items that may be lost with `ack="host"`. No item may be there
 twice. Two hosts never serve the channel at the same time. When the faults are over, nobody is stuck.
 """
 

@@ -25,7 +25,7 @@ from tests.robustness.takeovers.queue_ledger import Ledger
 from tests.robustness.takeovers.queue_world import QueueCluster, serving_queue
 from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 
-HEALED_SECONDS = 120.0  # enough for leases to end that takers let end, and then for deliveries to other takers
+HEALED_SECONDS = 120.0  # enough time for the leases that takers let end, and then for deliveries to other takers
 PRODUCERS, TAKERS, PAUSE_SECONDS = 2, 2, 0.15
 LOOK_SECONDS = 0.2
 WITH_CLOCKS = (QueueReplication.__init__, MemoryBudget.__init__, AllowedMoves.__init__)
@@ -46,7 +46,7 @@ class QueueTrial:
     """One run."""
 
     def __init__(self, clock: VirtualClock, seed: int, replicas: int | None = None) -> None:
-        """`replicas`: of three hosts. None: the seed chooses."""
+        """`replicas`: the number of replicas, at three hosts. None: the seed chooses both numbers."""
         rng = self.rng = random.Random(seed)
         self.clock = clock
         count, drawn = rng.choice(((3, 1), (3, 2), (4, 1), (4, 2)))

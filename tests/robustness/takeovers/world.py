@@ -186,7 +186,7 @@ class Cluster(World):
                 yield one.host_id
 
     def is_complete(self, replicas: int) -> bool:
-        """Whether each channel or queue has so many replicas in sync."""
+        """Whether each channel or queue has this number of replicas in sync."""
         return all(len([*self.successors(id_of_thing(one))]) == replicas for one in self.copied())
 
     def _check_successor(self, before: Copied, successors: list[bytes]) -> None:

@@ -37,7 +37,9 @@ class InProcessHost(NamedTuple):
         return self.server.address
 
     def connect(self) -> grpc.aio.Channel:
-        """A connection to it, whose streams fill their windows soon if nobody reads, on every machine."""
+        """A connection to the host. On every machine its streams have small windows, which are full soon if nobody
+        reads.
+        """
         options = [*Limits().channel_options(), ("grpc.http2.bdp_probe", 0)]
         return grpc.aio.insecure_channel(self.target, options=options)
 

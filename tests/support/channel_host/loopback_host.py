@@ -1,7 +1,8 @@
 """A channel host on real gRPC in a process of its own, whose clock stands still until a test moves it.
 
-The process serves a directory, too; it is steered by lines: `tick NANOS WALL_STEP` and `settle` on its standard input
-are answered with the host's time. With certificates, the directory and the host take callers with certificates only.
+The process also serves a directory. The test steers it by the lines `tick NANOS WALL_STEP` and `settle` on its standard
+input. The process answers each line with the host's time. With certificates, the directory and the host take callers
+with certificates only.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Shares of test files. pytest-xdist gives the files of a share to one worker, as it otherwise gives it one file.
+"""Shares of test files. pytest-xdist gives all files of a share to the same worker.
 
 So these files can share a costly thing, such as a cluster, that ends with the last test of the share.
 """

@@ -111,7 +111,9 @@ class LiveCluster:
         return await self.on_leader(lambda log: log.add_member(newcomer.member, timeout=10.0))
 
     async def on_leader(self, change: Callable[[ReplicatedLog], Awaitable[int]]) -> int:
-        """Have the leader do it, and the next one if it is replaced or hands over; LogUnavailable says to try again."""
+        """Have the leader make the change, or the next leader if the first one is replaced. Tries again after
+        LogUnavailable.
+        """
         async with asyncio.timeout(30.0):
             while True:
                 try:
@@ -174,7 +176,7 @@ async def until(condition: Callable[[], bool], *, within: float = 10.0) -> None:
 
 
 async def proposed(member: LiveMember, command: bytes) -> bytes:
-    """Propose until the command is acknowledged. If a busy machine changes leaders meanwhile, it may be there twice."""
+    """Propose until the command is acknowledged. If the leader changes, the log may have the command twice."""
     while True:  # ends with the test's time limit
         with contextlib.suppress(Ambiguous, LogUnavailable):
             return await running(member).propose(command, timeout=ACKNOWLEDGED_SECONDS)

@@ -206,7 +206,7 @@ async def test_a_registration_looks_at_a_bounded_number_of_channels_in_one_piece
     for at, _ in enumerate(store.registering(records[:10], is_complete=True)):
         left.append(len(store.all()))
         if at == 0:
-            store.adopt(recorded_channel(late))  # the directory has told of it since the registration
+            store.adopt(recorded_channel(late))  # the directory has named this channel since the registration
     assert max(before - after for before, after in pairwise(left)) <= CHANNELS_COMPARED_PER_PIECE
     assert {hosted.record.name for hosted in store.all()} == {"late", *(f"c/{number}" for number in range(10))}
     assert len(store.scheduler._begun) <= 8

@@ -1,6 +1,4 @@
-"""The modules that are loaded, and when: few by `import stampede_rt` and the command's entry; gRPC so that it logs
-errors only.
-"""
+"""`import stampede_rt` and the start of the command load few modules. When gRPC is loaded, it logs only errors."""
 
 from __future__ import annotations
 
@@ -14,7 +12,7 @@ import pytest
 from stampede_rt.cli.main import main
 
 SECONDS_MAX = 60
-# Reports the first module of a name that Python looks for, with the level at which gRPC would log if it were that one.
+# Reports when Python looks for one of these modules, with the level at which gRPC would log if it were loaded then.
 WATCH = """
 import os, sys
 class Watch:

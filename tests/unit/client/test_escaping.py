@@ -40,6 +40,6 @@ def test_no_verb_prints_control_characters_of_its_arguments(
         status = int(end.code or 0)
     said = "".join(capsys.readouterr())
     assert status != 0
-    assert "forged" in said, "it names what it was given"
+    assert "forged" in said, "the error names the argument"
     assert said == "\n".join(map(escaped, said.split("\n")))
     assert not any(line.startswith("forged") for line in said.split("\n"))

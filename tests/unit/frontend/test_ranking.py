@@ -16,7 +16,7 @@ def ids(nodes: list[Supernode], zone: str = "") -> list[str]:
     return [one.supernode_id for one in rank(nodes, zone)]
 
 
-def test_a_healthy_one_comes_before_a_near_one() -> None:
+def test_a_healthy_supernode_comes_before_a_near_one() -> None:
     assert ids([node("near", healthy=False, trip=1), node("far", trip=1000)]) == ["far", "near"]
 
 

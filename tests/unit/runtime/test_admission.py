@@ -88,7 +88,7 @@ async def one_request() -> AsyncIterator[bytes]:
 
 
 async def no_request() -> AsyncIterator[bytes]:
-    """For a call that is refused before it says anything: a write that meets its end would cover the reason."""
+    """No request, for a call that the server refuses: a write after the end of the call would hide the reason."""
     await asyncio.Event().wait()
     yield b""
 

@@ -209,7 +209,7 @@ def register_kinds(server: grpc.aio.Server) -> None:
 
 @pytest.mark.parametrize("kind", ["unary_unary", "unary_stream", "stream_unary", "stream_stream"])
 async def test_a_client_sends_the_secret_with_all_kinds_of_calls(kind: str) -> None:
-    """Each kind has its own maker on a channel."""
+    """A gRPC channel has a separate method to make each kind of call."""
     async with serving(register_kinds, secret=RIGHT) as server, dial(server.address, secret=RIGHT) as channel:
         call = getattr(channel, kind)(f"/test.Kinds/{kind}")
         started = call(iter([b"request"]) if kind.startswith("stream") else b"request")

@@ -154,7 +154,7 @@ async def _handler(behavior: Any) -> Any:
 
 @pytest.mark.parametrize("kind", ["unary", "stream", "responses"])
 async def test_every_kind_of_call_is_charged_the_cost_of_its_work(monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
-    """For every service: a supernode's list with a pattern costs more than one without."""
+    """This holds for every service: for example, a supernode's list with a pattern costs more than a list without."""
     now = 10**9
     monkeypatch.setattr("time.thread_time_ns", lambda: now)
     caller = Account("one", DEFAULTS, loop_shares=loop_shares.LoopShares(lambda: now, lambda delay_s, call: None))

@@ -1,4 +1,4 @@
-"""The guard of the wire contract: it lets additions pass and stops everything that an older client would trip over."""
+"""The guard of the wire contract: it accepts additions, and refuses each change that would break an older client."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The guard of class names: one name stands for one thing, but for those that are listed."""
+"""The guard of class names: each name stands for one thing, except the listed names."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ async def test_a_host_that_may_not_serve_ends_its_streams_and_keeps_the_items() 
         assert await taker.ended() == grpc.StatusCode.FAILED_PRECONDITION
         (acked,) = await queue.enqueue(run_of(b"x"))
         assert acked.error.reason == error_pb2.ERROR_REASON_NOT_HERE
-        directory.lease_ttl_nanos = 600 * S  # no busy machine loses this one
+        directory.lease_ttl_nanos = 600 * S  # so long that even a busy machine keeps the next lease
         directory.refuse.clear()
         again = await _taken_again(queue)
         (result,) = await again.settled(ack(item))

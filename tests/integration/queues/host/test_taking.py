@@ -158,7 +158,7 @@ async def test_a_frozen_taker_keeps_an_item_from_live_ones_for_one_lease_only() 
             (item,) = await live.items(1)
             await live.settled(ack(item))
         await frozen.items(1)
-        assert await frozen.read() == pb.TakeResponse(), "it is asked whether it lives"
+        assert await frozen.read() == pb.TakeResponse(), "the host asks the taker whether it lives"
         await frozen.call.write(pb.TakeRequest())
         await queue.until(lambda status: status.waiting_takers == 2)
         await queue.put(b"b", b"c")
@@ -173,7 +173,7 @@ async def test_a_taker_that_was_heard_of_since_its_lease_began_gets_further_item
         await queue.put(b"a")
         await taker.items(1)
         clock.advance(5 * S)
-        await taker.settled(extend(10**9, S))  # whatever it says
+        await taker.settled(extend(10**9, S))  # the host hears of the taker; the kind of message does not matter
         clock.advance(5 * S)
         assert (await taker.items(1))[0].delivery == 2
 

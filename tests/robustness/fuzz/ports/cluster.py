@@ -86,7 +86,7 @@ class FuzzedCluster:
         return st.aio.connect(address, secret=self.processes.secret.text, transport=transport)
 
     def environment(self) -> dict[str, str]:
-        """For the command line."""
+        """The environment variables for the command line."""
         files = self.processes.tls_files("good", Role.OPERATOR)
         if files is None:
             credentials = {"STAMPEDE_SECRET_FILE": str(self.processes.secret_file)}
@@ -107,7 +107,7 @@ class FuzzedCluster:
         return parts.get(self.outcome.port, one.hosts)[0]
 
     def memory_mib(self) -> float:
-        """Resident now."""
+        """The resident memory of the process now, in MiB."""
         pages = int(Path(f"/proc/{self.target.pid}/statm").read_text().split()[1])
         return pages * resource.getpagesize() / 2**20
 
@@ -130,7 +130,7 @@ class FuzzedCluster:
 
 @asynccontextmanager
 async def fuzzed_cluster(outcome: Outcome, *, tls: bool) -> AsyncIterator[FuzzedCluster]:
-    """Running."""
+    """Yield a running cluster."""
     with TemporaryDirectory(prefix="stampede-fuzz-") as archive:
         one = FuzzedCluster(outcome, tls=tls, archive=Path(archive))
         await asyncio.to_thread(one.processes.start)

@@ -24,7 +24,7 @@ def test_a_publisher_at_full_speed_pauses_while_a_window_of_its_items_is_unread(
     assert step == PAUSE_SECONDS
     assert sent == window_items(300_000) == shared.published()
     shared.set_received(0, sent)
-    assert next(steps), "what was read makes room"
+    assert next(steps), "read items make room"
 
 
 def test_a_publisher_ends_with_the_run() -> None:

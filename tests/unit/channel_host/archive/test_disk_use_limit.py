@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCo
 MIB = 2**20
 LIMIT = 3 * MIB
 MS = 10**6
-Step = tuple[str, int, int]  # what, which channel, how many bytes
+Step = tuple[str, int, int]  # the kind of step, the channel, the bytes
 
 
 class Recorded:

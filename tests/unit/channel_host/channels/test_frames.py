@@ -138,7 +138,7 @@ def test_kept_messages_are_bounded_in_bytes_and_the_newest_is_always_kept() -> N
     large, _ = delivered([200_000])
     first = shared.encode(large, b"", without_payloads=False, readers=3)
     assert shared.encode(large, b"", without_payloads=False, readers=3) is first
-    assert 400_000 <= shared.kept_bytes < 410_000  # the message and the run of it, and nothing else
+    assert 400_000 <= shared.kept_bytes < 410_000  # the message and its run, and nothing else
 
 
 def test_a_message_for_other_readers_is_encoded_again() -> None:

@@ -107,7 +107,7 @@ async def left(path: Path, store: FakeStore, epoch: int, time: int) -> None:
 async def test_a_host_does_not_trust_its_list_of_objects_if_the_channel_moves_back(
     tmp_path: Path, first_epoch: int
 ) -> None:
-    """In an earlier version the host took its own list for whole, and did not know the objects of the present owner."""
+    """In an earlier version the host trusted its own list, and did not know the objects of the present owner."""
     store = FakeStore()
     if first_epoch > 1:
         await left(tmp_path / "a", store, 1, 10)

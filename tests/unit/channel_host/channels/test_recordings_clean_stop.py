@@ -1,4 +1,4 @@
-"""A host that takes a recorded channel over from a host that stopped cleanly: the object store tells it so."""
+"""A host takes a recorded channel over, and learns from the object store that the former host stopped cleanly."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ async def test_an_owner_that_could_not_reach_the_store_at_first_learns_of_the_cl
 
 @pytest.mark.asyncio
 async def test_an_owner_that_learns_of_the_stop_later_says_lost_if_an_object_is_missing(tmp_path: Path) -> None:
-    """An earlier version believed the stop, although the objects that it speaks of were not there."""
+    """An earlier version believed the note of the stop, although the objects that the note names were missing."""
     store = FakeStore()
     first = await owner(tmp_path / "a", store, 1)
     await first.put(1, 2)

@@ -222,7 +222,7 @@ async def test_a_ring_for_items_that_grow_meanwhile_takes_the_longer_ones(worker
     assert host.ring_bytes == worker.made[1].size.whole_bytes
 
 
-async def test_memory_that_the_system_does_not_give_counts_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_memory_that_the_system_refuses_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(size: Any) -> RingMemory:
         raise OSError(28, "No space left on device")
 

@@ -188,7 +188,7 @@ async def test_a_step_of_the_sweep_looks_at_a_bounded_number_of_changed_channels
 
 
 async def test_a_put_that_needs_memory_looks_at_few_channels_and_at_the_due_ones_first() -> None:
-    """In an earlier version, such a put looked at 2048 channels in one step, and began with those that had just
+    """In an earlier version, such a put looked at 2048 channels in one step, and began with the channels that had just
     changed.
     """
     host = Host(bytes_max=200_000)

@@ -179,7 +179,7 @@ async def test_a_host_that_starts_again_before_the_store_is_back_keeps_the_items
         whole = [1, 2, 3, SINCE + 1, 2 * SINCE + 1]
         assert await owner.times(ALL) == whole
         assert await owner.subscribed(OLDEST) == (whole, 0)
-    async with host(tmp_path / "b", store) as one:  # the list on its disk tells the objects now
+    async with host(tmp_path / "b", store) as one:  # the list on its disk names the objects now
         store.failure = "away"
         one.clock = 3 * SINCE
         owner = await Owner(one, 4).serve()

@@ -60,7 +60,9 @@ def test_a_lease_given_up_is_held_again_only_after_a_grant() -> None:
 def test_the_host_never_holds_a_lease_that_the_directory_may_have_ended(
     steps: list[tuple[int, int, int]], probe: int
 ) -> None:
-    """Each renewal is sent, received after some delay, and acknowledged after another; acks may overtake each other."""
+    """The directory gets each renewal after some delay, and the host the ack after another delay. Acks may overtake
+    each other.
+    """
     keeper, clock, acks, received_last = HostLease(), 0, [], 0
     for pause, there, back in steps:
         clock += pause

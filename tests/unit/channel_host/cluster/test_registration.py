@@ -113,7 +113,7 @@ async def test_a_host_whose_lease_the_successor_cluster_renews_belongs_to_that_c
     assert set(fake.clusters_told["RenewHostLease"]) == {"c", "d"}
 
 
-async def test_it_renews_three_times_per_ttl_and_is_not_fenced() -> None:
+async def test_a_host_renews_three_times_per_ttl_and_is_not_fenced() -> None:
     async with directory(lease_ttl_nanos=2000 * MS) as fake:  # a busy machine may halt this process for a second
         host = Host(fake.target)
         await host.registration.enter("localhost:1")

@@ -1,4 +1,4 @@
-"""An owner hands things over only to a host that was named, at this epoch, and not long ago."""
+"""An owner hands a channel or queue over only to a host that a caller has named, at this epoch, and not long ago."""
 
 from __future__ import annotations
 

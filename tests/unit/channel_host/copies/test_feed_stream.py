@@ -53,7 +53,7 @@ class Fed:
         return self.feed.written()[before:]
 
     def report(self, **fields: Any) -> None:
-        """Tell that the replica has all items so far."""
+        """Report that the replica has all items so far."""
         request = pb.FeedRequest(held_next_seq=self.hosted.core.next_seq, sent_nanos=1, **fields)
         assert self.feed.send(request.SerializeToString()) == []
 

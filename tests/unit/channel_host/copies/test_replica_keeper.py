@@ -37,7 +37,7 @@ class Store:
 
 
 class Directory:
-    """A directory with a replica at a frozen host, and one in sync that has said nothing yet."""
+    """A directory with a replica at a frozen host, and a replica in sync that has not reported yet."""
 
     def __init__(self) -> None:
         self.has_changed = asyncio.Event()

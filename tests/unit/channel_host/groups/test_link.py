@@ -96,7 +96,7 @@ async def test_the_other_host_gets_only_the_newest_state_of_its_wanted_channels(
     wire = Wire(notebook)
     await wire.greet()
     assert (await wire.sent.get()).update == pb.TimesUpdate()
-    wire.link.report_times(b"one")  # the peer has not asked for it
+    wire.link.report_times(b"one")  # the other host has not asked for it
     await wire.say(pb.TimesUpdate(interest=pb.TimesInterest(channel_ids=[b"one", b"two"])))
     update = (await wire.sent.get()).update
     assert [told.channel_id for told in update.times] == [b"one", b"two"]

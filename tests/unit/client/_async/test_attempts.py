@@ -30,7 +30,7 @@ class Clock:
 
 
 class Place:
-    """A place that is always found, and keeps how often it turned out to be stale."""
+    """A place that is always found. `forgotten` counts how often it turned out to be stale."""
 
     closed = False
     names_a_lost_channel = False
@@ -63,7 +63,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 
 class Operation:
-    """Meets one error after the other, the last one again and again; without any left it succeeds."""
+    """Raises one error after the other, and then succeeds. With `for_ever` it raises the last error again and again."""
 
     def __init__(self, *errors: st.StampedeError, for_ever: bool = False) -> None:
         self.errors = list(errors)

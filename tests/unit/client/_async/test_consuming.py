@@ -24,7 +24,7 @@ INFO = ChannelInfo(
 
 
 class FakeHost:
-    """Answers Consume as it is told to, and keeps the requests."""
+    """Answers Consume as the test says, and keeps the requests."""
 
     def __init__(self) -> None:
         self.requests: list[pb.ConsumeRequest] = []

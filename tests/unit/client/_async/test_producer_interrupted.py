@@ -103,7 +103,7 @@ def producer_at(host: Host) -> Producer:
 
 
 def interrupt_at(count: int, call: Callable[[], None], handler: Callable[[], None]) -> bool:
-    """Call `call`, and `handler` before its bytecode number `count`. Returns whether `call` has so many."""
+    """Call `call`, and `handler` before its bytecode number `count`. Returns whether `call` has this many bytecodes."""
     left = count
 
     def trace(frame: FrameType, event: str, _: Any) -> Any:

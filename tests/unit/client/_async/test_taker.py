@@ -241,7 +241,7 @@ async def test_a_message_for_a_cancelled_getter_goes_to_the_next_getter_of_the_c
     stream = await host.next_stream()
     await until_said(stream, lambda request: stream.credit == 2)
     stream.deliver(5)
-    await until_handed_over(taker)  # the first one has it, and has not run on yet
+    await until_handed_over(taker)  # the first getter has the message, and has not run on yet
     first.cancel()
     with pytest.raises(asyncio.CancelledError):
         await first

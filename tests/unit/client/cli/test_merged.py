@@ -101,7 +101,7 @@ def test_a_channel_that_is_made_again_before_its_reader_learns_of_the_deletion_i
     stream.end()
 
 
-def test_a_deleted_channel_is_read_no_more_until_the_directory_names_it_again() -> None:
+def test_a_deleted_channel_is_not_read_until_the_directory_names_it_again() -> None:
     rt = FakeConnection([info(b"1")])
     rt.incarnations.put(queue_of(item(b"former"), ChannelNotFound("it is deleted")))
     stream = stream_of(rt)

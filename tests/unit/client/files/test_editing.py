@@ -184,9 +184,9 @@ def heads_of(path: Path) -> list[int]:
 
 
 def lost_in_silence(report: FileReport, output: Path, true: set[tuple[str, int]]) -> set[tuple[str, int]]:
-    """The items of `true` that a recovered file has not, and that no gap of it names. It has no other items.
+    """The items of `true` that a recovered file lacks, and that no gap of the file names. The file has no other items.
 
-    If the file names no topic of a channel any more, only the damage tells.
+    If the file no longer names the topic of a channel, only the reported damage shows that items are missing.
     """
     found, _ = read(output)
     items = {(one.topic.name, one.seq) for one in found if isinstance(one, FileEntry)}

@@ -36,7 +36,7 @@ class Reader:
         while self.left > 0:
             self.left -= self.item_bytes
             self.on_the_way += 1
-        assert self.on_the_way, "the reader asked, and may be sent nothing"
+        assert self.on_the_way, "the reader asked, and the host may send nothing"
         self.on_the_way -= 1
         self.window.take(self.item_bytes, self.now_s)
         self.now_s += busy_s

@@ -1,4 +1,4 @@
-"""Calls whose reading thread takes gRPC's events itself, and the same over the public interface of gRPC."""
+"""Calls whose reading thread takes gRPC's events itself, and the same calls over the public interface of gRPC."""
 
 from __future__ import annotations
 

@@ -173,7 +173,7 @@ async def test_a_stream_whose_opening_fails_or_is_cancelled_ends_with_the_reason
 async def test_a_failed_stream_is_freed_without_the_garbage_collector(last: bytes | None) -> None:
     """The kept error of a stream referred to the frames of its reader, and these to the stream.
 
-    `last`: what the host sends before it closes the socket; None: this side cancels the stream.
+    `last`: the bytes that the host sends before it closes the socket; None: this side cancels the stream.
     """
     gc.collect()
     gc.disable()

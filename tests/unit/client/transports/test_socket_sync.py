@@ -302,9 +302,10 @@ def test_the_rest_of_a_write_begins_after_the_sent_bytes(sent_bytes: int) -> Non
 def test_a_failed_stream_is_freed_without_the_garbage_collector(
     pair: tuple[socket.socket, FarEnd], last: bytes | None
 ) -> None:
-    """An error in a variable of a frame that the error refers to kept the stream, and its buffers of 128 KiB.
+    """In an earlier version, a frame kept the error in a variable, and the error referred to the frame. Both kept the
+    stream, with its buffers of 128 KiB.
 
-    `last`: what the host sends before it closes the socket; None: this side cancels the stream.
+    `last`: the bytes that the host sends before it closes the socket; None: this side cancels the stream.
     """
     gc.collect()
     gc.disable()

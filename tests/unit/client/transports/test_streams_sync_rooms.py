@@ -1,4 +1,4 @@
-"""A stream keeps no response after it has given it away: a long response is a view of the room for the next one."""
+"""A stream keeps no response that its caller has taken: a long response is a view of the memory for the next one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Time limits of the blocking client: each is looked after, whatever happens at another."""
+"""Time limits of the blocking client: each one works, whatever happens at the others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The lines between roles and orchestrator survive the way there, and nonsense is refused."""
+"""Lines between roles and the orchestrator are the same after encoding and decoding. Malformed lines are refused."""
 
 import pytest
 

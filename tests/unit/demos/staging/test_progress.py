@@ -1,4 +1,4 @@
-"""Progress suits the place that it is written to."""
+"""The text about progress suits its output: a terminal, or a file."""
 
 import io
 

@@ -1,4 +1,4 @@
-"""The orchestrator turns whatever keeps the demo from running into one sentence."""
+"""If the demo cannot run, the orchestrator reports the reason in one sentence."""
 
 import io
 
@@ -26,7 +26,7 @@ class BrokenCluster:
         raise self.failure
 
     def __exit__(self, *exc_info: object) -> None:
-        raise AssertionError("what was never entered is never left")
+        raise AssertionError("a cluster whose start failed is not stopped")
 
 
 @pytest.mark.parametrize(

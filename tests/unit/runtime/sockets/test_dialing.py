@@ -205,7 +205,7 @@ async def test_a_stream_is_logged_with_its_first_answer(
         await call.write(b"a")
         assert not began(caplog)
         await call.read()
-        assert len(began(caplog)) == (transport is Transport.BEST), "a connection without sockets tells nothing"
+        assert len(began(caplog)) == (transport is Transport.BEST), "a connection without sockets logs nothing"
 
 
 async def test_a_stream_to_a_host_that_nobody_reaches_is_not_logged(caplog: pytest.LogCaptureFixture) -> None:

@@ -1,4 +1,4 @@
-"""The shares of machines of the connections that have sent no opening yet."""
+"""How many connections without an opening each machine may have."""
 
 from __future__ import annotations
 

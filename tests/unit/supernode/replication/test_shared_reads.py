@@ -13,14 +13,14 @@ from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
 
 
 class Rig:
-    """The reads that were begun, to be answered by hand, as the log's thread would."""
+    """The reads that were begun. The test answers them in place of the log's thread."""
 
     def __init__(self, *, waiting_max: int = 100) -> None:
         self.begun: list[ConfirmedRead] = []
         self.shared = SharedReads(self.begun.append, LoopBridge(asyncio.get_running_loop()), waiting_max=waiting_max)
 
     async def ask(self, timeout: float = 60.0) -> asyncio.Task[int | None]:
-        """Ask, and return once that has been taken in."""
+        """Ask for a confirmed read, and return when the read waits."""
         task = asyncio.ensure_future(self.shared.confirm(timeout))
         await asyncio.sleep(0)
         return task

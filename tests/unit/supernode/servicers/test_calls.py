@@ -1,4 +1,4 @@
-"""The checks of a supernode before an update, if it has not heard of the thing yet, and for mailboxes."""
+"""The checks of a supernode before an update: for a thing that the supernode does not know yet, and for mailboxes."""
 
 from __future__ import annotations
 

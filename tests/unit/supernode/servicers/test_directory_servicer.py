@@ -66,7 +66,7 @@ async def test_a_repeated_update_never_replaces_newer_settings(node: Node) -> No
 
     await update(1, 111)
     await update(2, 222)
-    node.log.index += 20_000  # as if so much had been done
+    node.log.index += 20_000  # as if the directory had performed that many commands
     await update(1, 111, age_ms=20_000)
     assert await held() == 222
     refused = await reason_of(update(1, 111, age_ms=30_000))

@@ -175,7 +175,7 @@ async def test_an_unencrypted_endpoint_of_azure_needs_its_own_variable(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        port = listening.getsockname()[1]  # nobody answers there once it is closed
+        port = listening.getsockname()[1]  # no server answers there once the socket is closed
     for name, value in {**AZURE, "AZURE_STORAGE_ENDPOINT": f"http://127.0.0.1:{port}"}.items():
         monkeypatch.setenv(name, value)
     refused = r"--archive: .*az://c/p says: .*AZURE_ALLOW_HTTP is not true; .*AZURE_STORAGE_ACCOUNT_NAME"

@@ -274,7 +274,7 @@ async def test_a_put_releases_very_many_gets_a_few_in_each_step_and_all_of_them(
     for number in range(1000):
         blocked.block(number, query)
     blocked.put(START + S)
-    assert blocked.channel.polls == 0, "nothing of it is done within the put"
+    assert blocked.channel.polls == 0, "no part of the work is done within the put"
     seen, steps = 0, 0
     while pieces.step():
         assert blocked.gets.looked_at - seen <= GETS_PER_PIECE
@@ -284,7 +284,7 @@ async def test_a_put_releases_very_many_gets_a_few_in_each_step_and_all_of_them(
     assert all(found_times(one) == [START + S] for one in blocked.outcomes)
     assert steps >= 1000 // GETS_PER_PIECE
     blocked.channel.collect(blocked.now)
-    assert not blocked.channel.look(blocked.now)[0].has_backlog, "what was kept for them is freed"
+    assert not blocked.channel.look(blocked.now)[0].has_backlog, "the host has freed everything that it kept for them"
 
 
 @pytest.mark.parametrize("gets", [GETS_PER_PIECE, 4 * GETS_PER_PIECE])

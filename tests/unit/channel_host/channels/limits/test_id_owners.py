@@ -29,7 +29,7 @@ def use(owners: IdOwners, thing: bytes, number: int, what: str, check: Callable[
 
 @pytest.fixture
 def caller(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The name of the caller; empty: one whom rules do not judge."""
+    """The name of the caller; empty: a caller to which no rules apply."""
     names = ["alice"]
     monkeypatch.setattr(module, "owner_name", lambda: names[-1])
     return names

@@ -54,7 +54,7 @@ def test_many_items_are_matched_together_within_the_credit(monkeypatch: pytest.M
     taken = matcher.take(lambda channel_id, instant: True, NOW, 64)
     assert ([one.item.slice.first_time for one in taken], len(settled)) == ([*range(10, 74)], 1)
     each = taken[0].charge_bytes
-    assert each == 2 * taken[0].item.slice.charge_bytes  # the remote one comes from its own host
+    assert each == 2 * taken[0].item.slice.charge_bytes  # the partner comes from its own host, and costs nothing here
     assert len(matcher.take(lambda channel_id, instant: True, NOW, 64, 3 * each - 1)) == 3
     assert matcher.take(lambda channel_id, instant: True, NOW, 64, 0) == []
     assert len(matcher.take(lambda channel_id, instant: True, NOW, 64)) == 33
@@ -65,7 +65,7 @@ def test_an_item_waits_until_every_other_member_has_passed_its_tolerance() -> No
     matcher = everything(left, right, 5)
     assert pairs(matcher, right) == []
     right.advance(15, NOW)
-    assert pairs(matcher, right) == []  # something may still come at 15 exactly
+    assert pairs(matcher, right) == []  # an item may still come at exactly 15
     right.advance(16, NOW)
     assert pairs(matcher, right) == [(10, 9)]
 
@@ -188,7 +188,7 @@ def test_a_unique_match_waits_until_no_later_item_can_be_nearer_to_its_partner()
     matcher = unique(left, right, 6)
     assert matched(matcher, left, right) == []
     left.advance(19, NOW)
-    assert matched(matcher, left, right) == [], "one may come at 19"
+    assert matched(matcher, left, right) == [], "an item may come at 19"
     left.advance(20, NOW)
     assert matched(matcher, left, right) == [(10, 15)]
 

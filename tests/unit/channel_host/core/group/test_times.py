@@ -61,7 +61,7 @@ def test_a_late_item_or_an_advance_ends_the_silence_of_a_channel_and_a_read_does
     assert follower.observe(7) is False
     assert follower.silent_since == 5
     put(made, 15)
-    assert follower.observe(8) is False  # nothing to tell, though it has spoken
+    assert follower.observe(8) is False  # no time changes, but the silence has ended
     assert follower.silent_since == 8
     made.advance(30, NOW)
     assert follower.observe(9) is True

@@ -163,7 +163,7 @@ def test_a_taker_that_leaves_when_a_lease_ends_gets_no_item() -> None:
     silent, waiting, leaving = core.taker(1, credit=2), core.taker(2), core.taker(3)
     core.dispatched()
     core.queue.grant(leaving, 1, core.now)
-    core.now += 200  # the first taker's lease ends, and the item is the leaving one's turn
+    core.now += 200  # the lease of the silent taker ends, and the leaving taker is next in line
     core.queue.leave(leaving, core.now)
     assert core.dispatched() == {}
     core.queue.grant(waiting, 1, core.now)
@@ -483,12 +483,12 @@ def test_a_moved_queue_continues_with_its_state() -> None:
     ]
     core.queue = QueueCore.restore(core.queue.limits, state, 10**6, incarnation=1)
     core.now = 10**6
-    assert [one.owner for one in core.queue.export(core.now).producers] == ["ann"], "the window sheds by caller"
+    assert [one.owner for one in core.queue.export(core.now).producers] == ["ann"], "the state has the callers, too"
     assert core.counted("accepted", "held", "leased", "delivered", "given_back") == (3, 3, 1, 3, 1)
     assert core.ack(1, 1) == core.ack(2, 3) == [""]
     again = core.put(1, 2, 3, producer_id=5, first_number=1)
     assert again.outcome is not None
-    assert again.outcome.first_seq == 1, "recognised: nothing new came in"
+    assert again.outcome.first_seq == 1, "the queue recognised the run"
     core.taker(3, credit=5)
     assert core.dispatched() == {3: [3]}
     core.now += 30

@@ -104,7 +104,7 @@ def test_an_added_or_removed_member_raises_the_version_of_the_group(log: Log) ->
     assert isinstance(changed, GroupUpdated)
     assert changed.group.spec.channel_ids == (left, top)
     assert changed.group.spec_version == 2
-    assert log.apply(update_group(made.group_id, add=(top,))) == changed, "what is so already changes nothing"
+    assert log.apply(update_group(made.group_id, add=(top,))) == changed, "the repeated update changes nothing"
     late = refusal(log, update_group(made.group_id, add=(right,), version=1))
     assert (late.reason, late.metadata["spec_version"]) == ("GROUP_EXISTS", "2")
 

@@ -107,7 +107,7 @@ def test_a_former_owner_that_replaces_a_replica_becomes_one_of_the_same_kind(log
 
 
 def test_the_former_owner_comes_before_a_replica_if_the_new_owner_is_lost_at_once(log: Log) -> None:
-    """It has more channels than the host of the replica, which the directory would choose otherwise."""
+    """The former owner has more channels than the replica's host, which the directory would choose otherwise."""
     log.apply(open_channel("other", host="host-1"))
     log.apply(add_replica(cam(log).channel_id, 3, warm=True, acknowledged=True))
     log.apply(set_in_sync(cam(log).channel_id, 3))

@@ -68,13 +68,13 @@ def test_a_restarted_owner_has_another_key(log: Log) -> None:
 
 
 def test_an_owner_without_a_key_gives_no_permits(log: Log) -> None:
-    """It registered with a directory that knew no permits."""
+    """The owner registered with a directory that knew no permits."""
     log.apply(register(1, boot=2))
     assert isinstance(commit(log, 2, b"", epoch=2), MoveCommitted)
 
 
 def test_below_the_level_of_moves_no_replica_keeps_a_key() -> None:
-    """A supernode of an older release would not keep it, and their states would differ."""
+    """A supernode of an older release would not keep the key, and its state would differ."""
     log = Log()
     log.apply(register(1, move_key=KEYS[1]))
     assert log.directory.tables.hosts[id_of(1)].move_key == b""

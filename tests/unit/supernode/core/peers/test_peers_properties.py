@@ -38,16 +38,16 @@ class Owners:
         ]
         may = all(self._may_displace(one, operation) for one in displaced)
         if isinstance(result, PeerRegistered):
-            assert may, "a live peer lost its place to somebody without its proof"
+            assert may, "a live peer lost its place to a peer without its proof"
             for one in displaced:
                 del self.living[one.peer_id]
             self.living[operation.peer_id] = operation
             self.registered[operation.peer_id] = result.peer.registered_index
         elif isinstance(result, Refused):
-            assert not (may and result.reason == "PEER_EXISTS"), "its own place was refused to a peer"
+            assert not (may and result.reason == "PEER_EXISTS"), "a peer was refused a place that was its own"
 
     def end(self, operation: DeregisterPeer | ExpirePeers, tenure: int) -> set[bytes]:
-        """The ids of those that are out by `operation`."""
+        """End the registrations that `operation` names. Returns the ids of their peers."""
         if isinstance(operation, DeregisterPeer):
             boots = {(operation.peer_id, operation.boot_incarnation, self.registered.get(operation.peer_id))}
         else:
@@ -93,7 +93,7 @@ class PeerMachine(ThreeDirectories):
         result = self.apply(operation, op_id)
         self.owners.register(operation, result)
         if again and isinstance(result, PeerRegistered):
-            assert self.apply(operation, op_id) == result, "repeated, it is answered and not done"
+            assert self.apply(operation, op_id) == result, "a repeated request is answered and not performed"
 
     @rule(data=st.data())
     def end_peers(self, data: st.DataObject) -> None:

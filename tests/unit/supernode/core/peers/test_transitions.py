@@ -1,4 +1,4 @@
-"""Peers in the directory: one live owner for each name, and one mailbox for each of those."""
+"""Peers in the directory: one live owner for each name, and one mailbox for each such owner."""
 
 from __future__ import annotations
 
@@ -238,7 +238,7 @@ def test_mailboxes_without_a_host_are_placed_on_the_first_host_that_registers(lo
     moved = log.directory.tables.queues.by_id[held.queue_id]
     assert moved.host_id == id_of(3)
     assert moved.epoch > held.epoch
-    assert list(log.directory.tables.hosts) == [id_of(3)], "nothing belongs to the lost ones any more"
+    assert list(log.directory.tables.hosts) == [id_of(3)], "nothing belongs to the lost hosts any more"
 
 
 def test_a_peer_whose_mailbox_has_no_host_gets_the_error_that_no_host_has_room(log: Log) -> None:

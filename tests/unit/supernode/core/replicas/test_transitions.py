@@ -183,7 +183,7 @@ def test_a_copy_is_removed_with_the_registration_of_its_host(log: Log, end: Call
     assert [one.host_id for one in copies(log)] == [id_of(3)]
     assert cam(log).proxy_host_ids == (id_of(3),)
     log.apply(expire(1, registered_index=2))
-    assert cam(log).host_id == id_of(1), "there is nobody to take over"
+    assert cam(log).host_id == id_of(1), "there is no replica to take over"
 
 
 def test_a_change_of_the_in_sync_flag_that_arrives_after_a_later_one_is_refused(log: Log) -> None:

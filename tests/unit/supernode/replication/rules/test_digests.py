@@ -74,7 +74,7 @@ def test_after_a_snapshot_without_a_digest_a_member_continues_from_the_leaders_d
     assert follower.digests.diverged_at == 0
     restored = DirectoryReplica()
     restored.prepare_restore(follower.replica.begin_snapshot()())()
-    assert restored.digest() == leader_at(5).digest(), "its own snapshots carry one"
+    assert restored.digest() == leader_at(5).digest(), "its own snapshots have a digest"
 
 
 def test_a_difference_after_the_first_digest_is_found() -> None:
@@ -91,7 +91,7 @@ def test_a_digest_of_an_earlier_position_than_that_of_the_state_is_ignored() -> 
     follower.digests.compare(*leader_at(2).digest())
     assert follower.replica.digest() == (3, b"")
     follower.digests.compare(3, b"")
-    assert follower.replica.digest() == (3, b""), "nor the digest of a leader that knows none"
+    assert follower.replica.digest() == (3, b""), "so is the answer of a leader without a digest"
     follower.digests.compare(*leader_at(3).digest())
     assert follower.replica.digest() == leader_at(3).digest()
     assert follower.digests.diverged_at == 0
@@ -175,4 +175,4 @@ def test_a_member_sends_its_digest_at_the_position_named_last_when_it_has_reache
     digests.note(7, OTHER)
     assert (digests.answer, digests.doubtful_at) == ((7, OTHER), 7)
     digests.compare_with_majority(7, OTHER)
-    assert (digests.doubtful_at, digests.diverged_at) == (0, 0), "the leader is the odd one"
+    assert (digests.doubtful_at, digests.diverged_at) == (0, 0), "only the leader differs"

@@ -74,4 +74,4 @@ def test_a_new_member_that_was_refused_as_too_slow_makes_room_for_another(
     [outcome] = again
     assert "slow at slow:1 gives way to other, because it did not catch up with the log at its last try" in str(outcome)
     [refused] = leader.add(THIRD)
-    assert "other is joining" in str(refused), "the other one has all the time that anybody has"
+    assert "other is joining" in str(refused), "the other newcomer has the whole time"

@@ -36,7 +36,7 @@ def vote_request(term: int, *, last: tuple[int, int] = (9, 9), pre_vote: bool = 
 
 
 def locked_out(lone: LoneNode) -> None:
-    """Let so much time pass without a leader that those whom the node knows may all be gone."""
+    """Let so much time pass without a leader that all members that the node knows may be gone."""
     lone.node.before_tick()
     lone.now += 2 * lone.node.locked_out_seconds
     lone.node.before_tick()

@@ -1,4 +1,4 @@
-"""A member whose disk was lost is not taken for the one that it was."""
+"""A member that has lost its disk is not taken for the member that it was before."""
 
 from __future__ import annotations
 

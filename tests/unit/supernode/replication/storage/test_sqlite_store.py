@@ -1,4 +1,4 @@
-"""A folder is told apart from another's, from an empty one, and from a damaged one."""
+"""A supernode distinguishes its own data folder from another member's folder, an empty one and a damaged one."""
 
 from __future__ import annotations
 
@@ -287,7 +287,7 @@ def test_an_emptied_database_is_not_mistaken_for_a_new_one(tmp_path: Path) -> No
         file.unlink() if file.name == WATERMARK_NAME else file.write_bytes(b"")
     with pytest.raises(StoreDamaged, match="is empty, but held a log before"):
         open_store(tmp_path, create=False)
-    KnownStores.open(tmp_path, had_store=True)  # as a member leaves it whose first start no other member knows
+    KnownStores.open(tmp_path, had_store=True)  # as a member leaves it if no other member knows of its first start
     with pytest.raises(StoreDamaged, match="is empty, but held a log before"):
         open_store(tmp_path, create=True)
 
