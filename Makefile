@@ -54,7 +54,7 @@ test: setup  ## the whole test suite
 test-acl: setup  ## the tests with a whole cluster; rules of access restrict the client of the tests
 	STAMPEDE_TEST_ACL=1 $(RUN)/pytest -n 2 --dist loadfile --tb=native $(END_HANGS) $(ACL_TESTS)
 
-contract: setup  ## the contract over every transport with both clients, also where the suite leaves a transport out: about 12 minutes
+contract: setup  ## the contract over every transport with both clients, also over transports that the suite leaves out: about 12 minutes
 	STAMPEDE_EVERY_TRANSPORT=1 $(RUN)/pytest -n 3 --dist loadfile tests/contract
 
 explore: setup  ## new random scenarios, other than those of the suite, against the oracles
@@ -156,5 +156,5 @@ bench-docs: setup  ## `stampede bench` into docs/benchmarks.md: some hours on a 
 	-$(RUN)/stampede bench peers --out out/bench $(BENCH)
 	$(RUN)/python tools/benchmark_docs.py out/bench
 
-clean:  ## delete everything that was made
+clean:  ## delete everything that these commands made
 	rm -rf .venv .tools .make out

@@ -199,7 +199,7 @@ def survive_deaths(containers: Mapping[str, Container], secret: Path) -> None:
 def check_limits(container: Container) -> None:
     """Check that the limits of the file are far above the use of an idle service.
 
-    A lower limit would kill the service at once.
+    A lower limit would kill the service immediately.
     """
     facts, plan = container.facts(), container.plan
     peak, tasks = int(facts["VmHWM"].split()[0]) * 1024, int(facts["Threads"])

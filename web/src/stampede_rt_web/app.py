@@ -26,7 +26,7 @@ from stampede_rt_web.guard import TOKEN_CHARACTERS_MIN, Guard
 from stampede_rt_web.settings import WebSettings
 from stampede_rt_web.site import Site
 
-CONNECTIONS_MAX = 128  # the open connections and running requests; the server answers others with 503
+CONNECTIONS_MAX = 128  # the open connections and running requests; the server answers further requests with 503
 KEEP_ALIVE_SECONDS = 20
 SHUTDOWN_SECONDS = 2
 
@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         log_defects()
         address = check_listen(settings.listen, allow_insecure_anywhere=settings.may_listen_anywhere)
         token = None if settings.token_file is None else read_token(settings.token_file)
-        if settings.secret_file is not None:  # the client and `examine` of `stampede doctor` read it there
+        if settings.secret_file is not None:  # the client and `examine` take it from the environment
             os.environ["STAMPEDE_SECRET_FILE"] = str(settings.secret_file)
         asyncio.run(_serve(settings, address, token))
     except HelpRequested as asked:

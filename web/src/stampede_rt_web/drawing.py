@@ -11,7 +11,7 @@ from typing import Any
 
 from stampede_rt_web.track import ABSENT, ItemTrack
 
-PIXELS_FOR_ITEM_MIN = 3  # if items have less room than this, the page draws the number of items in each pixel
+PIXELS_FOR_ITEM_MIN = 3  # with fewer pixels for an item, the page draws the number of items in each pixel
 WIDTH_MAX = 4096  # pixels
 MARKS_SHOWN_MAX = 64  # the latest marks of the interval
 

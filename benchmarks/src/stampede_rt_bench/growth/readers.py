@@ -43,7 +43,7 @@ class _Messages:
 
 
 class _Stream:
-    """A stream to a reader that takes every message at once, or takes the first one only."""
+    """A stream to a reader that takes every message immediately, or takes only the first one."""
 
     def __init__(self, messages: _Messages, *, stalls: bool) -> None:
         self._messages = messages

@@ -1,10 +1,10 @@
 """Figure 4 of the paper: the cost of one get by time, by the number of held items and the position of the item.
 
-Like the paper's figure, it measures the core of the host: a get by reference. Another line measures the same get of a
-client over gRPC, from a host in another process. A third line measures `Channel.at` of a program that hosts the channel
-itself: it returns the very payload that the program has put. For comparison there is the code that a user would write:
-a search in a SortedDict from time to payload for the newest time that is not later. It knows no spans, seqs or reasons,
-and shows only the cost of the search in Python.
+Like the paper's figure, the first line measures the core of the host: a get by reference. Another line measures the
+same get of a client over gRPC, from a host in another process. A third line measures `Channel.at` of a program that
+hosts the channel itself: it returns the very payload that the program has put. For comparison there is the code that a
+user would write: a search in a SortedDict from time to payload for the newest time that is not later. This code knows
+no spans, seqs or reasons, and shows only the cost of the search in Python.
 """
 
 from __future__ import annotations
@@ -129,6 +129,6 @@ def _table(lines: dict[str, list[tuple[float, Spread]]]) -> Table:
         f"From {JUDGED_FROM:,} items to the largest channel the cost grows {growth:.2f} times at the most (goal: 3);",
         f"no position costs more than {between:.2f} times another (goal: 2). Medians (least to most) of the runs.",
         f"Embedded host: a get by reference grows {max(embedded) / embedded[0]:.2f} times (goal: under 20 us, flat).",
-        "Those of the paper (2.2 GHz dual-core Opteron, 5 runs of 10,000,000 gets) are in a graph that our copy lacks.",
+        "Paper: 2.2 GHz dual-core Opteron, 5 runs of 10,000,000 gets; its times are in a graph that our copy lacks.",
     ]
     return table

@@ -1,6 +1,6 @@
 """The cost of an interval get by the number of returned items: only at the host, and for a client over gRPC.
 
-In the paper (section 6) it is about linear in the number of returned items.
+In the paper (section 6) the cost is about linear in the number of returned items.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class EmbeddedStampedeRt:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Return the works of one process: here they need no other process."""
+        """Return the works that are done by reference: the program of the host needs no other process for them."""
         return dict.fromkeys(("put", "newest", "interval"), OPERATES_BY_REFERENCE)
 
     def unavailable_because(self) -> str | None:

@@ -23,8 +23,8 @@ class Goal:
     """The goal of one of our transports at one work.
 
     The goal compares the `figure` of our transport with the figure of the best of `peers`: the ratio is at most or at
-    least `bound`. Without peers the figure itself is at most `bound`. For a time or a loss less is better, for a rate
-    more.
+    least `bound`. Without peers the figure itself is at most `bound`. For a time or a loss, a smaller figure is better.
+    For a rate, a greater figure is better.
     """
 
     work: str
@@ -35,7 +35,7 @@ class Goal:
 
     @property
     def is_rate(self) -> bool:
-        """Whether more is better."""
+        """Whether a greater figure is better."""
         return self.figure == "items_per_second"
 
     @property

@@ -63,7 +63,7 @@ def _batches(room: Room) -> list[list[bytes]]:
 def at_rate(
     progress: RunCounters, item_bytes: int, per_second: float, deadline_s: float, items_total: int = 0
 ) -> Iterator[Step]:
-    """Yield one payload whenever it is due, with its sending time. A late payload is sent at once.
+    """Yield one payload whenever it is due, with its sending time. A late payload is sent immediately.
 
     Ends after `items_total` payloads, unless that is 0.
     """

@@ -23,7 +23,7 @@ START_SECONDS, START_SECONDS_READER, DRAIN_SECONDS, END_SECONDS = 30.0, 1.0, 1.0
 WARM_SHARE, WARM_SECONDS_MIN = 0.2, 0.3
 LATE_NANOS = 1_000_000_000
 NANOS_PER_US, US_PER_SECOND = 1000, 1_000_000
-PRELOADED = ["stampede_rt", "grpc", "grpc.aio", "stampede_rt_bench.works.roles", "redis", "nats", "zenoh"]  # if there
+PRELOADED = ["stampede_rt", "grpc", "grpc.aio", "stampede_rt_bench.works.roles", "redis", "nats", "zenoh"]  # if here
 
 
 class RunFailed(Exception):

@@ -15,7 +15,7 @@ PUT_TIMEOUT_SECONDS = 5.0
 
 
 def wait_until(unix_nano: int) -> None:
-    """Sleep until the wall clock reaches `unix_nano`. Return at once if the clock is already there."""
+    """Sleep until the wall clock reaches `unix_nano`. Return immediately if the clock is already there."""
     while (delay := unix_nano - time.time_ns()) > 0:
         time.sleep(delay / NANOS_PER_SECOND)
 

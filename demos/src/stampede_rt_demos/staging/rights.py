@@ -27,7 +27,7 @@ class Right(NamedTuple):
 
 
 def caller_name(role: str) -> str:
-    """The name in a role's token or certificate, and of its peer."""
+    """The name in a role's token or certificate. The role's peer has the same name."""
     return role.replace(" ", "-")
 
 

@@ -1,7 +1,7 @@
 """Runs a role in its process: settings, the start by the orchestrator, reports, and the end.
 
 A role never lives longer than the orchestrator. Its standard input is a pipe from the orchestrator. When the
-orchestrator ends in any way, the kernel closes the pipe, and the role ends at once. Only the orchestrator handles
+orchestrator ends in any way, the kernel closes the pipe, and the role ends immediately. Only the orchestrator handles
 Ctrl-C.
 """
 

@@ -69,7 +69,7 @@ def film(stage: Stage, side: Side) -> dict[str, object]:
 
 
 def put_end(channel: st.Channel, end: int) -> None:
-    """Put an item without a picture after the last frame. The advance lets its match come at once."""
+    """Put an item without a picture after the last frame. With the advance its match comes immediately."""
     channel.put(b"", time=end + END_NANOS, attributes={NUMBER_ATTRIBUTE: str(END_NUMBER)})
     channel.advance(end + 2 * END_NANOS)
 

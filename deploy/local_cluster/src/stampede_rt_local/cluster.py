@@ -28,11 +28,11 @@ class LocalCluster:
 
     `listen` is the first front-end's address. All other services take free ports of the same host. If `durable`,
     supernodes keep their log and hosts their identity in `folder`, and can be restarted. By default `folder` is a
-    temporary one; it is None if no service needs it. By default `secret_file` is made in it. With `tls` all ports ask
-    for certificates (`certificates`, `tls_files`), and for the secret only if `secret_file` is given. The first hosts
-    run in the namespaces `host_namespaces`, which must reach `listen`. These cannot be used with `tls`, because its
-    certificates are for one address. `metrics`: where the first supernode serves its metrics. The other supernodes, the
-    front-ends and the hosts take the next ports in this order, or any free ports if its port is 0. The attribute
+    temporary one; it is None if no service needs it. By default the cluster makes `secret_file` in `folder`. With `tls`
+    all ports ask for certificates (`certificates`, `tls_files`), and for the secret only if `secret_file` is given. The
+    first hosts run in the namespaces `host_namespaces`, which must reach `listen`. Namespaces exclude `tls`, because
+    the certificates are for one address. `metrics`: where the first supernode serves its metrics. The other supernodes,
+    the front-ends and the hosts take the next ports in this order, or any free ports if this port is 0. The attribute
     `metrics` has the address of each service, by its title. `archive`: the folder in which each host has a folder for
     recorded channels, or the URL of an object store; then the folders are in `archive_folder`. `directory`: the folder
     in which the supernodes keep the directory over restarts, if not `durable`. `data_ports`: whether hosts serve TCP

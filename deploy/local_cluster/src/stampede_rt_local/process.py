@@ -92,7 +92,7 @@ class ServiceProcess:
         return list(self._run.lines) if self._run else []
 
     def start(self) -> None:
-        """Start the process and return at once; `wait_ready` waits for it."""
+        """Start the process and return immediately; `wait_ready` waits for it."""
         if self.alive:
             raise ServiceFailed(f"{self.name} is running already, as process {self.pid}")
         # With -P Python does not import modules of the user's present folder instead of ours.
@@ -130,7 +130,7 @@ class ServiceProcess:
             self._run.wait(self._stop_seconds)
 
     def ask_to_stop(self) -> None:
-        """Send SIGTERM and return at once; `stop` then waits."""
+        """Send SIGTERM and return immediately; `stop` then waits."""
         if self._run is not None:
             self._run.ask_to_stop()
 

@@ -47,7 +47,7 @@ export class Card {
     else this.replace(key, element("pre", { class: preview.kind }, preview.text));
   }
 
-  // Loads the picture first and then shows it, so that the former one stays until then.
+  // Shows the picture when it is loaded. Until then the former picture stays.
   showPicture(preview, key) {
     this.shown = key;
     const picture = new Image();

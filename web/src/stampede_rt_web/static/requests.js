@@ -1,4 +1,4 @@
-// One request of each kind runs at a time. A page that is slow asks less often, so nothing waits in line for it.
+// One request of each kind runs at a time. A slow page asks less often, so its requests do not pile up.
 
 const TIMEOUT_MILLIS = 15_000;
 
@@ -20,7 +20,7 @@ export async function ask(path, parameters = {}) {
   return answer;
 }
 
-// Calls `work` again and again, `pause` milliseconds after the end of the call before. A hidden tab asks for nothing.
+// Calls `work` again and again, `pause` milliseconds after the end of the previous call. A hidden tab asks for nothing.
 export function repeat(pause, work, onTrouble) {
   let woken = () => {};
   const loop = async () => {
