@@ -41,14 +41,15 @@ class ArchiveEnd:
         self._mover = mover
         self._work: asyncio.Task[None] | None = None
         self._is_written = False  # whether the present work has written the archive
-        self._closed: set[ChannelRecorder] = set()  # the folders of these have the note of a clean stop
+        self._closed: set[ChannelRecorder] = set()  # recorders whose folders have the note of a clean stop
         self._noted = 0  # the boot incarnation in the folder of the host
 
     async def finish(self, recorders: Sequence[ChannelRecorder], boot_incarnation: int, seconds_max: float) -> None:
-        """Do the work, or what an earlier call has left of it. After `seconds_max` the work goes on without the caller.
+        """Do the work, or the part that an earlier call has left. After `seconds_max` the work goes on without the
+        caller.
 
-        The channels must accept nothing any more. If the folders of all `recorders` have all items, also notes the
-        `boot_incarnation` of the host, unless it is 0.
+        Call it when the channels no longer accept anything. If the folders of all `recorders` have all items, also
+        notes the `boot_incarnation` of the host, unless it is 0.
         """
         if self._work is None or self._work.done():
             self._is_written = False
@@ -62,7 +63,7 @@ class ArchiveEnd:
             await asyncio.wait([self._work], timeout=seconds_max)
 
     def cut(self) -> None:
-        """End the work. Logs what is left undone."""
+        """End the work. Logs the part that is not done."""
         if self._work is not None and not self._work.done():
             self._work.cancel()
             if not self._is_written:
@@ -93,7 +94,7 @@ class ArchiveEnd:
                 self._closed.add(recorder)
 
     async def _note_stop(self, boot_incarnation: int) -> None:
-        """Note that the process has archived everything; 0: it has not, although it noted so before."""
+        """Note the boot incarnation of this process, which has archived everything. 0 takes back an earlier note."""
         if boot_incarnation == self._noted:
             return
         try:

@@ -65,8 +65,8 @@ class OwnPart(NamedTuple):
 def name_of_stop(stop: CleanStop) -> str:
     """The name of an object that tells the next owner of the channel about a clean stop.
 
-    It has no incarnation, no advance and no retries, because the directory gives a new incarnation to the channel if
-    another host takes it over.
+    The name has no incarnation, no advance and no retries, because the directory gives a new incarnation to the channel
+    if another host takes it over.
     """
     instants = ("x" if one is None else str(one) for one in (stop.newest, stop.lost_from, stop.lost_before))
     return "_".join([f"{stop.epoch:09}", str(stop.end_seq), *instants]) + ".stopped"

@@ -1,4 +1,4 @@
-"""The archive of one host, on its event loop: writes the items that the channels accept, and reads windows of it."""
+"""The archive of one host, on its event loop: writes the items that the channels accept, and reads archived items."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class HostArchive:
         )
         if objects is not None:
             objects.mover.writer = self._writer
-        self._due: dict[ChannelRecorder, Callable[[], None]] = {}  # with the function to call after the write
+        self._due: dict[ChannelRecorder, Callable[[], None]] = {}  # each with the function to call after its write
         self._task: asyncio.Task[None] | None = None
         self._news = asyncio.Event()
         self._hurry = asyncio.Event()  # a put waits for stable storage
@@ -166,7 +166,7 @@ class HostArchive:
         self._news.set()
 
     def hurry(self) -> None:
-        """Write at once, because a put waits for stable storage.
+        """Write immediately, because a put waits for stable storage.
 
         Items that come during a write share the next write.
         """
@@ -306,8 +306,8 @@ class HostArchive:
     async def finish(
         self, recorders: Sequence[ChannelRecorder], boot_incarnation: int = 0, seconds_max: float = CLOSE_SECONDS_MAX
     ) -> None:
-        """Write the remaining items, note in the folder of each channel if it has all items, and move the files to the
-        object store. See `ArchiveEnd.finish`.
+        """Write the remaining items, and move the files to the object store. If a channel's folder has all items, notes
+        this there. See `ArchiveEnd.finish`.
         """
         self._is_closing = True
         if self._making_room is not None:
@@ -315,7 +315,9 @@ class HostArchive:
         await self._end.finish(recorders, boot_incarnation, seconds_max)
 
     async def close(self, recorders: Sequence[ChannelRecorder], boot_incarnation: int = 0) -> None:
-        """As `finish`. After CLOSE_SECONDS_MAX, or a cancellation, ends the work, and lets others use the folder."""
+        """As `finish`. After CLOSE_SECONDS_MAX, or a cancellation, ends the work, and lets other processes use the
+        folder.
+        """
         ends_s = time.monotonic() + CLOSE_SECONDS_MAX
         try:
             await self._end.waited(CLOSE_SECONDS_MAX)

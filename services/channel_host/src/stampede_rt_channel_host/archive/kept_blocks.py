@@ -41,7 +41,7 @@ class KeptBlocks:
             return found
 
     def keep(self, files: object, number: int, found: FoundBlocks) -> None:
-        """Keep these blocks of a segment, and forget its former ones. Drops the segments that were used the longest
+        """Keep these blocks of a segment in place of its former blocks. Drops the segments that were used the longest
         time ago.
         """
         with self._lock:

@@ -86,10 +86,10 @@ class ChannelRecorder:
         self._instants: list[int] = []
         self._sizes: list[int] = []
         self._coming_bytes = 0
-        # Above these numbers the recorder forgets the lost items.
+        # Above these numbers the recorder joins the waiting puts whose items memory has lost.
         self._puts_max, self._bytes_max = PUTS_LEAST, BYTES_PER_WRITE
         self._advances: list[ArchivedAdvance] = []  # the advances that are not archived yet
-        self._advances_taken = 0  # the first of them, which a write has taken
+        self._advances_taken = 0  # how many of them, the first ones, a write has taken
         self._advance: int | None = None  # the latest one
         self._lost_before: int | None = None  # see `note_loss`; None: it is on the disk
         self._has_told_loss = False
@@ -327,8 +327,8 @@ class ChannelRecorder:
 
 
 def _lacks_from(channel: ChannelCore, segments: tuple[Segment, ...]) -> int:
-    """The first seq that an archive lacks which no other host shares: the seq after its last item, or the seq of the
-    first held item.
+    """The first seq that is missing in an archive that no other host shares: the seq after its last item, or the seq of
+    the first held item.
     """
     held = next(iter(channel.accepted_from(0)), None)
     first = channel.next_seq if held is None else held.first_seq
@@ -346,4 +346,4 @@ def span_of(segments: tuple[Segment, ...]) -> ArchiveSpan:
 
 
 def _ignore(_: CleanStop | None) -> None:
-    """Nobody waits for a listing."""
+    """Does nothing, because nobody waits for a listing."""

@@ -159,7 +159,7 @@ class SegmentFiles(SegmentReads):
         self, number: int, following: int | None, *, is_last: bool, may_be_torn: bool
     ) -> tuple[Segment | None, int, int]:
         """Open a segment of the folder. `following`: the first seq of the next segment, or None. A failed write left
-        the blocks from this seq on; their items were written again. A file without other blocks leaves the archive.
+        the blocks from that seq on, and their items were written again. A file without other blocks leaves the archive.
         """
         path = self._files.file_of(number)
         file = os.open(path, os.O_RDWR if is_last else os.O_RDONLY)
@@ -234,7 +234,7 @@ class SegmentFiles(SegmentReads):
             self._write_gathered()
 
     def _write_gathered(self) -> None:
-        """Write the gathered blocks, and let them come to the disk."""
+        """Write the gathered blocks, and let the system begin to bring them to the disk."""
         assert self._file is not None, "a segment is open"
         buffers, self._gathered = self._gathered, []
         write_all(self._file, buffers)
@@ -337,7 +337,7 @@ class SegmentFiles(SegmentReads):
         return sum(one.length for one in self._segments)
 
     def raise_epoch(self, epoch: int) -> None:
-        """The channel has a higher epoch now, at the same host."""
+        """Note that the channel has a higher epoch now, at the same host."""
         self._epoch = max(self._epoch, epoch)
 
     def close(self, stop: CleanStop | None) -> None:

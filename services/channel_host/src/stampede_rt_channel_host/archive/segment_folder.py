@@ -133,7 +133,9 @@ class SegmentFolder:
         return any(one < number for one in aside)
 
     def remove_all(self, numbers: Sequence[int]) -> int:
-        """Delete segments, the first one first, up to one that cannot be deleted now. Returns how many have left."""
+        """Delete segments in their order. Stops at a segment that cannot be deleted now. Returns the number of deleted
+        segments.
+        """
         removed = 0
         with suppress(OSError):
             for number in numbers:

@@ -1,4 +1,4 @@
-"""The moves that permitted callers have asked this host for, as the owner of the channels and queues.
+"""The moves that permitted callers have asked this host for. This host owns the channels and queues.
 
 The request of another host is not enough. Before that request, a caller with the right to configure the channel, or
 this host itself, must have named the other host (decision 0222).

@@ -71,7 +71,7 @@ class CopyFeed:
         self._reported_seq = 0  # the seq up to which the last request has said that this host holds everything
         self._news = asyncio.Event()
         self._heard_s = 0.0  # when the last message of the source came
-        self._owes_request = False  # after this message of the source, a request is due at once
+        self._owes_request = False  # after this message of the source, a request is due immediately
         self._turn = asyncio.Lock()  # taken while a request is written
         self._may_grant_s = 0.0  # the time at which the copy may grant more, because of `bytes_per_second`
         self.is_opened = False  # the source has accepted the copy's place
@@ -85,7 +85,7 @@ class CopyFeed:
             call.cancel()
 
     async def run_over(self, call: Any, source: FeedSource) -> None:
-        """Feed the copy over a stream that no other feed uses now. Returns when the move that the feed is for is over.
+        """Feed the copy over a stream that no other feed uses now. Returns when the move of this feed is over.
 
         Raises the error that broke the stream. The caller ends the stream.
         """
@@ -144,7 +144,8 @@ class CopyFeed:
         return self._sent_nanos
 
     async def _write_all(self, write: Write) -> None:
-        """Send the requests that are due after some time, and those about news that do not come from the source.
+        """Send the requests that are due after some time, and the requests about news that does not come from the
+        source.
 
         Raises TimeoutError if the source is silent, or takes nothing: this task watches the task that reads, too.
         """
@@ -222,7 +223,7 @@ class CopyFeed:
         await self._apply(response.fields.state, response.runs)
 
     def _follow(self, response: raw_run_pb2.RawFeedResponse) -> None:
-        """Take over the channel as the source knows it, if the response tells of it."""
+        """Take over the channel as the source knows it, if the response describes it."""
         state = response.state
         if response.HasField("opened"):
             opened = response.opened

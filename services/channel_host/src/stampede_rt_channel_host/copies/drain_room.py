@@ -1,4 +1,4 @@
-"""The number of moves that one drain has under way.
+"""The limits on the moves that one drain has under way.
 
 A move goes through several messages and two entries of the directory's log, so one move at a time leaves the hosts idle
 for most of the time. A destination that does not answer can hold up only a part of these moves, so the moves to other
@@ -18,7 +18,7 @@ QUEUES_AT_ONCE = 6  # a host may move 8 queues at once; calls of a queue wait wh
 
 
 class DrainRoom:
-    """The room for moves. The move that has waited longest for one destination begins first."""
+    """Limits the moves under way. The move that has waited longest for one destination begins first."""
 
     def __init__(self) -> None:
         self._all = asyncio.Semaphore(MOVES_AT_ONCE)
@@ -28,7 +28,7 @@ class DrainRoom:
 
     @asynccontextmanager
     async def taken(self, host_id: bytes, *, is_queue: bool) -> AsyncIterator[None]:
-        """Wait for room for a move to that host, and keep it during the block."""
+        """Wait until the limits allow another move to that host. The move counts as under way during the block."""
         to = self._to.setdefault(host_id, asyncio.Semaphore(MOVES_AT_FIRST))
         async with self._queues if is_queue else nullcontext(), to, self._all:
             yield

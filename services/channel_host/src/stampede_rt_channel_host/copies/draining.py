@@ -37,7 +37,8 @@ logger = logging.getLogger(__name__)
 
 Dial = Callable[[str], grpc.aio.Channel]
 NAMES_LOGGED_MAX = 20
-# Another host, or the same one later, may take it. After StaleBinding this host has ended the move, and tries again.
+# After these errors another host, or later the same one, may take the channel. After StaleBinding this host has ended
+# the move, and tries again.
 _AGAIN = (Overloaded, Unavailable, DeadlineExceeded, MoveConflict, StaleBinding)
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.05, 1.0
 BEGIN_SECONDS_MAX = 2.0  # the drain tries another host if one has not begun a move by then
@@ -198,7 +199,7 @@ class _Others:
         self._requests: dict[str, DrainRequests] = {}
 
     async def move(self, own: _Own, host: OtherHost) -> OtherHost:
-        """Have a host take a channel or queue over, as soon as there is room for the move.
+        """Have a host take a channel or queue over, as soon as the limits allow another move.
 
         Returns another host to try instead, if this one has turned out to be silent meanwhile; otherwise `host`. Raises
         the errors of MigrationService.MoveHere, Unavailable, and DeadlineExceeded if the host has not begun the move

@@ -1,4 +1,6 @@
-"""Remembers the hosts from which the last message of a copy comes too slowly to hold the channel meanwhile. Pure."""
+"""Remembers the sources whose last message of a copy comes too slowly: they must not hold the channel before it.
+Pure.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ class EarlyHolds:
         self._slow_until_s: OrderedDict[str, float] = OrderedDict()  # by the gatekeeper of the source
 
     def may(self, target: str, now_s: float) -> bool:
-        """Whether the source at `target` may do so."""
+        """Whether the source at `target` may hold the channel early."""
         return self._slow_until_s.get(target, now_s) <= now_s
 
     def took(self, target: str, seconds: float, now_s: float) -> None:

@@ -9,7 +9,7 @@ from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.wire.long_answers import split_runs
 
 LONG_BYTES = 2**16
-"""Protobuf decodes a shorter response. It is faster, unless the runs are long."""
+"""Protobuf decodes a shorter response, because Protobuf is faster if the runs are short."""
 
 
 class FedResponse(NamedTuple):

@@ -75,10 +75,11 @@ class FeedStream:
         self._is_released = False
 
     def wake(self) -> None:
-        """Note that the channel has changed. Sends the change in this turn of the event loop if the copy has all else.
+        """Note that the channel has changed. Sends the change in this turn of the event loop if the copy has everything
+        else.
 
-        The puts wait for this. If the copy lacks something, the items that come until the next turn go out together.
-        Raises nothing, because the host has accepted the change: an error ends the feed.
+        The puts wait for the copy's answer. If the copy lacks something, the items that come until the next turn go out
+        together. Raises nothing, because the host has accepted the change: an error ends the feed.
         """
         try:
             is_sent = self._send_at_once is not None and self._send_at_once()
@@ -142,7 +143,7 @@ class FeedStream:
         if opening.owner_facts and hosted.copy is not None:
             raise refusals.copy_cannot(hosted.record.name, "does not know the facts that only the owner has")
         if opening.move_id:
-            # first, because the feed of a replica that begins anew clears its flag
+            # before the feed begins, because the feed of a replica that begins anew clears the replica's flag
             self._moves.check(hosted, opening.host_id)
         return hosted
 
@@ -229,14 +230,14 @@ class FeedStream:
             self._credit.end()  # ends the feed
 
     async def _is_free(self, opening: pb.FeedOpen) -> bool:
-        """Whether the move is over, and the caller may have another one. Then tells the caller."""
+        """Whether the move is over, and the caller may begin another one. If so, tells the caller."""
         is_free = self._is_released and opening.another_may_follow
         if is_free:
             await self._write(pb.FeedResponse(move_over=True).SerializeToString())
         return is_free
 
     async def _greet(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
-        """Tell how the feed begins. In the feed of a move, the first part tells it."""
+        """Tell the copy how the feed begins. In the feed of a move, the first part does so."""
         self._opened = opened_to(self._source.losses, begins_anew=feed.begins_anew or self._begins_anew)
         if self._move is None:
             await self._write(self._bare(hosted, feed))

@@ -1,4 +1,4 @@
-"""The calls about moves that one host makes at the same time, as few calls of the directory.
+"""Gathers the calls about moves that one host makes at the same time into few calls of the directory.
 
 A host that is drained moves up to 24 channels at once. One entry of the log then commits several moves, so that the
 disks of the supernodes write once for all of them.
@@ -68,7 +68,7 @@ class GatheredMoves(ABC):
         await self._releases.ask(Release(channel_id, epoch))
 
     async def is_released(self, channel_id: bytes) -> bool:
-        """Whether the directory has nothing of a channel at this host, its former owner. False: ask `kept_here`."""
+        """Whether the directory names no part of a channel at this host, its former owner. False: ask `kept_here`."""
         return await self._drops.ask(channel_id)
 
     @abstractmethod

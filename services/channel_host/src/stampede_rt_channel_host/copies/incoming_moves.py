@@ -169,7 +169,7 @@ class IncomingMoves:
         blackout_nanos = time.monotonic_ns() - feed.held_nanos
         hosted.end_move()
         feed.released()
-        await asyncio.wait({feeding}, timeout=RELEASED_SECONDS_MAX)  # so that the source hears of it
+        await asyncio.wait({feeding}, timeout=RELEASED_SECONDS_MAX)  # so that the source learns that the move is over
         logger.info("a channel has moved here", extra={"event": "channel_moved_here", "channel": record.name})
         return Moved(hosted, blackout_nanos)
 
@@ -182,7 +182,8 @@ class IncomingMoves:
 
     async def _archived(self, hosted: HostedChannel) -> None:
         """Have the archive of this host write the items. Wait for it if puts of the channel wait for a disk, or if the
-        archive has earlier items: until then, readers do not hear of the hole between these and the moved items.
+        archive has earlier items: until the write, the answers to readers do not name the hole between these and the
+        moved items.
 
         Meanwhile the former owner is the fallback, with the items on its disk. Waits ARCHIVED_SECONDS_MAX at most.
         """
@@ -199,7 +200,9 @@ class IncomingMoves:
                 logger.warning("the archive has not all items of a channel that has moved here", extra=extra)
 
     async def _learn_owner(self, hosted: HostedChannel) -> None:
-        """Drop a channel that another host owns: this host was registered anew before it knew of its commit."""
+        """Drop a channel that another host owns: this host was registered anew before it knew that its move was
+        committed.
+        """
         with suppress(StampedeError):
             present = await self._directory.resolve(hosted.record.channel_id)
             if present.host_id != self._identity.host_id and self._store.known(present.channel_id) is hosted:
@@ -257,7 +260,7 @@ async def _handoff(name: str, feed: MoveFeed, feeding: asyncio.Task[None]) -> In
 
 
 async def _unless_ended(feeding: asyncio.Task[None], wanted: asyncio.Future[Result]) -> Result:
-    """The result of `wanted`. Raises the error of the feed if it ends before."""
+    """The result of `wanted`. Raises the error of the feed if the feed ends first."""
     try:
         await asyncio.wait((feeding, wanted), return_when=asyncio.FIRST_COMPLETED)
         if not wanted.done():

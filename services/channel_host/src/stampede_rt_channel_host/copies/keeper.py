@@ -133,15 +133,15 @@ class CopyKeeper:
     async def _keep_until_stopped(self, copy: _Copy) -> None:
         """Keep the feed of a copy until `_stop` cancels this task.
 
-        Drops the error of the cancellation: the error would keep its stream, and so a connection, until the collector
-        finds both.
+        Drops the error of the cancellation: the error would keep its stream, and so a connection, until the garbage
+        collector finds both.
         """
         with suppress(asyncio.CancelledError):
             await self._keep(copy)
 
     async def _keep(self, copy: _Copy) -> None:
         pause_s, source = PAUSE_SECONDS_MIN, None
-        while True:  # paced by the sleep, but once for each epoch; `_stop` cancels this task
+        while True:  # paced by the sleep, except once for each epoch; `_stop` cancels this task
             try:
                 source = await self._source_of(copy)
                 if source is None:

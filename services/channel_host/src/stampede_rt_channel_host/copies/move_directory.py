@@ -37,8 +37,8 @@ CALL_SECONDS_MAX = 4.0
 class Kept(Enum):
     """The part that the directory still has of a channel at its former owner.
 
-    FALLBACK: the former owner is the owner again, or will be if the present owner is lost at once. REPLICA: it is a
-    replica, because the new owner's replica became the owner.
+    FALLBACK: the former owner is the owner again, or will be if the present owner is lost now. REPLICA: the former
+    owner is a replica, because the new owner's replica became the owner.
     """
 
     NO = "nothing"
@@ -74,7 +74,7 @@ class MoveDirectory(GatheredMoves):
         return _placed(found.channel, found.host)
 
     async def owners_of(self, channel_ids: Sequence[bytes]) -> list[Placed]:
-        """Ask for several channels at once. Asks a supernode of an earlier release for one after the other."""
+        """Ask for several channels with one call. Asks a supernode of an earlier release for one after the other."""
         try:
             found = await self._call("ListOwners", pb.ListOwnersRequest(channel_ids=channel_ids))
         except StampedeError as error:
@@ -159,7 +159,7 @@ class MoveDirectory(GatheredMoves):
         return {*(await self._call("ReleaseMoves", request)).channel_ids}
 
     async def released_of(self, channel_ids: Sequence[bytes]) -> set[bytes]:
-        """Ask for several channels at once."""
+        """Ask for several channels with one call."""
         request = pb.ListReleasedMovesRequest(host_id=self._identity.host_id, channel_ids=channel_ids)
         return {*(await self._call("ListReleasedMoves", request)).channel_ids}
 

@@ -204,14 +204,14 @@ class OutgoingMove:
         """Keep the items while this host may become the owner again."""
         while self._is_under_way:
             try:
-                if await self._is_needed_no_more():
+                if await self._is_no_longer_needed():
                     return
             except StampedeError as error:
                 extra = {"event": "move_undecided", "channel": self._hosted.record.name, "why": str(error)}
                 logger.info("cannot ask the directory for the outcome of a move; the host tries again", extra=extra)
             await asyncio.sleep(FALLBACK_SECONDS)
 
-    async def _is_needed_no_more(self) -> bool:
+    async def _is_no_longer_needed(self) -> bool:
         """Ask the directory, and act on the answer. True: this host has dropped the items, or is a replica now."""
         channel_id, name = self._hosted.record.channel_id, self._hosted.record.name
         error: StampedeError = self._moving.elsewhere or refusals.moved(name, self._host_id)
@@ -227,8 +227,8 @@ class OutgoingMove:
         return True
 
     async def _has_demoted(self, kept: Kept) -> bool:
-        """Serve the channel again if this host owns it again, or keep a replica of it. Returns whether it did the
-        latter.
+        """Serve the channel again if this host owns it again, or keep a replica of it. Returns whether this host keeps
+        a replica, or no longer has the channel as this move knows it.
         """
         present = await self._moves.directory.resolve(self._hosted.record.channel_id)
         if not self._is_under_way:

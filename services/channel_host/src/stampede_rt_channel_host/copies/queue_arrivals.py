@@ -166,7 +166,9 @@ class QueueArrivals:
 
 
 async def _tell(call: Any, epoch: int) -> None:
-    """Tell the former owner that this host owns the queue. If it has gone, it learns this from the directory."""
+    """Tell the former owner that this host owns the queue. If the former owner has gone, it learns this from the
+    directory.
+    """
     with suppress(grpc.RpcError, asyncio.InvalidStateError):
         await call.write(pb.HandOverQueueRequest(committed_epoch=epoch))
         await call.done_writing()

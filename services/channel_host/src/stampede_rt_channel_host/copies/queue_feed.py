@@ -53,7 +53,8 @@ class QueueFeedStream:
         self.next_step = replication.journal.next_step
 
     def wake(self) -> None:
-        """Note that the queue has a new step. Sends it in this turn of the event loop if the replica has all others.
+        """Note that the queue has a new step. Sends it in this turn of the event loop if the replica has all other
+        steps.
 
         Raises nothing, because the queue has made the step: an error ends the feed.
         """
@@ -151,7 +152,7 @@ class QueueFeedStream:
             owes_sign = not steps and await self._is_silent(call)
 
     async def _is_silent(self, call: Any) -> bool:
-        """Wait for a step that is not sent at once, for REQUEST_SECONDS at most. Returns whether none came."""
+        """Wait for a step that is not sent immediately, for REQUEST_SECONDS at most. Returns whether none came."""
         self._send_at_once = partial(self._send_now, call) if isinstance(call, HostStream) else None
         try:
             async with asyncio.timeout(REQUEST_SECONDS):
@@ -163,7 +164,7 @@ class QueueFeedStream:
         return False
 
     def _send_now(self, call: HostStream) -> bool:
-        """Send the new step if the replica has all earlier ones, and the transport takes it at once."""
+        """Send the new step if the replica has all earlier ones, and the transport takes it immediately."""
         write = call.write_now if self._held_step >= self.next_step else None
         steps = None if write is None else self._replication.journal.steps_from(self.next_step, PART_BYTES)
         if write is None or not steps or len(steps) > 1 or steps[0].size_bytes > AT_ONCE_BYTES_MAX:

@@ -105,7 +105,7 @@ class _KeptQueue(KeptReplicas):
         listed = await super()._list()
         self._targets = {one.known.host_id: one.target for one in listed.replicas}
         for one in listed.replicas:
-            self.start(one)  # at once: a new owner answers nothing before it has heard of the other replicas
+            self.start(one)  # immediately: a new owner answers nothing before it has heard of the other replicas
         return listed
 
     def start(self, replica: ListedReplica) -> None:

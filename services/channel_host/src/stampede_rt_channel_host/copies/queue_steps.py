@@ -51,11 +51,11 @@ class ArrivingParts:
         return self._arriving.size_bytes
 
     def begin_anew(self) -> None:
-        """The parts of the whole queue follow."""
+        """Note that the parts of the whole queue follow."""
         self.is_whole, self._arriving = True, ArrivingQueue()
 
     def add(self, parts: Iterable[pb.FedQueuePart]) -> Iterator[WholeQueue | tuple[QueueStep, int]]:
-        """The complete things: the whole queue, and steps with their ages in nanoseconds.
+        """Add parts. Yields the things that are complete: the whole queue, and steps with their ages in nanoseconds.
 
         Raises InvalidArgument for parts that do not fit together.
         """

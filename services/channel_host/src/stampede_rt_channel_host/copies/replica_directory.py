@@ -91,7 +91,7 @@ class ReplicaDirectory:
     async def add_replica(self, channel_id: bytes, epoch: int, *, acknowledged: bool) -> None:
         """Add a replica at a host that the directory chooses. `acknowledged`: puts wait for it.
 
-        Raises Unavailable (NO_HOST) at once if there is no host.
+        Raises Unavailable (NO_HOST) immediately if there is no host.
         """
         request = pb.AddReplicaRequest(
             request_id=os.urandom(ID_BYTES),

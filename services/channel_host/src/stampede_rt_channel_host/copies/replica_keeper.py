@@ -139,7 +139,7 @@ class KeptReplicas(ABC):
         if age_s >= (self._missing_s if self._lacks else LIST_SECONDS) or not self._replication.is_known:
             listed = await self._list()
             if listed.owner_host_id != self._host_id or listed.epoch != self.epoch:
-                return  # the store learns of it from its next caller, or from its next registration
+                return  # the store learns of the new owner from its next caller, or from its next registration
             self._listed_s = now_s
             await self._make_complete(listed)
         for change in self._replication.changes():

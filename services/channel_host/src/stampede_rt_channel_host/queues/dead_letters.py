@@ -89,7 +89,7 @@ class DeadLetterMover:
 
     async def _move_all(self, hosted: HostedQueue) -> None:
         pause_s = _PAUSE_SECONDS_MIN
-        # pauses after each failure; ends when the queue has nothing to move, or is no longer of this host
+        # pauses after each failure; ends when the queue has nothing to move, or no longer belongs to this host
         while hosted.queue.has_dead_letters and self._may_move(hosted):
             try:
                 await self._attempt(hosted)

@@ -222,8 +222,8 @@ class HostedQueue(ReplicatedQueue):
         self.follow_up()
 
     def leave(self, taker: TakerState) -> None:
-        """Remove the stream of a taker, which has ended. Its sent messages stay leased. The queue takes the others
-        back.
+        """Remove the stream of a taker, which has ended. Its sent messages stay leased. The queue takes back the
+        messages that were not sent.
         """
         stream = self._streams.pop(taker)
         self._left.set()
@@ -247,7 +247,7 @@ class HostedQueue(ReplicatedQueue):
 
     def dead_letter_moved(self, seq: int) -> None:
         """Note that the dead-letter queue has acknowledged the message."""
-        if not self.is_held:  # if not, the next owner sends the message again, and the dead-letter queue recognises it
+        if not self.is_held:  # else the next owner sends the message again, and the dead-letter queue recognises it
             self.queue.dead_letter_moved(seq, self._now())
             self.follow_up()
 
@@ -289,7 +289,7 @@ class HostedQueue(ReplicatedQueue):
                 yield
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
-        """As `ending`, and then free the messages, because the host gives the queue up. Its memory counts no more."""
+        """As `ending`, and then free the messages, because the host gives the queue up. Its memory no longer counts."""
         self._is_forgotten = True
         if self._timer is not None:
             self._timer.cancel()

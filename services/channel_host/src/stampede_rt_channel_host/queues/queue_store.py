@@ -207,7 +207,7 @@ class QueueStore:
     def _ending(self, error: StampedeError) -> Pieces[None]:
         for ids in batched_keys(self._queues, QUEUES_PER_PIECE):
             for queue_id in ids:
-                if (hosted := self._queues.get(queue_id)) is not None:  # if None, it has left meanwhile
+                if (hosted := self._queues.get(queue_id)) is not None:  # if None, the queue has left meanwhile
                     yield from hosted.ending(error)
             yield
 

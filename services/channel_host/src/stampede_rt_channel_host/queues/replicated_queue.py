@@ -81,7 +81,7 @@ class ReplicatedQueue(ABC):
         return next_step
 
     def once_replicated(self, about: object, action: Callable[[], None]) -> None:
-        """Perform `action` as soon as the replicas have the present state; at once if the queue waits for no
+        """Perform `action` as soon as the replicas have the present state; immediately if the queue waits for no
         replicas.
         """
         if self.replication is None:

@@ -46,7 +46,9 @@ class ChunkCache:
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def forget(self, name: str, offset: int, size: int) -> None:
-        """Forget some bytes of an object, because they were damaged. The store may still have them undamaged."""
+        """Drop some bytes of an object from the cache, because they were damaged. The store may still have them
+        undamaged.
+        """
         for number in range(offset // CHUNK_BYTES, (offset + size) // CHUNK_BYTES + 1):
             self._drop((name, number))
 
@@ -80,8 +82,8 @@ class ChunkCache:
             former.unlink(missing_ok=True)
 
     def _add(self, place: Place, path: Path, size: int) -> list[Path]:
-        """Keep a chunk. Returns the files that leave the cache for it, one of the same chunk among them: another thread
-        may have fetched it meanwhile.
+        """Keep a chunk. Returns the files that leave the cache for this chunk. One of them may be of the same chunk,
+        because another thread may have fetched it meanwhile.
         """
         with self._lock:
             gone = [self._kept.pop(place)] if place in self._kept else []

@@ -86,7 +86,7 @@ class KnownObjects:
         self._path.unlink(missing_ok=True)
 
     def remove(self, names: Iterable[str]) -> None:
-        """The objects leave the archive. Raises OSError as `replace`."""
+        """Remove objects from the list, because they leave the archive. Raises OSError as `replace`."""
         self.add(dict.fromkeys(names, 0))
 
 

@@ -94,7 +94,7 @@ class ObjectArchive:
 
 
 async def _fails(listing: asyncio.Future[dict[int, StoredSegment]], seconds_max: float) -> bool:
-    """Whether a listing fails, or takes longer. Raises LaterOwner."""
+    """Whether a listing fails, or takes longer than `seconds_max`. Raises LaterOwner."""
     await asyncio.wait({listing}, timeout=seconds_max)
     failure = listing.exception() if listing.done() else None
     if isinstance(failure, LaterOwner):

@@ -320,7 +320,7 @@ class SegmentMover:
 
 
 def _nothing() -> None:
-    """The note of a stop is on the disk already."""
+    """Does nothing, because the note of a stop is on the disk already."""
 
 
 def _log_defect(task: asyncio.Task[None]) -> None:

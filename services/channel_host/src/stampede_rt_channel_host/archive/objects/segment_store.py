@@ -63,7 +63,7 @@ class SegmentStore(Protocol):
 
 
 def advice(url: str) -> str:
-    """The advice for an operator whose store, the one at this URL, refuses the host."""
+    """The advice for an operator if the store at this URL refuses the host."""
     variables = _VARIABLES.get(url.partition("://")[0])
     if variables is None:
         return "look at the folder, and at the rights of this user"

@@ -1,4 +1,4 @@
-"""The segments of one channel that are in an object store. Others are in its folder. Blocks."""
+"""The segments of one channel that are in an object store. Its other segments are in its folder. Blocks."""
 
 from __future__ import annotations
 

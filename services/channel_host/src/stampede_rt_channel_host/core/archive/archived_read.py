@@ -101,8 +101,8 @@ class ArchivedRead:
         self._next_time: int | None = None
         self._next_times: dict[ItemKey, int] = {}
         self._bytes = 0
-        self._holes: set[Hole] = set()  # those in the interval
-        self._doubts: set[Doubt] = set()  # those in the interval
+        self._holes: set[Hole] = set()  # the holes in the interval
+        self._doubts: set[Doubt] = set()  # the doubts in the interval
         self._more = self._is_done = False
         self._edge: int | None = None  # where the next window begins
         self._lowest: int | None = self._held.oldest  # downwards: the earliest time of the windows so far

@@ -47,7 +47,9 @@ class _Search:
     _by_size: dict[int, int] = field(default_factory=dict)  # by the place of a segment
 
     def find(self) -> Iterator[Doubt]:
-        """All doubts. Those in segments that are not near have wider bounds, because their blocks may be far away."""
+        """All doubts. The doubts in segments that are not near have wider bounds, because their blocks may be far
+        away.
+        """
         former: BlockHead | Segment | None = None
         for at, one in enumerate(self.segments):
             if not one.items:
@@ -82,7 +84,9 @@ class _Search:
         return accepted + self.limits.max_future_nanos
 
     def _end_after(self, at: int) -> int:
-        """The end of a doubt in this segment, or after it: the host accepted the items before those of the next one."""
+        """The end of a doubt in or after this segment: the host accepted its items before the items of the next
+        segment.
+        """
         following = next((one for one in self.segments[at + 1 :] if one.items), None)
         high = self.segments[at].high
         end = self.last if following is None else self._latest(following.last_accepted)
@@ -98,7 +102,9 @@ class _Search:
         return Doubt(min(start, end, former.high[0]), max(end, former.high[0]), lacks)
 
     def _least_by_age(self, at: int, accepted: int) -> int:
-        """The host accepts no item before the last bucket that ended `max_age` before."""
+        """The least time of a doubt: the host accepts no item before the last bucket that had ended `max_age`
+        earlier.
+        """
         if self.limits.max_age_nanos is None or self.limits.max_age_unconsumed_nanos is not None:
             return MIN_INSTANT
         bound = accepted - self.limits.max_age_nanos - self.limits.overlap_nanos
@@ -115,7 +121,9 @@ class _Search:
         return one.low[0] if found is None else found
 
     def _least_by_size(self, at: int) -> int:
-        """The host accepts no item before those that `max_items` or `max_bytes` have collected."""
+        """The least time of a doubt: the host accepts no item before the items collected by `max_items` or
+        `max_bytes`.
+        """
         limits, items, charge = self.limits, 0, 0
         low = self.segments[at].low
         least = MAX_INSTANT if low is None else low[0]
@@ -142,7 +150,7 @@ def doubts_in(
     as_of: int | None,
 ) -> list[Doubt]:
     """The doubts at the times at which a window looked. `taken`: the segments of which it took blocks. `as_of`: the
-    archive is that of this instant.
+    archive is as it was at this instant.
     """
     if limits is None or not segments:
         return []

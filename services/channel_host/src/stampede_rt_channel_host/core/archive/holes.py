@@ -145,7 +145,7 @@ def _readable(segments: Iterable[Segment], blocks_of: BlocksOf) -> Segment | Non
 
 
 def _losses(segments: Sequence[Segment], earlier: Segment | None, later: Segment, blocks_of: BlocksOf) -> Iterator[int]:
-    """The losses of hosts that `later` and the segments without items between the two tell."""
+    """The losses of hosts that `later`, and the segments without items between `earlier` and `later`, name."""
     first = 0 if earlier is None else bisect_right(segments, earlier.number, key=_number)
     for one in segments[first : bisect_right(segments, later.number, key=_number)]:
         lost_before = blocks_of(one).lost_before if one is later or not one.items else None

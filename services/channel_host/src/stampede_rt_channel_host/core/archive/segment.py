@@ -21,7 +21,7 @@ from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 ReadAt = Callable[[int, int], bytes]
 """Reads a file: takes an offset and a number of bytes. Returns the bytes, fewer at the end of the file."""
 
-_SEARCH_BYTES = 2**20  # read at once in the search for the next block after a damaged one
+_SEARCH_BYTES = 2**20  # bytes of one read in the search for the next block after a damaged one
 
 
 class PlacedBlock(NamedTuple):

@@ -43,7 +43,7 @@ class _Columns(NamedTuple):
 
 
 class SegmentBlocks(Sequence[PlacedBlock]):
-    """The blocks of a segment, or its first ones, in the order of the file. Immutable."""
+    """The blocks of a segment, or its first blocks, in the order of the file. Immutable."""
 
     __slots__ = (
         "_accepted", "_breaks", "_by_high", "_by_low", "_columns", "_high_times", "_least", "_low_times", "_reach",
@@ -104,7 +104,7 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         return self[places[at]] if -len(places) <= at < len(places) else None
 
     def breaks(self) -> Iterator[tuple[BlockHead, BlockHead]]:
-        """The neighbours among the blocks of items between whose seqs others are missing."""
+        """The pairs of neighbouring blocks of items between which seqs are missing."""
         for at in self._breaks:
             yield self._of(at).head, self._of(at + 1).head
 

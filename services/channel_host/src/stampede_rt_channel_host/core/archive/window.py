@@ -22,7 +22,7 @@ from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY,
 from stampede_rt_channel_host.core.channel.run import Run
 
 WINDOW_BYTES_MAX = 64 * 2**20
-"""The most bytes of blocks that a read loads at once, if there is more than one block."""
+"""The most bytes of blocks that a read loads in one step, if there is more than one block."""
 BlocksOf = Callable[[Segment], SegmentBlocks]
 """Returns the blocks of a segment. The shell keeps the blocks of the segments that reads used last."""
 
@@ -32,7 +32,7 @@ AT_HAND_BYTES, AT_HAND_BLOCKS = 2**19, 8
 
 
 class NotAtHand(Exception):
-    """The next window is too long to be read at once, or its blocks are not known yet."""
+    """The next window is too long to be read without a thread, or its blocks are not known yet."""
 
 
 class Wanted(NamedTuple):
@@ -41,7 +41,7 @@ class Wanted(NamedTuple):
     `overlap` is the overlap of the channel in nanoseconds. `from_time`: the read continues at this time, and wants no
     earlier item. `down`: the read wants the latest items first. `bytes_max`: about how many bytes one window may have.
     If a window needs more than `bytes_limit`, the read fails; this happens only with very many items of one time.
-    `at_hand`: the read fails with NotAtHand if the window is too long to be read at once.
+    `at_hand`: the read fails with NotAtHand if the window is too long to be read without a thread.
     """
 
     start: int

@@ -220,7 +220,7 @@ class BaseChannel:
         return Losses(self.lost_before, self._reading.lost_from, self._reading.former)
 
     def take_losses(self, losses: Losses) -> None:
-        """Take over the losses of the channel, of which these are items."""
+        """Take over the losses of the channel to which these items belong."""
         self.lost_before, self._reading.lost_from, self._reading.former = losses
         self._reading.note_loss(losses.before)
 

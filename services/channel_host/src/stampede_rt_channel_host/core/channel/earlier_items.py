@@ -1,4 +1,4 @@
-"""Notes for a channel's first consumers which items the channel had collected before it had consumers. Pure."""
+"""Tells a channel's first consumers which items the channel had collected before it had consumers. Pure."""
 
 from __future__ import annotations
 

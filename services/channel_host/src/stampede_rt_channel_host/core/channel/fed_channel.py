@@ -21,7 +21,7 @@ from stampede_rt_channel_host.core.dedup import RetryWindow
 
 
 class FedChannel(ChannelCore):
-    """A copy of a channel. It is read as any channel. Only its feed changes it: `apply` and `configure`.
+    """A copy of a channel. Readers use it as any channel. Only its feed changes it: `apply` and `configure`.
 
     The copy applies no limits itself. Its items leave when the feed says that they have left the source. The caller
     must not call `put`, `advance` and `consume`.

@@ -32,7 +32,7 @@ class Losses(NamedTuple):
     former: tuple[FormerIncarnation, ...] = ()
 
     def after(self, incarnation: int, next_seq: int, newest: int | None, now: int) -> Losses:
-        """The losses after another one at `now`: of the items of `incarnation` from the seq `next_seq` on.
+        """The losses after one more loss at `now`: of the items of `incarnation` from the seq `next_seq` on.
 
         `newest`: the time of the newest item that is there; None: the lost items may have any time.
         """

@@ -1,4 +1,4 @@
-"""Long work in pieces of about a millisecond each. Others run between two pieces (decision 0061). Pure."""
+"""Long work in pieces of about a millisecond each. Other work runs between two pieces (decision 0061). Pure."""
 
 from __future__ import annotations
 
