@@ -43,7 +43,7 @@ def sources(root: Path) -> list[Path]:
 
 
 def public_classes(source: str) -> list[str]:
-    """Return the names of the public classes of a module: those without a leading underscore."""
+    """Return the names of the public classes of a module: the classes without a leading underscore."""
     return [
         node.name for node in ast.parse(source).body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     ]

@@ -145,17 +145,17 @@ class HostExists(StampedeError):
 
 
 class Full(StampedeError):
-    """A channel or queue is full, and no room came in time: a ChannelFull or a QueueFull."""
+    """A channel or queue is full, and no room became free in time: a ChannelFull or a QueueFull."""
 
 
 class ChannelFull(Full):
-    """The channel is full and no room came in time, or all its consumer places are taken."""
+    """The channel is full and no room became free in time, or all its consumer places are taken."""
 
     reason = "CHANNEL_FULL"
 
 
 class QueueFull(Full):
-    """The queue or mailbox is full and no room came in time. Leased messages count, too."""
+    """The queue or mailbox is full and no room became free in time. Leased messages count, too."""
 
     reason = "QUEUE_FULL"
 

@@ -180,5 +180,5 @@ def _from_code(error: grpc.RpcError, peer: str) -> StampedeError:
     if code is grpc.StatusCode.CANCELLED:
         return Unavailable(f"the call to {peer} was cancelled: {details}")
     if code is grpc.StatusCode.RESOURCE_EXHAUSTED:
-        return error_for("OVERLOADED", f"{peer} refused the call: {details}; send less at once, or later")
+        return error_for("OVERLOADED", f"{peer} refused the call: {details}; send less at a time, or try later")
     return StampedeError(f"{peer} failed with {code.name}: {details}")

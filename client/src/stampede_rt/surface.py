@@ -253,8 +253,8 @@ def connect(
       file again when it has changed. On the cluster's own machine the client finds the secret by itself.
     - `zone`: the name of the caller's network or site. The client prefers supernodes of the same zone.
     - `tls`: the certificates, if the cluster asks for them.
-    - `transport`: how data goes between this program and the hosts. "best": over sockets where that is possible, else
-      over gRPC, and from memory shared with the host when a program reads a channel often. "grpc": always over gRPC.
+    - `transport`: how data goes between this program and the hosts. "best": over sockets where that is possible,
+      otherwise over gRPC, and from shared memory if a program reads a channel often. "grpc": always over gRPC.
       "socket": over Unix or TCP sockets, with an error where that is not possible. "tcp": as "socket", but only
       over TCP. "shared": over Unix sockets, and from shared memory from the first read on, with an error where a host
       shares none. Default: `$STAMPEDE_TRANSPORT`, or "best".

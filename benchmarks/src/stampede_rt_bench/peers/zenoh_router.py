@@ -25,7 +25,7 @@ class ZenohStorage:
         self._samples.append(sample)
 
     def answer(self, query: Any) -> None:
-        """Answer a get: with its parameter `newest` the newest item, else the oldest items, as many as `items` says."""
+        """Answer a get: with the parameter `newest` the newest item, otherwise the `items` oldest items."""
         items = int(query.parameters.get("items", "1"))
         held = len(self._samples)
         if query.parameters.get("newest") is not None:

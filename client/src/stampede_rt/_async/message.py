@@ -48,7 +48,7 @@ class Settler:
             nonlocal tries
             tries += 1
             if binding.incarnation != incarnation:
-                raise LeaseExpired("the queue's host was lost, with this and all other messages; go on taking")
+                raise LeaseExpired("the queue's host was lost, with this and all other messages; take the next message")
             result = (await self._settle_at(binding, (settlement,), timeout_s))[0]
             if result.HasField("error"):
                 error = from_error_message(result.error)

@@ -228,5 +228,5 @@ def check_idle(group: GroupInfo) -> None:
     if group.idle_after_nanos is not None:
         raise InvalidArgument(
             f"the past matches of group {group.name!r} are not known: idle_after left silent members out, and archives "
-            "do not tell when; match a group without idle_after"
+            "do not show when; match a group without idle_after"
         )

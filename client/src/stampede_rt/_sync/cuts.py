@@ -54,9 +54,9 @@ class CutSubscription(BoundToProcess):
 
     One host decides when an event is due. The other hosts then send their items up to the same cut. After the loss of a
     host, and after a change of the members, the subscription continues after the last event. Each step blocks until
-    the next event. A step raises GroupNotFound when the group is deleted, IncarnationLost if the group began anew
-    (because all its hosts restarted or were lost, together or one after another), and Unavailable if the client could
-    not reach the hosts for the duration `reconnect`.
+    the next event. A step raises GroupNotFound when the group is deleted, and Unavailable if the client could not reach
+    the hosts for the duration `reconnect`. It raises IncarnationLost if the group began anew, because all its hosts
+    restarted or were lost, together or one after another.
     """
 
     def __init__(

@@ -34,8 +34,9 @@ class MatchSubscription(BoundToProcess):
 
     The host sends ahead as much as the reader takes in a tenth of a second, and at most 2 MiB. After the loss of a host
     the subscription continues by itself. Each step blocks until the next match. A step raises GroupNotFound when the
-    group is deleted, IncarnationLost if the group began anew (because all its hosts restarted or were lost, together or
-    one after another), and Unavailable if the client could not reach the host of `per` for the duration `reconnect`.
+    group is deleted, and Unavailable if the client could not reach the host of `per` for the duration `reconnect`. It
+    raises IncarnationLost if the group began anew, because all its hosts restarted or were lost, together or one after
+    another.
 
     - `unmatched` counts items of `per` for which a member had no item within the tolerance.
     - `dropped` counts items that retention collected before the host could match them or before a slow reader took

@@ -56,8 +56,8 @@ class Moves(Proxies):
         """Move the queue of that name to another host, while it is in use. Its messages, leases and retries go with it.
 
         Returns when the new host serves the queue; blocks for `timeout` at most. Calls and streams of the queue wait
-        meanwhile, because the whole queue moves at once. Takers keep their leases, and settle at the new host. If the
-        queue is at that host already, the call returns immediately. Raises QueueNotFound, HostNotFound,
+        meanwhile, because the whole queue moves in one step. Takers keep their leases, and settle at the new host. If
+        the queue is at that host already, the call returns immediately. Raises QueueNotFound, HostNotFound,
         PermissionDenied without the right to configure the queue, Overloaded if 8 queues move from or to one host,
         Unavailable if the queue does not arrive within 5 s, and DeadlineExceeded (the move then continues).
         """

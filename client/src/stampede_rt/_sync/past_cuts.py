@@ -48,7 +48,7 @@ def _check(info: GroupInfo) -> None:
     if info.bound == "end":
         rule = 'bound="end" counts the ends of items that came together, but archives do not show which items those are'
     elif info.reference_id is None and info.idle_after_nanos is not None:
-        rule = "idle_after left silent members out, and archives do not tell when"
+        rule = "idle_after left silent members out, and archives do not show when"
     else:
         return
     raise InvalidArgument(

@@ -72,8 +72,8 @@ class Puts:
 
         `may_fill` False: as far as the handle knows, the channel drops its oldest items and is never full. On asyncio
         the put then uses a stream that all handles share, and asks for no wait, because a wait would block the others.
-        If the host says that the channel is full, another program has changed the policy. This put is then repeated
-        with its wait, and the handle uses streams of its own from then on.
+        If the host says that the channel is full, another program has changed the policy. The client then repeats this
+        put with its wait, and the handle uses streams of its own from then on.
         """
         if not (may_fill or self._has_been_full or PutExchange.one_at_a_time):
             try:

@@ -45,11 +45,11 @@ class Subscription(BoundToProcess):
     moment. In mode "all" it sends ahead as much as the reader takes in a tenth of a second, and at most 2 MiB.
 
     `skipped` counts items that mode "newest" left out. `dropped` counts items that retention collected before a slow
-    reader took them. `losses` counts the gaps of lost items: the channel's host was lost and its successor, a replica,
-    may have lacked the latest items, or the archive of the channel lacks items. The subscription continues, and logs a
-    warning. `close` ends the iteration. A step raises ChannelNotFound when the channel is deleted, Unavailable if the
-    client could not reach the host for the duration `reconnect`, and IncarnationLost if the channel's host was lost
-    with its items. After IncarnationLost subscribe again to read the new incarnation.
+    reader took them. `losses` counts the gaps of lost items: a replica took over after the loss of the host and may
+    have lacked the latest items, or the archive of the channel lacks items. After such a gap the subscription logs a
+    warning and continues. `close` ends the iteration. A step raises ChannelNotFound when the channel is deleted, and
+    Unavailable if the client could not reach the host for the duration `reconnect`. It raises IncarnationLost if the
+    channel's host was lost with its items. Subscribe again to read the new incarnation.
     """
 
     def __init__(

@@ -131,7 +131,7 @@ def _refused_calls(one: Observation) -> str:
         return ""
     return (
         f"it refused or ended calls as Overloaded, the last one {roughly(one.refused_call_ago_nanos)} ago, as its log "
-        "says: too many streams, reads or channels at once, or a reader that took nothing; close some of them, or "
+        "says: too many streams, reads or channels at a time, or a reader that took nothing; close some of them, or "
         "start another host"
     )
 

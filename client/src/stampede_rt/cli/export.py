@@ -46,7 +46,7 @@ def run_export(arguments: argparse.Namespace) -> int:
     """Export. The status is 3 if anything is missing."""
     form = arguments.format or Path(arguments.file).suffix.removeprefix(".")
     if form not in FORMATS:
-        raise InvalidArgument(f"{arguments.file} does not tell the format; give --format {', '.join(FORMATS)}")
+        raise InvalidArgument(f"the name {arguments.file} does not show the format; give --format {', '.join(FORMATS)}")
     folder = Path(arguments.file).absolute().parent
     made_in = folder if folder.is_dir() else None
     with file_of(arguments, arguments.sources, made_in, needs_items=form != "mcap") as (path, status):

@@ -58,7 +58,7 @@ def _check_field(name: str, spec: str, conversion: str | None) -> None:
 
 
 def item_printer(arguments: argparse.Namespace) -> Callable[..., str]:
-    """Return the function that returns an item as one line, from the item, its channel, and whether it is late."""
+    """Return the function that formats an item as one line, from the item, its channel, and whether it is late."""
     if arguments.format is not None:
         return lambda item, channel="", late=False: formatted(arguments.format, item, channel)
     if arguments.output == "table":

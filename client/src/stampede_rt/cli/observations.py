@@ -23,8 +23,8 @@ class Observation:
       `refused_call_ago_nanos` ago.
     - `busy_permille`: the share of a core that a host used by its last report to the directory, in thousandths; None if
       the directory knows none.
-    - `denials`: the number of calls that the part denied since its start, because of the caller's proof or role or by
-      the rules of access, the last one `denied_ago_nanos` ago.
+    - `denials`: the number of calls that the part denied since its start, the last one `denied_ago_nanos` ago. The
+      reason was the caller's proof or role, or a rule of access.
     - `quota_refusals`: the number of calls that the part refused since its start because their callers were beyond a
       quota, the last one `quota_refused_ago_nanos` ago.
     - `limits_caller`: whether rules of access limit the caller, so that listings may leave out things.

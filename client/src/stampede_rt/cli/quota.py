@@ -155,7 +155,7 @@ def run_use(arguments: argparse.Namespace) -> int:
         told = list(cluster.quota_uses(arguments.who))
     for part in told:
         if part.failure:
-            print(f"stampede: {escaped(part.part)} does not tell: {escaped(part.failure)}", file=sys.stderr)
+            print(f"stampede: {escaped(part.part)} did not answer: {escaped(part.failure)}", file=sys.stderr)
     if all(part.failure for part in told):
         raise StampedeError("no service of the cluster reported the usage of its quotas")
     rows = [

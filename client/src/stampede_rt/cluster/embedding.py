@@ -78,7 +78,7 @@ class RunHere(NamedTuple):
     """One item that a program of this process put, or, if `encoded` is set, a run that came over the wire.
 
     `duration` is -1 for none. `payload` is the object that was put. `next_time`: the time of the bucket after the run;
-    None: it is the next run, or the run has the newest bucket.
+    None: the next run begins that bucket, or the run has the newest bucket.
     """
 
     time: int = 0

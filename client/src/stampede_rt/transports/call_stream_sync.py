@@ -1,7 +1,7 @@
 """An open bidirectional stream on threads, with the names of `call_stream_async`.
 
 The calling thread itself sends a request and reads its responses, or a thread of the stream reads them. So this module
-has no counterpart of `Requests`, a task that sends, nor of `within` and `fail`, which wait for and end futures.
+needs no task that sends, and no futures: it has no counterparts of `Requests`, `within` and `fail`.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from stampede_rt.wire.stream_frames import FrameInRoom, FrameKind, FrameReader, 
 NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)  # a send after the end of the connection must not end the process
 Buffers = Sequence[bytes | memoryview]
 _NOW = getattr(socket, "MSG_DONTWAIT", 0) | NO_SIGNAL
-PARTS_MAX = 512  # of a request that is sent without joining its parts; the system takes 1024 at once
+PARTS_MAX = 512  # of a request that is sent without joining its parts; the system takes 1024 in one call
 SHORT_BYTES_MAX = 4096  # of a request whose copy takes less time than a second part of a system call
 PART_BYTES_MIN = 1024  # on average; to join shorter parts takes less time
 
@@ -219,7 +219,7 @@ class ReadLimit:
 
 
 class _Backlog:
-    """Sends, on a thread of its own, bytes that the system did not take at once.
+    """Sends, on a thread of its own, bytes that the system did not take immediately.
 
     The first such bytes start the thread.
     """

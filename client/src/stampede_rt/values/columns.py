@@ -21,7 +21,7 @@ class DecodedRun:
 
     `durations` has -1 for no duration; None: no item has one. `attributes` and `content_type` belong to all items.
     `payloads` has the payloads one after the other; None: the items have none, or all of them are made. `next_time` is
-    the time of the bucket after the run; None: it is the next run, or the run has the newest bucket.
+    the time of the bucket after the run; None: the next run begins that bucket, or the run has the newest bucket.
 
     If `payloads` is a view, make each payload immediately, because other data will overwrite the memory of the view.
     """

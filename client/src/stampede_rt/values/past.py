@@ -12,8 +12,8 @@ from stampede_rt.values.timeline import MIN_INSTANT
 class PastMark(NamedTuple):
     """How far a channel had come at an instant: the time of its newest item then, and its highest advance.
 
-    `reason`: why it may have come further than its archive shows; None: it had not. `next_change`: when its host next
-    accepted items or an advance; None: it has not done so yet.
+    `reason`: why the channel may have come further than its archive shows; None: the archive is complete.
+    `next_change`: when its host next accepted items or an advance; None: it has not done so yet.
     """
 
     name: str
@@ -32,7 +32,7 @@ class PastCut(NamedTuple):
     """A group's cut of an earlier instant.
 
     `cut` is MIN_INSTANT if the group showed nothing. `reason`: why the group may have shown more than the items before
-    `cut`; None: it had not. `next_change`: when the host of a counting member next accepted items or an advance.
+    `cut`; None: the cut is exact. `next_change`: when the host of a counting member next accepted items or an advance.
     """
 
     cut: int

@@ -1,4 +1,4 @@
-"""Runs of one item without labels (attributes and a content type). Protobuf would take longer for them. Pure."""
+"""Plain runs: of one item without attributes and content type. Protobuf would take longer for them. Pure."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SEQ_TAG = 7 << 3 | 1
 
 
 class PlainRun(NamedTuple):
-    """The columns of such a run. `time` or `duration` None: the run lacks the column. `length`: of the payload."""
+    """The columns of a plain run. `time` or `duration` None: the run lacks the column. `length`: of the payload."""
 
     time: int | None
     duration: int | None
@@ -26,7 +26,7 @@ class PlainRun(NamedTuple):
 
 
 def plain_run_parts(payload: bytes, time: int | None, duration: int | None) -> list[bytes]:
-    """Return the bytes of such a run in pieces.
+    """Return the bytes of a plain run in pieces.
 
     The last piece is the payload. Protobuf would make the same bytes. None leaves a column out.
     """
@@ -39,7 +39,7 @@ def plain_run_parts(payload: bytes, time: int | None, duration: int | None) -> l
 
 
 def read_plain_run(raw: bytes | memoryview, run_bytes: int | None = None) -> PlainRun | None:
-    """Return the columns of such a run if its fields come in the order of their numbers; None for all other bytes.
+    """Return the columns of a plain run if its fields come in the order of their numbers; None for all other bytes.
 
     `run_bytes`: the length of the run, if `raw` has only the bytes before its payload; None: `raw` is the run.
     """
@@ -57,7 +57,7 @@ def read_plain_run(raw: bytes | memoryview, run_bytes: int | None = None) -> Pla
 
 
 def read_sealed_run(sealed: bytes) -> tuple[int, PlainRun] | None:
-    """The seq and the columns of such a run with the fields of a host (`seal_run`). None for all other bytes."""
+    """The seq and the columns of a plain run with the fields of a host (`seal_run`). None for all other bytes."""
     end = len(sealed) - _SEQ.size
     if end < _COLUMN.size:
         return None

@@ -51,7 +51,10 @@ def has_views(room: bytearray) -> bool:
 
 
 class FrameReader:
-    """Cuts the bytes of a socket into frames. It keeps only the bytes of an unfinished frame, and one room."""
+    """Cuts the bytes of a socket into frames. It keeps only the bytes of an unfinished frame, and one room.
+
+    A room is the memory into which a socket writes the body of a long frame.
+    """
 
     __slots__ = ("_bytes_max", "_came_bytes", "_kept_bytes_max", "_kept_room", "_new_room", "_partial", "_wanted_bytes")
 

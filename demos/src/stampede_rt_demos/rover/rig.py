@@ -25,7 +25,7 @@ LOOK_SECONDS = 0.2
 
 
 def play(stage: Stage) -> dict[str, object]:
-    """Put each frame that is not lost when it is due. Then tell the consumers that no more will come."""
+    """Put each frame that is not lost when it is due. Then tell the consumers that no further frame will come."""
     video = clip()
     wide = [luma_thumbnail(frame, WIDE, HEIGHT) for frame in video.frames]
     speeds: list[int] = []

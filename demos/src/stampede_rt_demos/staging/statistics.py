@@ -1,4 +1,4 @@
-"""Counts the items that arrived and those that did not, with their latencies. Pure."""
+"""Counts the items that arrived, with their latencies, and the missing items. Pure."""
 
 from __future__ import annotations
 
