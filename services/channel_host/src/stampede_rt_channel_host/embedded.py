@@ -149,15 +149,15 @@ class EmbeddedHost:
         return opened
 
     def read_now(self, channel_id: bytes, epoch: int, query: ReadQuery) -> AnswerHere | None:
-        """Read by reference, at once. None: take `read`. Raises the errors of a get."""
+        """Read by reference, without a wait. None: take `read`. Raises the errors of a get."""
         return self._look(read_now, channel_id, epoch, query)
 
     def at_now(self, channel_id: bytes, epoch: int, time: int) -> AnswerHere | None:
-        """Read at an instant by reference, at once. None: take `read_now`. Raises the errors of a get."""
+        """Read at an instant by reference, without a wait. None: take `read_now`. Raises the errors of a get."""
         return self._look(at_now, channel_id, epoch, time)
 
     def newest_now(self, channel_id: bytes, epoch: int) -> AnswerHere | None:
-        """Read the newest item by reference, at once. None: take `read_now`."""
+        """Read the newest item by reference, without a wait. None: take `read_now`."""
         return self._look(newest_now, channel_id, epoch)
 
     def _look(self, look: Callable[..., Found | None], *arguments: Any) -> Found | None:

@@ -160,7 +160,7 @@ class Supervisor:
             self._ask_to_stop()
 
     def _ask_to_stop(self) -> None:
-        """Tell each process to stop. A second call tells them to end all calls at once."""
+        """Tell each process to stop. A second call tells them to end all calls immediately."""
         self._stopping.set()
         tell_systemd(STOPPING)
         for process in self._running.values():

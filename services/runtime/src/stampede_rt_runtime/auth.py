@@ -73,9 +73,9 @@ def load_client_secret(path: Path | None, secret: Secret | None) -> Secret | Non
 def make_secret_file(path: Path | None = None) -> Secret:
     """The secret in `path` (default: the user's file). Makes the file first if it does not exist.
 
-    The file appears whole, with mode 0600, or not at all. If several processes make the file at once, one succeeds, and
-    all return its secret. Raises PermissionDenied if the file is empty or may be read by others, OSError if it cannot
-    be written.
+    The file appears whole, with mode 0600, or not at all. If several processes make the file at the same time, one
+    succeeds, and all return its secret. Raises PermissionDenied if the file is empty or may be read by others, OSError
+    if it cannot be written.
     """
     secret_path = path or secret_file()
     if not secret_path.exists():

@@ -87,7 +87,7 @@ class AtOnceBudget:
         self._begins_anew = False
 
     def is_left(self) -> bool:
-        """Whether the next message may be answered at once. If not, the next turn of the loop has the whole budget."""
+        """Whether the next message may be answered now. If not, the next turn of the loop has the whole budget."""
         if self._used_nanos - (self._now() - self._ended_at) < AT_ONCE_NANOS:
             return True
         if not self._begins_anew:

@@ -202,7 +202,7 @@ def help_of(cls: type[S], *, service: str, argv: Sequence[str]) -> str | None:
     """The text if `argv` asks for the help or a sample of these settings; otherwise None.
 
     It is also None for wrong flags, which the service reports, and if `argv` begins with the name of a verb. A command
-    asks this before it loads its service, so that the help comes at once.
+    asks this before it loads its service, so that the help comes immediately.
     """
     if argv and not argv[0].startswith("-"):
         return None

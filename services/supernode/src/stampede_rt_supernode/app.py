@@ -100,7 +100,7 @@ async def serve(settings: SupernodeSettings) -> None:
             serving_metrics(settings.metrics_address(), "supernode", server, metrics.collect),
             background(server, *work),
         ):
-            # Printed after `run` has begun to handle stop signals, because its reader may send one at once.
+            # Printed after `run` has begun to handle stop signals, because its reader may send one immediately.
             ready = f"stampede supernode {parts.members.self_id} ready on {address}"
             asyncio.get_running_loop().call_soon(announce, ready)
             await server.run(parts.end_streams)

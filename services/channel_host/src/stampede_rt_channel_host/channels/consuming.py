@@ -19,8 +19,8 @@ def consuming(store: ChannelStore, request: pb.ConsumeRequest, owner: str = "") 
     An invalid request consumes nothing. `owner`: the name of the caller; empty if the number of its consumer places has
     no limit. Raises InvalidArgument, StaleBinding if the host does not serve the channel, ChannelFull if all consumer
     places are taken, and IncarnationLost if the seqs belong to another incarnation. Raises Overloaded if the caller has
-    too many places, or if the memory for seqs that are consumed out of order is used up. In the latter case the first
-    pieces may have consumed some of the items.
+    too many places, or if the memory for seqs that are consumed out of order is used up. If the memory is used up, the
+    first pieces may have consumed some of the items.
     """
     hosted, lease_nanos, seqs, items = _find(store, request), _lease_nanos(request), sorted(request.seqs), 0
     yield from hosted.core.catching_up(store.now())

@@ -137,8 +137,8 @@ class _Shared:
 class SharedDeliveries:
     """The latest deliveries of a host's subscriptions. All readers that are to get the same items get the same bytes.
 
-    Forgets a delivery when all readers of the channel have taken it. Forgets the oldest ones beyond SHARED_BYTES_MAX,
-    but never the newest one.
+    Forgets a delivery when all readers of the channel have taken it. Forgets the oldest deliveries beyond
+    SHARED_BYTES_MAX, but never the newest one.
     """
 
     def __init__(self, bytes_max: int = SHARED_BYTES_MAX) -> None:

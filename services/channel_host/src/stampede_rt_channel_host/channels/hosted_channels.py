@@ -299,7 +299,7 @@ class HostedChannel:
 
     @property
     def is_fallback(self) -> bool:
-        """Whether another host owns the channel, and this host keeps the items in case that host is lost at once."""
+        """Whether another host owns the channel, and this host keeps the items in case that host is lost soon."""
         return self.moving is not None and self.moving.elsewhere is not None
 
     def close_ring(self) -> None:

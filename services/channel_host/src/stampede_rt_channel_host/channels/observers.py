@@ -60,7 +60,7 @@ class ChangeObserver:
 class Backlog(Generic[Thing]):
     """A list of things to look at, in pieces. The first piece runs in `add`, unless earlier things still wait.
 
-    A thing that waits keeps its place if it is added again, and is looked at once. `look` may add and drop things.
+    A thing that waits keeps its place if it is added again, and is looked at only once. `look` may add and drop things.
     `begin` does long work for which no caller waits (`PieceScheduler.begin`).
     """
 

@@ -163,7 +163,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
     def close(self) -> None:
         """Note that the host will never serve the channel or queue again.
 
-        After `end` each wait ends at once. Idempotent.
+        After `end` each wait ends immediately. Idempotent.
         """
         self._is_last_period = True
 
@@ -175,7 +175,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
         self._watchers[look] = None
 
     def unwatch(self, look: Callable[[bool], None]) -> None:
-        """Call `look` no more. Idempotent."""
+        """Stop the calls of `look`. Idempotent."""
         self._watchers.pop(look, None)
 
     def wake_waits(self) -> None:

@@ -102,7 +102,7 @@ async def _newest(archive: HostArchive, files: SegmentFiles, segments: tuple[Seg
 
 def _lacks_loss(lost_before: int | None, found: OpenedArchive) -> TypeGuard[int]:
     """Whether the archive does not tell yet that items before `lost_before` were lost. A former owner that stopped
-    cleanly has told it with its first items.
+    cleanly has written it with its first items.
     """
     if lost_before is None:
         return False
@@ -130,7 +130,7 @@ class Recording:
         """`from_memory`: also write the items that the channel holds already, if the archive lacks them."""
         self.is_stopped = False
         self.is_settled: Callable[[], bool] = lambda: True
-        """Whether readers see all items that the channel has accepted: no further ones will come to the archive."""
+        """Whether readers see all items that the channel has accepted: no further items will come to the archive."""
         self._archive = archive
         self._channel = channel
         self._on_archived = on_archived
@@ -180,7 +180,7 @@ class Recording:
             self.recorder.check_room()
 
     def hurry(self) -> None:
-        """Write at once, because a put waits for stable storage."""
+        """Write immediately, because a put waits for stable storage."""
         self._archive.hurry()
 
     def stop(self) -> None:

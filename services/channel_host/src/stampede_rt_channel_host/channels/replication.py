@@ -30,7 +30,7 @@ class Kind(Enum):
     """How a channel has replicas."""
 
     NONE = "none"
-    LAGGING = "lagging"  # puts do not wait for them, and readers see items at once
+    LAGGING = "lagging"  # puts do not wait for them, and readers see items immediately
     WAITED_FOR = "waited for"
 
 

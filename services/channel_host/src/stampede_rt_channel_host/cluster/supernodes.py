@@ -42,7 +42,7 @@ class _Call(NamedTuple):
     """A call that the host may repeat at several supernodes. `service` makes the stub that has the method.
 
     `since_s`: when the host made this call, or the first call with the same request id, by `age_clock_s`.
-    `final_reason`: an error with this reason ends the call, although it may pass.
+    `final_reason`: an error with this reason ends the call, although a later try may succeed.
     """
 
     method: str

@@ -14,7 +14,7 @@ from contextlib import asynccontextmanager, nullcontext
 MOVES_AT_ONCE = 28  # a host may have 32 moves under way; callers may use the other 4
 MOVES_PER_DESTINATION = 24
 MOVES_AT_FIRST = 2  # the limit for a destination that has not taken over anything yet, because it may be frozen
-QUEUES_AT_ONCE = 6  # a host may move 8 queues at once; calls of a queue wait while the host copies the queue
+QUEUES_AT_ONCE = 6  # a host may move 8 queues at the same time; calls of a queue wait while the host copies the queue
 
 
 class DrainRoom:

@@ -315,7 +315,7 @@ class FeedStream:
             )
 
     def _send_now(self, hosted: HostedChannel, feed: ChannelFeed) -> bool:
-        """Send the next part if the copy has all earlier ones, and the transport takes it at once."""
+        """Send the next part if the copy has all earlier ones, and the transport takes it immediately."""
         write = None
         if self._held_next_seq >= feed.next_seq and self._credit.left > 0 and not self._work.must_wait:
             write = write_now(self._context)

@@ -37,7 +37,7 @@ CALL_SECONDS_MAX = 4.0
 class Kept(Enum):
     """The part that the directory still has of a channel at its former owner.
 
-    FALLBACK: the former owner is the owner again, or will be if the present owner is lost now. REPLICA: the former
+    FALLBACK: the former owner is the owner again, or will be if the present owner is lost soon. REPLICA: the former
     owner is a replica, because the new owner's replica became the owner.
     """
 

@@ -6,8 +6,8 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 BUSY_STEP_PERMILLE = 100
-"""Hosts whose loads differ by less count as equally busy. Of these, the host with the fewest channels gets the next
-ones.
+"""Hosts whose loads differ by less than this count as equally busy. Of these, the host with the fewest channels gets
+the next ones.
 """
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class TokenBucket:
-    """Lets `rate` bytes a second through, and at most `burst` at once."""
+    """Lets `rate` bytes a second through, and at most `burst` in one step."""
 
     def __init__(self, rate: float, burst: float, now_s: float) -> None:
         self._rate, self._burst = rate, burst

@@ -1,6 +1,7 @@
 """Groups as a copy of one of their members shows them (paper, section 4.1: proxies).
 
-A host with a copy computes no cut. The feed of the copy tells the cut at the owner, together with the items before it.
+A host with a copy computes no cut. The feed of the copy brings the cut at the owner, together with the items before
+this cut.
 """
 
 from __future__ import annotations

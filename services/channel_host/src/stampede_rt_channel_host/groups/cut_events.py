@@ -266,7 +266,7 @@ class CutEvents:
             await self._writer.turn()
             step = follower.take(self._groups.channels.now(), MESSAGE_BYTES_MAX)
             if not step.is_last and not step.late and not step.slices:
-                await asyncio.sleep(0)  # there is much to look at: let others run first
+                await asyncio.sleep(0)  # there is much to look at: let other tasks run first
                 continue
             about = pb.CutPart(channel_id=followed.hosted.record.channel_id)
             if step.loss is not None:

@@ -39,7 +39,9 @@ from stampede_rt_runtime.rpc import Context
 
 MATCHES_PER_MESSAGE_MAX = 64
 LOOKS_PER_TURN_MAX = 64
-"""This number of looks for a member's nearest item takes one or two milliseconds. Then the stream lets others run."""
+"""This number of looks for a member's nearest item takes one or two milliseconds. Then the stream lets other tasks
+run.
+"""
 
 
 class MatchStream:
@@ -125,7 +127,7 @@ class MatchStream:
                 matcher.set_tracks(self._tracks_of(group, member, matcher.earliest, unique=request.unique))
             found = await self._take(matcher, group, request)
             if matcher.has_more and not found:
-                await asyncio.sleep(0)  # there is much to look at: let others run first
+                await asyncio.sleep(0)  # there is much to look at: let other tasks run first
                 continue
             holds = counted is not None or all(remote.is_followed for remote, _ in self._remote.values())
             news = bool(found) or (holds and counted != (matcher.unmatched, matcher.dropped))

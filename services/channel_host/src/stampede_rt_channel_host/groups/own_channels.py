@@ -12,7 +12,7 @@ from stampede_rt_channel_host.core.group import OwnTimes, TimesBoard
 class OwnChannel:
     """Follows one channel as a `ChannelObserver`, and enters its times on the board.
 
-    Calls `on_change` after every change of the channel, and `on_end` once, when the host serves the channel no more.
+    Calls `on_change` after every change of the channel, and `on_end` once, when the host no longer serves the channel.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class OwnChannel:
         self._on_change(self.channel_id)
 
     def end(self, error: StampedeError) -> None:
-        """Stop, because the host serves the channel no more."""
+        """Stop, because the host no longer serves the channel."""
         self.stop_following()
         self._on_end(self.channel_id)
 

@@ -28,7 +28,7 @@ async def load(channels: ChannelStore, hosted: HostedChannel, missing: NotLoaded
 
 
 async def filled(channels: ChannelStore, near: Mapping[bytes, HostedChannel], found: FoundMatch) -> FoundMatch:
-    """The match with its archived items. An item that has left the archive stays away.
+    """The match with its archived items. If an item has left the archive, its `Nearest` in the match has no `item`.
 
     Raises Unavailable if an archive cannot be read.
     """

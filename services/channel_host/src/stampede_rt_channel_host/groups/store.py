@@ -315,7 +315,7 @@ class GroupStore:
         self._changed_groups.add(self._table.concerned_by(channel_id))
 
     def _ended(self, channel_id: bytes) -> None:
-        """Stop following a channel that this host serves no more. The next round of `keep` looks up its groups."""
+        """Stop following a channel that this host no longer serves. The next round of `keep` looks up its groups."""
         self._table.own.pop(channel_id, None)
         self._note_new_generation(channel_id)
         for group in self._table.groups_of(channel_id):

@@ -26,7 +26,7 @@ class Waiter(ChangeObserver):
         self._news.set()
 
     async def wait(self, timeout_s: float | None) -> bool:
-        """Wait until `wake` is called. Returns True, at once if `wake` was called since the last wait.
+        """Wait until `wake` is called. Returns True, immediately if `wake` was called since the last wait.
 
         Returns False after `timeout_s`; None: no limit. Raises the error that `end` got.
         """

@@ -14,7 +14,7 @@ from stampede_rt_runtime.quotas.loop_shares import LoopShare, LoopShares
 
 RECENT_MAX = 1024
 BURST_SECONDS = 10
-"""A caller may make the changes of this many seconds at once."""
+"""A caller may make the changes of this many seconds in one burst."""
 
 _BY_NAME = {str(quota): quota for quota in Quota}
 _TEXTS: Mapping[Quota, tuple[str, str]] = {

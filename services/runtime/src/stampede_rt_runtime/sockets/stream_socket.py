@@ -155,7 +155,7 @@ class StreamSocket(asyncio.BufferedProtocol):
     def eof_received(self) -> bool:
         """Close the connection, because the peer has gone. Connections whose peers have gone earlier close first."""
         self._hangups.gone(self._transport.close)
-        return True  # asyncio must not close it at once: thousands may end in one turn of the loop
+        return True  # asyncio must not close it now: thousands may end in one turn of the loop
 
     def connection_lost(self, error: Exception | None) -> None:
         """Note that the peer has gone, or that the connection was closed here."""
@@ -253,7 +253,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._deadline = self._loop.call_later(LINGER_SECONDS, self._transport.abort)
 
     def abort(self) -> None:
-        """Close the connection at once."""
+        """Close the connection immediately."""
         if self._transport is not None:
             self._transport.abort()
 

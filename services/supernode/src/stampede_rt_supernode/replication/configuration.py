@@ -2,7 +2,7 @@
 
 One member is added or removed at a time. Then any majority before the change and any majority after it share a member.
 So two leaders of one term cannot both have a majority (Ongaro's dissertation, section 4.1). A configuration takes
-effect when it is added to the log, before it is committed. PySyncObj's own guard against two changes at once never
+effect when it is added to the log, before it is committed. PySyncObj's own guard against two simultaneous changes never
 takes effect.
 """
 

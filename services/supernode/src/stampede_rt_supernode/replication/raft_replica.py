@@ -197,7 +197,7 @@ class RaftReplica:
     def step(self) -> bool:
         """Take in the arrivals, advance, and release everything that is now on stable storage. Blocks only on the disk.
 
-        Returns True if another step is due at once. After any exception the caller must stop the replica.
+        Returns True if another step is due immediately. After any exception the caller must stop the replica.
         """
         self._receive_events()
         self._log.sync()

@@ -14,7 +14,7 @@ PAUSE_SECONDS = 1.0
 
 
 class GuardedStore:
-    """Passes calls on to a store. While the store fails, one call at a time tries it, and the others fail at once.
+    """Passes calls on to a store. While the store fails, one call at a time tries it, and the others fail immediately.
 
     So a store that does not answer blocks one thread of the archive, and not all of them. A refused call is not a
     failure of the store: a store may refuse to delete objects, and still serve reads. Any thread may use this object.

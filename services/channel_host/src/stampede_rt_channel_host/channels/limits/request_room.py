@@ -40,7 +40,7 @@ class RequestRooms:
 class _Line:
     """The requests of one caller: `used_bytes` of those that have room, and those that wait, by number, in order.
 
-    `is_listed`: the room looks at this line when there is room. Otherwise the caller has used up its part.
+    `is_listed`: `RequestRoom` looks at this line when there is room. Otherwise the caller has used up its part.
     """
 
     def __init__(self) -> None:

@@ -76,7 +76,7 @@ class ChannelMulticast:
         self._news.set()
 
     def end(self, error: StampedeError) -> None:
-        """See `ChannelObserver`. Readers hear that there is news on their streams."""
+        """See `ChannelObserver`. A datagram tells readers that their streams have news."""
         self.has_ended = True
         self._news.set()
 

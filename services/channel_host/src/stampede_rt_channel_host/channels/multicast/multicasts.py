@@ -1,4 +1,4 @@
-"""The channels that a host multicasts: those that at least one reader wants so."""
+"""The channels that a host multicasts: at least one reader of each wants multicast."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Multicasts:
                 found[1].cancel()
 
     def close(self) -> None:
-        """End all of them, and close the socket."""
+        """End all multicasts, and close the socket."""
         for task in (*self._ending, *(task for _, task in self._channels.values())):
             task.cancel()
         self._channels.clear()
@@ -77,6 +77,6 @@ class Multicasts:
 
 
 def _tell(task: asyncio.Task[None]) -> None:
-    """Log a defect. The readers hear nothing more, and continue without datagrams."""
+    """Log a defect. The readers get no more datagrams, and continue without them."""
     if not task.cancelled() and (failure := task.exception()) is not None:
         logger.error("the multicast of a channel has failed", exc_info=failure, extra={"event": "multicast_failed"})

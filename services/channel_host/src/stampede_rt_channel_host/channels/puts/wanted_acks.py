@@ -1,4 +1,4 @@
-"""The condition under which a put is acknowledged: at once, on stable storage, or at replicas (`Ack`)."""
+"""The condition under which a put is acknowledged: immediately, on stable storage, or at replicas (`Ack`)."""
 
 from __future__ import annotations
 

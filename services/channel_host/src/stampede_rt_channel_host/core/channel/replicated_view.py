@@ -1,8 +1,8 @@
 """The part of a channel that readers see, if its items must be replicated first. Pure.
 
-The owner accepts items into the channel at once. Readers read a copy of the channel in the same process. It is fed like
-a copy at another host, but gets each part only after all items of the part are replicated. A part is taken right after
-each change of the channel. So the copy goes through the same states as the channel, a little later.
+The owner accepts items into the channel immediately. Readers read a copy of the channel in the same process. This copy
+is fed like a copy at another host, but gets each part only after all items of the part are replicated. A part is taken
+right after each change of the channel. So the copy goes through the same states as the channel, a little later.
 """
 
 from __future__ import annotations

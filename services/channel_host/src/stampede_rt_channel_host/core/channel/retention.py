@@ -44,7 +44,7 @@ class Retention:
         # A key, and `PlaceTable.arrivals` when the key was noted. All consumers with a place at that moment have
         # consumed the items of the key's bucket that lie below the key.
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
-        self._earlier: EarlierItems | None = None  # None: all are noted, or there are no consumers
+        self._earlier: EarlierItems | None = None  # None: all earlier items are noted, or there are no consumers
         self.consumers: Consumers | None = None
         self.unarchived: ArchiveBacklog | None = None  # set for a recorded channel: only max_bytes collects these items
         self.set_limits(limits)
@@ -211,7 +211,7 @@ class Retention:
     def next_due(self) -> int | None:
         """The instant at which the passing of time next makes an item too old or ends a consumer's lease, or None.
 
-        An earlier instant if consumption waits for long reads.
+        Returns an earlier instant if consumption waits for long reads.
         """
         held, age = self._held, self._age_of_oldest()
         following = None if held.oldest is None else held.next_time(held.oldest)
@@ -329,8 +329,8 @@ class Retention:
         """The instant at which the passing of time next makes room for an item at `time`.
 
         `own_end` is the item's time plus its duration, or None. Returns the instant of the next collection with the
-        item or without it, whichever is earlier. The latter may be earlier if the item would belong to the oldest
-        bucket. Returns None if only another put or a consumption makes room.
+        item or without it, whichever is earlier. The collection without the item may be earlier if the item would
+        belong to the oldest bucket. Returns None if only another put or a consumption makes room.
         """
         instants = (self._due_as_if_put(time, own_end), self.next_due())
         return min((one for one in instants if one is not None), default=None)

@@ -200,7 +200,8 @@ class GroupCut:
     def _still_holds(self, now: int) -> bool:
         """Whether the member that held the cut back at the last look still holds it back.
 
-        Most changes concern other members. While it holds the cut back, nobody must look at all members.
+        Most changes concern other members. While this member holds the cut back, a look at all members is not
+        necessary.
         """
         known = self._board.find(self._holder)
         if self._is_idle(known, now):

@@ -74,8 +74,8 @@ class EventDecider:
         So the wait of a cut becomes longer by at most one such part.
         """
         waited = max(self._max_wait_nanos, now - self._pending[0][1])
-        stretch = waited // (PENDING_MAX // 2) + 1
-        self._pending = deque({reached // stretch: (cut, reached) for cut, reached in self._pending}.values())
+        part_nanos = waited // (PENDING_MAX // 2) + 1
+        self._pending = deque({reached // part_nanos: (cut, reached) for cut, reached in self._pending}.values())
 
     def due(self, members: Iterable[CutMember], now: int) -> Boundary | None:
         """The due event, or None. An event does not wait for idle members."""

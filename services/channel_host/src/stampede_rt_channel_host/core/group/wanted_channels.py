@@ -10,8 +10,8 @@ class WantedChannels:
     """The channels that groups need of another host. `asked` are at most `limit` of them.
 
     A channel counts for one of the callers that made its groups. If there are more channels than `limit`, a channel of
-    a maker with few channels replaces the newest channel of the maker with the most. So the groups of one caller do not
-    leave out the groups of other callers. No step depends on the number of channels, groups or makers.
+    a maker with few channels replaces the newest channel of the maker with the most channels. So the groups of one
+    caller do not leave out the groups of other callers. No step depends on the number of channels, groups or makers.
     """
 
     def __init__(self, limit: int) -> None:

@@ -237,7 +237,7 @@ class QueueCore:
             self._due_work.follow_up(clock)
 
     def postpone_dead_letter(self, seq: int) -> None:
-        """Put a message to the end of those that wait for their move, because its move failed."""
+        """Put a message behind the others that wait for their move, because its move failed."""
         if seq in self._queue_items.leaving:
             self._queue_items.leaving.move_to_end(seq)
 

@@ -40,7 +40,7 @@ class _NoPoller:
     """Replaces the library's socket poller. Our transport has no sockets on the tick thread."""
 
     def poll(self, timeout: float) -> None:
-        """Return at once."""
+        """Return immediately."""
 
 
 def check_pin(*, found_version: str, source: bytes) -> None:

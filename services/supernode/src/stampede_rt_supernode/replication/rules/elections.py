@@ -108,7 +108,7 @@ class RaftRules(Following, Leading):
     def _on_command_answer(self, node: MemberNode, message: ForwardedCommandReply) -> None:
         """Take in the leader's answer to a forwarded command. The caller then waits for the command's commit.
 
-        If too many callers wait for commits already, this caller gets an unknown outcome at once.
+        If too many callers wait for commits already, this caller gets an unknown outcome immediately.
         """
         if node != self.leader:
             return

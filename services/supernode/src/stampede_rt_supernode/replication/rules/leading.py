@@ -49,8 +49,8 @@ class Leading(Membership):
     def send_append_entries(self) -> None:
         """Send every connected member the entries that it lacks, or a heartbeat.
 
-        The library sends a whole log or snapshot at once. While a snapshot has no piece to send, the library loops for
-        the time of a heartbeat. This rule sends a limited number of entries and pieces, and the next heartbeat
+        The library sends a whole log or snapshot in one step. While a snapshot has no piece to send, the library loops
+        for the time of a heartbeat. This rule sends a limited number of entries and pieces, and the next heartbeat
         continues.
         """
         self.put_off_heartbeat()

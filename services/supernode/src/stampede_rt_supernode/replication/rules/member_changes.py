@@ -2,8 +2,9 @@
 
 An addition has three steps. The leader sends the newcomer the log until a round of catching up has taken less than the
 shortest election timeout. Then the leader puts a configuration with the newcomer into the log. That configuration takes
-effect at once. The addition is done when the configuration is committed (Ongaro's dissertation, section 4.2). A removal
-needs no first step. A leader does not remove itself: it hands over, and the caller asks its successor for the removal.
+effect immediately. The addition is done when the configuration is committed (Ongaro's dissertation, section 4.2). A
+removal needs no first step. A leader does not remove itself: it hands over, and the caller asks its successor for the
+removal.
 """
 
 from __future__ import annotations

@@ -165,7 +165,9 @@ class Membership(NodeState):
             self.match_index[node] = 0
 
     def append_configuration(self, configuration: Configuration) -> int:
-        """Put a configuration into the log. It takes effect at once. Returns its log position. Only for a leader."""
+        """Put a configuration into the log. It takes effect immediately. Returns its log position. Only for a
+        leader.
+        """
         log_index = self.log.last_index + 1
         self.log.append(encode_configuration(configuration), log_index, self.term)
         self.follow_log()

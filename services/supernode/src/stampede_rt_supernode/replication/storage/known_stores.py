@@ -45,7 +45,7 @@ class KnownStores:
         self.refused = refused
         self._known = dict(known or {})
         self._path = path
-        self._mutex = threading.Lock()  # two members may come at once, and the file must hold both
+        self._mutex = threading.Lock()  # two members may come together, and the file must hold both
 
     @classmethod
     def open(cls, data_dir: Path | None, *, had_store: bool) -> KnownStores:

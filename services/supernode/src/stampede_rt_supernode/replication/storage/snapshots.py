@@ -53,7 +53,8 @@ class SnapshotKeeper:
         self._has_room = has_room
         self._chunk_bytes = chunk_bytes
         self._chunks_per_step = chunks_per_step
-        # The pieces that this step may still send, for all members together. The library would send all at once.
+        # The pieces that this step may still send, for all members together. The library would send all of them in one
+        # step.
         self._chunks_left = chunks_per_step
         self._run_in_background = run_in_background
         # The snapshot that is being taken; None if there is none.

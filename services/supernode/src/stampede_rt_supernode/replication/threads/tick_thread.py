@@ -33,7 +33,7 @@ LOOK_SECONDS = 0.5
 
 
 def end_process(error: BaseException) -> NoReturn:
-    """Log the reason and end the process at once: a replica that failed half-way must not answer any caller."""
+    """Log the reason and end the process immediately: a replica that failed half-way must not answer any caller."""
     code = EXIT_CODE
     if isinstance(error, ReleaseTooOld):
         why, code = str(error), EXIT_TOO_OLD
@@ -55,7 +55,7 @@ class Ticked(Protocol):
     """The object that the thread drives: a replica of the log."""
 
     def step(self) -> bool:
-        """Do everything that is due. Returns True if another step is due at once. An exception ends the thread."""
+        """Do everything that is due. Returns True if another step is due immediately. An exception ends the thread."""
 
     def pause_seconds(self) -> float:
         """Return the longest time until the next step, if nothing wakes the thread."""
@@ -102,7 +102,7 @@ class TickThread:
     def _run(self, replica: Ticked) -> None:
         try:
             while not self._stopping:
-                # cleared before the step, so that an arrival during the step causes the next one at once
+                # cleared before the step, so that an arrival during the step causes the next one immediately
                 self._work.clear()
                 self._step_began = time.monotonic()
                 again = replica.step()

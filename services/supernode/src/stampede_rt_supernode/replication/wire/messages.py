@@ -106,7 +106,7 @@ class VoteReply:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TimeoutNow:
-    """The leader of `term` asks a member to stand for election at once."""
+    """The leader of `term` asks a member to stand for election immediately."""
 
     term: int
 
