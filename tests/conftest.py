@@ -80,7 +80,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadFileScheduling | None:
-    """With `--dist loadfile`, give the files of a share to one worker."""
+    """With `--dist loadfile`, give all files of a share to the same worker."""
     return SharesScheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
 

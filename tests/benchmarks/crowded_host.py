@@ -2,9 +2,8 @@
 
     python -m tests.benchmarks.crowded_host [--runs 5]
 
-The other calls are gets that are blocked on the channel and that the put cannot release. The other channels are idle,
-or the channel has many consumers. The benchmark calls the host's channels directly, as the host's streams call them,
-without gRPC.
+The rows differ in the things beside the put: blocked gets that the put cannot release, idle channels, or consumers of
+the channel. The benchmark calls the host's channels directly, as the host's streams call them, without gRPC.
 
 The last row is about a cluster of processes: the time in which a client opens a new channel and puts its first item, if
 many channels are open already.

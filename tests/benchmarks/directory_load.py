@@ -38,7 +38,7 @@ CALL_SECONDS = 20.0
 MISSED_ENTRIES = 12_000  # more than two snapshots apart
 START_SECONDS_MAX = 180.0
 FAN_OUT_SECONDS_MAX = 120.0
-# Each stub has its own connection, as in a process of its own. By default gRPC shares one connection.
+# Each client has its own connection, as if it were a separate process. By default the clients would share one.
 OWN_CONNECTION = (("grpc.use_local_subchannel_pool", 1),)
 
 Stub = Any

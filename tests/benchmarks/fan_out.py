@@ -48,7 +48,8 @@ Age = tuple[int, int]  # the time of a put, and its age when a reader had it, in
 class Part:
     """One part of a round.
 
-    The puts from `began` to `ended`, the host's CPU for each reader and put, and the most memory that the host grew by.
+    The puts from `began` to `ended`, the host's CPU for each reader and put, and the greatest growth of the host's
+    memory.
     """
 
     began: int

@@ -1,7 +1,7 @@
 """Puts per second on many channels of a machine whose hosts are one process, or several: `stampede host --processes`.
 
 Two producer processes put items of 64 B, each on several channels with a thread for each, and wait for each ack. The
-cases take turns, so that other work on the machine meets all of them. Clients and hosts share the cores.
+cases take turns, so that other work on the machine affects all of them. Clients and hosts share the cores.
 """
 
 from __future__ import annotations

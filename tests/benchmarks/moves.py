@@ -1,4 +1,4 @@
-"""Moves of a channel and a queue in a row under load: what producers and readers notice.
+"""Many moves of a channel and a queue under load, and their effects on producers and readers.
 
 `python -m tests.benchmarks.moves`, or `make bench-moves`. The load: a producer of 30 frames of 18 KB a second, with
 subscriptions, gets that wait for the next frame, and a stream of cut events of a group with another channel; a queue

@@ -31,7 +31,7 @@ COLUMNS = ("hosts", "pairs", "items/s", "CPU us/item, alone", "a group adds", "m
 
 
 class FedHosts:
-    """The hosts, named h1, h2, ..., which all get the same commands at once."""
+    """The hosts, named h1, h2, ..., which all get the same commands at the same time."""
 
     def __init__(self, processes: Sequence[subprocess.Popen[str]]) -> None:
         self._processes = processes

@@ -1,4 +1,6 @@
-"""Groups and cross-sections on real hosts, with both clients. Every process finds a group that another one makes."""
+"""Groups and cross-sections on real hosts, with both clients. Every process finds a group that another process
+makes.
+"""
 
 from __future__ import annotations
 

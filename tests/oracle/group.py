@@ -78,7 +78,7 @@ class OracleHeard:
 
 
 def all_in_all(told: list[Told]) -> Told:
-    """The times of a channel from everything that was told of its present incarnation.
+    """The times of a channel from all reports about its present incarnation.
 
     Items of earlier incarnations are lost.
     """

@@ -448,8 +448,8 @@ class OracleQueue:
                 self.takers.remove(taker)
 
     def _serve(self, taker: Taker, takers: int) -> bool:
-        """Deliver to one taker its equal share of the available messages, the oldest first, without those that it had
-        before.
+        """Deliver to one taker its equal share of the available messages, the oldest first. Leave out messages that the
+        taker had before.
         """
         free = [item for item in self.items if self._free(item)]
         share = min(-(-len(free) * self.setup.copies // takers), taker.credit)

@@ -212,7 +212,7 @@ def test_a_read_that_lacks_items_says_lost(seed: int, tmp_path: Path, monkeypatc
         query, as_of = one.query()
         answer = one.read(query, as_of)
         lacks = one.lacks(query, as_of, answer)
-        # without the head of the first block nobody knows whether the limits have removed the first items
+        # without the head of the first block the host does not know whether the limits have removed the first items
         told = answer.reason == "LOST" or (one.span.is_cut and answer.reason == "COLLECTED")
         assert not lacks or told, (query, as_of, lacks, answer.reason, seed)
         assert not one.is_whole or answer.reason != "LOST", (query, as_of, answer.reason, seed)

@@ -25,7 +25,7 @@ HOSTS = (b"a", b"b", b"c")
 
 @dataclass
 class Host:
-    """A replica's host: what it holds, and what the directory's log says of it."""
+    """A replica's host: the items that it holds, and its state in the directory's log."""
 
     holds: int = 0
     boot: int = 1
@@ -170,7 +170,7 @@ def test_a_put_waits_for_a_lagging_replica_only_until_the_log_has_cleared_its_fl
     owner = ReplicasInSync(1, 1, may_lag=True)
     owner.know([KnownReplica(b"a", 1, in_sync=False)], 0)
     assert owner.within_lag(0)  # no replica may become the owner, so the puts wait for none
-    assert owner.changes(0) == []  # the replica has not reported yet what it holds
+    assert owner.changes(0) == []  # the replica has not reported its items yet
     owner.report(b"a", 1, 0)
     for change in owner.changes(0):
         owner.confirm(change)

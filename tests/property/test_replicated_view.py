@@ -21,7 +21,7 @@ EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "500"))
 
 
 class Scenario:
-    """A channel, what readers see of it, and the states that they have still to see."""
+    """A channel, the state that its readers see, and the states that they must still see."""
 
     def __init__(self, policy: Policy) -> None:
         self.pair = ChannelPair(policy, FIRST_CLOCK)

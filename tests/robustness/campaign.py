@@ -88,7 +88,7 @@ class Findings:
     operations: list[Operation]
     names: int
     violations: tuple[str, ...]  # histories that no order of the calls explains, and errors that ended the campaign
-    items: Judged | None  # what the channel hosts did, if there were any
+    items: Judged | None  # the judgement of the channel hosts, if there were any
     item_calls_failed: int
     not_done: int
     renewals: int

@@ -33,7 +33,9 @@ class Window(NamedTuple):
 
 
 class ProcessorWaits:
-    """Watches processes from a thread of its own, for the duration of a `with` block. `pids`: those that run now."""
+    """Watches processes from a thread of its own, for the duration of a `with` block. `pids` gives the processes
+    that run now.
+    """
 
     def __init__(self, pids: Callable[[], Iterable[int]]) -> None:
         self._pids = pids

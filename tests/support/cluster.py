@@ -71,7 +71,9 @@ def drained(cluster: LocalCluster, host: str) -> st.DrainInfo:
 
 
 def find_secret_of(cluster: LocalCluster, patch: pytest.MonkeyPatch) -> None:
-    """Let the clients in this process find the secret or token of `cluster`, and not of one that started later."""
+    """Let the clients in this process find the secret or token of `cluster`, and not of a cluster that started
+    later.
+    """
     patch.setenv(SECRET_VARIABLE, _secret_files[cluster.address])
 
 

@@ -27,7 +27,7 @@ def row(*cells: str) -> None:
 
 
 def spread(values: Sequence[float], form: str, unit: str = "") -> str:
-    """The median of some values, with the least and the greatest."""
+    """The median of some values, with the least and the greatest value."""
     least, middle, most = (format(one, form) for one in (min(values), statistics.median(values), max(values)))
     return f"{middle}{unit} ({least} to {most})"
 

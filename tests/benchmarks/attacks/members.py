@@ -111,7 +111,7 @@ async def _join(attacked: AttackedCluster, supernode: grpc.aio.Channel, genuine:
 
 
 async def cut_floors(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
-    """Links of hosts that do not exist. They say that a group was shown up to the end of time."""
+    """Links of hosts that do not exist. They claim that a group was shown up to the end of time."""
     supernode, host = attacked.channel(attacked.supernode), attacked.channel(attacked.host)
     token = await _join_token(attacked, supernode, "spare")
     async with attacked.connect() as rt:

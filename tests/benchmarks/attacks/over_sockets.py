@@ -39,12 +39,12 @@ async def unfinished_frames(attacked: AttackedCluster, under_way: Callable[[], N
 
 
 async def malformed_frames(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
-    """200 sockets at a time that send no frames, or messages that are not puts."""
+    """200 sockets at a time that send bytes that are no frames, or messages that are not puts."""
     await again_and_again(await _target(attacked), UNREAD, garbage(attacked), under_way)
 
 
 def garbage(attacked: AttackedCluster) -> Callable[[RawStream], Awaitable[None]]:
-    """Send no frames on the one connection, and messages that are not puts on the next one."""
+    """Send bytes that are no frames on one connection, and messages that are not puts on the next one, in turn."""
     numbers = itertools.count()
 
     async def send(stream: RawStream) -> None:
@@ -61,7 +61,7 @@ def garbage(attacked: AttackedCluster) -> Callable[[RawStream], Awaitable[None]]
 async def again_and_again(
     target: str, sockets: int, play: Callable[[RawStream], Awaitable[None]], under_way: Callable[[], None]
 ) -> None:
-    """Play so many connections at a time. After the end of one the attacker opens another one."""
+    """Play this number of connections at the same time. When a connection ends, open another one."""
 
     async def one() -> None:
         async with raw_stream(target) as stream:

@@ -16,7 +16,7 @@ class Unfinished(Exception):
 
 
 def in_own_process(work: Callable[..., R], *arguments: Any, seconds: float) -> R:
-    """Return what `work` returns. It is a function of a module. Raises Unfinished."""
+    """Return the result of `work`, which must be a function of a module. Raises Unfinished."""
     receiver, sender = _SPAWNED.Pipe(duplex=False)
     process = _SPAWNED.Process(target=_do, args=(sender, work, arguments))
     process.start()

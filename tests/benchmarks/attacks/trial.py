@@ -1,4 +1,4 @@
-"""One attack on a cluster of processes of its own, and what good clients lost while it went on."""
+"""One attack on a cluster of processes of its own, and the losses of good clients during the attack."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Found:
         return self.longer(self.beside)
 
     def longer(self, beside: Good) -> float:
-        """How many times as long as alone a put took, at the 99th percentile."""
+        """The time of a put during the attack, as a multiple of the time alone, at the 99th percentile."""
         return beside.quantile_ms(99) / max(0.1, self.alone.quantile_ms(99))
 
     @property
@@ -147,7 +147,7 @@ class Field:
         )
 
     def token(self, name: str) -> str:
-        """Proves a name, by which quotas tell callers of one machine apart. Empty in a cluster with certificates."""
+        """Proves a name, by which quotas distinguish callers of one machine. Empty in a cluster with certificates."""
         if self.case.secured:
             return ""
         bearer = (("authorization", f"Bearer {self.cluster.secret.text}"),)

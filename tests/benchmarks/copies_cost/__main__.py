@@ -3,7 +3,7 @@
     python -m tests.benchmarks.copies_cost --only ack|proxy|feed|drain [--rounds 5]
 
 Each part takes at most three minutes and prints a Markdown table: medians of the rounds, with the least and the
-greatest, and the goal. All processes are on this machine, and clients use gRPC.
+greatest value, and the goal. All processes are on this machine, and clients use gRPC.
 """
 
 from __future__ import annotations

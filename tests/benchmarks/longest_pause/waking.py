@@ -55,7 +55,7 @@ async def release(rig: Rig, gets: int) -> tuple[str, Work]:
 
 
 async def left_gets(rig: Rig, gets: int) -> tuple[str, Work]:
-    """The callers leave, and nobody waits for the answers."""
+    """The callers leave, and no caller waits for the answers."""
     channel, _ = await opened(rig)
     calls = [rig.channels.Get() for _ in range(max(1, gets // CALLS))]
     for call in calls:

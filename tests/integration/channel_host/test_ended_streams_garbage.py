@@ -59,7 +59,7 @@ async def until_stuck(rig: Any) -> None:
 
 
 async def gets(rig: Rig, stream: RawStream, *, count: int = ITEMS) -> None:
-    """Many gets of everything, whose answers nobody reads."""
+    """Many gets of everything, whose answers no reader reads."""
     channel = await filled(rig)
     await stream.begin(f"{SERVICE}/Get")
     for call_id in range(1, count + 1):

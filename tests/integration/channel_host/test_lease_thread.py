@@ -54,7 +54,7 @@ def _fail(failure: BaseException) -> None:
 
 @asynccontextmanager
 async def served() -> AsyncIterator[tuple[LocalCluster, Served]]:
-    """A cluster of processes without a host, and one in here whose lease lasts 2 s."""
+    """A cluster of processes without a host, and a host in this process whose lease lasts 2 s."""
     cluster = LocalCluster(hosts=0, supernodes=1)
     cluster.supernodes[0].arguments.extend(("--lease-ttl", f"{LEASE_SECONDS:g}s"))
     await asyncio.to_thread(cluster.__enter__)

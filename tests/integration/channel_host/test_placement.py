@@ -53,8 +53,8 @@ def keeping_busy(address: str, host: str) -> Iterator[None]:
 
 
 def loads(rt: st.Connection) -> dict[str, int]:
-    """By name of the host, the share of a core that it reported. Between its registration and its first report the
-    load of a host is zero.
+    """The share of a core that each host reported, by the host's name. Between its registration and its first report
+    the load of a host is zero.
     """
     return {host.name: host.load.busy_permille for host in rt.hosts() if host.load is not None and host.load.bytes_max}
 

@@ -37,7 +37,7 @@ def payloads(items: st.Items) -> bytes:
 
 
 def answers(channel: st.Channel, began: int, as_of: int | None) -> list[object]:
-    """The answers to reads of every kind, without those that depend on the moment of the call."""
+    """The answers to reads of every kind, except the kinds whose answers depend on the moment of the call."""
     interval = channel.get(began, began + SECOND, as_of=as_of)
     newest = channel.newest(as_of=as_of)
     found = [

@@ -92,7 +92,7 @@ def test_an_archive_in_an_object_store_equals_one_in_a_folder_and_follows_a_move
     assert stampede(["move", "rig/moves", "h2", "--url", cluster.address]) == 0
     put(channel, began, ITEMS + 20, ITEMS + 30)
     whole = list(range(ITEMS + 30))
-    with suppress(AssertionError):  # the next line says what is missing
+    with suppress(AssertionError):  # the next line names the missing items
         wait_until(lambda: numbers(channel.get(began, st.NOW)) == whole, within_seconds=20)
     missing = sorted({*whole} - {*numbers(channel.get(began, st.NOW))})
     assert not missing, (

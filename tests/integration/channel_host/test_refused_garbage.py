@@ -75,7 +75,7 @@ async def puts_over_a_socket(channel: Opened, target: str) -> None:
     request = pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"x")])
     async with raw_stream(target) as stream:
         await stream.begin(PUT_METHOD)
-        for _ in range(2):  # the second one may be answered in the turn in which it comes
+        for _ in range(2):  # the host may answer the second request in the turn in which it comes
             await stream.send(FrameKind.MESSAGE, request.SerializeToString())
             assert not pb.PutResponse.FromString(await stream.message()).acks[0].HasField("error")
 

@@ -142,7 +142,7 @@ async def far(
 
 @pytest.mark.parametrize("method", [HOLD, FLOOD])
 async def test_a_host_ends_the_streams_of_a_caller_whose_link_is_gone(far: FarCaller, method: str) -> None:
-    """One caller waits for an answer, and the other one takes none of many."""
+    """One caller waits for an answer, and the other caller takes none of its many answers."""
     caller = await far.raw_stream()
     await caller.begin(method)
     await far.streams.held.acquire()

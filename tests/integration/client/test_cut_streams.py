@@ -47,7 +47,7 @@ class Told:
 async def test_a_broken_stream_that_grpc_reports_as_internal_is_retried(
     world: RelayedCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """gRPC reports about one of fifty cuts as INTERNAL. The test goes on until it has met one."""
+    """gRPC reports about one of fifty cuts as INTERNAL. The test goes on until it has met such a cut."""
     told = Told(monkeypatch)
     failures: list[st.StampedeError] = []
 

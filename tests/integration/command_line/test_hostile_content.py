@@ -22,7 +22,7 @@ from tests.support.sharing.shared_cluster import shared_cluster_fixture
 cluster = shared_cluster_fixture(hosts=1)
 Words = Callable[[Path], list[list[str]]]
 
-# Each verb, with words that print what other programs have written. A verb that is not here fails the test below.
+# Each verb, with words that print texts of other programs. A verb that is not here fails the test below.
 SHOWING: dict[str, Words] = {
     "ls": lambda _: [["ls"], ["ls", "-l"]],
     "info": lambda _: [["info", "hostile/a"], ["info", HOSTILE]],

@@ -98,7 +98,7 @@ def test_the_picture_shows_the_spans(outcome: Outcome, tmp_path: Path):
 
 @contextmanager
 def running_demo(seconds: int) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """The demo as a command; a mark in its environment tells its descendants from other processes."""
+    """The demo as a command. A mark in its environment distinguishes its descendants from other processes."""
     mark = uuid.uuid4().hex
     command = [sys.executable, "-m", "stampede_rt_demos", "tv-watcher", "--seconds", str(seconds)]
     process = subprocess.Popen(

@@ -132,7 +132,9 @@ def imported_modules(folder: Path) -> Iterator[str]:
 
 
 def declared(package: str, extras: frozenset[str] = frozenset()) -> set[str]:
-    """The distributions that `package` and `extras` name, and those that this repository's packages among them name."""
+    """The distributions that `package` and `extras` name. If such a distribution is a package of this repository,
+    the distributions that it names count, too.
+    """
     project = tomllib.loads((PACKAGES[package] / "pyproject.toml").read_text())["project"]
     texts = [*project["dependencies"], *(text for extra in extras for text in project["optional-dependencies"][extra])]
     names = {re.split(r"[^\w-]", text, maxsplit=1)[0] for text in texts}

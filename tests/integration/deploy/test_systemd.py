@@ -1,4 +1,4 @@
-"""The units of deploy/systemd, by systemd's own tools, and what the services tell systemd."""
+"""The units of deploy/systemd, by systemd's own tools, and the messages of the services to systemd."""
 
 from __future__ import annotations
 

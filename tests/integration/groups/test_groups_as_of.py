@@ -125,7 +125,7 @@ def test_a_past_cut_whose_items_the_archive_has_dropped_is_named_as_collected(rt
     for number in range(24):
         rig.put(number, 100_000)
         instants.append(rig.now())
-    assert rig.left.oldest().payload[:2] != b"0\0"  # the archive has dropped the first ones
+    assert rig.left.oldest().payload[:2] != b"0\0"  # the archive has dropped the first items
     found = rig.group.get(st.OLDEST, st.NOW, as_of=instants[2])
     assert [(len(items), items.reason) for items in found.values()] == [(0, "COLLECTED")] * 2
     assert "dropped/left held back the earlier cut" in found[rig.right].reason.detail

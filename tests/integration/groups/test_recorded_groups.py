@@ -184,7 +184,7 @@ def test_matches_begin_in_the_archives_of_several_hosts_and_continue_with_live_i
 def test_a_reader_of_matches_that_is_slower_than_the_collection_misses_no_match(rt: st.Connection) -> None:
     rig = Rig(rt, "slow-matches")
     with rig.group.match(rig.camera, "200us") as matches:
-        matches._stream.cancel()  # a break: meanwhile memory loses all new items but the last ones
+        matches._stream.cancel()  # a break: meanwhile memory loses all new items except the last ones
         for channel in (rig.camera, rig.imu):
             rig.put(channel, ITEMS, 2 * ITEMS)
             wait_until(lambda channel=channel: channel.stats().held <= 5)

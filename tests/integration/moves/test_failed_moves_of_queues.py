@@ -103,7 +103,7 @@ async def test_a_move_that_is_cut_before_the_commit_leaves_the_queue_where_it_wa
 async def test_a_host_without_an_answer_to_its_commit_asks_the_directory(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It may not take the queue back, because the other host serves it."""
+    """The host may not take the queue back, because the other host serves the queue."""
     served = queue_handover.QueueHandovers._hand_over
 
     async def hears_nothing(self: Any, hosted: Any, host_id: bytes, context: Any) -> bool:

@@ -21,7 +21,7 @@ numbers = itertools.count()
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalCluster]:
-    """Two hosts with an archive, and a third one without."""
+    """Two hosts with an archive, and a third host without one."""
     with running_cluster(hosts=3, supernodes=1, archive=tmp_path_factory.mktemp("archive")) as running:
         plain = running.hosts[2]
         plain.stop()
@@ -38,7 +38,9 @@ def rt(cluster: LocalCluster) -> Iterator[Any]:
 
 
 def filled(rt: Any, **policy: Any) -> tuple[Any, int]:
-    """A channel at h1 with 100 items, all in its archive and the last ones in memory; and its first time."""
+    """A channel at h1 with 100 items, and the time of the first item. The archive has all items, and memory the last
+    ones.
+    """
     channel = rt.channel(f"rig/{next(numbers)}", host="h1", max_items=HELD, archive="7d", **policy)
     began = time.time_ns() - 10**9
     put(channel, began, 0, 99)

@@ -67,7 +67,7 @@ def test_readers_of_a_frozen_proxy_continue_at_the_owner(cluster: LocalCluster) 
 def test_a_proxy_serves_its_readers_while_the_owner_is_frozen(cluster: LocalCluster) -> None:
     """The owner is frozen for less than its lease.
 
-    It comes back with its items, and the proxy continues at its place.
+    The owner comes back with its items, and the proxy continues at its place.
     """
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = opened(rt)
@@ -97,7 +97,7 @@ def test_readers_of_a_proxy_learn_of_the_loss_of_the_owner_and_continue_with_the
             eventually(
                 lambda: all(isinstance(one.error, st.IncarnationLost) for one in readers), "all hear of the loss"
             )
-        if channel.host != "h2":  # else the proxy's host has become the owner, and the proxy has ended
+        if channel.host != "h2":  # otherwise the proxy's host has become the owner, and the proxy has ended
             eventually(lambda: rt.proxies(channel)[0].ready, "the proxy follows the new owner")
             eventually(lambda: rt.proxies(channel)[0].held == 1, "it has the items of the new incarnation alone")
         with reading(channel, 4) as readers:

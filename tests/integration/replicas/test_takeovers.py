@@ -123,7 +123,7 @@ async def _channel_went_on(things: Things, reader: Any, kept: st.Item, incarnati
 
 
 async def _mailbox_went_on(things: Things) -> None:
-    """The peer settles the message that it has, and gets the next one; senders find the mailbox."""
+    """The peer settles the message that it has, and gets the next message. Senders find the mailbox."""
     await things.letter.ack()
     assert (await things.mailbox.get(timeout=30)).payload == b"again"
     await things.rt.send("robot", b"after")

@@ -55,7 +55,7 @@ def operator(cluster: LocalCluster) -> Iterator[Operator]:
 
 
 def things(cluster: LocalCluster) -> None:
-    """Make the things that the tests use, as a caller whom no rule limits."""
+    """Make the things that the tests use, as a caller to which no rule applies."""
     with st.connect(cluster.address) as rt:
         video = rt.channel("video/1", consumers=1)
         video.put(b"frame")

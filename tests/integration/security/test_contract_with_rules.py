@@ -1,4 +1,4 @@
-"""A part of the contract's tests, with rules of access that restrict their client. `make test-acl` runs all.
+"""A part of the contract's tests, with rules of access that restrict their client. `make test-acl` runs all of them.
 
 tests/integration/security/test_secured_contract.py runs another part with certificates and rules.
 """

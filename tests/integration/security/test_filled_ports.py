@@ -78,7 +78,7 @@ async def filled(one: Supernode) -> AsyncIterator[list[Any]]:
                 return
 
     async def replace_ended() -> None:
-        """Open watches in place of those that a busy machine has ended."""
+        """Open watches in place of the watches that a busy machine has ended."""
         for _ in range(AT_ONCE):
             await watch()
 

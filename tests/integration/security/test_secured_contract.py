@@ -63,7 +63,7 @@ def operator(cluster: LocalCluster) -> Iterator[Operator]:
 
 @pytest.fixture(params=["aio", "sync"])
 async def scene(request: pytest.FixtureRequest, operator: Operator) -> AsyncIterator[Scene]:
-    """Callers with certificates: clients, and operators, whom rules do not judge."""
+    """Callers with certificates: clients, and operators, to which no rules apply."""
 
     def proves(who: str) -> dict[str, Any]:
         role = Role.CLIENT if who else Role.OPERATOR

@@ -1,4 +1,6 @@
-"""Services of a secured cluster: whom they believe, which hosts they admit, and random bytes at their ports."""
+"""Services of a secured cluster: the callers that they believe, the hosts that they admit, and random bytes at their
+ports.
+"""
 
 from __future__ import annotations
 
@@ -343,7 +345,7 @@ def send(address: str, data: bytes, context: ssl.SSLContext | None) -> None:
 
 
 async def send_as_messages(address: str, files: st.TlsFiles, data: bytes) -> None:
-    """The same bytes as the messages of every RPC that a member may call, and of those that it may not."""
+    """The same bytes as the messages of every RPC, whether the member may call it or not."""
     async with dial(address, secret=None, tls=TlsReader(files)) as channel:
         for method in ("RaftService/Exchange", "DirectoryService/RegisterHost", "FrontendService/Bind", "No/Such"):
             call: Any = channel.stream_stream(f"/stampede_rt.v1.{method}")(iter([data]), timeout=3)

@@ -33,9 +33,9 @@ from stampede_rt_runtime.server import serving
 class FakeSupernode(directory_service_pb2_grpc.DirectoryServiceServicer, peer_service_pb2_grpc.PeerServiceServicer):
     """A supernode that knows no hosts and no peers.
 
-    `mute`: it answers no ping. `served` has the cluster that each caller named, and `clocks_asked` whether the caller
-    asked for clocks, which only the leader reports. The supernode lists the addresses in `members`, and names the first
-    as the leader.
+    `mute`: the supernode answers no ping. `served` has the cluster that each caller named, and `clocks_asked` whether
+    the caller asked for clocks, which only the leader reports. The supernode lists the addresses in `members`, and
+    names the first as the leader.
     """
 
     def __init__(self, cluster_id: str, *, former: tuple[str, ...] = (), mute: bool = False) -> None:

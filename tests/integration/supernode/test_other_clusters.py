@@ -70,7 +70,7 @@ async def test_a_restored_cluster_accepts_hosts_of_the_former_cluster_only_on_re
         own = await cluster_id(restored)
         assert own != former_id
         await register(restored, 2, cluster_id=own)
-        # Its lease may have ended while the other cluster started. Its registration is still accepted.
+        # The host's lease may have ended while the other cluster started. The host's registration is still accepted.
         await register(former, 1, cluster_id=former_id)
     finally:
         for one in running:

@@ -172,7 +172,7 @@ def test_home_moves_to_the_oldest_item_of_the_archive_and_the_row_shows_the_reac
     assert memory == "Memory begins here"
 
 
-# Where the violet line begins and ends, as parts of the row, and what the page says at the line's end.
+# Where the violet line begins and ends, as parts of the row, and the text of the page at the line's end.
 ARCHIVE_LINE = """() => {
   const row = [...document.querySelectorAll(".row")].find((one) => one.querySelector("h3").textContent === "tape");
   const canvas = row.querySelector("canvas");

@@ -42,7 +42,7 @@ class Subscriber:
 
 @dataclass
 class Readers:
-    """Blocked gets and subscriptions. `channels_gone` and similar methods end those that cannot go on."""
+    """Blocked gets and subscriptions. `channels_gone` and similar methods end the ones that cannot go on."""
 
     world: World
     gets: list[tuple[int, bytes, Pending]] = field(default_factory=list)
@@ -97,7 +97,7 @@ class Readers:
     def poll_all(self) -> None:
         """Poll all blocked gets.
 
-        Each one must end when its answer is due, and may wake only for a change that can release it.
+        Each get must end when its answer is due, and may wake only for a change that can release it.
         """
         self.gets = [one for one in self.gets if not self._is_released(*one)]
 

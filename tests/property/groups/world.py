@@ -121,7 +121,7 @@ class World:
     placed: dict[bytes, Placed] = field(init=False)
     hosts: list[Host] = field(init=False)
     is_plain: list[bool] = field(init=False)  # no change has made a group's cut smaller than it could be
-    reached: list[int | None] = field(init=False)  # the cut of an observer that sees all channels at once
+    reached: list[int | None] = field(init=False)  # the cut of an observer that sees all channels at the same time
 
     def __post_init__(self) -> None:
         self.placed = {
@@ -193,7 +193,7 @@ class World:
         self._look_at_all()
 
     def _look_at_all(self) -> None:
-        """Check that no host shows more than an observer that sees all channels at once would show."""
+        """Check that no host shows more than an observer that sees all channels at the same time."""
         for group, wanted in enumerate(self.definitions):
             counting = wanted.members if wanted.reference is None else [wanted.reference]
             marks = [self._mark(one) for one in counting]

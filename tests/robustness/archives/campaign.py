@@ -49,7 +49,7 @@ class Campaign:
         self._acked: set[bytes] = set()
 
     def run(self, faults: list[str]) -> Findings:
-        """Inject the faults, in this order, and return what was seen."""
+        """Inject the faults, in this order, and return the findings."""
         inject: dict[str, Callable[[], None]] = {
             "kill": self.kill,
             "stop": self.stop,

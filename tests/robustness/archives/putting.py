@@ -11,7 +11,7 @@ PAYLOAD_BYTES = 200
 
 
 class Putting:
-    """Puts numbers one after the other, in a thread, until it is told to stop. A refused number is put again.
+    """Puts numbers one after the other, in a thread, until `stop` is called. A refused number is put again.
 
     `acked` are the acknowledged numbers, as payloads. `refused` counts the puts that the disk did not take.
     """

@@ -82,7 +82,7 @@ def rt(cluster: LocalCluster, mover: Mover) -> Iterator[st.Connection]:
 
 
 class Put:
-    """Puts numbers, each once, and notes those that were acknowledged as on the disk."""
+    """Puts numbers, each once, and notes the numbers that the host acknowledged as on the disk."""
 
     def __init__(self, channel: st.Channel, payload_bytes: int = 100) -> None:
         self.channel, self.acked = channel, list[int]()
@@ -90,7 +90,7 @@ class Put:
         self._next, self._payload_bytes = 0, payload_bytes
 
     def one(self) -> None:
-        """Put the next number. If the host is away, nobody knows whether it has the item."""
+        """Put the next number. If the host is away, it is unknown whether it has the item."""
         number, self._next = self._next, self._next + 1
         payload = (b"%d " % number).ljust(self._payload_bytes, b".")
         with suppress(st.StampedeError):
@@ -98,7 +98,7 @@ class Put:
             self.acked.append(number)
 
     def some(self, count: int) -> None:
-        """Put until so many further numbers are acknowledged."""
+        """Put until this number of further numbers is acknowledged."""
         wanted = len(self.acked) + count
         while len(self.acked) < wanted:
             self.one()

@@ -18,7 +18,7 @@ LONGER_WARM_UPS = {"make channel and queue": 5000}  # caches of about 20 MiB fil
 
 
 def main() -> int:
-    """Run the cycles of all kinds, or of those that the caller names."""
+    """Run the cycles of all kinds, or of the kinds that the caller names."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cycles", type=int, default=10_000, help="of each kind; default 10,000")
     longer = f"for some kinds up to {max(LONGER_WARM_UPS.values()):,}"

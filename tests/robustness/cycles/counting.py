@@ -22,7 +22,7 @@ FOLDER_VARIABLE = "CYCLES_FOLDER"
 COUNT = signal.SIGUSR2
 SPARE = 10  # files, threads and tasks that come and go
 SPARE_OBJECTS = 60  # of one type
-SPARE_BUILTINS = 300  # tuples, lists and dicts, which also belong to what a service keeps for some seconds
+SPARE_BUILTINS = 300  # tuples, lists and dicts, which are also parts of objects that a service keeps for some seconds
 CYCLES_FOR_AN_OBJECT = 4  # a leak of one object in four cycles is found, if there are many cycles
 SPARE_BYTES, BYTES_FOR_A_CYCLE = 8 * 2**20, 512
 TYPES_SHOWN = 6
@@ -39,7 +39,7 @@ class Held:
     objects: dict[str, int]
 
     def grown_since(self, before: Held, cycles: int) -> list[str]:
-        """Return what has grown more than it may in this number of cycles, as texts."""
+        """Return the things that have grown more than they may in this number of cycles, as texts."""
         counts = {"files": SPARE, "threads": SPARE, "tasks": SPARE, "memory_bytes": SPARE_BYTES}
         counts["memory_bytes"] += cycles * BYTES_FOR_A_CYCLE
         now, then = asdict(self), asdict(before)

@@ -32,7 +32,7 @@ async def ask(world: DirectoryWorld, method: str, request: Any, seconds: float, 
 def _members(world: DirectoryWorld, caller: object) -> Iterator[Any]:
     """The supernodes in the order of the calls.
 
-    The one that answered last comes first, as in `stampede_rt_channel_host.cluster.supernodes`.
+    The supernode that answered last comes first, as in `stampede_rt_channel_host.cluster.supernodes`.
     """
     members = list(world.members.values())
     last = world.last_answered.get(caller)

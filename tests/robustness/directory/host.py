@@ -90,7 +90,7 @@ class SimHost:
         self._run(self._keep)
 
     def epoch_served(self, channel_id: bytes) -> int:
-        """The epoch under which it would serve the channel now; 0: it would not serve it."""
+        """The epoch under which the host would serve the channel now; 0: the host would not serve the channel."""
         held = (one for one in self.store.all() if one.record.channel_id == channel_id)
         served = next(held, None)
         return served.epoch if served is not None and self.store.lease_held() else 0

@@ -30,7 +30,7 @@ class NameOwnership:
         self._world = world
 
     def granted(self, name: str) -> None:
-        """Note that a peer got the name. Raises PromiseBroken if another one believes that it has the name."""
+        """Note that a peer got the name. Raises PromiseBroken if another peer believes that it has the name."""
         self.grants += 1
         owners = [peer.number for peer in self.peers if peer.name == name and peer.believes()]
         if len(owners) > 1:

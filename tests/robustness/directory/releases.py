@@ -67,7 +67,9 @@ class UpgradedMember(DirectoryMember):
         self.run(keep)
 
     def refuse_release(self, by: str, why: str) -> None:
-        """Note that another member has refused it as too old. It ends once the refusal is confirmed."""
+        """Note that another member has refused this member as too old. This member ends once the refusal is
+        confirmed.
+        """
         assert self.replica is not None
         others = {one.member_id for one in self.replica.roster.members} - {self.member.member_id}
         if self._outdated.refused(by, why, others=others, leader_id=self.replica.status().leader_id):

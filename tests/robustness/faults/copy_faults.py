@@ -115,7 +115,7 @@ async def _in_sync(channel: aio.Channel) -> list[bytes]:
 
 
 async def _seen(channel: aio.Channel) -> str:
-    """The facts that the owner tells about the copies of a channel."""
+    """The facts that the owner reports about the copies of a channel."""
     try:
         stats = await channel.stats()
     except st.StampedeError as error:

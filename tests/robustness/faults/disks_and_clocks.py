@@ -69,12 +69,13 @@ async def _damage(scene: Scene, kind: str, harm: Callable[[Path], str]) -> None:
 
 
 async def _damaged(scene: Scene, victim: Supernode, spare: Path, harm: Callable[[Path], str]) -> str:
-    """Damage a file, and start the supernode with it. Returns what happened, as text.
+    """Damage a file, and start the supernode with it. Returns a text about the result.
 
     If the supernode refused the store, the store is as in `spare` afterwards.
     """
     files = [file for file in sorted(victim.data_dir.rglob("*")) if file.is_file() and file.stat().st_size > 0]
-    # In half of the cases the largest file, which holds the log; else any file, so that small files are damaged, too.
+    # In half of the cases choose the largest file, which holds the log. Otherwise choose any file, because small files
+    # must be damaged, too.
     chosen = scene.rng.choice([max(files, key=lambda file: file.stat().st_size), scene.rng.choice(files)])
     what = harm(chosen)
     if chosen.read_bytes() == (spare / chosen.relative_to(victim.data_dir)).read_bytes():

@@ -158,7 +158,7 @@ async def memory_back(
 
 
 async def _held_bytes(scene: Scene, watched: PlacedProcess) -> int | None:
-    """The bytes of a host's channels and queues, as it last told the directory; None: it is no host."""
+    """The bytes of a host's channels and queues, as it last reported to the directory; None: the process is no host."""
     assert scene.traffic is not None
     loads = {one.name: one.load for one in await scene.traffic.rt.hosts()}
     if watched.name not in loads:

@@ -1,6 +1,7 @@
 """Faults that kill and stop processes and cut networks.
 
-Each one injects the fault, checks that it took effect, waits until the directory serves again, and heals the fault.
+Each function injects its fault, checks that the fault took effect, waits until the directory serves again, and heals
+the fault.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ PAUSE_SECONDS = 0.5
 
 
 async def grow_and_shrink(scene: Scene) -> None:
-    """Let a fourth supernode join and remove a follower, while another one has a fault."""
+    """Let a fourth supernode join and remove a follower, while another supernode has a fault."""
     began = time.monotonic()
     troubled = scene.rng.choice(scene.cluster.supernodes)
     async with _trouble(scene, troubled) as trouble:
@@ -68,7 +68,7 @@ async def replace_dead(scene: Scene) -> None:
 
 
 async def volunteer_leaves(scene: Scene) -> None:
-    """Remove a supernode right after it joined, before it ever led. Later another one takes its place."""
+    """Remove a supernode right after it joined, before it ever led. Later another supernode takes its place."""
     began = time.monotonic()
     newcomer = await _join(scene)
     await _remove(scene, newcomer)

@@ -20,7 +20,9 @@ from tests.robustness.real_cluster.traffic import CLIENT
 from tests.support.supernode.processes import clean_environment
 
 FORGOTTEN_SECONDS_MAX = 45.0
-"""A host gives a sign of life each 2.5 s, and its system waits 30 s for the acknowledgement; gRPC takes as long."""
+"""A host gives a sign of life each 2.5 s, and its system waits 30 s for the acknowledgement. gRPC needs the same
+time.
+"""
 VANISHED_PATIENCE_SECONDS = 90.0
 LOOK_SECONDS = 0.1
 PROGRAM = "tests.robustness.real_cluster.waiting_client"

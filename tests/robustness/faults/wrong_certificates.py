@@ -52,7 +52,9 @@ async def _rotated(certificates: Certificates, victims: list[PlacedProcess], for
 
 
 async def wrong_certificates(scene: Scene) -> None:
-    """Check that every port refuses callers with wrong certificates, and accepts one with the right certificate."""
+    """Check that every port refuses callers with wrong certificates, and accepts a caller with the right
+    certificate.
+    """
     certificates = _certificates(scene)
     began = time.monotonic()
     right = certificates.files(Role.CLIENT, "stranger")

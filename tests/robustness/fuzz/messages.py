@@ -215,7 +215,7 @@ def varint(value: int) -> bytes:
 
 
 def _records(raw: bytes) -> list[bytes]:
-    """The fields of a message, each with tag and value. A rest that cannot be parsed is the last one."""
+    """The fields of a message, each with tag and value. A rest that cannot be parsed is the last field."""
     found, at = [], 0
     while at < len(raw):
         end = _end_of_record(raw, at)

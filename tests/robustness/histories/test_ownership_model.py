@@ -52,7 +52,7 @@ FIRST, SECOND = put(b"1", 0, A, 1), put(b"2", 2, A, 2)
         # A put without an answer: the host has stored its item, or not.
         [FIRST, op(Put(b"2"), 2, None), newest(4, A, 2), listed(6, A, (1, b"1"), (2, b"2"))],
         [FIRST, op(Put(b"2"), 2, None), newest(4, A, 1)],
-        # The former owner stored an item before the new one stored any, and its answer came late.
+        # The former owner stored an item before the new owner stored any, and its answer came late.
         [FIRST, put(b"2", 2, A, 2, took=5), put(b"3", 4, B, 1)],
     ],
 )
@@ -65,9 +65,9 @@ def test_a_history_with_one_owner_at_a_time_is_accepted(history: list[Operation]
 @pytest.mark.parametrize(
     ("history", "complaint"),
     [
-        # The former owner takes an item after the new one has taken one.
+        # The former owner takes an item after the new owner has taken one.
         ([FIRST, put(b"2", 2, B, 1), put(b"3", 4, A, 2)], "no order of these operations"),
-        # The former owner answers a reader after the new one has taken an item.
+        # The former owner answers a reader after the new owner has taken an item.
         ([FIRST, put(b"2", 2, B, 1), newest(4, A, 1)], "no order of these operations"),
         # Two items with one seq.
         ([FIRST, put(b"2", 2, A, 1)], "no order of these operations"),
@@ -75,7 +75,7 @@ def test_a_history_with_one_owner_at_a_time_is_accepted(history: list[Operation]
         ([FIRST, SECOND, newest(4, A, 1)], "no order of these operations"),
         # An acknowledged item is lost, though its owner is still there and has newer items.
         ([FIRST, SECOND, listed(4, A, (2, b"2"))], "b'1' was acknowledged or seen, and is lost"),
-        # An item that nobody has acknowledged, but that a reader has got, is lost.
+        # An item that no host has acknowledged, but that a reader has got, is lost.
         (
             [FIRST, op(Put(b"2"), 2, None), listed(4, A, (1, b"1"), (2, b"2")), listed(6, A, (1, b"1"), (3, b"3"))],
             "b'2' was acknowledged or seen, and is lost",

@@ -1,4 +1,4 @@
-"""A channel host whose moves do what a test wants at a step: `python -m ... --plan FILE HOST-ARGUMENTS`.
+"""A channel host that sends a signal at a planned step of a move: `python -m ... --plan FILE HOST-ARGUMENTS`.
 
 The production code runs unchanged: this program wraps the methods that are the steps of a move, and then runs `stampede
 host`. At each step it looks into the plan, a file with "STEP|PID|SIGNAL". If the file names the step, the program
@@ -26,7 +26,7 @@ from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 
 
 class Step(NamedTuple):
-    """A step: it is reached before the call of a method, or after the call if `is_after`."""
+    """A step of a move. The host reaches it before the call of a method, or after the call if `is_after`."""
 
     owner: type
     method: str

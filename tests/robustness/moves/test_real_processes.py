@@ -56,7 +56,7 @@ class Hosts:
         return process
 
     def ready(self) -> None:
-        """Start what has been killed, and wait for all."""
+        """Start the killed processes again, and wait until all are ready."""
         for one in self.processes.values():
             if not one.alive:
                 again(one)

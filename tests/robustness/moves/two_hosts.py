@@ -214,7 +214,7 @@ class Host:
         return Connection(self.world, self.world.hosts[number], self)
 
     def put(self, number: int, channel_id: bytes = b"") -> IncomingRun | None:
-        """Put an item as producer 1. None: this host does not serve the channel, and says so."""
+        """Put an item as producer 1. None: this host answers that it does not serve the channel."""
         record = self.world.record_of(channel_id or self.world.channel_id)
         try:
             hosted = self.store.find(record.channel_id, record.epoch)

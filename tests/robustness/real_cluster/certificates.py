@@ -43,7 +43,7 @@ class Certificates:
         return self.folder / f"authority-{self._authorities}"
 
     def take_over(self) -> None:
-        """Make a new authority, which issues from now on. The parts still trust the former ones."""
+        """Make a new authority, which issues from now on. The parts still trust the former authorities."""
         self._authorities += 1
         _run("init", str(self._authority), "--cluster", CLUSTER)
         former = self.ca.read_bytes() if self.ca.exists() else b""

@@ -50,7 +50,9 @@ ARCHIVE, MEMORY = "64MiB", "64MiB"
 
 
 class Host(PlacedProcess):
-    """One channel host. With `relayed` all others reach it through a relay, and its TCP port through another one."""
+    """One channel host. With `relayed` all other processes reach the host through a relay, and its TCP port through
+    another relay.
+    """
 
     package = "stampede_rt_channel_host"
 
@@ -247,7 +249,7 @@ class Cluster:
 
 
 async def _started(several: Sequence[PlacedProcess]) -> None:
-    """Wait until all processes are ready. Raises OSError with the last log line of one that ended instead."""
+    """Wait until all processes are ready. Raises OSError with the last log line of a process that ended instead."""
     for one, ready in zip(several, await asyncio.gather(*(one.start() for one in several)), strict=True):
         if not ready:
             raise OSError(f"{one.name} did not start: {one.last_words()!r}")

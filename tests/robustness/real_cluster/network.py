@@ -76,7 +76,7 @@ class Network(namespaces.NamespaceNetwork):
         tokens: dict[bytes, tuple[NetworkNamespace, NetworkNamespace]] = {}
         for sender, receiver in itertools.permutations(namespaces, 2):
             tokens[token := secrets.token_bytes(8)] = (sender, receiver)
-            with contextlib.suppress(OSError):  # the system told the sender that there is no route
+            with contextlib.suppress(OSError):  # the system reported that there is no route
                 self._probe_sockets[sender.name].sendto(token, (receiver.address, PROBE_PORT))
         deadline = time.monotonic() + PROBE_SECONDS
         arrived = set()
@@ -85,7 +85,7 @@ class Network(namespaces.NamespaceNetwork):
         return arrived
 
     def _inbox(self, namespace: NetworkNamespace, deadline: float) -> Iterator[bytes]:
-        """The datagrams that have arrived there, and those that arrive until `deadline`."""
+        """All datagrams that arrive there until `deadline`, and that have arrived before."""
         inbox = self._probe_sockets[namespace.name]
         while True:
             inbox.settimeout(max(0.001, deadline - time.monotonic()))

@@ -142,7 +142,8 @@ class PlacedProcess:
         return lines[-1].replace(f"{self.data_dir}/", "") if lines else ""
 
     def limit_descriptors(self, spare: int | None) -> int:
-        """Limit its file descriptors to those that it has open and `spare` more; None: to the limit of this process.
+        """Let the process open only `spare` more file descriptors than it has open. None: set the limit of this
+        process.
 
         Returns the limit.
         """

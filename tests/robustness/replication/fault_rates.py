@@ -29,7 +29,7 @@ class FaultRates:
     full_links: float = 0.0
     # Members that come or go.
     changes: float = 0.0
-    # Snapshots that operators request, in addition to those that the log takes by itself.
+    # Snapshots that operators request, in addition to the snapshots that the log takes by itself.
     snapshots: float = 0.0
 
     @property

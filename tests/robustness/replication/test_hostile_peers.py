@@ -222,7 +222,7 @@ def test_callers_that_are_not_members_cannot_stop_the_cluster(seed: int) -> None
     outsider, trial = Outsider(world), Trial(world)
     outsider.begin()
     assert world.run_until(5.0, lambda: any(one.replica and one.replica.status().is_leader for one in world.alive()))
-    world.run_until(world.now + 2.0)  # two members may win their pre-votes together; the later one then leads
+    world.run_until(world.now + 2.0)  # two members may win their pre-votes together; then the later candidate leads
     [leader] = [one for one in world.alive() if one.replica and one.replica.status().is_leader]
     assert leader.replica is not None
     term, acknowledged = leader.replica.status().term, len(world.history.acknowledged)

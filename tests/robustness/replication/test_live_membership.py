@@ -102,7 +102,7 @@ async def test_members_survive_a_restart_of_all_of_them(tmp_path: Path) -> None:
         await proposed(newcomer, b"before")
         for member in cluster.all:
             await member.stop()
-        for member in cluster.all:  # each with the members that it was told at its start
+        for member in cluster.all:  # each with the members that its start named
             await cluster.start(member)
         await proposed(newcomer, b"after")
         ids = [[each.member_id for each in running(member).status().members] for member in cluster.all]

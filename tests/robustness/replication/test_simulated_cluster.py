@@ -188,7 +188,7 @@ def lag(world: World, member: SimMember) -> int:
 
 
 class ForgetsWhatItSends(PreVoteElections):
-    """A leader that begins a transfer again with each new snapshot, and keeps no log before the last one."""
+    """A leader that begins a transfer again with each new snapshot, and keeps no log before the last snapshot."""
 
     keeper: SnapshotKeeper
 

@@ -46,7 +46,7 @@ SHOWS_THE_TRUTH = """([name, text, hosts]) => {
 
 
 class Watcher:
-    """The open tab, the server of the page, and what went wrong so far."""
+    """The open tab, the server of the page, and the errors so far."""
 
     def __init__(self, cluster: LocalCluster, server: ServiceProcess, tab: Any) -> None:
         self._cluster, self.server, self._tab = cluster, server, tab

@@ -1,4 +1,4 @@
-"""The callers of one simulated channel, and what they know: producers, and a reader of all items.
+"""The callers of one simulated channel, and their knowledge: producers, and a reader of all items.
 
 Producers put numbered items one after the other, and put an item again until it is acknowledged.
 """
@@ -105,7 +105,7 @@ class ChannelCallers:
         return host.store.known(self.channel_id) if host is not None and is_served else None
 
     def look(self) -> list[Item]:
-        """Note what readers see."""
+        """Note the items that readers see."""
         hosted = self.served()
         if hosted is None:
             return []
@@ -125,7 +125,8 @@ class ChannelCallers:
                 continue  # no replica was in sync
             missing = {item: since for item, since in times.items() if item not in there}
             lost += len(missing)
-            last_s = self.last_ack_s.get(incarnation, 0.0)  # later items were seen, and nobody has an answer for them
+            # A reader may have seen later items, but no producer has their acks.
+            last_s = self.last_ack_s.get(incarnation, 0.0)
             ends_at = self.policy.ack == "host" and at + 1 < len(order)
             early = [
                 item

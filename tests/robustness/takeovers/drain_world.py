@@ -91,7 +91,7 @@ class DrainCluster(Cluster):
 
     @property
     def early_holds(self) -> int:
-        """The number of channels that were handed over and that nobody had asked their owner to hold."""
+        """The number of handed over channels that no destination had asked the owner to hold."""
         return self.steps["handed over"] - self.steps["held"]
 
     def owned_channels(self, number: int) -> int:

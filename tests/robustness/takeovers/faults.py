@@ -95,7 +95,7 @@ class Faults:
             self.cluster.start(owner)
 
     async def kill_alone(self, number: int) -> None:
-        """The owner reaches nobody but its callers, and then dies."""
+        """The owner reaches only its callers, and then dies."""
         owner = self.owner_number()
         self.cluster.cut_off.add(owner)
         for other in self.cluster.hosts:

@@ -143,7 +143,7 @@ class Taker:
             known.given_back.add(delivery.delivery_id)
             delay_nanos = self.rng.choice((0, 10**9))
             await self._settled(delivery, known, give_back=queue_pb2.GiveBack(delay_nanos=delay_nanos))
-        # else the lease ends
+        # otherwise the lease ends
 
     async def _ack(self, message: Message, delivery: Delivery, known: Incarnation) -> None:
         known.perhaps_acked[delivery.delivery_id] = message

@@ -11,7 +11,9 @@ Message = tuple[int, int]
 
 
 class Delivery(NamedTuple):
-    """A delivery that a taker got. Its lease lasts until `ends_s` at least. `number`: of the message's deliveries."""
+    """A delivery that a taker got. Its lease lasts until `ends_s` at least. `number`: counts the message's
+    deliveries.
+    """
 
     delivery_id: int
     number: int
@@ -38,7 +40,9 @@ class Incarnation:
         self.put.add(message)
 
     def known_as(self, message: Message, seq: int) -> None:
-        """Note the seq of a message. Raises AssertionError if the message or the seq has another one."""
+        """Note the seq of a message. Raises AssertionError if the message already has another seq, or the seq
+        another message.
+        """
         assert self.seqs.setdefault(message, seq) == seq, f"message {message} is there twice"
         assert self.messages.setdefault(seq, message) == message, f"two messages have the seq {seq}"
 

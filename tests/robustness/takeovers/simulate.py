@@ -1,7 +1,7 @@
 """Take-overs and moves of a channel with replicas under random faults.
 
 No acknowledged or seen item may be lost, except the items that may be lost with `ack="host"`. No item may be there
-twice. Two hosts never serve the channel at the same time. When the faults are over, nobody is stuck.
+twice. Two hosts never serve the channel at the same time. When the faults are over, no caller is stuck.
 """
 
 from __future__ import annotations

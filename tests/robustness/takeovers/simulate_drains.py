@@ -57,7 +57,7 @@ class HastyCallers(ChannelCallers):
 
 
 class DrainFaults(Faults):
-    """The faults of one run: those of all simulators, and breaks at the messages of drains and of moves."""
+    """The faults of one run: the faults of all simulators, and breaks at the messages of drains and of moves."""
 
     breaks = 0
 

@@ -3,7 +3,7 @@
 Producers put numbered messages, and put a message again until it is acknowledged. Takers ack, give back and terminate
 messages, or let their leases end. No acknowledged message may be lost, and none may come back after its ack. The next
 owner keeps leases and counts of deliveries. Dead letters arrive once. Two hosts never serve a queue at the same time.
-When the faults are over, nobody is stuck.
+When the faults are over, no caller is stuck.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class Between(Protocol):
 
 
 class LeasedHost(Host):
-    """A host that renews its lease. It serves nothing FENCE_S after it sent the last renewal."""
+    """A host that renews its lease. It stops serving FENCE_S after it sent the last renewal."""
 
     fence_s = 0.0
     _was_held = False

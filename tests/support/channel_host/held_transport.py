@@ -51,7 +51,7 @@ class HeldTransport:
 
 
 def receive(connection: StreamSocket, data: bytes) -> None:
-    """Hand over these bytes as the event loop does: as many at once as there is a buffer for."""
+    """Hand over these bytes as the event loop does: each time as many as fit into the buffer."""
     while data:
         buffer = connection.get_buffer(-1)
         size = min(len(buffer), len(data))

@@ -1,8 +1,8 @@
 """A channel host on real gRPC in a process of its own, whose clock stands still until a test moves it.
 
-The process also serves a directory. The test steers it by the lines `tick NANOS WALL_STEP` and `settle` on its standard
-input. The process answers each line with the host's time. With certificates, the directory and the host take callers
-with certificates only.
+The process also serves a directory. The test steers the process by the lines `tick NANOS WALL_STEP` and `settle` on its
+standard input. The process answers each line with the host's time. With certificates, the directory and the host take
+callers with certificates only.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from tests.support.clock import ManualClock
 from tests.support.processes import started
 
 HOST_ID = b"the-loopback-hst"
-LEASE_TTL_NANOS = 10**18  # all scenarios together do not last so long
+LEASE_TTL_NANOS = 10**18  # all scenarios together last less than this time
 STOP_SECONDS_MAX = 20.0
 
 

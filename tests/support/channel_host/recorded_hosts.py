@@ -150,7 +150,7 @@ class Owner:
         await self.host.archive.write_all()
 
     async def find(self) -> None:
-        """Have the host look at the store, which must be back, and write what it has learnt."""
+        """Have the host look at the store, which must be back, and write its new knowledge to the disk."""
         assert not await self.host.mover.move_all()
         await self.host.archive.write_all()
 

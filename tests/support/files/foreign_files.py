@@ -37,7 +37,7 @@ def rosbag(folder: Path, plugin: StoragePlugin) -> Path:
 def xdf_file(
     path: Path, samples: Sequence[tuple[float, Sequence[float]]], markers: Sequence[tuple[float, str]]
 ) -> Path:
-    """An XDF file with a stream of numbers and one of markers. No package of the registries writes XDF."""
+    """An XDF file with a stream of numbers and a stream of markers. No package of the registries writes XDF."""
     streams = {
         1: ("EEG", "double64", [(stamp, struct.pack(f"<{len(row)}d", *row)) for stamp, row in samples]),
         2: ("Marks", "string", [(stamp, _varlen(text.encode()) + text.encode()) for stamp, text in markers]),

@@ -79,7 +79,8 @@ def _fork(request: bytes, streams: list[int]) -> int:
             socket.send_fds(calls, [request], streams)
             answer = calls.recv(32)
         except BaseException:
-            # The answer may still come, and the next caller would take it for its own. It gets another loaded process.
+            # The answer may still come, and the next caller would take it for its own. So the next caller gets another
+            # process.
             calls.close()
             _loaded_process.cache_clear()
             raise

@@ -164,7 +164,7 @@ class LiveCluster:
 
 
 def _is_in(status: ReplicationStatus) -> bool:
-    """Whether the member counts as one. A refusal may tell it of its removal before the log does."""
+    """Whether the member counts as one. The member may learn of its removal from a refusal, before it reads the log."""
     return not status.removed and any(member.member_id == status.self_id for member in status.members)
 
 

@@ -40,7 +40,7 @@ class MemoryLog:
         self.quorum = True
         self.diverged_at = 0
         self.disk_silent_seconds = 0.0
-        # The highest feature levels that the members have told; None: both know the levels of this release.
+        # The highest feature levels that the members have reported; None: both know the levels of this release.
         self.highest_levels: dict[str, int] | None = None
         # The error of every change of the members; None: it succeeds.
         self.change_fails: Exception | None = None

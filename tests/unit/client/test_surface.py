@@ -142,5 +142,6 @@ def test_both_clients_have_the_same_names_and_arguments(name: str) -> None:
 def test_everything_public_has_a_docstring(owner: object) -> None:
     for name in getattr(owner, "__all__", vars(owner)):
         value = getattr(owner, name)
-        if not name.startswith("_") and callable(value) and typing.get_origin(value) is None:  # else a kind of argument
+        # A value with an origin is a kind of argument.
+        if not name.startswith("_") and callable(value) and typing.get_origin(value) is None:
             assert value.__doc__, name

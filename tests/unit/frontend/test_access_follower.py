@@ -16,7 +16,7 @@ from stampede_rt_runtime.server import serving
 
 
 class Told(access_service_pb2_grpc.AccessServiceServicer):
-    """A supernode's answers. `version` 0: it refuses to answer."""
+    """A supernode's answers. `version` 0: the supernode refuses to answer."""
 
     def __init__(self) -> None:
         self.version, self.asked = 7, 0

@@ -1,4 +1,4 @@
-"""A host with an archive in an object store that stops: it has the lease until the store has everything."""
+"""A host with an archive in an object store stops. The host keeps its lease until the store has everything."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A function that calls `sys.exit` ends its callback or sampler. The handle says so."""
+"""A function that calls `sys.exit` ends its callback or sampler. The handle reports this."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def _record() -> bytes:
 
 
 def backup(source: ByteSource) -> None:
-    """Half of the inputs have the right checksum, because anybody can compute it."""
+    """Half of the inputs have the right checksum, because an attacker can compute it."""
     header = BackupHeader(member_id="s1", cluster_id="c", log_index=2, time_unix_nano=1)
     sound = b"".join(make_backup(header, _record()).parts())
     data = content(source, sound)

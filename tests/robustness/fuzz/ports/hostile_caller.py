@@ -41,7 +41,7 @@ class HostileCaller:
         self._outcome = outcome
         self._random_source = random.Random(seed)
         self.socket: SocketPort | None = None
-        """The socket of the port; None: it has none."""
+        """The socket of the port; None: the port has no socket."""
 
     async def play(self, channel: grpc.aio.Channel) -> None:
         """Make one call."""

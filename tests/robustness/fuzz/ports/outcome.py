@@ -49,7 +49,7 @@ class Outcome:
     good_failures: list[str] = field(default_factory=list)
 
     def add(self, finding: Finding) -> None:
-        """Add the finding, unless one of its kind is there."""
+        """Add the finding, unless a finding of its kind is there."""
         if len(self.findings) < FINDINGS_MAX and all(one.kind != finding.kind for one in self.findings):
             self.findings.append(finding)
 

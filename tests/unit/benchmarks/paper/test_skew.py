@@ -24,7 +24,7 @@ CAPTIONS = [Receipt(number * CAPTION_NANOS, number * CAPTION_NANOS + 10) for num
 
 
 def frames(count: int, late: dict[int, int] | None = None) -> list[Receipt]:
-    """Frames with their captions. Those in `late` come later than their captions, by the stated milliseconds."""
+    """Frames with their captions. The frames in `late` come later than their captions, by the stated milliseconds."""
     delays = late or {}
     times = [number * NANOS_PER_SECOND // 30 for number in range(count)]
     return [

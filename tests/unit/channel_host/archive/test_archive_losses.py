@@ -37,7 +37,7 @@ CLOCK = 1000
 def files_of(folder: Path, *bounds: tuple[int, int]) -> list[Path]:
     """Write a file with two items in a block for each of these ranges of seqs. Returns the files, in order.
 
-    The host accepts the items of the first one at the instant 0, and the items of the others at 600.
+    The host accepts the items of the first file at the instant 0, and the items of the other files at 600.
     """
     for at, (first, end) in enumerate(bounds if bounds[0][0] == 1 else ((1, 1), *bounds)):
         files = SegmentFiles(folder, {})

@@ -30,7 +30,8 @@ def moved_record(epoch: int) -> RecordedChannel:
 
 
 async def take_over(new: Host, next_seq: int, held: Sequence[int] = ()) -> HostedChannel:
-    """Do what a move does: open the archive before the directory commits the move, and record the channel after it.
+    """Take the channel over as a move does: open the archive before the directory commits the move, and record the
+    channel after it.
 
     `held`: the seqs in memory. Each item has its seq as its time.
     """
@@ -48,7 +49,7 @@ async def take_over(new: Host, next_seq: int, held: Sequence[int] = ()) -> Hoste
 
 
 async def finish(former: Host, new: Host) -> None:
-    """The new owner writes its items, and then the former one moves its last file."""
+    """The new owner writes its items, and then the former owner moves its last file."""
     await new.archive.write_all()
     former.archive.forget(former.recorder)
     del former.recorder

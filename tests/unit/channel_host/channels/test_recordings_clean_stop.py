@@ -132,7 +132,7 @@ async def test_an_owner_that_could_not_reach_the_store_at_first_learns_of_the_cl
     assert (answer.reason, await second.times(ALL)) == (None, [*times, SINCE + 1])
     await stop(second)
     third = await owner(tmp_path / "c", store, 3)
-    # an archive that begins with the second owner does not tell that there were no items before (decision 0290)
+    # an archive that begins with the second owner does not prove that there were no earlier items (decision 0290)
     assert (await third.read(all_up_to(SINCE + 1))).reason == (None if times else "COLLECTED")
     await stop(third)
 

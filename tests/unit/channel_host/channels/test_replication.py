@@ -1,4 +1,4 @@
-"""A channel whose replicas lack its items: what it keeps for its readers is bounded, and counts as its memory."""
+"""A channel whose replicas lack its items: the items that it keeps for readers are bounded, and count as its memory."""
 
 from __future__ import annotations
 

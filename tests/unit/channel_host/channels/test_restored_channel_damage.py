@@ -1,4 +1,4 @@
-"""Reads of a restarted channel whose archive has a flipped bit: each read that lacks an item says so."""
+"""Reads of a restarted channel whose archive has a flipped bit: each read that lacks an item says LOST."""
 
 from __future__ import annotations
 

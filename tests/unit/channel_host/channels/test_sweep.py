@@ -1,4 +1,6 @@
-"""The host frees outdated items of channels that no caller uses. It does so during the work for channels in use."""
+"""The host frees outdated items of channels that no caller uses. It does this work in steps, during the work for
+channels in use.
+"""
 
 from __future__ import annotations
 

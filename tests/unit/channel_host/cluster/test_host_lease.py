@@ -1,4 +1,4 @@
-"""The host's lease arithmetic: it must stop before the directory can have given its channels away."""
+"""The host's lease arithmetic: the host must stop before the directory can have given its channels away."""
 
 from __future__ import annotations
 

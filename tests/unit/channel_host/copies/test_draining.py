@@ -1,4 +1,4 @@
-"""The drain of a host: which host gets a channel if the first one has no room, or also stops."""
+"""The drain of a host: which host gets a channel if the first host has no room, or also stops."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
         self, *errors: StampedeError, always: StampedeError | None = None, is_frozen: bool = False,
         has_archive: bool = False, is_older: bool = False, breaks: int = 0,
     ) -> None:  # fmt: skip
-        """`is_older`: it knows no streams of drains. `breaks`: this many streams break at their first request."""
+        """`is_older`: the host knows no streams of drains. `breaks`: this many streams break at their first request."""
         self.is_older, self.breaks, self.streams = is_older, breaks, 0
         self.errors, self.always, self.is_frozen, self.has_archive = [*errors], always, is_frozen, has_archive
         self.taken: list[bytes] = []

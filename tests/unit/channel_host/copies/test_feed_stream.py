@@ -46,7 +46,7 @@ class Fed:
         self._number = 0
 
     def put(self) -> list[bytes]:
-        """Put an item. Returns what the host has written to the replica before it returned."""
+        """Put an item. Returns the bytes that the host wrote to the replica before the put returned."""
         self._number += 1
         head, before = put_head(self.channel.channel_id, self.channel.epoch, 7), len(self.feed.written())
         self.producer.send(put_request(head, self._number, run_parts((b"x",), times=None), 10**9))

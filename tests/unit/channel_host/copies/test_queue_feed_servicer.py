@@ -16,7 +16,9 @@ from tests.support.channel_host.queue_cores import Core
 
 
 async def test_an_owner_that_feeds_one_queue_cannot_replace_the_copy_of_another() -> None:
-    """The host has checked the ownership only for the queue of the first request. A later request names another one."""
+    """The host has checked the ownership only for the queue of the first request. A later request names another
+    queue.
+    """
     dropped: list[bytes] = []
     room = SimpleNamespace(claim=lambda size: None, set=lambda size: None)
     copies = SimpleNamespace(drop=dropped.append, of=lambda queue_id: None)

@@ -1,4 +1,4 @@
-"""The facts about a channel are dropped with its last group. This looks at no other channel."""
+"""A host drops the facts about a channel with the last group of the channel, and looks at no other channel."""
 
 from __future__ import annotations
 

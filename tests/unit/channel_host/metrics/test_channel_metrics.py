@@ -82,7 +82,7 @@ def test_the_sums_count_accepted_rejected_and_collected_items() -> None:
     assert found["stampede_channel_items_rejected_total", "left", "too_old"] == 1
     assert found["stampede_items_delivered_total",] == 2
     assert found["stampede_items_held",] == found["stampede_channel_items_held", "left"] == 2
-    assert found["stampede_items_rejected_total", "in_future"] == 0  # a rate needs the 0 before the first one
+    assert found["stampede_items_rejected_total", "in_future"] == 0  # a rate needs the 0 before the first rejected item
 
 
 def test_an_item_after_one_with_a_later_time_is_late() -> None:

@@ -93,7 +93,7 @@ class Stream:
 
 
 class Session:
-    """The connection. Each opening of a stream makes another one."""
+    """The connection. It makes another stream at each opening."""
 
     def __init__(self) -> None:
         self.streams = list[Stream]()

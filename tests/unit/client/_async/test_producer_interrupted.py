@@ -71,7 +71,7 @@ class Stream:
         for put in pb.PutRequest.FromString(b"".join(request)).puts if isinstance(request, list) else ():
             assert not self.ended
             payloads = _payloads_of(put.run)
-            if put.first_number > len(self.host.payloads):  # else it is known from an earlier stream
+            if put.first_number > len(self.host.payloads):  # otherwise the host knows the run from an earlier stream
                 assert put.first_number == len(self.host.payloads) + 1, "a run is missing"
                 self.host.payloads += payloads
             self.held.append(pb.PutAck(first_number=put.first_number, items=len(payloads)))

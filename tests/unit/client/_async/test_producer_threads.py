@@ -60,7 +60,7 @@ class Place:
 
 
 class LookedAt(UnackedRuns):
-    """The unacknowledged runs. Before it tells how many there are, it calls the next function of `looks`."""
+    """The unacknowledged runs. Its `len` first calls the next function of `looks`."""
 
     looks: list[Any] | None = None
 

@@ -1,4 +1,4 @@
-"""The puts that share a stream, and those that do not."""
+"""The puts that share a stream, and the puts that do not share one."""
 
 from __future__ import annotations
 

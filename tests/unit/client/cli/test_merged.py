@@ -30,7 +30,7 @@ def item(payload: bytes) -> Item:
 
 
 class FakeConnection:
-    """A directory and a host that give out what the test puts into their queues, and raise its errors."""
+    """A directory and a host that give out the changes and items of the test, and raise its errors."""
 
     def __init__(self, listed: list[ChannelInfo]) -> None:
         self.listed = listed

@@ -77,7 +77,7 @@ def test_an_error_of_the_service_arrives_with_its_details_after_the_messages_bef
     status = encode_status(InvalidArgument("not so", metadata={"field": "x"}))
     far.socket.sendall(frame_of(FrameKind.MESSAGE, b"last") + frame_of(FrameKind.STATUS, status))
     far.socket.close()
-    call.send(b"into nowhere")  # the status tells why
+    call.send(b"into nowhere")  # the status has the reason
     assert next(call) == b"last"
     for _ in range(2):
         error = from_rpc_error(failure_of(call), "h1")

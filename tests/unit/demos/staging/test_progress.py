@@ -1,4 +1,4 @@
-"""The text about progress suits its output: a terminal, or a file."""
+"""The form of the progress text depends on its output: a terminal, or a file."""
 
 import io
 

@@ -36,7 +36,7 @@ class Loop:
         self.now = max(self.now, end)
 
     def fire_due(self) -> int:
-        """Fire the timers that are due now, and not those that they set. Returns their number."""
+        """Fire the timers that are due now, but no timer that a fired timer sets. Returns their number."""
         due = [one for one in self._timers if one[0] <= self.now]
         for timer in due:
             self._timers.remove(timer)

@@ -1,4 +1,4 @@
-"""Streams over TCP with certificates: both clients of the product, and callers whom the port refuses."""
+"""Streams over TCP with certificates: both clients of the product, and callers that the port refuses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A snapshot is of one moment while the directory changes, and the next one writes only the changes since."""
+"""A snapshot shows one moment, although the directory changes. The next snapshot writes only the changes since then."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The list of a channel's objects on the disk: what it says after changes, damage, and on a disk that takes nothing."""
+"""The list of a channel's objects on the disk: after changes, after damage, and on a disk that takes nothing."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ async def test_the_next_owner_reads_the_moved_files_and_the_former_owner_cannot_
     write_closed(owner, 5, 1)
     await move(owner, store)
     before = dict(store.objects)
-    await move(former, store)  # the former owner goes on, and does not know of the new one
+    await move(former, store)  # the former owner goes on, and does not know of the new owner
     assert {name: store.objects[name] for name in before} == before
     assert found_by(owner) == [1, 2, 3, 4, 5, 6]
     assert found_by(host(tmp_path, "c", store, 3)) == [1, 2, 3, 4, 5, 6]

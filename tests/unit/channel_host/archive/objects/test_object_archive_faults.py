@@ -43,7 +43,7 @@ async def test_a_step_of_the_clock_loses_no_item_and_leaves_no_file_open(tmp_pat
         await moved(one, 2)
         assert one.read() == [1, 2, 3, 4, 5]
     async with host(tmp_path, store) as again:
-        again.clock = DAY // 2  # the clock of the next process is still another one
+        again.clock = DAY // 2  # the clock of the next process shows yet another time
         await again.serve(2)
         assert again.read() == [1, 2, 3, 4, 5]
         await moved(again, 1)

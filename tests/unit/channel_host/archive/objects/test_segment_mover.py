@@ -231,7 +231,7 @@ async def test_the_limits_of_an_idle_channel_remove_its_objects(
             await one.mover.move_all()
         one.recorder.limit(ArchiveLimits(10**9, None))
         assert not await one.mover.move_all()
-        assert len(store.objects) == 1  # the last one stays
+        assert len(store.objects) == 1  # the last object stays
         assert len(one.recorder.segments) == 1
 
 

@@ -284,7 +284,7 @@ async def test_a_put_releases_very_many_gets_a_few_in_each_step_and_all_of_them(
     assert all(found_times(one) == [START + S] for one in blocked.outcomes)
     assert steps >= 1000 // GETS_PER_PIECE
     blocked.channel.collect(blocked.now)
-    assert not blocked.channel.look(blocked.now)[0].has_backlog, "the host has freed everything that it kept for them"
+    assert not blocked.channel.look(blocked.now)[0].has_backlog, "the channel keeps nothing more for these gets"
 
 
 @pytest.mark.parametrize("gets", [GETS_PER_PIECE, 4 * GETS_PER_PIECE])

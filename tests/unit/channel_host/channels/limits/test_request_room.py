@@ -11,7 +11,7 @@ from stampede_rt_channel_host.channels.limits.request_room import ROOM_BYTES, Re
 
 
 class Uploads:
-    """Requests that take room until they are told to end; `under_way` are the requests that got room, in order."""
+    """Requests that take room until the test ends them; `under_way` are the requests that got room, in order."""
 
     def __init__(self, room: RequestRoom | RequestRooms) -> None:
         self.room = room
@@ -59,7 +59,7 @@ async def test_requests_get_room_in_the_order_of_arrival() -> None:
     async with uploads() as some:
         for number, size in enumerate((40, 40, 30, 10)):
             await some.begin(f"{number}", f"caller {number}", size)
-        assert some.under_way == ["0", "1"]  # the last one does not pass the third
+        assert some.under_way == ["0", "1"]  # the last request does not overtake the third
         assert some.room.used_bytes == 80
         await some.end("0")
         assert some.under_way == ["0", "1", "2", "3"]

@@ -102,7 +102,7 @@ async def test_a_put_into_another_epoch_is_refused_and_does_not_end_the_stream()
 async def test_puts_that_arrive_together_are_acked_together_and_in_order() -> None:
     async with stream_of("Put") as (stream, channel):
         assert stream.send(*(put_of(channel, number) for number in range(1, 30))) == []
-        assert acks_in(stream.send(put_of(channel, 30))) == [], "the earlier ones come first"
+        assert acks_in(stream.send(put_of(channel, 30))) == [], "the acks of earlier puts come first"
         while len(acks := acks_in(stream.written())) < 30:
             await stream.until_written(len(stream.written()) + 1)
         assert [ack.first_seq for ack in acks] == list(range(1, 31))

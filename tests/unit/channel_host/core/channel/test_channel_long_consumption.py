@@ -83,7 +83,7 @@ def test_the_count_of_items_that_wait_for_a_consumer_needs_no_walk_over_collecte
     channel.configure(Policy(max_items=1, max_age_nanos=10**12, consumers=10), CLOCK)  # leaves seq 1
     for _ in channel.catching_up(CLOCK):
         pass
-    for time in range(2 * BLOCK_ITEMS):  # every other one of them goes: they come in two orders
+    for time in range(2 * BLOCK_ITEMS):  # the late half of the items goes: the items come in two orders
         put(channel, CLOCK + (time if time % 2 else -time))
     calls, add = 0, seq_set.SeqSet.add
 

@@ -122,7 +122,7 @@ def test_collection_by_age_counts_each_outdated_item_even_a_very_late_one() -> N
     held: list[int] = []
     now = CLOCK
     for step in range(1, 4001):
-        now += 500 if step % 1000 else 900_000  # so long a pause outdates a few blocks at once
+        now += 500 if step % 1000 else 900_000  # after this pause a few blocks are outdated together
         late = rng.choice((1, 1, 300_000))
         times = [now - rng.randrange(late) for _ in range(rng.randrange(1, 5))]
         put(channel, *times, now=now)

@@ -54,7 +54,7 @@ def test_many_items_are_matched_together_within_the_credit(monkeypatch: pytest.M
     taken = matcher.take(lambda channel_id, instant: True, NOW, 64)
     assert ([one.item.slice.first_time for one in taken], len(settled)) == ([*range(10, 74)], 1)
     each = taken[0].charge_bytes
-    assert each == 2 * taken[0].item.slice.charge_bytes  # the partner comes from its own host, and costs nothing here
+    assert each == 2 * taken[0].item.slice.charge_bytes  # the remote partner comes from its own host
     assert len(matcher.take(lambda channel_id, instant: True, NOW, 64, 3 * each - 1)) == 3
     assert matcher.take(lambda channel_id, instant: True, NOW, 64, 0) == []
     assert len(matcher.take(lambda channel_id, instant: True, NOW, 64)) == 33

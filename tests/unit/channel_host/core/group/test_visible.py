@@ -28,7 +28,7 @@ def test_only_items_before_the_cut_are_visible_and_the_channel_keeps_the_others(
     view = VisibleChannel(made)
     answer = view.read(everything(), horizon(30), CLOCK)
     assert times(answer.slices) == [10, 20]
-    assert answer.next_time is None  # the next one is hidden, and so is its time
+    assert answer.next_time is None  # the next item is hidden, and its time, too
     assert times(made.read(everything(), CLOCK).slices) == [10, 20, 30]
     assert view.hidden_items(30, CLOCK) == 1
 
@@ -115,13 +115,15 @@ def test_a_subscription_with_a_start_begins_with_the_visible_items_from_the_star
 
 
 def test_a_resumed_group_subscription_skips_nothing() -> None:
-    made = channel(10, 20, 30, 15)  # the last one came late
+    made = channel(10, 20, 30, 15)  # the last item came late
     reader = VisibleAll(made, horizon(40), CLOCK, after=Position(20, 2, INCARNATION))
     assert delivered(reader, 40) == [15, 30]
 
 
 def test_a_subscription_resumed_within_a_step_skips_no_late_item() -> None:
-    """The item at 5 was readable before the one at 20, and comes before it: 20 has the higher seq."""
+    """The item at 5 was readable before the item at 20. It also comes first, because the item at 20 has the higher
+    seq.
+    """
     made = channel(10)
     reader = VisibleAll(made, horizon(15), CLOCK)
     put(made, 5)

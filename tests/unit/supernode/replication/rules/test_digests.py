@@ -142,7 +142,7 @@ def test_a_doubt_ends_when_its_member_is_removed_or_agrees() -> None:
     poll = polled(ONE, {"a": OTHER, "b": OTHER}, voters=3)
     assert poll.doubts == {"a": 7, "b": 7}
     poll.answered("b", (7, ONE), "bcd")
-    assert poll.doubts == {}, "one has left, the other one was started again"
+    assert poll.doubts == {}, "one member has left, and the other was restarted"
 
 
 def test_a_leader_asks_for_a_digest_until_all_connected_members_have_answered_or_up_to_a_limit() -> None:

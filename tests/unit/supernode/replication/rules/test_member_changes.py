@@ -1,4 +1,4 @@
-"""The releases that a leader lets in: those that know the present feature level, and the next one."""
+"""The releases that a leader lets in must know the present feature level and a proposed next level."""
 
 from __future__ import annotations
 

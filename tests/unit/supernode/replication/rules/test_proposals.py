@@ -8,7 +8,7 @@ from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal,
 
 
 class Library:
-    """Takes commands over and answers when told to."""
+    """Takes commands over, and answers when the test says."""
 
     def __init__(self, submitted_max: int = 10) -> None:
         self.handed: list[tuple[bytes, ProposalDone]] = []

@@ -1,5 +1,5 @@
-"""Messages of a hostile holder of valid credentials to one node: it counts as at fault, or is ignored, and the node
-goes on.
+"""A hostile holder of valid credentials sends messages to a node. The node counts the sender as at fault, or ignores
+the message, and goes on.
 """
 
 from __future__ import annotations

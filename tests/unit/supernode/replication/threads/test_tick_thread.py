@@ -1,4 +1,4 @@
-"""The log's thread: it wakes up at once, and a failure in it is never survived."""
+"""The log's thread wakes up without delay. After a failure it ends, and by default the process ends, too."""
 
 from __future__ import annotations
 
