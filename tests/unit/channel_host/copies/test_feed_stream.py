@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from stampede_rt.errors import InvalidArgument, Overloaded
+from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt.values.policy import parse_policy
@@ -19,10 +19,10 @@ from stampede_rt.wire.records import policy_to_spec
 from stampede_rt.wire.runs import run_parts
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.copies.copy_feed import RUNS_PER_TURN, CopyFeed
+from stampede_rt_channel_host.copies.copy_feed import GRANTS, RUNS_PER_TURN, CopyFeed
 from stampede_rt_channel_host.copies.fed_responses import FedResponse, read_response
 from stampede_rt_channel_host.copies.feed_stream import FeedStream
-from stampede_rt_channel_host.core.channel import ChannelFeed
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelFeed
 from stampede_rt_channel_host.core.replication import KnownReplica
 from stampede_rt_runtime import pacing
 from tests.support.channel_host.held_transport import HeldStream, held_stream
@@ -124,6 +124,26 @@ async def test_a_replica_that_knows_the_producer_gets_the_short_form_of_a_put_if
         assert forms == ([full, short, short] if takes_puts else [full] * 3)
 
 
+async def test_a_producer_has_its_ack_when_the_host_wakes_the_readers() -> None:
+    async with fed() as one:
+        acks_at_wakes: list[int] = []
+        one.hosted.group_observers[Waking(lambda: acks_at_wakes.append(len(one.acks())))] = None
+        for _ in range(2):
+            one.put()
+            one.report()
+        assert acks_at_wakes == [1, 2]
+
+
+class Waking:
+    """An observer of a channel that calls `wake`."""
+
+    def __init__(self, wake: Callable[[], object]) -> None:
+        self.wake = wake
+
+    def end(self, error: StampedeError) -> None:
+        """The channel goes on until the host stops."""
+
+
 async def test_the_items_that_come_while_the_replica_lacks_one_go_out_together() -> None:
     async with fed() as one:
         assert one.put()
@@ -201,6 +221,24 @@ async def test_a_replica_answers_a_part_in_the_turn_in_which_it_comes() -> None:
         held = copied._held()
         assert held is not None
         assert held.channel.next_seq == 2
+
+
+async def test_a_replica_grants_credit_in_large_steps_with_its_answers_to_puts() -> None:
+    charge_bytes = 1 + ITEM_OVERHEAD_BYTES  # of one put
+    async with fed() as one, running_host() as other:
+        copied = CopyFeed(
+            other.host.store, one.hosted.record, CopyState(lambda: 0), REPLICA, "replica:1", owner_facts=True,
+            window_bytes=GRANTS * 3 * charge_bytes,
+        )  # fmt: skip
+        sent: list[pb.FeedRequest] = []
+        call: Any = SimpleNamespace(write_now=sent.append)
+        await copied._take(parts_in(one.feed.written()[:1])[0])
+        for _ in range(7):
+            [part] = parts_in(one.put())
+            assert copied._take_at_once(call, part)
+            one.report()
+            await pauses()
+        assert [request.credit_bytes for request in sent if request.credit_bytes] == [3 * charge_bytes] * 2
 
 
 async def test_a_replica_reports_no_part_that_it_cannot_store() -> None:
