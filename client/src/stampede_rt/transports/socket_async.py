@@ -16,7 +16,7 @@ from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.socket_errors import SocketError, broken, error_of, silent
 from stampede_rt.transports.socket_limits import (
     JOINED_BYTES_MAX,
-    KEPT_ROOM_BYTES_MAX,
+    KEPT_BUFFER_BYTES_MAX,
     RECEIVE_BYTES,
     RECEIVED_BYTES_MAX,
     SILENCE_S_MAX,
@@ -24,7 +24,7 @@ from stampede_rt.transports.socket_limits import (
 )
 from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX, messages_of
-from stampede_rt.wire.stream_frames import FrameInRoom, FrameKind, FrameReader, frame_of, head_of
+from stampede_rt.wire.stream_frames import FrameInBuffer, FrameKind, FrameReader, frame_of, head_of
 
 
 class SocketCall(asyncio.BufferedProtocol):
@@ -35,11 +35,11 @@ class SocketCall(asyncio.BufferedProtocol):
         self._method, self._tls = method, tls
         self._opening = opening
         self._transport: Any = None
-        self._frames = FrameReader(RECEIVED_BYTES_MAX, KEPT_ROOM_BYTES_MAX)
+        self._frames = FrameReader(RECEIVED_BYTES_MAX, KEPT_BUFFER_BYTES_MAX)
         # asyncio's own way makes a new buffer for each read, which takes longer than the read
         self._buffer = memoryview(bytearray(RECEIVE_BYTES))
         self._sealed = self._buffer if tls is None else memoryview(bytearray(RECEIVE_BYTES))
-        self._came: deque[FrameInRoom] = deque()
+        self._came: deque[FrameInBuffer] = deque()
         self._unread_bytes = 0
         # the end of the stream; no response comes after it
         self._error: SocketError | asyncio.CancelledError | None = None
@@ -116,9 +116,9 @@ class SocketCall(asyncio.BufferedProtocol):
             self._news = news = None  # the error refers to this frame
             return True
 
-    def _opened(self, tls: TlsLayer, nbytes: int) -> Sequence[FrameInRoom]:
+    def _opened(self, tls: TlsLayer, nbytes: int) -> Sequence[FrameInBuffer]:
         tls.feed(self._sealed[:nbytes])
-        frames: list[FrameInRoom] = []
+        frames: list[FrameInBuffer] = []
         while opened_bytes := tls.read(self._frames.place(self._buffer)):
             frames += self._frames.take(self._buffer, opened_bytes)
         return frames

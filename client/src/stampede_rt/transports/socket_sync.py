@@ -20,14 +20,14 @@ from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.socket_errors import SocketError, broken, cancelled, error_of, silent
 from stampede_rt.transports.socket_limits import (
     JOINED_BYTES_MAX,
-    KEPT_ROOM_BYTES_MAX,
+    KEPT_BUFFER_BYTES_MAX,
     RECEIVE_BYTES,
     RECEIVED_BYTES_MAX,
     SILENCE_S_MAX,
 )
 from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt.wire.request_pieces import SOCKET_MESSAGE_BYTES_MAX, messages_of
-from stampede_rt.wire.stream_frames import FrameInRoom, FrameKind, FrameReader, frame_of, head_of
+from stampede_rt.wire.stream_frames import FrameInBuffer, FrameKind, FrameReader, frame_of, head_of
 
 NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)  # a send after the end of the connection must not end the process
 Buffers = Sequence[bytes | memoryview]
@@ -58,8 +58,8 @@ class SocketCall:
         self._in_turn = in_turn
         self._socket, self._tls = connected, tls
         self._forks = forking.forks()
-        self._frames = FrameReader(RECEIVED_BYTES_MAX, KEPT_ROOM_BYTES_MAX)
-        self._came: deque[FrameInRoom] = deque()
+        self._frames = FrameReader(RECEIVED_BYTES_MAX, KEPT_BUFFER_BYTES_MAX)
+        self._came: deque[FrameInBuffer] = deque()
         self._is_cancelled = False
         self._failure: SocketError | None = None  # the error of a send
         self._mutex = threading.Lock()  # guards the sending side

@@ -27,8 +27,8 @@ class FrameKind(IntEnum):
 
 Frame = tuple[int, bytes]
 """The kind and the body of a frame."""
-FrameInRoom = tuple[int, bytes | memoryview]
-"""The kind and the body of a frame. The body of a long frame may be a view of its room."""
+FrameInBuffer = tuple[int, bytes | memoryview]
+"""The kind and the body of a frame. The body of a long frame may be a view of its buffer."""
 
 
 def head_of(kind: FrameKind, body_bytes: int) -> bytes:
@@ -41,42 +41,50 @@ def frame_of(kind: FrameKind, body: bytes = b"") -> bytes:
     return _HEAD.pack(len(body), kind) + body
 
 
-def has_views(room: bytearray) -> bool:
-    """Whether somebody has a view of the room. Python refuses to change the length of memory with views."""
+def has_views(buffer: bytearray) -> bool:
+    """Whether somebody has a view of the buffer. Python refuses to change the length of memory with views."""
     try:
-        room.append(room.pop())
+        buffer.append(buffer.pop())
     except BufferError:
         return True
     return False
 
 
 class FrameReader:
-    """Cuts the bytes of a socket into frames. It keeps only the bytes of an unfinished frame, and one room.
+    """Cuts the bytes of a socket into frames. It keeps only the bytes of an unfinished frame, and one buffer.
 
-    A room is the memory into which a socket writes the body of a long frame.
+    This buffer is the memory into which a socket writes the body of a long frame.
     """
 
-    __slots__ = ("_bytes_max", "_came_bytes", "_kept_bytes_max", "_kept_room", "_new_room", "_partial", "_wanted_bytes")
+    __slots__ = (
+        "_bytes_max",
+        "_came_bytes",
+        "_kept_buffer",
+        "_kept_bytes_max",
+        "_new_buffer",
+        "_partial",
+        "_wanted_bytes",
+    )
 
     def __init__(
         self,
         bytes_max: Mapping[FrameKind, int],
         kept_bytes_max: int = 0,
-        new_room: Callable[[int], bytearray] = bytearray,
+        new_buffer: Callable[[int], bytearray] = bytearray,
     ) -> None:
         """`bytes_max`: the longest body of each kind of frame that may come.
 
-        `kept_bytes_max`: the reader keeps one room, and writes each frame of up to this length into it, unless somebody
-        still has a view of the room. New memory for each frame would cost a page fault for each 4 KiB. `new_room` gives
-        the room for a frame of a stated length; the room may be longer.
+        `kept_bytes_max`: the reader keeps one buffer, and writes each frame of up to this length into it, unless
+        somebody still has a view of the buffer. New memory for each frame would cost a page fault for each 4 KiB.
+        `new_buffer` gives the buffer for a frame of a stated length; the buffer may be longer.
         """
-        self._new_room = new_room
+        self._new_buffer = new_buffer
         self._kept_bytes_max = kept_bytes_max
-        self._kept_room = bytearray()
+        self._kept_buffer = bytearray()
         self._bytes_max: dict[int, int] = {int(kind): most for kind, most in bytes_max.items()}
         self._partial = bytearray()
         self._wanted_bytes = 0  # of the unfinished frame, or of its head
-        self._came_bytes = 0  # of the unfinished frame, once it has room for all its bytes
+        self._came_bytes = 0  # of the unfinished frame, once it has a buffer for all its bytes
 
     @property
     def unfinished_bytes(self) -> int:
@@ -94,57 +102,57 @@ class FrameReader:
         return self._wanted_bytes - self.unfinished_bytes if self._partial else 0
 
     def place(self, short: memoryview) -> memoryview:
-        """Return where to write the next bytes: `short`, or the room of an unfinished frame.
+        """Return where to write the next bytes: `short`, or the buffer of an unfinished frame.
 
         Then call `take`.
         """
-        return self.room() if self._came_bytes or self.missing_bytes > len(short) else short
+        return self.buffer() if self._came_bytes or self.missing_bytes > len(short) else short
 
-    def take(self, short: memoryview, came_bytes: int) -> Sequence[FrameInRoom]:
+    def take(self, short: memoryview, came_bytes: int) -> Sequence[FrameInBuffer]:
         """Take the bytes that were written to `place`. Returns the frames that are complete now.
 
-        The body of a long frame is a view of its room. Raises InvalidArgument, as `feed`.
+        The body of a long frame is a view of its buffer. Raises InvalidArgument, as `feed`.
         """
         if not self._came_bytes:
             return self.feed(short[:came_bytes])
-        found = self.filled_room(came_bytes)
+        found = self.filled_buffer(came_bytes)
         return [] if found is None else [found]
 
-    def room(self) -> memoryview:
-        """Make room for the missing bytes of the unfinished frame, and return it.
+    def buffer(self) -> memoryview:
+        """The part of a buffer for the missing bytes of the unfinished frame.
 
         Write the bytes there, and tell `filled` how many. `feed` must not be called until the frame is complete.
         """
         if not self._came_bytes:
-            begun, self._partial = self._partial, self._room_for(self._wanted_bytes)
+            begun, self._partial = self._partial, self._buffer_for(self._wanted_bytes)
             self._came_bytes = len(begun)
             self._partial[: len(begun)] = begun
         return memoryview(self._partial)[self._came_bytes : self._wanted_bytes]
 
-    def _room_for(self, frame_bytes: int) -> bytearray:
-        if len(self._kept_room) >= frame_bytes and not has_views(self._kept_room):
-            return self._kept_room
-        room = self._new_room(frame_bytes)
+    def _buffer_for(self, frame_bytes: int) -> bytearray:
+        if len(self._kept_buffer) >= frame_bytes and not has_views(self._kept_buffer):
+            return self._kept_buffer
+        buffer = self._new_buffer(frame_bytes)
         if frame_bytes <= self._kept_bytes_max:
-            self._kept_room = room
-        return room
+            self._kept_buffer = buffer
+        return buffer
 
     def filled(self, more_bytes: int) -> list[Frame]:
-        """Take bytes that were written to `room`. Returns the frame if it is complete now."""
+        """Take bytes that were written to `buffer`. Returns the frame if it is complete now."""
         self._came_bytes += more_bytes
         return [self._whole()] if self._came_bytes == self._wanted_bytes else []
 
-    def filled_room(self, more_bytes: int) -> tuple[int, memoryview] | None:
-        """As `filled`. The body of the frame is a view of its room, and is not copied. None: the frame is unfinished.
+    def filled_buffer(self, more_bytes: int) -> tuple[int, memoryview] | None:
+        """As `filled`. The body of the frame is a view of its buffer, and is not copied. None: the frame is unfinished.
 
-        The room belongs to the caller from now on.
+        The buffer belongs to the caller from now on.
         """
         self._came_bytes += more_bytes
         if self._came_bytes < self._wanted_bytes:
             return None
-        room, end = self._partial, self._wanted_bytes
+        buffer, end = self._partial, self._wanted_bytes
         self.drop()
-        return room[4], memoryview(room)[HEAD_BYTES:end]
+        return buffer[4], memoryview(buffer)[HEAD_BYTES:end]
 
     def drop(self) -> None:
         """Free the bytes of an unfinished frame, if no more bytes will come."""

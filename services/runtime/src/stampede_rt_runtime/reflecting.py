@@ -11,7 +11,7 @@ from stampede_rt_runtime.health import SERVICE as HEALTH
 
 
 def noting_names(server: grpc.aio.Server) -> list[str]:
-    """A list to which the name of each service is added that is registered at `server` from now on.
+    """A list that gets the name of each service registered at `server` from now on.
 
     gRPC keeps these names to itself.
     """

@@ -29,16 +29,16 @@ def sending(far: socket.socket) -> threading.Thread:
     return thread
 
 
-def rooms_of(call: SocketCall | AsyncSocketCall) -> list[int]:
-    """The list to which the lengths of the stream's new rooms will be added."""
-    rooms: list[int] = []
+def buffers_of(call: SocketCall | AsyncSocketCall) -> list[int]:
+    """The list to which the lengths of the stream's new buffers will be added."""
+    buffers: list[int] = []
 
-    def new_room(frame_bytes: int) -> bytearray:
-        rooms.append(frame_bytes)
+    def new_buffer(frame_bytes: int) -> bytearray:
+        buffers.append(frame_bytes)
         return bytearray(frame_bytes)
 
-    call._frames._new_room = new_room
-    return rooms
+    call._frames._new_buffer = new_buffer
+    return buffers
 
 
 def test_a_blocking_stream_reads_each_full_response_into_the_same_memory() -> None:
@@ -46,12 +46,12 @@ def test_a_blocking_stream_reads_each_full_response_into_the_same_memory() -> No
     with far:
         call = SocketCall(near, VIEWS, OPENING, in_turn=False)
         responses: Iterator[memoryview] = iter(streams_sync.ServerStream(call, "a host", Watchdog()))
-        sender, rooms = sending(far), rooms_of(call)
+        sender, buffers = sending(far), buffers_of(call)
         for _ in range(RESPONSES):
             assert len(next(responses)) == len(FULL_AND_ONE_MORE_ITEM)
         sender.join()
         call.cancel()
-    assert len(rooms) == 1
+    assert len(buffers) == 1
 
 
 async def test_a_stream_on_asyncio_reads_each_full_response_into_the_same_memory() -> None:
@@ -60,9 +60,9 @@ async def test_a_stream_on_asyncio_reads_each_full_response_into_the_same_memory
         near.setblocking(False)
         call = await AsyncSocketCall.begun(near, VIEWS, OPENING)
         responses: AsyncIterator[memoryview] = aiter(streams_async.ServerStream(call, "a host"))
-        sender, rooms = sending(far), rooms_of(call)
+        sender, buffers = sending(far), buffers_of(call)
         for _ in range(RESPONSES):
             assert len(await anext(responses)) == len(FULL_AND_ONE_MORE_ITEM)
         await asyncio.to_thread(sender.join)
         call.cancel()
-    assert len(rooms) == 1
+    assert len(buffers) == 1

@@ -139,9 +139,9 @@ def test_the_rest_of_a_frame_may_be_written_to_its_room(body: bytes, begun: int,
     found: list[tuple[int, bytes]] = []
     while rest := whole[reader.unfinished_bytes :]:
         assert reader.missing_bytes == len(rest)
-        room = reader.room()
-        size = min(len(room), [*cuts, 300][min(turn, len(cuts))])
-        room[:size] = rest[:size]
+        buffer = reader.buffer()
+        size = min(len(buffer), [*cuts, 300][min(turn, len(cuts))])
+        buffer[:size] = rest[:size]
         turn += 1
         if found := reader.filled(size):
             break
@@ -151,16 +151,16 @@ def test_the_rest_of_a_frame_may_be_written_to_its_room(body: bytes, begun: int,
 
 
 def test_the_body_of_a_long_frame_can_be_a_view_of_a_given_buffer() -> None:
-    rooms = [bytearray(400), bytearray(400)]
-    reader = FrameReader(LIMITS, new_room=lambda frame_bytes: rooms[frame_bytes % 2])
+    buffers = [bytearray(400), bytearray(400)]
+    reader = FrameReader(LIMITS, new_buffer=lambda frame_bytes: buffers[frame_bytes % 2])
     for body in (b"a" * 300, b"b" * 200, b"c" * 299):
         whole = frame_of(FrameKind.MESSAGE, body)
         assert reader.feed(whole[:7]) == []
-        reader.room()[:90] = whole[7:97]
-        assert reader.filled_room(90) is None
-        reader.room()[:] = whole[97:]
-        frame = reader.filled_room(len(whole) - 97)
+        reader.buffer()[:90] = whole[7:97]
+        assert reader.filled_buffer(90) is None
+        reader.buffer()[:] = whole[97:]
+        frame = reader.filled_buffer(len(whole) - 97)
         assert frame is not None
         assert (frame[0], bytes(frame[1])) == (FrameKind.MESSAGE, body)
-        assert frame[1].obj is rooms[len(whole) % 2]
+        assert frame[1].obj is buffers[len(whole) % 2]
         assert reader.unfinished_bytes == 0

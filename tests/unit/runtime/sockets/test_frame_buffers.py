@@ -5,7 +5,7 @@ import asyncio
 from stampede_rt_runtime.quotas.accounts import Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import DEFAULTS
 from stampede_rt_runtime.quotas.loop_shares import LoopShares
-from stampede_rt_runtime.sockets.frame_buffers import PLACE_BYTES, PLACES, ROOMS_KEPT, FrameBuffers
+from stampede_rt_runtime.sockets.frame_buffers import BUFFERS_KEPT, PLACE_BYTES, PLACES, FrameBuffers
 
 
 async def test_a_caller_with_many_long_frames_does_not_take_buffers_of_another_caller() -> None:
@@ -96,23 +96,23 @@ async def test_the_bytes_of_a_frame_that_never_ends_count_for_its_caller() -> No
 
 def test_later_frames_reuse_a_buffer_unless_a_view_of_it_still_exists() -> None:
     buffers = FrameBuffers()
-    room = buffers.room(1000)
-    assert len(room) == 1000
-    buffers.give_back(room)
-    assert buffers.room(900) is room
-    view = memoryview(room)[10:20]
-    buffers.give_back(room)
-    assert buffers.room(900) is not room
-    assert len(room) == 1000
+    buffer = buffers.buffer(1000)
+    assert len(buffer) == 1000
+    buffers.give_back(buffer)
+    assert buffers.buffer(900) is buffer
+    view = memoryview(buffer)[10:20]
+    buffers.give_back(buffer)
+    assert buffers.buffer(900) is not buffer
+    assert len(buffer) == 1000
     view.release()
-    assert buffers.room(1001) is not room
-    assert buffers.room(1000) is room
+    assert buffers.buffer(1001) is not buffer
+    assert buffers.buffer(1000) is buffer
 
 
 def test_only_a_few_of_the_longest_free_buffers_are_kept() -> None:
     buffers = FrameBuffers()
-    rooms = [buffers.room(100 * (at % 7 + 1)) for at in range(7)]
-    for room in rooms:
-        buffers.give_back(room)
-    kept = {id(buffers.room(1)) for _ in range(ROOMS_KEPT)}
-    assert kept == {id(room) for room in rooms[-ROOMS_KEPT:]}
+    taken = [buffers.buffer(100 * (at % 7 + 1)) for at in range(7)]
+    for buffer in taken:
+        buffers.give_back(buffer)
+    kept = {id(buffers.buffer(1)) for _ in range(BUFFERS_KEPT)}
+    assert kept == {id(buffer) for buffer in taken[-BUFFERS_KEPT:]}

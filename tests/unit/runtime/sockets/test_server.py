@@ -72,19 +72,19 @@ async def test_a_stream_reads_and_writes_and_ends(port: Open) -> None:
 
 
 async def test_later_frames_reuse_the_memory_of_a_long_frame(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    rooms, original = list[bytearray](), FrameBuffers.room
+    taken, original = list[bytearray](), FrameBuffers.buffer
 
-    def room(self: FrameBuffers, frame_bytes: int) -> bytearray:
-        rooms.append(original(self, frame_bytes))
-        return rooms[-1]
+    def buffer(self: FrameBuffers, frame_bytes: int) -> bytearray:
+        taken.append(original(self, frame_bytes))
+        return taken[-1]
 
-    monkeypatch.setattr(FrameBuffers, "room", room)
+    monkeypatch.setattr(FrameBuffers, "buffer", buffer)
     async with port() as one, raw_stream(one.target) as stream:
         await stream.begin(ECHO)
         for _ in range(3):
             await stream.send(FrameKind.MESSAGE, bytes(200_000))
             await stream.message()
-    assert (len(rooms), rooms[1] is rooms[0], rooms[2] is rooms[0]) == (3, True, True)
+    assert (len(taken), taken[1] is taken[0], taken[2] is taken[0]) == (3, True, True)
 
 
 async def test_an_error_reaches_the_caller_with_its_code_and_details(port: Open) -> None:

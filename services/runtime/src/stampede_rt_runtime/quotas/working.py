@@ -42,7 +42,7 @@ SOCKET_COSTS = TransportCosts(8_000, 8_000, 400)
 
 
 def costs_of(context: object) -> TransportCosts:
-    """The costs of the transport of a call. A context that tells none is gRPC's."""
+    """The costs of the transport of a call. A context that names no costs is gRPC's."""
     found: TransportCosts = getattr(context, "costs", GRPC_COSTS)
     return found
 

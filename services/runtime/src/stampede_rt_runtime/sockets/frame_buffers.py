@@ -22,7 +22,7 @@ PLACE_BYTES = 2**18
 """The long frames of one caller that come at the same time take PLACES at most, one for each PLACE_BYTES of a frame.
 
 To read 256 KiB takes about 0.1 ms."""
-ROOMS_KEPT = 4
+BUFFERS_KEPT = 4
 """The buffers of former frames that the port keeps for the next ones.
 
 New memory for each frame would be filled with zeros first, and cost a page fault for each 4 KiB.
@@ -56,24 +56,24 @@ class FrameBuffers:
 
     def __init__(self) -> None:
         self.short = memoryview(bytearray(SHORT_BYTES))
-        self._rooms: list[bytearray] = []
+        self._kept: list[bytearray] = []
         self._lines: WeakKeyDictionary[Account, _Line] = WeakKeyDictionary()
 
-    def room(self, frame_bytes: int) -> bytearray:
-        """Memory for a long frame. It may be longer than the frame."""
-        for at, one in enumerate(self._rooms):
+    def buffer(self, frame_bytes: int) -> bytearray:
+        """A buffer for a long frame. It may be longer than the frame."""
+        for at, one in enumerate(self._kept):
             if len(one) >= frame_bytes and not has_views(one):
-                return self._rooms.pop(at)
+                return self._kept.pop(at)
         return bytearray(frame_bytes)
 
-    def give_back(self, room: bytearray) -> None:
-        """Keep the memory of a frame for later ones. `room` leaves it out while somebody has a view of it.
+    def give_back(self, buffer: bytearray) -> None:
+        """Keep the buffer of a frame for later frames. `buffer` leaves it out while somebody has a view of it.
 
         asyncio and uvloop have a view of it until they have returned from the call that completed the frame.
         """
-        self._rooms.append(room)
-        if len(self._rooms) > ROOMS_KEPT:
-            self._rooms.remove(min(self._rooms, key=len))
+        self._kept.append(buffer)
+        if len(self._kept) > BUFFERS_KEPT:
+            self._kept.remove(min(self._kept, key=len))
 
     def place(self, caller: Account) -> FramePlace:
         """A place for one stream of the caller. It is not taken yet."""

@@ -60,7 +60,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._transport: Any = None
         opening, message = FrameKind.OPENING, FrameKind.MESSAGE
         bytes_max = {opening: OPENING_BYTES_MAX, message: limits.socket_request_bytes_max, FrameKind.END: 0}
-        self._frames = FrameReader(bytes_max, new_room=buffers.room)
+        self._frames = FrameReader(bytes_max, new_buffer=buffers.buffer)
         self._loop = asyncio.get_running_loop()
         self._deadline: asyncio.TimerHandle | None = None
         self._messages: deque[bytes] = deque()
@@ -86,7 +86,7 @@ class StreamSocket(asyncio.BufferedProtocol):
 
     def get_buffer(self, _sizehint: int) -> memoryview:
         """The memory for the next bytes. All connections share one buffer, except for long frames."""
-        return self._frames.room() if self._is_filling else self._buffers.short
+        return self._frames.buffer() if self._is_filling else self._buffers.short
 
     def buffer_updated(self, came_bytes: int) -> None:
         """Take the received frames. Bytes after the stream's end are dropped."""
@@ -117,17 +117,17 @@ class StreamSocket(asyncio.BufferedProtocol):
 
     def _fill(self, came_bytes: int) -> bool:
         """Take bytes of a long frame. Returns whether it is complete. Copies it only if it must wait."""
-        frame = self._frames.filled_room(came_bytes)
+        frame = self._frames.filled_buffer(came_bytes)
         if frame is None:
             return False
         self._leave_place()
         kind, body = frame
-        room = body.obj
-        assert isinstance(room, bytearray), "see `FrameBuffers.room`"
+        buffer = body.obj
+        assert isinstance(buffer, bytearray), "see `FrameBuffers.buffer`"
         if not self._answer(kind, body):
             self._take(kind, bytes(body))
         del frame, body
-        self._buffers.give_back(room)
+        self._buffers.give_back(buffer)
         return True
 
     def _must_wait_for_place(self) -> bool:

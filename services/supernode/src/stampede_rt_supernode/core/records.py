@@ -27,8 +27,8 @@ class HostLoad:
     """How busy a host is, see HostLoad in directory.proto.
 
     `owned`: the number of channels and queues that the host owned when the measurement began. `has_archive`: the host
-    can record channels. `is_private`: the directory places nothing there unless a caller names the host. `machine`: of
-    the host; empty if it is not known.
+    can record channels. `is_private`: the directory places nothing there unless a caller names the host. `machine`: the
+    host's machine; empty if it is not known.
     """
 
     busy_permille: int = 0

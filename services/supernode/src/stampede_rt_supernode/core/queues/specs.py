@@ -97,9 +97,9 @@ def agree(queue: str, held: QueueSpec, asked: QueueSpec) -> QueueSpec:
 
     Raises QUEUE_EXISTS, which names the field in conflict.
 
-    A field that was stated before may only be repeated or left out. A field that was never stated is taken over from
-    `asked` while no limit (LIMITS) was stated. Later it must equal the value in effect, because another value would
-    affect other producers and takers.
+    The caller may only repeat a field that was stated before, or leave it out. While no limit (LIMITS) was stated, the
+    queue takes over each field of `asked` that was never stated. Later `asked` must have the value in effect, because
+    another value would affect other producers and takers.
     """
     provisional = all(getattr(held, name) is None for name in LIMITS)
     for name, value in stated(asked).items():

@@ -190,7 +190,7 @@ class SnapshotKeeper:
         """The snapshot that is being sent to a member; None if this node has no snapshot.
 
         Begins to send the present snapshot if none is being sent, or if the log no longer has the entries that follow
-        the one being sent.
+        the snapshot being sent.
         """
         sending, present = self._sending.get(member_id), self._log.snapshot
         if sending is not None and sending.snapshot.last_log_index >= self._log.first_sendable:
