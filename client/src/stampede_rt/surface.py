@@ -63,6 +63,7 @@ from stampede_rt.errors import (
 )
 from stampede_rt.pickling import ClusterReference
 from stampede_rt.security.tls import TlsFiles
+from stampede_rt.values.answers import Items
 from stampede_rt.values.balancing import PlannedMove
 from stampede_rt.values.codecs import Codec, CodecLike
 from stampede_rt.values.grouping import (
@@ -81,7 +82,6 @@ from stampede_rt.values.model import (
     ChannelInfo,
     HostInfo,
     Item,
-    Items,
     LoadInfo,
     OnFull,
     Policy,

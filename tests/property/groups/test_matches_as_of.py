@@ -12,9 +12,10 @@ import pytest
 
 from stampede_rt._sync import archived_matching
 from stampede_rt._sync.archived_matching import ArchivedMatching, ArchivedMember
+from stampede_rt.values.answers import Items, PastState
 from stampede_rt.values.grouping import GroupInfo
 from stampede_rt.values.match_rule import MatchRule
-from stampede_rt.values.model import Item, Items, PastState
+from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import OLDEST, parse_bound
 from stampede_rt_channel_host.core.archive import archived_read

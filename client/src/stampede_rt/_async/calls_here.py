@@ -14,7 +14,8 @@ from stampede_rt.cluster.embedding import AnswerHere, HostHere, PutHere
 from stampede_rt.errors import StampedeError
 from stampede_rt.transports.concurrency_async import monotonic_s, result_of, thread_id
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
-from stampede_rt.values.model import Item, Items
+from stampede_rt.values.answers import Items
+from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery
 
 

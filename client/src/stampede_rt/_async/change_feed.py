@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Protocol
 
-from stampede_rt.values.model import Item, Items, PastState
+from stampede_rt.values.answers import Items, PastState
+from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import ALL_TIME, Match, parse_interval
 

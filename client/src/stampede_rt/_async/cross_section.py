@@ -9,8 +9,9 @@ from typing import Any, TypeVar
 from stampede_rt._async.reader import Reader
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.transports.concurrency_async import monotonic_s, run_all
+from stampede_rt.values.answers import Items
 from stampede_rt.values.grouping import ByChannel, CrossSection, Over
-from stampede_rt.values.model import Item, Items
+from stampede_rt.values.model import Item
 from stampede_rt.values.reading import Wait
 from stampede_rt.values.timeline import NOW, BoundLike, Bounds, InstantLike
 

@@ -11,8 +11,8 @@ from stampede_rt._async.past_cuts import cut_as_of
 from stampede_rt._async.reader import Reader
 from stampede_rt._async.reads import read_as_of
 from stampede_rt.errors import ChannelNotFound, GroupNotFound
+from stampede_rt.values.answers import Items
 from stampede_rt.values.grouping import SeenCut
-from stampede_rt.values.model import Items
 from stampede_rt.values.past import PastCut, add_reason
 from stampede_rt.values.reading import ReadQuery
 

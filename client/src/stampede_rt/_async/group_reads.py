@@ -12,8 +12,9 @@ from stampede_rt._async.past_cuts import cut_as_of
 from stampede_rt._async.present_cuts import present_cut
 from stampede_rt._async.reads import read
 from stampede_rt.transports.concurrency_async import run_all
+from stampede_rt.values.answers import Items
 from stampede_rt.values.grouping import ByChannel, SeenCut
-from stampede_rt.values.model import Items, Reason
+from stampede_rt.values.model import Reason
 from stampede_rt.values.past import add_reason
 from stampede_rt.values.reading import ReadQuery
 

@@ -12,8 +12,9 @@ from stampede_rt._async.reads import read_as_of
 from stampede_rt._async.session import Session
 from stampede_rt.errors import InvalidArgument, PermissionDenied
 from stampede_rt.transports.concurrency_async import run_all
+from stampede_rt.values.answers import PastState
 from stampede_rt.values.grouping import GroupInfo
-from stampede_rt.values.model import PastState, Reason
+from stampede_rt.values.model import Reason
 from stampede_rt.values.past import PastCut, PastMark, past_cut_of
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval

@@ -17,8 +17,9 @@ from stampede_rt._async.subscription_kinds import kind_of_subscription
 from stampede_rt.cluster.tracing import span
 from stampede_rt.handles import Reference, handle_repr
 from stampede_rt.transports.concurrency_async import monotonic_s
+from stampede_rt.values.answers import Items
 from stampede_rt.values.grouping import SeenCut
-from stampede_rt.values.model import ChannelInfo, Item, Items
+from stampede_rt.values.model import ChannelInfo, Item
 from stampede_rt.values.policy import flag_of
 from stampede_rt.values.reading import (
     ReadQuery,

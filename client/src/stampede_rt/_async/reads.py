@@ -12,8 +12,9 @@ from stampede_rt.errors import StampedeError, VersionMismatch
 from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.values.answers import Items
 from stampede_rt.values.grouping import SeenCut
-from stampede_rt.values.model import Items, Reason
+from stampede_rt.values.model import Reason
 from stampede_rt.values.pages import Pages
 from stampede_rt.values.reading import RENEW_S, ReadQuery, Wait
 from stampede_rt.values.timeline import ResolvedInterval, fixed

@@ -13,8 +13,9 @@ from stampede_rt._async.reconnecting import Reconnecting
 from stampede_rt._async.replayed_subscription import ReplayedNewest, ReplayedSteps, ReplayedSubscription
 from stampede_rt._async.virtual_clock import VirtualClock
 from stampede_rt.errors import AheadOfClock, DeadlineExceeded
+from stampede_rt.values.answers import Items
 from stampede_rt.values.grouping import SeenCut
-from stampede_rt.values.model import Item, Items, Reason
+from stampede_rt.values.model import Item, Reason
 from stampede_rt.values.policy import flag_of
 from stampede_rt.values.reading import NO_WAIT, ReadQuery, SubscribeMode
 from stampede_rt.values.replaying import not_replayed

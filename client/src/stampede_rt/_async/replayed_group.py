@@ -16,9 +16,10 @@ from stampede_rt._async.replayed_matches import ReplayedMatches
 from stampede_rt._async.replayed_subscription import ReplayedSteps
 from stampede_rt._async.replayed_visible import ReplayedVisible
 from stampede_rt._async.virtual_clock import VirtualClock
+from stampede_rt.values.answers import Items
 from stampede_rt.values.grouping import ByChannel, GroupInfo, NamedChannel, NewestItems, is_named_by
 from stampede_rt.values.match_rule import MatchRule
-from stampede_rt.values.model import Item, Items
+from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery, parse_as_of
 from stampede_rt.values.replaying import not_replayed
 from stampede_rt.values.timeline import Bound, BoundLike, Bounds, DurationLike, InstantLike, MatchLike

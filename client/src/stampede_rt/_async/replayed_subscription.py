@@ -13,7 +13,8 @@ from stampede_rt._async.virtual_clock import VirtualClock
 from stampede_rt.errors import DeadlineExceeded
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.transports.concurrency_async import StepLock
-from stampede_rt.values.model import Item, Items, PastState
+from stampede_rt.values.answers import Items, PastState
+from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery, Wait
 from stampede_rt.values.timeline import ALL_TIME, MAX_INSTANT, Bound, Interval, Match
 

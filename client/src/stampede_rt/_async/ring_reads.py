@@ -18,8 +18,9 @@ from stampede_rt.ring.selecting import Columns, RingAnswer, RunPiece, select
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.ring_mapping import RingMapping, boottime_nanos
 from stampede_rt.v1 import item_pb2
+from stampede_rt.values.answers import Items
 from stampede_rt.values.columns import span_end
-from stampede_rt.values.model import Item, Items
+from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.wire.delivered import malformed
 from stampede_rt.wire.reads import check_item

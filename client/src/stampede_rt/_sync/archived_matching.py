@@ -12,9 +12,10 @@ from stampede_rt.errors import InvalidArgument, Overloaded
 from stampede_rt.matching.item_keys import FIRST_KEY, ItemKey
 from stampede_rt.matching.key_matcher import KeyMatch, KeyMatcher, has_passed
 from stampede_rt.transports.concurrency_sync import run_all
+from stampede_rt.values.answers import Items, PastState
 from stampede_rt.values.grouping import GroupInfo, Matched
 from stampede_rt.values.match_rule import MatchRule
-from stampede_rt.values.model import Item, Items, PastState, Reason
+from stampede_rt.values.model import Item, Reason
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import (
     ALL_TIME,

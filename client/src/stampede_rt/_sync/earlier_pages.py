@@ -10,7 +10,8 @@ from dataclasses import replace
 from itertools import islice
 
 from stampede_rt.errors import IncarnationLost, Overloaded
-from stampede_rt.values.model import Item, Items, PastState
+from stampede_rt.values.answers import Items, PastState
+from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import Match, fixed, parse_interval
 

@@ -30,6 +30,7 @@ from stampede_rt.errors import (
 from stampede_rt.handles import Reference, handle_repr
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
 from stampede_rt.v1 import group_service_pb2 as group_pb
+from stampede_rt.values.answers import Items
 from stampede_rt.values.grouping import (
     ByChannel,
     GroupInfo,
@@ -41,7 +42,6 @@ from stampede_rt.values.grouping import (
     parse_members,
 )
 from stampede_rt.values.match_rule import MatchRule
-from stampede_rt.values.model import Items
 from stampede_rt.values.reading import ReadQuery, parse_as_of, parse_limit
 from stampede_rt.values.timeline import (
     MAX_INSTANT,

@@ -13,8 +13,9 @@ from stampede_rt._sync.past_cuts import cut_as_of
 from stampede_rt._sync.present_cuts import present_cut
 from stampede_rt._sync.reads import read
 from stampede_rt.transports.concurrency_sync import run_all
+from stampede_rt.values.answers import Items
 from stampede_rt.values.grouping import ByChannel, SeenCut
-from stampede_rt.values.model import Items, Reason
+from stampede_rt.values.model import Reason
 from stampede_rt.values.past import add_reason
 from stampede_rt.values.reading import ReadQuery
 

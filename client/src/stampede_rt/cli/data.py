@@ -23,7 +23,8 @@ from stampede_rt.cli.item_text import add_item_options, item_printer, item_row, 
 from stampede_rt.cli.terminal import check_raw_output
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.escaping import escaped
-from stampede_rt.values.model import Item, Items, Reason
+from stampede_rt.values.answers import Items
+from stampede_rt.values.model import Item, Reason
 from stampede_rt.values.timeline import MIN_INSTANT, NEWEST, OLDEST, last
 
 if TYPE_CHECKING:

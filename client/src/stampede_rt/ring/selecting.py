@@ -15,7 +15,7 @@ from typing import NamedTuple
 from stampede_rt.ring.facts import age_bound, surely_held
 from stampede_rt.ring.layout import ABSENT_INSTANT, GONE_BEFORE, HEAD, NEWEST_SLOT, NEWEST_TIME, PASSED
 from stampede_rt.ring.ring_view import RingView, Slot
-from stampede_rt.values.model import ABSENT
+from stampede_rt.values.answers import ABSENT
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import Match, MetaTime, ResolvedInterval
 

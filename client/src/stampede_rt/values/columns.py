@@ -10,7 +10,8 @@ from itertools import accumulate, repeat
 from operator import lt
 from typing import Any, overload
 
-from stampede_rt.values.model import ABSENT, COLUMN_TYPES, Item, read_only
+from stampede_rt.values.answers import ABSENT, COLUMN_TYPES, read_only
+from stampede_rt.values.model import Item
 
 SHORT_BYTES = 1024  # payloads that are shorter on average are copied once more, all together
 

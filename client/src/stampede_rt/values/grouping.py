@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Generic, Literal, Protocol, TypeVar, get_args
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.values.model import ChannelInfo, Item, Items, Reason
+from stampede_rt.values.answers import Items
+from stampede_rt.values.model import ChannelInfo, Item, Reason
 from stampede_rt.values.timeline import DurationLike, parse_duration
 
 MEMBERS_MAX = 64

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stampede_rt.values.model import Item, Items
+from stampede_rt.values.answers import Items
+from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import fixed
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from stampede_rt.values.model import Items, Reason
+from stampede_rt.values.answers import Items
+from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import MIN_INSTANT
 
 

@@ -9,7 +9,7 @@ from itertools import takewhile
 from typing import Any
 
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
-from stampede_rt.values.model import ABSENT
+from stampede_rt.values.answers import ABSENT
 from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 from stampede_rt.wire.request_pieces import JOINED_BYTES_MAX
 from stampede_rt.wire.runs import RUN_BYTES_MAX, run_parts

@@ -9,9 +9,10 @@ from google.protobuf.message import DecodeError
 
 from stampede_rt.cluster.embedding import RunHere
 from stampede_rt.v1 import item_pb2
+from stampede_rt.values.answers import ABSENT
 from stampede_rt.values.codecs import Coding
 from stampede_rt.values.columns import DecodedRun, ItemColumns, items_of, span_end
-from stampede_rt.values.model import ABSENT, Item
+from stampede_rt.values.model import Item
 from stampede_rt.wire.delivered import ItemCount, check_columns, check_delivered, malformed
 from stampede_rt.wire.long_answers import LongRun
 from stampede_rt.wire.run_slices import sealed_parts

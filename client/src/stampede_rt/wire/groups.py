@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stampede_rt.v1 import group_pb2, group_service_pb2
+from stampede_rt.values.answers import Items
 from stampede_rt.values.grouping import GroupInfo, MemberStatus
-from stampede_rt.values.model import Item, Items
+from stampede_rt.values.model import Item
 from stampede_rt.values.timeline import ResolvedInterval
 from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.reads import reason_from_message

@@ -6,7 +6,8 @@ from functools import lru_cache
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import channel_service_pb2, error_pb2, item_pb2, time_pb2
-from stampede_rt.values.model import Item, PastState, Reason
+from stampede_rt.values.answers import PastState
+from stampede_rt.values.model import Item, Reason
 from stampede_rt.values.timeline import Bound, Interval, Match, MetaTime, ResolvedInterval
 
 INTERVALS_KEPT_MAX = 256

@@ -18,7 +18,7 @@ from google.protobuf.unknown_fields import UnknownFieldSet
 
 from stampede_rt.errors import ItemTooLarge, MalformedRun
 from stampede_rt.v1 import item_pb2
-from stampede_rt.values.model import ABSENT
+from stampede_rt.values.answers import ABSENT
 from stampede_rt.values.payloads import ATTRIBUTES_BYTES_MAX, ITEM_BYTES_MAX
 from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 from stampede_rt.wire.plain_runs import plain_run_parts, read_plain_run

@@ -13,8 +13,9 @@ import stampede_rt as st
 from stampede_rt._async import archived_matching
 from stampede_rt._async.archived_matching import ArchivedMatching, ArchivedMember
 from stampede_rt.matching.item_keys import ItemKey
+from stampede_rt.values.answers import Items, PastState
 from stampede_rt.values.match_rule import MatchRule
-from stampede_rt.values.model import Item, Items, PastState
+from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import OLDEST
 

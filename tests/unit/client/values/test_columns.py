@@ -15,8 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 import stampede_rt as st
+from stampede_rt.values.answers import Items
 from stampede_rt.values.columns import DecodedRun, ItemColumns, items_of, span_end, span_ends
-from stampede_rt.values.model import Item, Items
+from stampede_rt.values.model import Item
 
 RUN = some.lists(
     some.tuples(some.integers(0, 20), some.integers(-1, 9), some.binary(max_size=3)), min_size=1, max_size=5

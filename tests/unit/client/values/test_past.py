@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from stampede_rt.values.answers import Items
 from stampede_rt.values.grouping import NewestItems
-from stampede_rt.values.model import Items, Reason
+from stampede_rt.values.model import Reason
 from stampede_rt.values.past import PastMark, add_reason, past_cut_of
 from stampede_rt.values.timeline import MIN_INSTANT
 

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from stampede_rt.cluster.embedding import AnswerHere, PutHere, RunHere
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt.values.model import ABSENT, Item
+from stampede_rt.values.answers import ABSENT
+from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.wire.reads import check_item
 from stampede_rt.wire.runs import RunColumns, run_parts
