@@ -118,7 +118,7 @@ for variable in ("STAMPEDE_SECRET_FILE", "STAMPEDE_URL", "COLUMNS", "LINES"):
     os.environ.pop(variable, None)
 
 # The suite starts hundreds of Python processes. Where bytecode files are forbidden (as in many container images)
-# each of them would compile all its modules again, which takes half of its CPU time. They keep bytecode below `.make`.
+# each of them would compile all its modules again, which takes half of its CPU time. So they keep bytecode in `.make`.
 # The processes of pytest keep theirs there, too, because the tests are many modules.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
     sys.dont_write_bytecode = False

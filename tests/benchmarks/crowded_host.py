@@ -37,7 +37,7 @@ from stampede_rt_channel_host.core.channel import Position, Query, ReachTracker,
 from stampede_rt_channel_host.core.group import Horizon, VisibleChannel
 
 COUNTS = (10, 100, 1000, 10_000)
-CONSUMERS_MAX = 1000  # of one channel: 1024 are the most
+CONSUMERS_MAX = 1000  # of one channel, which may have 1024 at most
 PUTS = 200
 S = 10**9
 START = 1_700_000_000 * S
@@ -198,7 +198,7 @@ def opens_beside_channels(others: int) -> list[float]:
 
 
 def timed(step: Callable[[int], object], clock_s: Callable[[], float] = time.process_time) -> list[float]:
-    """Microseconds that each step took, of CPU or by another clock."""
+    """The microseconds that each step took, by the clock of CPU time or by another clock."""
     took = []
     for at in range(PUTS):
         began_s = clock_s()

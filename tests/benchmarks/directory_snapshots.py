@@ -1,4 +1,4 @@
-"""The cost of a start from a snapshot, of taking one and of receiving one: part of `tests.benchmarks.directory_load`.
+"""The costs to start from a snapshot, to take one and to receive one: a part of `tests.benchmarks.directory_load`.
 
 One replica with its store on disk, in this process. The benchmark makes its steps (ticks) one by one, and measures the
 time of each: the wall time, which includes the disk and other threads and processes, and the CPU time of its thread.

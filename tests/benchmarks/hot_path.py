@@ -2,8 +2,8 @@
 
     python -m tests.benchmarks.hot_path [--seconds 1.0] [--rounds 5]
 
-One host process, one bare server process; clients are synchronous, in this process. Every figure is the median of the
-rounds, ours and bare in turn, with the spread (min to max) of the ratio.
+One host process, one bare server process; clients are synchronous, in this process. Rounds of the product and rounds of
+the bare server take turns. Every figure is the median of its rounds. The ratio also has its spread (min to max).
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 `python -m tests.benchmarks.many_puts [--channels 1024] [--awaited]`.
 
-One thread, or one event loop, puts an item into each channel in turn, four times. The channels are opened before.
+One thread, or one event loop, puts an item into each channel in turn, four times. The channels are opened before the
+measurement.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ def produce(channels: list[Any], until_s: float) -> None:
 
 
 def read(taken: Iterator[int], rest_s: float, until_s: float, ages_s: list[float]) -> None:
-    """Take a time, note how old it is, rest."""
+    """Take a thing, note the age of its time, and rest."""
     for stamp in taken:
         ages_s.append((st.now() - stamp) / 1e9)
         time.sleep(rest_s)

@@ -67,8 +67,8 @@ def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep each test of the core in memory once, because the core has no transport, and some tests over the public
-    streams.
+    """Keep each test of the core in memory once, because the core has no transport. Over the public streams keep only
+    some tests.
     """
     items[:] = [item for item in items if _is_wanted(item)]
 

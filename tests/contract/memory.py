@@ -44,7 +44,7 @@ LIMIT_BYTES = 1 << 20
 
 
 class MemoryConnection:
-    """Opens channels in the memory of this object. Objects that have joined it share them."""
+    """Opens channels in the memory of this object. A connection that joins another one shares its channels."""
 
     def __init__(self, joins: MemoryConnection | None = None) -> None:
         self._channels: dict[str, MemoryChannel] = joins._channels if joins else {}

@@ -133,8 +133,8 @@ class OracleChannel:
         return clock if self.newest is None else max(clock, self.newest)
 
     def end(self, item: Item) -> int | None:
-        """The end of the item's span: the earlier of time + duration and the next later item's time. None: open newest
-        item.
+        """The end of the item's span: the earlier of time + duration and the next later item's time. None: the item is
+        the newest, and its span is open.
 
         The next item does not end the span of an item with a duration before the overlap has passed.
         """

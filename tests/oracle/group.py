@@ -170,7 +170,7 @@ class OracleGroup:
     def next_idle(self, clock: int) -> int | None:
         """The instant at which the next of this host's own members becomes idle, and no longer counts.
 
-        None: there is none.
+        None: no own member can become idle.
         """
         if self.idle_after is None or self.reference is not None:
             return None
@@ -213,9 +213,9 @@ class OracleGroup:
         return (newest is not None and newest >= cut + lateness) or (advance is not None and advance >= cut)
 
     def between(self, low: int | None, high: int, lateness: int, clock: int) -> int | None:
-        """The latest instant after `low` and before `high` that all members that are not idle have reached.
+        """The latest instant after `low` and before `high` that each member has reached, idle members left out.
 
-        None: none.
+        None: there is no such instant.
         """
         awake = [one for one in sorted(self.members) if not self.is_idle(one, clock)]
         tried = [one.said for one in (self.heard(each) for each in awake) if one is not None]
@@ -262,7 +262,9 @@ class OracleView(OracleReader):
 
     @property
     def window_is_too_short(self) -> bool:
-        """Whether an item left before the group showed it, or the channel keeps less time than it is past the cut."""
+        """Whether an item left before the group showed it, or the channel is ahead of the cut by more than its age
+        limit.
+        """
         full, cut = self.full, self.cut
         if any(cut is None or time >= cut for time in full.collected_times):
             return True

@@ -14,7 +14,9 @@ KEPT_NANOS = 600_000_000_000
 
 @dataclass(frozen=True)
 class Taken:
-    """The outcome of an offer: verdicts up to the first item that has to wait, and the time of items without one."""
+    """The outcome of an offer: verdicts up to the first item that has to wait, and the time of items without a time
+    of their own.
+    """
 
     verdicts: Sequence[Item | Refused]
     stamp: int

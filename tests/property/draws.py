@@ -132,7 +132,7 @@ def a_query_near_the_newest(rng: RandomSource, scenario: Told) -> Query | None:
 
 
 def some_seqs(rng: RandomSource, scenario: Told) -> list[int]:
-    """Seqs of all held items, the oldest, the newest, or of any items that ever were; some twice, or none."""
+    """The seqs of all held items, of the oldest or the newest ones, or of any items that ever existed; perhaps none."""
     held, kind = [item.seq for item in scenario.oracle.held], rng.below(4)
     ever = len(scenario.oracle.log)
     return (held, held[:2], held[-1:], [1 + rng.below(ever) for _ in range(2) if ever])[kind]

@@ -132,8 +132,8 @@ async def run_campaign(
 ) -> Findings:
     """Inject the named faults in this order. After each fault wait for `quiet_s`, while all processes serve again.
 
-    `policy`: of all channels with items. With REPLICATED the loss of a host may lose no acknowledged item, and with
-    LAGGING only items of the last second.
+    `policy`: the policy of all channels with items. With REPLICATED the loss of a host may lose no acknowledged item,
+    and with LAGGING only items of the last second.
     """
     async with running_cluster(
         folder, secured=secured, hosts=hosts, compacts_early=compacts_early, relayed_hosts=bool(policy)

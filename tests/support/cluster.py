@@ -27,8 +27,8 @@ def cluster_fixture(
 ) -> Callable[..., Iterator[LocalCluster]]:
     """Return a fixture with a running LocalCluster, made with `settings`. Clients in this process find its secret.
 
-    A test that kills a part of it needs its own cluster: scope="function". Clients find the secret of a cluster of a
-    package only after `find_secret_of`, because two such clusters may run at the same time.
+    A test that kills a part of its cluster needs a cluster of its own: scope="function". Clients find the secret of a
+    cluster of a package only after `find_secret_of`, because two such clusters may run at the same time.
     """
 
     @pytest.fixture(scope=scope)

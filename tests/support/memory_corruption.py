@@ -1,8 +1,8 @@
 """A supernode in whose memory a bit flips. Its state then differs from the others', and its log does not show why.
 
 `python -m tests.support.memory_corruption ARGUMENTS` is `stampede supernode ARGUMENTS`. If the file FLIP_FILE is in the
-data folder, the bit flips when a channel with a name that begins with CORRUPTED_PREFIX is opened. It is a bit of the
-channel's incarnation. The result of the next command about that channel shows it.
+data folder, the bit flips when a channel with a name that begins with CORRUPTED_PREFIX is opened. The bit is a part of
+the channel's incarnation. The result of the next command about that channel shows it.
 """
 
 from __future__ import annotations

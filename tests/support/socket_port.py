@@ -81,7 +81,7 @@ class Streams:
             self.cancelled.release()
 
     async def read_later(self, _requests: Any, context: Any) -> None:
-        """Read one message, and the others when the test lets it."""
+        """Read one message, and the other messages when the test allows it."""
         self.held.release()
         try:
             self.read_bytes += len(await context.read())

@@ -1,8 +1,8 @@
 """The speeds of writers: 300 KB frames, and items of 64 B.
 
 The plain writer appends the same bytes to one file, with an fsync after each 16 MiB, as the archive of a host does when
-there is much to write. The second plain writer gets them from another process through a socket, as a host does.
-JetStream has file storage and brings it to the disk every 0.2 s, as the host does. Redis has an append-only file and an
+there is much to write. The second plain writer gets the bytes from another process through a socket, as a host does.
+JetStream stores in files and syncs them to the disk every 0.2 s, as the host does. Redis has an append-only file and an
 fsync a second. JetStream and Redis write a quarter of the items.
 """
 
@@ -70,7 +70,7 @@ def plain_behind_socket(folder: Path, work: Work, per_write: int) -> float:
 
 
 def archive_alone(folder: Path, work: Work) -> float:
-    """Write the items with the archive of a host, without a host. The runs are made before."""
+    """Write the items with the archive of a host, without a host. The runs are made before the measurement."""
     per_run = 1 if work is FRAMES else RUN_ITEMS
     body = seal_run(encode_run([work.payload] * per_run, times=[*range(per_run)]), 1)
     runs = [ArchivedRun(1, run_of(body)) for _ in range(work.items // per_run)]
@@ -89,7 +89,7 @@ def archive_alone(folder: Path, work: Work) -> float:
 
 
 def ours(rt: st.Connection, name: str, work: Work, **policy: str) -> float:
-    """Put the items, until the last one is on the disk if the channel is recorded."""
+    """Put the items. If the channel is recorded, wait until the last item is on the disk."""
     channel = rt.channel(name, max_bytes=2**30, **policy)
 
     def put() -> None:

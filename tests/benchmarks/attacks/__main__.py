@@ -2,16 +2,16 @@
 clients.
 
 The host has a budget of 64 MiB for its channels and queues, and its soft limit of open files is 1024. Two good clients
-put 100 bytes and read them, each 10 ms: first alone, then during the attack by another process, and then alone
+put 100 bytes and read them, every 10 ms: first alone, then during the attack by another process, and then alone
 again. They have one client token, and the attacker has another. They use sockets, as clients of one machine do. Readers
 of shared memory would make no calls to the host.
 
 There are two trials of each attack. In the first trial the attacker takes only idle processor time (SCHED_IDLE),
-because a hostile client runs on a machine of its own. The goal is for this trial. In the second trial it has the same
-rights to both cores as the host and the good clients. Then the good clients are measured also while a program runs that
-takes as much processor time as this attacker, and makes no calls. Run the command on an otherwise idle machine. On a
-busy one the attacker of the first trial gets too little time. The last column shows the processor time of the attackers
-in both trials.
+because a hostile client runs on a machine of its own. The goal is for this trial. In the second trial the attacker has
+the same rights to both cores as the host and the good clients. Then the good clients are measured also while a program
+runs that takes as much processor time as this attacker, and makes no calls. Run the command on an otherwise idle
+machine. On a busy machine the attacker of the first trial gets too little time. The last column shows the processor
+time of the attackers in both trials.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ COLUMNS = (
     "p99 longer", "on the same cores", "without an attack, cores as busy", "attacker's CPU, %",
 )  # fmt: skip
 RUN_SECONDS_MAX = 180.0
-"""The longest time of one trial, in addition to four times the length of the attack. Then the trial is killed."""
+"""A trial may last this time and four times the length of the attack. After that it is killed."""
 NOTE = f"The good clients, and attackers with the client library, use the transport {TRANSPORT!r}."
 LOG_BYTES_USUAL = 3000  # the log of a cluster that does not report the attack
 
@@ -47,7 +47,7 @@ class Measured:
 def row(measured: Measured, attack: str) -> list[str]:
     """A row of the table.
 
-    `attack`: the text of its first cell. Memory, failures and the log are the worse of both trials.
+    `attack`: the text of its first cell. Memory, failures and the log are the worse values of both trials.
     """
     found, same_cores = measured.apart, measured.same_cores
     trials = (found, same_cores)

@@ -22,7 +22,7 @@ TRANSPORT = "socket"  # of good clients and attackers: reads of shared memory wo
 NAME_VARIABLE = "STAMPEDE_ATTACK_NAME"  # the attacker's things have this name as their prefix
 OPTIONS = [
     ("grpc.max_receive_message_length", -1),
-    ("grpc.use_local_subchannel_pool", 1),  # each has a connection of its own
+    ("grpc.use_local_subchannel_pool", 1),  # each channel has a connection of its own
     ("grpc.http2.bdp_probe", 0),
 ]
 
@@ -100,7 +100,7 @@ class AttackedCluster:
         return cls(**json.loads(line))
 
 
-# Attacks until it is cancelled. It calls the function once the attack is under way.
+# An attack runs until it is cancelled. It calls the given function once it is under way.
 Attack = Callable[[AttackedCluster, Callable[[], None]], Awaitable[None]]
 
 

@@ -24,8 +24,8 @@ Part = Literal["host", "supernode"]
 class Case:
     """One attack.
 
-    `before`: the finding of a review before the defence. `watched`: the part whose memory the table shows.
-    `transport`: of the good clients; empty: the usual one. `secured`: whether the cluster has certificates.
+    `before`: the finding of a review before the defence. `watched`: the part whose memory the table shows. `transport`:
+    the transport of the good clients; empty: the usual one. `secured`: whether the cluster has certificates.
     """
 
     attack: Attack

@@ -92,7 +92,7 @@ async def _put_and_stay(attacked: AttackedCluster, runs: Any, under_way: Callabl
 
 
 async def waiting_puts(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
-    """40 puts of 15 MiB into a channel that is full, on as many connections, and all wait without limit."""
+    """40 puts of 15 MiB into a full channel, each on its own connection. All of them wait without limit."""
     async with attacked.connect() as rt:
         await rt.channel(NAME, max_items=1, consumers=1)
         known = await attacked.bound(NAME)
@@ -103,7 +103,7 @@ async def waiting_puts(attacked: AttackedCluster, under_way: Callable[[], None])
 
 
 async def waiting_enqueues(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
-    """The same with a queue."""
+    """As `waiting_puts`, with a queue."""
     async with attacked.connect() as rt:
         await (await rt.queue(NAME, max_items=1)).put(b"first")
         known = await queue_known(attacked)
@@ -198,7 +198,7 @@ async def held_channel(attacked: AttackedCluster, rt: Any) -> dict[str, Any]:
 
 
 async def _held(channel: Any) -> None:
-    """16 MiB in all."""
+    """Put items of 16 MiB in all."""
     for _ in range(HELD_ITEMS):
         await channel.put(bytes(MIB))
 

@@ -55,7 +55,7 @@ def measure(pid: int, target: str, seconds: float) -> Cost:
 
 
 async def _flood(target: str, seconds: float) -> int:
-    """Attack for that long. Returns the number of reset calls."""
+    """Attack for `seconds`. Returns the number of reset calls."""
     made, call = 0, RawConnection.call
 
     async def counted(raw: RawConnection, method: str) -> int:

@@ -51,7 +51,7 @@ class Good:
     failures: list[str] = field(default_factory=list)
 
     def quantile_ms(self, percent: int) -> float:
-        """The time of a put; infinite if no put ended."""
+        """The time of a put at this percentile; infinite if no put ended."""
         if len(self.puts_ms) < 2:
             return max(self.puts_ms, default=math.inf)
         return statistics.quantiles(self.puts_ms, n=100, method="inclusive")[percent - 1]
@@ -175,9 +175,9 @@ class Field:
 
 @asynccontextmanager
 async def field_for(name: str, setup: Setup) -> AsyncIterator[Field]:
-    """The cluster, ready."""
+    """Yield the cluster once it is ready."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (FILES_SOFT, hard))  # its processes inherit it
+    resource.setrlimit(resource.RLIMIT_NOFILE, (FILES_SOFT, hard))  # the cluster's processes inherit this limit
     try:
         one = Field(name, setup)
         await asyncio.to_thread(one.cluster.__enter__)
@@ -195,9 +195,9 @@ def run_trial(name: str, seconds: float, setup: Setup) -> Found:
 
 
 async def trial(name: str, seconds: float, setup: Setup) -> Found:
-    """Good clients alone, then for the same time during the attack once it is under way, then the memory that stays.
+    """Measure the good clients alone, then for the same time during the attack, and then the memory that stays.
 
-    Then alone again, so that other load of the machine counts in both. See `Setup.compares`.
+    Then measure the good clients alone again, so that other load of the machine counts for both. See `Setup.compares`.
     """
     async with field_for(name, setup) as one:
         found = one.found

@@ -1,9 +1,9 @@
 """Measures how long one piece of long work stops a host's event loop: `python -m tests.benchmarks.longest_pause`.
 
-One host, whose channels the benchmark fills in the host's process. A separate process makes the calls of clients. The
-benchmark does all other work as the host's shell does it. Meanwhile the loop turns as fast as possible. A pause is the
-CPU time of its thread from one turn to the next, so other work of the machine does not count. The table has the longest
-pause, and the CPU time of the whole work. A pause of the garbage collector counts, too.
+There is one host. The benchmark fills its channels in the host's process. A separate process makes the calls of
+clients. The benchmark does all other work as the host's shell does it. Meanwhile the loop turns as fast as possible. A
+pause is the CPU time of its thread from one turn to the next, so other work of the machine does not count. The table
+has the longest pause, and the CPU time of the whole work. A pause of the garbage collector counts, too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How much the cases work on, at a share of 1."""
+"""The sizes of the cases, at a share of 1."""
 
 ITEMS = 500_000
 LATE_ITEMS = 300_000

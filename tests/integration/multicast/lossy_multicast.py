@@ -1,4 +1,4 @@
-"""A network between namespaces that loses, repeats and reorders multicast datagrams. All else passes the bridge.
+"""A network between namespaces that loses, repeats and reorders multicast datagrams. All other frames pass the bridge.
 
 The kernel here has no netem. So the bridge passes no multicast to the receivers, and a thread of this process carries
 the frames from one link to the others.
@@ -18,7 +18,7 @@ from stampede_rt_local.namespaces import NetworkNamespace, ip
 
 ETH_P_ALL = 3
 MULTICAST_MAC = b"\x01\x00\x5e"
-UDP_CHECKSUM = slice(40, 42)  # in a frame with an IPv4 head of 20 bytes
+UDP_CHECKSUM = slice(40, 42)  # in a frame with an IPv4 header of 20 bytes
 UDP_AT = 23
 SILENT_S = 0.02
 

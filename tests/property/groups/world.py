@@ -248,7 +248,7 @@ class World:
     def change_member(self, group: int, channel_id: bytes, *, joins: bool) -> bool:
         """Add or remove a member at all hosts together.
 
-        The reference and the last member stay. Returns whether it was possible.
+        The reference and the last member stay. Returns whether the change was possible.
         """
         former = self.definitions[group]
         wanted = former.members | {channel_id} if joins else former.members - {channel_id}
@@ -267,7 +267,7 @@ class World:
     def migrate(self, channel_id: bytes, to: int, *, heard: bool) -> bool:
         """Move a channel to another host.
 
-        Unless `heard`, the former owner learns of it from the new owner. Returns whether it moved.
+        Unless `heard`, the former owner learns of the move from the new owner. Returns whether the channel moved.
         """
         one = self.placed[channel_id]
         if to == one.owner or not self.hosts[to].is_up:

@@ -65,14 +65,16 @@ class PathPair(PathPuts):
     def consume_as_participant(self, seqs: Sequence[int]) -> None:
         """Consume items by a handle of the client, which keeps a consumer place.
 
-        Its lease does not end during a test.
+        The lease of the place does not end during a test.
         """
         items = [self.item(self.oracle.log[seq].time, seq) for seq in seqs]
         self._consume(OWN_CONSUMER, seqs, LEASE_NANOS, lambda: self.handles[0].consume(items))
 
     @property
     def keeps_a_place(self) -> bool:
-        """Whether the client keeps a consumer place. It renews the lease in real time, so tests cannot say when."""
+        """Whether the client keeps a consumer place. The client renews the lease in real time, so tests do not know
+        when.
+        """
         places = self.oracle.consumers
         return places is not None and any(place.consumer_id == OWN_CONSUMER for place in places.taken)
 

@@ -45,7 +45,8 @@ class PathAndOracle:
         self.name = f"scenario/{next(_names)}"
         others = range(1, len(surface.connections))
         self.handles = [self.open(0, **stated(policy)), *map(self.open, others)]
-        # an odd number of turns: a step that takes two of them would always read with the same half of the clients
+        # an odd number of turns: otherwise a step that takes two turns would always read with the same half of the
+        # clients
         self._turns = itertools.cycle(self.handles if len(self.handles) % 2 else [*self.handles, self.handles[-1]])
         self.payloads: dict[int, bytes] = {}
         self.line: list[OracleRun] = []

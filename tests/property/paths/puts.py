@@ -116,7 +116,7 @@ class PathPuts(PathReads):
         return self._answer(entry)
 
     def _known(self, entry: OracleRun) -> Ack | Refused | None:
-        """The former answer of the run; None if it has none.
+        """The former answer of the run; None: the run has no answer yet.
 
         If only its first items have verdicts, the run goes on with the others.
         """

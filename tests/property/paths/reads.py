@@ -156,8 +156,8 @@ class PathReads(PathAndOracle):
     # --- checks after every step
 
     def announce(self) -> None:
-        """Let the oracle look at its blocked gets, first come first, because the channel has changed or time has
-        passed.
+        """Let the oracle look at its blocked gets in the order in which they came, because the channel has changed or
+        time has passed.
         """
         still = []
         reader = self.reader()
@@ -170,9 +170,9 @@ class PathReads(PathAndOracle):
         self.gets = still
 
     def settle(self) -> None:
-        """Wait until everything that was begun has arrived.
+        """Wait until the answers and items of all begun reads have arrived.
 
-        Check that nothing else has, and that the counters agree.
+        Check that nothing else has arrived, and that the counters agree.
         """
         while self._released:
             started, expected, query, payloads = self._released.pop(0)

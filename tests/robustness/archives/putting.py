@@ -1,4 +1,4 @@
-"""A program that puts numbers with ack="disk", and remembers which were acknowledged."""
+"""A program that puts numbers with ack="disk", and notes the acknowledged numbers."""
 
 from __future__ import annotations
 

@@ -193,9 +193,10 @@ class DirectoryTrial:
     def _cut_leader_off(self) -> None:
         """Cut the leader off from the other supernodes.
 
-        In half of the cases hosts and peers cannot reach it either. In the other half two of them reach only it.
+        In half of the cases hosts and peers cannot reach the leader either. In the other half two of them reach only
+        the leader.
 
-        In the second case the leader may also freeze, and go on as if no time had passed.
+        In this second half the leader may also freeze, and go on as if no time had passed.
         """
         random_source, world = self.world.random_source, self.world
         leaders = self._leaders()
@@ -245,8 +246,8 @@ class DirectoryTrial:
         """Kill a host or peer while it registers, and start it again. Its former request arrives after the new
         registration.
 
-        The former request is its first one, or the one with the number that it took after it learned of its
-        predecessor.
+        The former request is the first request of the process, or the request with the number that the process took
+        after it learned of its predecessor.
         """
         random_source, world = self.world.random_source, self.world
         one: Any = random_source.choice([*self._hosts, *self._peers])

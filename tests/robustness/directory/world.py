@@ -247,7 +247,9 @@ class DirectoryMember(SimMember):
 
 
 class DirectoryWorld(World):
-    """A World whose members serve the directory. `leases`: another class plants faults."""
+    """A World whose members serve the directory. `leases`: the class of the lease keepers. Another class plants
+    faults.
+    """
 
     members: dict[str, DirectoryMember]  # type: ignore[assignment]
 

@@ -203,7 +203,7 @@ async def freeze_owner(scene: Scene) -> None:
 
 
 async def kill_replica(scene: Scene) -> None:
-    """Kill the host of the replica. The owner finds another one."""
+    """Kill the host of the replica. The owner finds another host."""
     async with _prepare(scene) as (found, _, replica):
         began = time.monotonic()
         await replica.kill()

@@ -57,7 +57,7 @@ async def _has_ended(one: Supernode, *, within_s: float) -> bool:
 async def _damage(scene: Scene, kind: str, harm: Callable[[Path], str]) -> None:
     """Kill a supernode, damage a file of its store, and start it.
 
-    It must refuse the store, or serve only right data.
+    The supernode must refuse the store, or serve only right data.
     """
     _, victim, _ = await scene.leader_and_other()
     began = time.monotonic()

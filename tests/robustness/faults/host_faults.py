@@ -149,7 +149,7 @@ async def freeze_host(scene: Scene) -> None:
 async def cut_off_host(scene: Scene) -> None:
     """Cut a host off from the supernodes, but not from callers.
 
-    It must fence itself before its channels get a new owner.
+    The host must fence itself before its channels get a new owner.
     """
     pinned = await pin(scene)
     namespaces = [one.namespace for one in scene.cluster.supernodes]

@@ -29,7 +29,7 @@ PROGRAM = "tests.robustness.real_cluster.waiting_client"
 
 
 async def vanish_client(scene: Scene) -> None:
-    """Cut the link of a client with a subscription, a waiting get and a waiting put. The host must forget all three."""
+    """Cut the link of a client with a subscription, a waiting get and a waiting put. The host must end all three."""
     pinned = await pin(scene)
     full = await _full(scene, pinned)
     transport, places = scene.rng.choice(("tcp", "grpc")), (pinned.channel, full)

@@ -12,7 +12,7 @@ T = TypeVar("T")
 class ByteSource:
     """Gives numbers and bytes from `data`, and zeros at its end.
 
-    Then `choice` gives the first option, `chance` False.
+    At the end `choice` gives the first option, and `chance` gives False.
     """
 
     def __init__(self, data: bytes) -> None:

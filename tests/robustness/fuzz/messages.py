@@ -177,7 +177,7 @@ def drawn_request(source: ByteSource, descriptor: Descriptor, known: KnownValues
 
 
 def drawn_stream(source: ByteSource, descriptor: Descriptor, known: KnownValues, count: int) -> list[bytes]:
-    """The messages of one stream. Most begin as such streams do, and send the opening once."""
+    """The messages of one stream. Most of them begin with the opening, and send it once."""
     messages = [drawn_message(source, descriptor, known) for _ in range(count)]
     for name in ("hello", "open"):
         if name in descriptor.fields_by_name and not source.chance(15):

@@ -212,8 +212,8 @@ def _stack(thread: threading.Thread) -> str:
 def _of_clients(before: set[threading.Thread]) -> list[threading.Thread]:
     """The threads that a client started.
 
-    They do not include the poller of grpc.aio, because a process has only one. It lives for as long as any object of
-    grpc.aio. Such an object may come from an earlier test, if no garbage collection has found it yet.
+    They do not include the poller of grpc.aio, because a process has only one. The poller lives for as long as any
+    object of grpc.aio. Such an object may come from an earlier test, if no garbage collection has found it yet.
     """
     kept, poller = ("stampede dropped", "asyncio_"), "(_poll_wrapper)"
     started = [one for one in set(threading.enumerate()) - before if not one.name.startswith(kept)]

@@ -1,9 +1,9 @@
 """The model of one name of the directory: the first caller that opens the name creates the channel, which holds a
 value.
 
-The value is the policy's `max_items`, because every caller can set and see it. `version` counts the changes, so that an
-update that took effect twice shows. The epoch may rise at any moment, because leases end and hosts restart. So the
-model only demands that it never falls.
+The value is the policy's `max_items`, because every caller can set and see it. `version` counts the changes, so that
+the model notices an update that took effect twice. The epoch may rise at any moment, because leases end and hosts
+restart. So the model only demands that it never falls.
 """
 
 from __future__ import annotations

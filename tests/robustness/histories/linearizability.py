@@ -1,7 +1,7 @@
 """Searches for an order of the operations, within their times, in which a sequential object gives the same answers.
 
 The search of Wing and Gong (1993), with Lowe's memory of visited configurations (2017), as in Porcupine and Knossos:
-choose an operation that no unfinished one precedes; go back if no order fits; never visit a set of linearized
+choose an operation that no unfinished operation precedes; go back if no order fits; never visit a set of linearized
 operations with the same state twice. It is written here because PyPI has no such checker (Porcupine is Go, Knossos
 Clojure), and one page is less than another toolchain in the test suite.
 """

@@ -1,7 +1,7 @@
 """The model of one channel's items: a sequential object with one owner at a time.
 
 An owner takes items under one *incarnation*, with seqs that grow. After an answer of a later incarnation, an earlier
-one may not accept items: two incarnations that both accept are two owners.
+incarnation may not accept items: two incarnations that both accept are two owners.
 """
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ class Judged:
     `lost`: items that were acknowledged, or that a reader saw, but that a later reader of the same incarnation did not
     see. `doubled`: items that a reader saw twice. `gone_with_host`: items that were acknowledged or seen under an
     incarnation which has ended; without replicas the promise allows this loss, and the new incarnation informs the
-    readers. `violations` describes everything that the model does not allow: lost and doubled items, items that nobody
-    put, two owners, and stale reads.
+    readers. `violations` describes everything that the model does not allow: lost and doubled items, items that no
+    caller put, two owners, and stale reads.
     """
 
     channels: int

@@ -32,7 +32,9 @@ class Verdict:
 
 
 def judge(mutant: Mutant) -> Verdict:
-    """Plant the fault, and run its test or simulator, for seconds or minutes. Raises LookupError if it fits no code."""
+    """Plant the fault, and run its test or simulator, for seconds or minutes. Raises LookupError if the fault fits
+    no code.
+    """
     source = ROOT / mutant.file.split("/src/")[0] / "src"
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:

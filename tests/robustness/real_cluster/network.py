@@ -22,7 +22,7 @@ PROBE_SECONDS = 0.3
 class Network(namespaces.NamespaceNetwork):
     """Namespaces that reach each other unless a test cuts a link.
 
-    Each has a probe socket, which sends and receives datagrams.
+    Each namespace has a probe socket, which sends and receives datagrams.
     """
 
     def __init__(self, size: int) -> None:

@@ -60,7 +60,7 @@ class Probe:
     """Sends a write at regular times, to each supernode in turn, without waiting for earlier writes.
 
     `served`: the times (sent, answered) of the acknowledged writes. `stalls`: the times at which this process was late,
-    and by how much. Its figures may be too high by this time, because it had no processor.
+    and by how much. The figures may be too high by these delays, because this process had no processor meanwhile.
     """
 
     def __init__(self, cluster: Cluster, write: Write, *, every_s: float = 0.1, patience_s: float = 6.0) -> None:

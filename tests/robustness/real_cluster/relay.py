@@ -3,10 +3,10 @@ TO_HOST:PORT`.
 
 Lines on stdin set the conditions of the link: `delay_s jitter_s stall_share cut_share [bytes_per_s]`. The relay answers
 each line with the counts of the former conditions: chunks, stalled chunks, milliseconds of all waits, and cut
-connections. Every chunk waits for the delay and up to the jitter. A `stall_share` of the chunks waits 0.2 to 0.6 s
-more, like a TCP reader for a lost segment (RFC 6298). At a `cut_share` of the chunks the relay resets the connection.
-All connections share `bytes_per_s` in each direction. The bytes of one connection stay in order; the bytes of different
-connections may overtake each other.
+connections. Every chunk waits for the delay and a random part of the jitter. A `stall_share` of the chunks waits 0.2 to
+0.6 s more, like a TCP reader for a lost segment (RFC 6298). At a `cut_share` of the chunks the relay resets the
+connection. All connections share `bytes_per_s` in each direction. The bytes of one connection stay in order; the bytes
+of different connections may overtake each other.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class Traffic:
     """Several workers on one connection. Enter it as a context manager before `run`."""
 
     def __init__(self, cluster: Cluster, recorder: Recorder, seed: int, **policy: Any) -> None:
-        """`policy`: of all channels, in addition to their limits."""
+        """`policy`: the policy of all channels, in addition to their limits."""
         self._cluster, self.recorder, self._policy = cluster, recorder, policy
         self._random_source = random.Random(f"traffic-{seed}")
         self.transport = self._random_source.choice(TRANSPORTS)

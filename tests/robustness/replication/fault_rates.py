@@ -11,7 +11,8 @@ class FaultRates:
 
     loss: float = 0.0
     delay_mean: float = 0.002
-    # The share of messages that overtake others or (not commands) come twice, and their greatest delay.
+    # The share of messages that may overtake other messages, and their greatest additional delay. Half of them come
+    # twice, except commands.
     unruly: float = 0.0
     unruly_seconds: float = 0.5
     crashes: float = 0.0

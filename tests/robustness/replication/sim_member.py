@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# The most bytes that wait on a slow connection. Beyond this it takes no more pieces of snapshots and entries.
+# The most bytes that wait on a slow connection. Beyond this limit the connection takes no more pieces of snapshots and
+# entries.
 ROOM_SECONDS = 0.5
 
 
@@ -96,7 +97,7 @@ class SimMember:
 
     @property
     def now(self) -> float:
-        """The time of its clock. In a step that waits for the disk, it is later than the world's."""
+        """The time of its clock. In a step that waits for the disk, it is later than the world's time."""
         return self.world.now + self._waited
 
     def start(self) -> None:

@@ -136,7 +136,7 @@ class World:
             self._answer(sender, to, replica)
 
     def _answer(self, sender: str, to: str, receiver: RaftReplica) -> None:
-        """As the stream does: tell the sender the members, every half second in which a message came."""
+        """Send the members to the sender, as the stream does, in every half second in which a message came."""
         wire, replica = self.wires[sender, to], self.members[sender].replica
         if replica is not None and wire.up and not self.wires[to, sender].blocked and self.now > wire.answer_due:
             wire.answer_due = self.now + 0.5

@@ -2,8 +2,8 @@
 
 Chromium shows the page of a real cluster all the time, while programs put and read. Each part in turn is killed with
 SIGKILL and started again, also the server of the page. After each kill an item with a new text comes. The open tab must
-then show this text, every host as alive, and no complaint. Nobody loads the page again. The memory of the page's server
-must stay bounded. Needs Debian's chromium.
+then show this text, every host as alive, and no complaint. The tab never loads the page again. The memory of the page's
+server must stay bounded. Needs Debian's chromium.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ Message = tuple[int, int]
 
 
 class Delivery(NamedTuple):
-    """A delivery that a taker got. Its lease lasts until `ends_s` at least. `number`: counts the message's
-    deliveries.
+    """A delivery that a taker got. Its lease lasts until `ends_s` at least. `number`: the number of deliveries of the
+    message so far.
     """
 
     delivery_id: int

@@ -122,7 +122,7 @@ class QueueHost(LeasedHost):
 
 @lru_cache(maxsize=16)
 def _recorded(record: QueueRecord) -> RecordedQueue:
-    """As a host reads the record. Hosts ask for it several times a second."""
+    """The record, as a host reads it. Hosts ask for it several times a second."""
     return recorded_queue(queue_record(record))
 
 

@@ -44,7 +44,9 @@ class Found(NamedTuple):
 
 
 class HastyCallers(ChannelCallers):
-    """The callers of one channel. The producer often puts just when a channel is handed over, perhaps its own one."""
+    """The callers of one channel. The producer often puts just when a channel is handed over, perhaps its own
+    channel.
+    """
 
     async def pause(self) -> None:
         if self.rng.random() >= HASTE:
@@ -75,7 +77,7 @@ class DrainFaults(Faults):
         await self._drain_until(lambda link: self.begin(self.stop, self._end_of(link)))
 
     async def _drain_until(self, happens: Callable[[Call | Link], None]) -> None:
-        """Drain a host that owns something. `happens` at one of the messages."""
+        """Drain a host that owns something. Calls `happens` at one of the drain's messages."""
         self.break_soon(happens)
         await self.move(self.owner_number())
 

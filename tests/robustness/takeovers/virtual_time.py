@@ -1,7 +1,7 @@
 """An event loop in virtual time: while all tasks wait, the clock jumps to the next timer.
 
 A run of minutes takes milliseconds, and the same seed gives the same run. `asyncio.to_thread` does its work on the
-loop. The tasks must use nothing else of other threads.
+loop. The tasks must not use other threads in any other way.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A server of Azure blobs (azurite, from npm) as a process, for tests. It is Microsoft's emulator of Azure Storage.
 
-`python -m tests.support.channel_host.azure_server` installs it beforehand, which takes about a minute. It is in the
-user's cache folder, where all checkouts find it.
+`python -m tests.support.channel_host.azure_server` installs it beforehand, which takes about a minute. The program is
+in the user's cache folder, where all checkouts find it.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class S3Server:
     def start(self) -> None:
         """Start the process, and wait until it takes connections."""
         credentials = {"ROOT_ACCESS_KEY": ACCESS_KEY, "ROOT_SECRET_KEY": SECRET_KEY}
-        # extended attributes are not everywhere, so the metadata go to a folder beside
+        # some file systems have no extended attributes, so the metadata go to a separate folder
         command = [self._program, "--quiet", "--port", f"127.0.0.1:{self._port}", "posix"]
         sidecar = self._top.parent / f"metadata-of-{self._top.name}"
         sidecar.mkdir(exist_ok=True)

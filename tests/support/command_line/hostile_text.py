@@ -11,7 +11,9 @@ DEPTH_MAX = 4
 
 
 def hostile_message(described: Descriptor, depth: int = 0) -> Message:
-    """Return a message with the hostile text in each of its texts and bytes, also below. Of a oneof the last is set."""
+    """Return a message with the hostile text in each of its texts and bytes, also below. In a oneof the last field
+    is set.
+    """
     message = GetMessageClass(described)()
     for field in described.fields:
         value = _value(field, depth)

@@ -51,7 +51,7 @@ class ForkedPopen(subprocess.Popen[bytes]):
 
 
 def _can_fork(command: Sequence[str], environment: Mapping[str, str] | None) -> bool:
-    """Whether a fork is the same process.
+    """Whether a fork would behave like a new process.
 
     An environment that Python reads at its start must be the environment of the tests.
     """

@@ -30,7 +30,8 @@ def serve(calls: socket.socket) -> None:
         told, tell = os.pipe()
         between = os.fork()
         if between == 0:
-            # The process of the tests gets this one's child as its own one, and can then wait for its end.
+            # The process of the tests becomes the parent of this process's child, and can then wait for the child's
+            # end.
             if child := os.fork():
                 os.write(tell, str(child).encode())
                 os._exit(0)

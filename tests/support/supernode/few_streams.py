@@ -12,7 +12,7 @@ from unittest import mock
 from stampede_rt_runtime.limits import CONTROL_LIMITS
 
 LIMITS = replace(CONTROL_LIMITS, streams_max=192, concurrent_rpcs_max=704, calls_per_connection_max=128)
-"""Still more streams than one connection carries, and as many other calls as at every port."""
+"""The port still serves more streams than one connection carries, and as many other calls as any port."""
 
 
 def main() -> int:

@@ -41,7 +41,9 @@ class History:
         self.refused.add(command)
 
     def read(self, *, acknowledged_before: int, index: int) -> None:
-        """A confirmed read gave a position; `acknowledged_before` was the highest one when it began."""
+        """A confirmed read gave a position; `acknowledged_before` was the highest acknowledged position when the
+        read began.
+        """
         if index < acknowledged_before:
             raise PromiseBroken(f"a read saw {index}, but {acknowledged_before} was acknowledged before it began")
 

@@ -1,4 +1,4 @@
-"""Commands for tests, with ids that are short to write: the same arguments, the same command."""
+"""Commands for tests, with ids that are short to write. The same arguments give the same command."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def arguments(source: ByteSource) -> None:
 
 
 def items(source: ByteSource) -> None:
-    """Items of others in all forms."""
+    """Items of other programs, printed in all forms."""
     item = _item(source)
     with _printed() as printed:
         print(item_text.item_line(item))
