@@ -1,6 +1,6 @@
 """Closes the copies of a server's sockets in a forked child. Finds them by their local ends.
 
-gRPC does not tell which descriptors are its own.
+gRPC does not show which descriptors are its own.
 """
 
 from __future__ import annotations

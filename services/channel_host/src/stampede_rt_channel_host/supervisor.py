@@ -29,7 +29,7 @@ _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 class RestartPauses:
-    """How long to wait before the next start of a process. Each pause is twice the one before."""
+    """How long to wait before the next start of a process. Each pause is twice as long as the pause before."""
 
     def __init__(self) -> None:
         self._next_s = PAUSE_SECONDS_MIN

@@ -67,7 +67,7 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         return guarded(handler, admitted)
 
     def _unknown(self, method: str) -> Any:
-        """A handler for unknown methods, which tells only callers with a proof that the method is unknown.
+        """A handler for unknown methods. Only a caller with a proof learns that the method is unknown.
 
         It is a stream-stream handler, because such a handler serves every kind of call on the wire. It answers before
         any request comes.

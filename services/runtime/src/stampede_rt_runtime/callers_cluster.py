@@ -20,7 +20,7 @@ _OPEN_METHODS = frozenset({"/stampede_rt.v1.DirectoryService/Ping", "/grpc.healt
 class ClusterInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
     """Refuses calls that name another cluster.
 
-    Calls that name no cluster pass. Calls of the methods that tell the server's cluster also pass.
+    Calls that name no cluster pass. Calls of the methods that return the server's cluster also pass.
     """
 
     def __init__(self, judge: JudgeCluster) -> None:

@@ -15,7 +15,7 @@ _KEPT_MAX = 4096
 
 @lru_cache(_KEPT_MAX)
 def matcher(glob: str) -> Callable[[str], bool]:
-    """A function that tells whether a name matches `glob`.
+    """A function that returns whether a name matches `glob`.
 
     Every name matches an empty `glob`. Brackets match themselves.
     """

@@ -1,4 +1,4 @@
-"""The metrics of a supernode, besides those that every service has."""
+"""The metrics of a supernode, besides the metrics that every service has."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def name_of_stop(stop: CleanStop) -> str:
 
 
 def stop_named(name: str) -> CleanStop | None:
-    """The clean stop that the name of an object tells about, or None if the object tells about no clean stop."""
+    """The clean stop that the object of this name reports, or None if the object reports no clean stop."""
     found = _NAME.fullmatch(name)
     if found is None:
         return None

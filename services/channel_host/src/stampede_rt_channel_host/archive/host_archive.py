@@ -129,7 +129,7 @@ class HostArchive:
         may_be_unknown: bool,
         is_move: bool,
     ) -> tuple[SegmentFiles, OpenedArchive]:
-        """The files of a channel, with those in the object store. Raises OSError."""
+        """The files of a channel, with its files in the object store. Raises OSError."""
         files = objects.files_of(record.channel_id, facts, self._kept)
         files.is_elsewhere = is_move
         opened = await objects.open(files, record, self._readers, self._writer, may_be_unknown=may_be_unknown)

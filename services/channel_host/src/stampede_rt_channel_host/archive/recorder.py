@@ -76,7 +76,7 @@ class ChannelRecorder:
         self.encoded_retries: Callable[[], bytes] = bytes
         """Returns the encoded retry window of the producers."""
         self.on_listed: Callable[[CleanStop | None], None] = _ignore
-        """Is called when the object store has told which segments it has, with the clean stop of the last owner."""
+        """Is called when the object store has listed its segments, with the clean stop of the last owner."""
         self._channel = channel
         self._came = MovedItems(channel) if from_memory and files.is_shared else None
         self.archived_to = _lacks_from(channel, segments) if from_memory else channel.next_seq
@@ -214,7 +214,7 @@ class ChannelRecorder:
         self._lost_before = lost_before
 
     def withdraw_loss(self) -> bool:
-        """Note that the former owner stopped cleanly. Returns whether a file tells of a loss until the next write."""
+        """Note that the former owner stopped cleanly. Returns whether a file reports a loss until the next write."""
         self._lost_before = NOTHING_LOST if self._has_told_loss else None
         return self._has_told_loss
 

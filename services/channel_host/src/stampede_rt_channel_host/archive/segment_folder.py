@@ -119,7 +119,7 @@ class SegmentFolder:
     def set_aside(self, number: int) -> None:
         """Give the file of a damaged segment a name that the archive does not use. A person may repair it.
 
-        It stays until the channel is deleted. Raises OSError.
+        The file stays until the channel is deleted. Raises OSError.
         """
         path = self.file_of(number)
         path.rename(path.with_name(f"{path.name}.{time.time_ns()}{DAMAGED}"))

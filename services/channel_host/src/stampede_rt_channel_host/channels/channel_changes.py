@@ -29,7 +29,7 @@ class ChannelChanges:
         """Delete the channel in the directory and at this host. The streams of its readers end with CHANNEL_NOT_FOUND.
 
         Safe to repeat. `since_s`: when the caller made the request, in seconds of `request_age.age_clock_s`. Raises the
-        errors of `bind`, and those that the directory answers.
+        errors of `bind`, and the errors that the directory answers.
         """
         if request_id in self._deletions:
             return

@@ -175,7 +175,9 @@ def _check_request_id(request_id: bytes) -> None:
 
 
 def _glob(text: str) -> Callable[[str], bool]:
-    """A function that tells whether a name matches the pattern `text`. Raises InvalidArgument if `text` is too long."""
+    """A function that returns whether a name matches the pattern `text`. Raises InvalidArgument if `text` is too
+    long.
+    """
     if len(text) > GLOB_LENGTH_MAX:
         raise InvalidArgument(f"name_glob has {len(text)} characters; it has at most {GLOB_LENGTH_MAX}")
     return matcher(text)

@@ -191,9 +191,9 @@ class HostedChannel:
     def consume(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int, owner: str = "") -> Consumed:
         """Consume items for one consumer, and accept the waiting puts for which there is room now.
 
-        Raises InvalidArgument, ChannelFull if all consumer places are taken, and Overloaded if the memory for the seqs
-        that were consumed out of order is used up, or if the caller `owner` has too many places
-        or its consumption takes too much memory.
+        Raises InvalidArgument, and ChannelFull if all consumer places are taken. Raises Overloaded if the memory for
+        the seqs that were consumed out of order is used up, or if the caller `owner` has too many places or its
+        consumption takes too much memory.
         """
         now = self._now()
         self.core.check_consumption(consumer_id, seqs, lease_nanos)

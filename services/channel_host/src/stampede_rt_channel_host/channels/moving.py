@@ -48,7 +48,7 @@ class Moving:
         self._timer = asyncio.get_running_loop().call_later(HELD_SECONDS_MAX, self._refuse)
 
     def _refuse(self) -> None:
-        """Refuse the puts that wait now. The next call refuses those that come later."""
+        """Refuse the puts that wait now. The next call refuses the puts that come later."""
         self._begin(self._puts.ending(held_too_long(self._name)))
         self._wait()
 

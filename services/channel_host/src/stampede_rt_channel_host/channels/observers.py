@@ -74,7 +74,7 @@ class Backlog(Generic[Thing]):
         self._working = False
 
     def add(self, things: Iterable[Thing]) -> None:
-        """Look at all these things, after those that already wait."""
+        """Look at all these things, after the things that already wait."""
         self._waiting.update(dict.fromkeys(things))
         if self._waiting and not self._working:
             self._working = True

@@ -90,7 +90,7 @@ class PutsHere:
             self._on_end(error)
 
     def _put_sent(self) -> None:
-        """Put the runs that have come, up to the bounds of a step, and tell their acks together."""
+        """Put the runs that have come, up to the bounds of a step, and report their acks together."""
         try:
             acks = self._put_all()
         except Exception as defect:  # noqa: BLE001  # the producer must get the error

@@ -101,7 +101,7 @@ async def _newest(archive: HostArchive, files: SegmentFiles, segments: tuple[Seg
 
 
 def _lacks_loss(lost_before: int | None, found: OpenedArchive) -> TypeGuard[int]:
-    """Whether the archive does not tell yet that items before `lost_before` were lost. A former owner that stopped
+    """Whether the archive does not say yet that items before `lost_before` were lost. A former owner that stopped
     cleanly has written it with its first items.
     """
     if lost_before is None:
@@ -166,7 +166,7 @@ class Recording:
 
     def _written(self) -> None:
         if self._unknown is not None and self._unknown.is_over(self.recorder, self._archive.now()):
-            # if a clean stop of the former owner has turned up, reads wait until no file tells of a loss
+            # if a clean stop of the former owner has turned up, reads wait until no file reports a loss
             if self._channel.lost_before is None and self.recorder.withdraw_loss():
                 self._archive.touch(self.recorder, self._written)
             else:

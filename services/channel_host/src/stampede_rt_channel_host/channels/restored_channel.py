@@ -69,7 +69,9 @@ def lost_since(segments: Sequence[Segment]) -> int | None:
 
 
 def _lost_since(segments: Sequence[Segment], window: ArchiveWindow) -> int | None:
-    """As `lost_since`. `window`: the newest items. The latest one that has no time in the future tells more."""
+    """As `lost_since`. `window`: the newest items. The latest item that has no time in the future gives a better
+    answer.
+    """
     since = lost_since(segments)
     earlier = None if since is None else window.items.last_time_up_to(since)
     return since if earlier is None else earlier

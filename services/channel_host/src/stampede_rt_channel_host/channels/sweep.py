@@ -55,7 +55,7 @@ class Sweep:
     def reclaim(self) -> bool:
         """Free some outdated items in one step, because a put needs the memory. Returns True if more may be due now.
 
-        Looks at channels that are due before those that have changed.
+        Looks at channels that are due before channels that have changed.
         """
         return self._step(lambda: self._deadlines.pop(self._now()) or next(iter(self._touched), None))
 

@@ -1,4 +1,4 @@
-"""The sums of the counters of all channels of a host, those that have left included."""
+"""The sums of the counters of all channels of a host, channels that have left included."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CountKey = tuple[str, str]  # the name of a counter, and its cause; empty if it 
 
 @dataclass(slots=True)
 class ChannelTotals:
-    """Sums over channels. `counts` only grow, while the other fields tell of the channels present."""
+    """Sums over channels. `counts` only grow. The other fields describe the present channels."""
 
     counts: Counter[CountKey] = field(default_factory=Counter)
     held_items: int = 0

@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.group import Horizon
 
 
 class UnknownPast:
-    """Says which reads have to wait until the store tells which items it has.
+    """Says which reads have to wait until the host knows which items the store has.
 
     The former owners accepted all their items before the instant of the take-over. The times of these items are
     therefore less than `max_future` after that instant. The host has all items with later times. With `is_fresh` the
@@ -110,7 +110,7 @@ class UnknownPast:
         return found is not None and found >= max(within.start, self._since)
 
     def listed(self, stop: CleanStop | None) -> None:
-        """Note that the store has told which items it has. `stop`: the clean stop of the last owner."""
+        """Note that a listing has shown which items the store has. `stop`: the clean stop of the last owner."""
         self._is_listed = True
         self._stop = self._stop or stop
 

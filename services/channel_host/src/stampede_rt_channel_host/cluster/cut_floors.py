@@ -1,4 +1,4 @@
-"""Converts the cuts of groups (`CutFloor`), which hosts tell each other, from and to protobuf (`group.proto`)."""
+"""Converts the cuts of groups (`CutFloor`), which hosts send to each other, from and to protobuf (`group.proto`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from stampede_rt_channel_host.core.group import CutFloor
 
 
 def floor_to_message(floor: CutFloor) -> group_pb2.CutFloor:
-    """The message in which a host tells other hosts its cut of a group."""
+    """The message in which a host sends its cut of a group to other hosts."""
     return group_pb2.CutFloor(
         group_id=floor.group_id,
         incarnation=floor.incarnation,

@@ -47,7 +47,8 @@ class ServingLoop:
     def has_hung(self) -> bool:
         """Whether the serving loop has run no callback for LOOP_SILENCE_SECONDS_MAX.
 
-        Schedules a callback on the loop. If the callback of an earlier call has not run yet, tells how long it waits.
+        Schedules a callback on the loop. If the callback of an earlier call has not run yet, looks how long it has
+        waited.
         """
         now_s, scheduled_s = time.monotonic(), self._scheduled_s  # read once: the other thread sets it
         if scheduled_s is not None:

@@ -1,4 +1,4 @@
-"""The check that the caller of a feed is the host for which it speaks."""
+"""The check that the caller of a feed is the host that it claims to be."""
 
 from __future__ import annotations
 

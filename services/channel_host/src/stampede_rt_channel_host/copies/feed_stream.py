@@ -98,8 +98,8 @@ class FeedStream:
     async def run(self, request: pb.FeedRequest) -> bool:
         """Feed the copy until the stream or the move ends. `request` has `open`, which names the copy's host.
 
-        Returns whether the caller may begin another move in this stream. Raises InvalidArgument, StaleBinding,
-        Unavailable if this host is itself a copy that is behind, and Overloaded if the channel has too many feeds or
+        Returns whether the caller may begin another move in this stream. Raises InvalidArgument, StaleBinding, and
+        Unavailable if this host is itself a copy that is behind. Raises Overloaded if the channel has too many feeds or
         the copy takes nothing.
         """
         opening = request.open

@@ -1,4 +1,4 @@
-"""The copies at this host: begins them, keeps their feeds, reports their loads, and ends those that were removed."""
+"""The copies at this host: begins them, keeps their feeds, reports their loads, and ends removed copies."""
 
 from __future__ import annotations
 
@@ -240,7 +240,7 @@ class CopyKeeper:
             )
 
     async def _check_removed(self, channel_ids: Sequence[bytes]) -> None:
-        """Ask the directory for the copies that its leader does not know, and drop those that are gone."""
+        """Ask the directory for the copies that its leader does not know, and drop the copies that are gone."""
         for channel_id in channel_ids:
             copy = self._copies.get(channel_id)
             if copy is not None:

@@ -50,8 +50,8 @@ class MoveDirectory(GatheredMoves):
     """Asks the directory about owners, and has it change them.
 
     Each method waits for CALL_SECONDS_MAX at most, and raises the error with which the directory answers, or
-    Unavailable. A gathered call also waits for the one under way, and a refused commit asks again for the reason.
-    So `commit` waits for four times as long at most, `remove_fallback` and `is_released` for twice as long.
+    Unavailable. A gathered call also waits for the call under way, and a refused commit asks again for the reason. So
+    `commit` waits for four times as long at most, `remove_fallback` and `is_released` for twice as long.
     """
 
     def __init__(self, supernodes: Supernodes, identity: HostIdentity) -> None:

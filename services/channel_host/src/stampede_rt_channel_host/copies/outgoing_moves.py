@@ -48,8 +48,8 @@ class OutgoingMoves:
 
     def check(self, hosted: HostedChannel, host_id: bytes) -> None:
         """Raises PermissionDenied if no caller has allowed the move to that host, MoveConflict if the channel cannot
-        move now, Overloaded if too many move, and Unavailable if too few of its replicas are in sync, or if this host
-        does not know yet which of its items the object store has.
+        move now, and Overloaded if too many move. Raises Unavailable if too few of its replicas are in sync, or if this
+        host does not know yet which of its items the object store has.
         """
         record = hosted.record
         self.allowed.check(f"channel {record.name}", record.channel_id, hosted.epoch, host_id)

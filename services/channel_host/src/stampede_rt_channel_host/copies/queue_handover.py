@@ -1,8 +1,8 @@
 """The former owner's side of a move of a queue or mailbox (paper, section 3.5: queues migrate).
 
 The host ends the streams of the queue, lets all calls wait, and sends everything. Then the first of
-two commands in the directory decides the owner: the command of the new owner, or the one by which this host takes the
-queue back.
+two commands in the directory decides the owner: the command of the new owner, or the command by which this host takes
+the queue back.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class QueueHandovers:
         self, identity: HostIdentity, queues: QueueStore, directory: MoveDirectory, moves: OutgoingMoves,
         callers: FeedCallers,
     ) -> None:  # fmt: skip
-        """`callers` checks that a caller is the host for which it speaks."""
+        """`callers` checks that a caller is the host that it claims to be."""
         self._identity = identity
         self._queues = queues
         self._directory = directory

@@ -45,7 +45,7 @@ class QueueReplicaKeeper(KeepingTasks):
         self.keep(kept)
 
     async def drop_unneeded_forever(self) -> None:
-        """Ask the directory about copies whose owners are silent. Drop the removed ones, and serve those whose owner is
+        """Ask the directory about copies whose owners are silent. Drop removed copies. Serve the queues whose owner is
         now this host.
         """
         while True:  # paced by the sleep

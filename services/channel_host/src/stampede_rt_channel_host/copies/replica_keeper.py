@@ -163,7 +163,7 @@ class KeptReplicas(ABC):
         return listed
 
     async def _make_complete(self, listed: ListedReplicas) -> None:
-        """Add missing replicas, remove surplus ones, and begin those that have no feed."""
+        """Add missing replicas, remove surplus ones, and begin the replicas that have no feed."""
         wanted, replicas = self.wanted, listed.replicas
         failure: StampedeError | None = None
         missing_s, self._missing_s = self._missing_s, MISSING_SECONDS

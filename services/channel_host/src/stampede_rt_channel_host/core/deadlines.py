@@ -32,8 +32,8 @@ class Deadlines(Generic[T]):
     """Things by deadline.
 
     Each operation costs amortised O(log n). When more than about half of the entries are outdated, the heap becomes the
-    old heap, and a new heap begins. Each `arm` then takes a few entries from the old heap, and moves those that still
-    count to the new heap. So no call walks over all entries.
+    old heap, and a new heap begins. Each `arm` then takes a few entries from the old heap, and moves the entries that
+    still count to the new heap. So no call walks over all entries.
     """
 
     def __init__(self) -> None:
@@ -84,7 +84,7 @@ class Deadlines(Generic[T]):
         return self._heap if self._heap[0][:2] <= self._old[0][:2] else self._old
 
     def _move_some(self) -> None:
-        """Take the last entries from the old heap, and move those that still count to the new heap.
+        """Take the last entries from the old heap, and move the entries that still count to the new heap.
 
         The rest of the old heap is still a heap.
         """

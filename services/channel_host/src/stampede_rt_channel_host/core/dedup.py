@@ -170,8 +170,8 @@ class RetryWindow:
 
     The window knows at most `producers_max` producers, and takes up at most `bytes_max` bytes. Each producer takes up
     at most PRODUCER_BYTES_MAX bytes, or has a single run. Above a bound of the window, it forgets producers of the
-    caller that takes up most. Of these it first forgets those that have been silent longest. So one caller does not
-    push out the producers of others.
+    caller that takes up most. It first forgets the producers that have been silent longest. So one caller does not push
+    out the producers of other callers.
 
     The window keeps no run without an accepted item; the channel or queue judges such a run anew. A run with producer
     id 0 is never recognised. `now` is the host's clock in nanoseconds and never goes back.
@@ -283,8 +283,8 @@ class RetryWindow:
     def _shed(self, size: Callable[[KnownProducer], int], least: int) -> bool:
         """Forget the longest silent producers of the largest caller, until the sum of their `size` is `least`.
 
-        The largest caller is the one whose producers have the largest sum of `size`. The producer that put last stays.
-        Returns whether a producer was forgotten.
+        The largest caller is the caller whose producers have the largest sum of `size`. The producer that put last
+        stays. Returns whether a producer was forgotten.
         """
         others = list(self.producers.items())[:-1]
         sizes: Counter[str] = Counter()

@@ -19,8 +19,8 @@ class RecordedChannel:
     """One channel, with its owner and policy.
 
     `created_by` is the name of the caller that created the channel. It is empty if the directory does not know the
-    caller. `copy_host_ids` are the hosts that hold a copy. `first_incarnation` is the one with which a recorded channel
-    began; 0: it is unknown.
+    caller. `copy_host_ids` are the hosts that hold a copy. `first_incarnation` is the incarnation with which a recorded
+    channel began; 0: it is unknown.
     """
 
     channel_id: bytes

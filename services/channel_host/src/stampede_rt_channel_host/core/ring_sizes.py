@@ -38,7 +38,7 @@ def fits_for(run_bytes: int) -> Iterator[RingFit]:
     """The possible rings for runs of up to this length, the best one first. None if the runs are too long for a ring.
 
     The best one has a multiple of DATA_BYTES_MIN, so that a ring seldom needs a larger successor when the items grow.
-    The others have half of it, and half of that. They are for a host whose memory is short.
+    Each further ring has half of the data of the ring before it, for a host whose memory is short.
     """
     wanted = -(-RUNS_MIN * run_bytes // DATA_BYTES_MIN) * DATA_BYTES_MIN
     data_bytes = min(max(wanted, DATA_BYTES_MIN), DATA_BYTES_MAX)

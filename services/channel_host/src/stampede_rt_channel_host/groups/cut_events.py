@@ -72,9 +72,9 @@ class CutEvents:
         """Serve until the stream ends, or until the reader has closed its side and has got everything that it asked
         for.
 
-        Raises InvalidArgument, GROUP_NOT_FOUND, IncarnationLost if the group began anew, Unavailable if this host does
-        not learn the cut in time, or if the group has other members now, StaleBinding if a member has left the host,
-        and Overloaded if the reader is too slow.
+        Raises InvalidArgument, GROUP_NOT_FOUND, IncarnationLost if the group began anew, StaleBinding if a member has
+        left the host, and Overloaded if the reader is too slow. Raises Unavailable if this host does not learn the cut
+        in time, or if the group has other members now.
         """
         request = await self._context.read()
         if not isinstance(request, pb.SubscribeCutsRequest) or not request.HasField("open"):
@@ -128,7 +128,7 @@ class CutEvents:
         )
 
     def _follow(self, group: HostedGroup) -> None:
-        """Follow the members at this host, also those that came back to it.
+        """Follow the members at this host, also members that came back to it.
 
         Raises StaleBinding if a followed member has left the host. Raises Unavailable if the group has other members
         now, or if another member has come to this host: this host does not know which of its items the reader has.

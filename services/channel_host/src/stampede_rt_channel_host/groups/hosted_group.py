@@ -223,7 +223,7 @@ class HostedGroup:
             self._is_releasing = False
 
     def _release_some(self) -> bool:
-        """Wake some callers. Returns True if others may be left."""
+        """Wake some callers. Returns True if other callers may be left to wake."""
         for _ in range(OBSERVERS_PER_PIECE):
             if not self._reaching or not self.has_reached(self._reaching[0][0]):
                 return False

@@ -47,7 +47,7 @@ class PeerHost:
 
 
 class ChangedMembers(NamedTuple):
-    """The members of one group that one host owned until now (`former`), and those that it owns now (`members`).
+    """The members of one group that one host owned until now (`former`), and the members that it owns now (`members`).
 
     `maker`: the caller that made the group.
     """
@@ -129,7 +129,7 @@ class PeerHosts:
     def greeted(self, link: HostLink) -> None:
         """Use a link from now on, because the other host has sent its id. The link replaces an older one to that host.
 
-        The link first names the channels that this host wants to hear about, and tells the cuts of the shared groups.
+        The link first names the channels that this host wants to hear about, and sends the cuts of the shared groups.
         """
         peer = self._peers.setdefault(link.host_id, PeerHost(link.host_id))
         peer.link = link

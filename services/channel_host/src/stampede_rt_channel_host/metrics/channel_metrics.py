@@ -19,7 +19,7 @@ CHANNELS_PER_PIECE = 64
 
 
 class ChannelMetrics:
-    """The metrics of the channels of one host. `shows` tells whether a channel may have metrics of its own."""
+    """The metrics of the channels of one host. `shows` returns whether a channel may have metrics of its own."""
 
     def __init__(self, store: ChannelStore, shows: Callable[[str], object]) -> None:
         self._store = store
@@ -46,7 +46,7 @@ class ChannelMetrics:
         return [*_sums(totals), *_of_readers(self._store.readers), *_of_each(shown, now)]
 
     def _note(self, busiest: list[tuple[int, int, HostedChannel]], hosted: HostedChannel, moved: int) -> None:
-        """Keep the channel if it is among the busiest that are shown: those with the most bytes in and out."""
+        """Keep the channel if it is among the busiest that are shown: the channels with the most bytes in and out."""
         if len(busiest) == NAMES_MAX and moved <= busiest[0][0]:
             return
         if self._shows(hosted.record.name):

@@ -18,7 +18,7 @@ HOLDERS_PER_PIECE = 4
 
 
 class GroupMetrics:
-    """The metrics of the groups of one host. `shows` tells whether a group may have metrics of its own."""
+    """The metrics of the groups of one host. `shows` returns whether a group may have metrics of its own."""
 
     def __init__(self, groups: GroupStore, shows: Callable[[str], object]) -> None:
         self._groups = groups

@@ -1,4 +1,4 @@
-"""All metrics of one channel host, besides those that every service has."""
+"""All metrics of one channel host, besides the metrics that every service has."""
 
 from __future__ import annotations
 

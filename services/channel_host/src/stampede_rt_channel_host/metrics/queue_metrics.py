@@ -20,7 +20,7 @@ _EVENTS = tuple(name for name in GROWING if not name.startswith(_REJECTED) and n
 
 
 class QueueMetrics:
-    """The metrics of the queues of one host. `shows` tells whether a queue may have metrics of its own."""
+    """The metrics of the queues of one host. `shows` returns whether a queue may have metrics of its own."""
 
     def __init__(self, queues: QueueStore, shows: Callable[[str], object]) -> None:
         self._queues = queues

@@ -113,7 +113,7 @@ class EnqueueStream:
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
     async def _failure_to_find(self) -> StampedeError | None:
-        """The error that tells why the queue cannot be used; None if it can.
+        """The error that says why the queue cannot be used; None if it can be used.
 
         May ask the directory. So the stream calls this once for each request, not for each run.
         """

@@ -25,7 +25,7 @@ class QueueContent(NamedTuple):
 class KeptQueue(NamedTuple):
     """The replica that the former owner of a queue becomes. `made_nanos`: the time of the hold, by a steady clock.
 
-    The leases of `core` are as of that time. `charge`: the memory that only the replica uses. It shares the
+    The leases of `core` are as of that time. `charge`: the memory that only the replica uses. The replica shares the
     messages with the queue.
     """
 

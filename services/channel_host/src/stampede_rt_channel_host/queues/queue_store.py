@@ -265,7 +265,7 @@ class QueueStore:
     def _knows(self, queue_id: bytes, epoch: int | None) -> bool:
         """Whether the store can answer without the directory.
 
-        It can also do so for an epoch below the known one: the request is refused in any case.
+        The store needs no directory for an epoch below the known one either: it refuses the request in any case.
         """
         hosted = self._queues.get(queue_id)
         return hosted is not None and hosted.epoch > 0 and (epoch or 0) <= hosted.epoch

@@ -1,6 +1,6 @@
 """The audit log: denied calls, and changes of rights. One line for each event, on the service's log.
 
-The log has at most one line a second about the denials of one caller. The next line tells how many denials were left
+The log has at most one line a second about the denials of one caller. The next line says how many denials were left
 out.
 """
 

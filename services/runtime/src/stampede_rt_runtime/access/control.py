@@ -60,7 +60,7 @@ class AccessControl:
         self._sweep: asyncio.Handle | None = None
         self.audit = AuditLog()
         self.takes_ids = False
-        """Whether callers of this port know things by id, so that its errors must not tell hidden names."""
+        """Whether callers of this port know things by id, so that its errors must not show hidden names."""
         self.accounts = Accounts(clock_s=time.monotonic, loop_shares=loop_shares())
 
     def draw_from(self, source: Callable[[], AccessState]) -> None:
@@ -293,7 +293,7 @@ def request_rights(lose: Callable[[Any, PermissionDenied], None]) -> RequestRigh
 def check_known(kind: AccessKind, name: str, *, by_id: bool = False) -> None:
     """Check that the present call's caller may do at least one kind of action with the thing.
 
-    `by_id`: the caller gave only the thing's id. The error then does not tell the name. Raises PermissionDenied,
+    `by_id`: the caller gave only the thing's id. The error then does not show the name. Raises PermissionDenied,
     Unavailable.
     """
     call = _CURRENT.get()
@@ -302,7 +302,7 @@ def check_known(kind: AccessKind, name: str, *, by_id: bool = False) -> None:
 
 
 def allowed_to(verb: AccessVerb, kind: AccessKind) -> Callable[[str], bool]:
-    """A function that tells whether the present call's caller may do `verb` with the thing of a name.
+    """A function that returns whether the present call's caller may do `verb` with the thing of a name.
 
     It applies the present rules at each call. Raises Unavailable.
     """

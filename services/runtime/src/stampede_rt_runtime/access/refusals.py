@@ -18,14 +18,14 @@ def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> Per
 def denied_all(caller: Caller, kind: AccessKind, name: str = "") -> PermissionDenied:
     """The error for a caller without any right to the thing.
 
-    `name` must be empty if the caller gave only an id: the error must not tell a name that the caller may not know.
+    `name` must be empty if the caller gave only an id: the error must not show a name that the caller may not know.
     """
     thing, placeholder = (f"{kind} {name}", name) if name else (f"this {kind}", "NAME")
     return PermissionDenied(f"{caller} may do nothing with {thing}; {_way_out(caller, 'VERB', kind, placeholder)}")
 
 
 def _way_out(caller: Caller, verb: str, kind: AccessKind, name: str) -> str:
-    """The advice to a caller without a right. It does not tell whether a rule denies the right."""
+    """The advice to a caller without a right. The advice does not show whether a rule denies the right."""
     return (
         f"an operator can allow it (stampede acl add {caller.name} {verb} {name} --kind {kind}), unless a rule denies "
         "it (stampede acl ls)"

@@ -1,6 +1,6 @@
 """The answers to the latest operations, so that a repeated request gets its answer without a second effect. Pure.
 
-The replicas share no clock that tells the age of an operation. So the leader puts marks into the log, at most one in
+The replicas share no clock that shows the age of an operation. So the leader puts marks into the log, at most one in
 each MARK_NANOS of its own clock. Every replica keeps the last MARKS_KEPT marks, and forgets the operations before the
 oldest of these marks. So all replicas forget an operation at the same log position.
 

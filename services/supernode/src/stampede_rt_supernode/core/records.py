@@ -84,8 +84,8 @@ class ChannelRecord:
 
     `policy_version` grows by 1 with every change of `policy`. `proxy_host_ids`: the hosts of all copies, in the order
     of addition; warm replicas are among them. `created_by`: the name by which rules of access know the caller that
-    created it; empty if it is unknown. `first_incarnation`: the one with which a recorded channel began; 0 if it is
-    unknown.
+    created it; empty if it is unknown. `first_incarnation`: the incarnation with which a recorded channel began; 0 if
+    it is unknown.
     """
 
     channel_id: bytes

@@ -1,8 +1,8 @@
 """Decides which of several processes of one peer or host is the newest. Pure.
 
 The network, or a supernode without a leader, may delay a registration for seconds. Meanwhile its process may have been
-killed and started again. No clock tells which of the two registrations is older. So each process has a number, its
-registration epoch. A process registers with a number above the one that it finds in the directory. The directory
+killed and started again. No clock shows which of the two registrations is older. So each process has a number, its
+registration epoch. A process registers with a number above the number that it finds in the directory. The directory
 refuses a number that another process has already reached. So, after the successor of a process has registered, the
 directory refuses a delayed registration of that process.
 """

@@ -168,7 +168,7 @@ class Tables:
         self.hosts[host_id] = replace(self.hosts[host_id], load=load)
 
     def put_queue(self, queue: QueueRecord) -> None:
-        """Add a queue or mailbox, or replace the one of that id.
+        """Add a queue or mailbox, or replace the queue or mailbox of that id.
 
         Its host must be known, and may be another than before. If its puts wait for no replicas, it has none.
         """

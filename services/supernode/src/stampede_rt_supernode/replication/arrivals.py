@@ -87,8 +87,8 @@ def taken_from(queue: deque[T]) -> Iterator[T]:
 class _InboxShares:
     """Counts the waiting messages of each member. Each member has a share, so that none fills the share of another.
 
-    The thread that adds messages counts those that came. The tick thread counts those that it has taken. So each
-    counter has only one writer.
+    The thread that adds messages counts the added messages. The tick thread counts the messages that it has taken. So
+    each counter has only one writer.
     """
 
     def __init__(self, items_max: int, bytes_max: int) -> None:

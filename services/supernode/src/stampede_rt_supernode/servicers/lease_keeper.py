@@ -84,7 +84,7 @@ class LeaseKeeper:
         # The id that the founder gave the cluster. In a restored cluster, whether callers of the former cluster may go
         # over to this one.
         self.founding_cluster_id, self.takes_over = "", False
-        # Whether the cluster keeps everything in memory. If the first leader makes the cluster's id, the id tells this.
+        # Whether the cluster keeps everything in memory. If the first leader makes the cluster's id, the id shows this.
         self.in_memory = False
 
     async def run(self) -> None:

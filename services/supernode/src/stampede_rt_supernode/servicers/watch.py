@@ -80,7 +80,7 @@ class Watches:
     ) -> AsyncIterator[WatchBatch]:
         """The changes of channels, and of other things as requested; see `_follow`.
 
-        A change for which `is_shown` is false makes no batch, because an empty batch would tell that there was a
+        A change for which `is_shown` is false makes no batch, because an empty batch would show that there was a
         change.
         """
         wanted = _filter(glob, include_hosts, include_groups, include_queues, include_access)
@@ -100,7 +100,7 @@ class Watches:
     async def _follow(
         self, ring_of: Callable[[Directory], ChangeRing], wanted: Callable[[DirectoryChange], bool], after_index: int
     ) -> AsyncIterator[WatchBatch]:
-        """Batches without end. The first batch is empty and tells where the watch begins. Signs of life are empty, too.
+        """Batches without end. The first batch is empty and says where the watch begins. Signs of life are empty, too.
 
         `after_index`: the log position after which the watch begins; 0 for the present position. The caller must
         confirm a read just before the call. Raises WatchRestart if the ring lacks changes for this watch. Raises

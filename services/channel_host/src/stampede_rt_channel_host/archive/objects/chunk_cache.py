@@ -19,8 +19,8 @@ Place = tuple[str, int]  # an object's name, and the number of the chunk
 class ChunkCache:
     """Reads objects of a store in chunks, and keeps the chunks in a folder. Any thread may use it.
 
-    It begins empty: `open` deletes the chunks of a former process. If the disk does not take a chunk, the cache does
-    not keep it.
+    The folder begins empty: `open` deletes the chunks of a former process. If the disk does not take a chunk, the cache
+    does not keep it.
     """
 
     def __init__(self, store: SegmentStore, folder: Path, bytes_max: int) -> None:

@@ -16,7 +16,7 @@ _FILE = "objects"
 class Known(NamedTuple):
     """The objects of a channel, by their names, with their bytes. `epoch`: of the channel at the host that noted them.
 
-    They are all objects of the channel if no other host has owned the channel since.
+    These are all objects of the channel if no other host has owned the channel since.
     """
 
     epoch: int

@@ -48,7 +48,7 @@ class Leftovers:
         self._owned = dict(epochs)
 
     def stops(self) -> dict[str, Callable[[], None]]:
-        """The objects that tell about clean stops of channels which this host owns and has not served since its start.
+        """The objects that report clean stops of channels which this host owns and has not served since its start.
 
         Each object comes with the function to call after the host has made it. The host accepted no items of these
         channels in the present epoch, so the note of its former stop still holds if it is of the epoch before. Blocks.

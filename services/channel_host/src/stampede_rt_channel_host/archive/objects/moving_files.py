@@ -39,7 +39,7 @@ class MovingFiles(SegmentFiles):
         self.waiting: tuple[Segment, ...] = ()
         """The closed segments that have not moved yet, as of the last `look`."""
         self.former_stop: CleanStop | None = None
-        """The clean stop of the last owner, if a listing of the store has told it."""
+        """The clean stop of the last owner, if a listing of the store had it."""
         self._stop: CleanStop | None = None  # the clean stop of this owner
 
     def known(self, epoch: int, incarnation: int) -> Mapping[int, StoredSegment] | None:

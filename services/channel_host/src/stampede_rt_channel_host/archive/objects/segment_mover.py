@@ -25,7 +25,7 @@ BACK_OFF_SECONDS_MIN, BACK_OFF_SECONDS_MAX = 1.0, 60.0
 DELETED_AT_ONCE = 100
 UPLOAD_SECONDS_LEAST, UPLOAD_BYTES_PER_SECOND = 30.0, 10**5  # a slower upload has failed
 STOP_TEXT = b"Stampede RT: the owner of the channel stopped, and the archive has all of its items.\n"
-STOPS_AT_ONCE = 8  # objects that tell about clean stops
+STOPS_AT_ONCE = 8  # objects that report clean stops
 LOOKS_PER_DROP = 12  # after this many looks, outdated segments of idle channels leave the archive
 
 
@@ -71,7 +71,7 @@ class SegmentMover:
         """The thread of the archive's writes, the only thread that changes files."""
         self._task: asyncio.Task[None] | None = None
         self._wake = asyncio.Event()
-        self._told: set[str] = set()  # the objects that tell about clean stops
+        self._told: set[str] = set()  # the objects that report clean stops
         self._moving = asyncio.Lock()  # held during the moves
 
     def start(self) -> None:

@@ -128,14 +128,14 @@ class StoredSegments(SegmentFolder):
     def take_stop(self, epoch: int) -> CleanStop | None:
         """The clean stop of the last owner, if the last listing had it. `epoch`: of the channel now.
 
-        All stops in that listing leave the store: they do not tell about this owner's items.
+        All stops in that listing leave the store: they do not describe this owner's items.
         """
         stops, self.stops = self.stops, {}
         self.outdated += stops
         return next((one for one in stops.values() if one.epoch == epoch - 1), None)
 
     def name_of_stop(self, stop: CleanStop) -> str:
-        """The name of the object that tells about a clean stop of this owner."""
+        """The name of the object that reports a clean stop of this owner."""
         return self.prefix + name_of_stop(stop)
 
     def note(self, epoch: int) -> None:
@@ -160,7 +160,7 @@ class StoredSegments(SegmentFolder):
     def adopt(self, found: Mapping[int, StoredSegment]) -> list[Segment]:
         """Take over the segments of a listing that are new. Returns them.
 
-        A segment that is in the folder, too, was moved before its file could be deleted, so its file is deleted. If the
+        If a segment is in the folder, too, its file was not deleted after the move: this method deletes it. If the
         object is too short, the file counts. Raises OSError.
         """
         new = []

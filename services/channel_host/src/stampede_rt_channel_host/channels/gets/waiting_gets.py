@@ -54,7 +54,7 @@ _TIMER_SECONDS_MAX = 10.0
 class WaitingGets:
     """The blocked gets of one channel, at most WAITING_GETS_MAX. One step releases gets in the order of arrival.
 
-    `tracker` tells which needs of gets a change may fulfil. `cut` gives the instant before which the items of the
+    `tracker` computes which needs of gets a change may fulfil. `cut` gives the instant before which the items of the
     channel are visible. `looked_at` counts the looks at gets.
     """
 

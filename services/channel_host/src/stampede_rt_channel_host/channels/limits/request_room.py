@@ -38,7 +38,8 @@ class RequestRooms:
 
 
 class _Line:
-    """The requests of one caller: `used_bytes` of those that have room, and those that wait, by number, in order.
+    """The requests of one caller: `used_bytes` of the requests that have room, and the waiting requests by number, in
+    order.
 
     `is_listed`: `RequestRoom` looks at this line when there is room. Otherwise the caller has used up its part.
     """

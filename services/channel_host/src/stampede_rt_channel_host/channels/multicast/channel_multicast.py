@@ -124,7 +124,7 @@ class ChannelMulticast:
             await self._send_items(part.slices)
         elif part.is_empty and not part.more:
             await self._wait(cursor)
-        else:  # the items left before they were sent: readers ask the host, which tells them
+        else:  # the items left before they were sent: readers ask the host, which reports the gap
             await asyncio.sleep(0)
 
     async def _send_items(self, slices: Sequence[DeliveredSlice]) -> None:

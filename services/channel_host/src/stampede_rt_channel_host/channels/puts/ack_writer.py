@@ -1,4 +1,4 @@
-"""Writes the acks of a stream of puts, also those that wait for replicas or for stable storage, in order."""
+"""Writes the acks of a stream of puts in order, also acks that wait for replicas or for stable storage."""
 
 from __future__ import annotations
 

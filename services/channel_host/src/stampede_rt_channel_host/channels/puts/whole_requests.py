@@ -1,7 +1,7 @@
 """Joins the pieces of large requests.
 
 gRPC keeps each message in memory until all of it has come, and Python can set no limit for all streams together. A host
-therefore accepts only small messages. A larger request comes in pieces. The first piece tells the length of the
+therefore accepts only small messages. A larger request comes in pieces. The first piece states the length of the
 request, and the host reads on when it has room for the whole request.
 
 The request keeps its room until `release`, because a joined request may have to wait for the turn of its caller. If the

@@ -52,7 +52,9 @@ class ReaderDrops:
 
 
 class Readers:
-    """The open subscriptions of a host, which the limits of its port bound, and the sums of those that have ended."""
+    """The open subscriptions of a host, which the limits of its port bound, and the sums of the subscriptions that have
+    ended.
+    """
 
     def __init__(self) -> None:
         self._channels: dict[str, SourceReaders] = {}
@@ -86,11 +88,15 @@ class Readers:
         return sum(one.collected for one in counts), sum(one.skipped for one in counts)
 
     def worst(self, count: int) -> Iterable[ReaderDrops]:
-        """The open subscriptions that missed the most items, at most `count`. Leaves out those that missed none."""
+        """The open subscriptions that missed the most items, at most `count`. Leaves out subscriptions that missed
+        none.
+        """
         return nlargest(count, (one for one in self._open if one.total), key=_total)
 
     def of_channel(self, name: str, count: int) -> Pieces[list[ReaderDrops]]:
-        """The open subscriptions to one channel, at most `count`, in pieces. Those that missed the most come first."""
+        """The open subscriptions to one channel, at most `count`, in pieces. The subscriptions that missed the most
+        come first.
+        """
         among, most = self._channels.get(name), list[ReaderDrops]()
         for at, part in enumerate(batched([] if among is None else [*among.readers], READERS_PER_PIECE)):
             if at:

@@ -101,7 +101,7 @@ def deliver(
 ) -> SubscriptionBatch:
     """Take the next items of a subscription from a part, and move the cursor.
 
-    `missing` are the first seqs that the cursor wants and memory does not have. `next_held` tells the next time of an
+    `missing` are the first seqs that the cursor wants and memory does not have. `next_held` returns the next time of an
     item in memory. `kept_from` is the first seq of the archive's segments.
     """
     first, end = missing[0], min(missing[1], part.end_seq)

@@ -58,7 +58,7 @@ def reaches(held: Holdings | HoldingsSnapshot, start: int) -> bool:
 class WantedWindow(NamedTuple):
     """The next window to load: the argument of `choose`, and the keys of the window's items (`window_of`).
 
-    `limits` are those of the channel; None: the reader does not ask where the archive may lack items.
+    `limits` are the channel's; None: the reader does not ask where the archive may lack items.
     """
 
     wanted: Wanted

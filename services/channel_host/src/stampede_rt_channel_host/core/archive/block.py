@@ -197,7 +197,7 @@ def decode_items(
 
 
 def _needed(rows: Sequence[tuple[int, int, int, int]], within: TimeRange) -> tuple[int, int]:
-    """The times between which a read needs items: also the bucket before the range, and the one after it."""
+    """The times between which a read needs items: also the bucket before the range, and the bucket after it."""
     start, end = within.start, within.end
     before = (row[3] if row[3] < start else row[2] for row in rows if row[2] < start)
     after = (row[2] if row[2] > end else row[3] for row in rows if row[3] > end)

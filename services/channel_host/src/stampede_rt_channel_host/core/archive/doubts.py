@@ -1,8 +1,8 @@
 """The times at which an archive may lack items. Pure.
 
-The seqs of an archive tell that items are missing, but not which times they had: an item may come late, or have a time
-in the future. So each hole in the seqs has an interval of doubt: from the least time that the host could still
-accept then, to the greatest.
+The seqs of an archive show that items are missing, but not which times they had: an item may come late, or have a time
+in the future. So each hole in the seqs has an interval of doubt: from the least time that the host could still accept
+then, to the greatest.
 """
 
 from __future__ import annotations

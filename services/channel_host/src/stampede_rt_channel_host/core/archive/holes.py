@@ -49,8 +49,8 @@ def holes(blocks: SegmentBlocks, taken: Set[int]) -> Iterator[Hole]:
 def border_holes(
     segments: Sequence[Segment], blocks_of: BlocksOf, taken: Mapping[Segment, Set[int]], reach: WindowReach
 ) -> Iterator[Hole]:
-    """The other holes: between two segments, next to the blocks that a read took, before all items, after all items,
-    and segments without any block that can be read. `taken`: the offsets of these blocks.
+    """The holes that `holes` does not find: between two segments, next to the blocks that a read took, before all
+    items, after all items, and segments without any block that can be read. `taken`: the offsets of these blocks.
     """
     with_items = [one for one in segments if one.items]
     yield from _unreadable(with_items, blocks_of, reach)
@@ -106,7 +106,9 @@ def _first_hole(segments: Sequence[Segment], one: Segment | None, blocks_of: Blo
 def _last_hole(
     segments: Sequence[Segment], one: Segment | None, blocks_of: BlocksOf, reach: WindowReach
 ) -> Iterator[Hole]:
-    """The hole between all items and those in memory. `one`: the last segment with blocks that can be read."""
+    """The hole between all archived items and the items in memory. `one`: the last segment with blocks that can be
+    read.
+    """
     if one is not None and (last := blocks_of(one).items_at(-1)) is not None:
         lacks, end = given_between(last.head.end_seq, segments[-1].end_seq), last.head.high[0]
         if lacks and end <= reach.high:

@@ -15,7 +15,7 @@ class ArchiveSpan:
 
     `oldest` and `newest` are times, or None if the archive is empty. `is_cut`: the archive has dropped items before the
     oldest one. `begins_anew`: it begins with an owner that did not know the seqs of the former owners, so it does not
-    tell whether it has dropped items.
+    show whether it has dropped items.
     """
 
     __slots__ = ("begins_anew", "is_cut", "newest", "oldest")
@@ -72,7 +72,7 @@ class RecordedItems:
         return LAST_KEY if self._window.end is None else self._window.end
 
     def snapshot(self) -> IndexSnapshot:
-        """All these items, and those in memory."""
+        """All these items, and the items in memory."""
         snapshot = self._held.snapshot()
         snapshot.begin_with(self._items, self.border, self._window.following)
         return snapshot
@@ -85,7 +85,7 @@ class RecordedItems:
     def last_time_up_to(self, time: int) -> int | None:
         """The time of the last visible bucket at or before `time`, or None if there is none.
 
-        It may be the first bucket of the next window.
+        This bucket may be the first one of the next window.
         """
         following = self._window.following
         if self._window.end is not None and following is not None and following <= time:

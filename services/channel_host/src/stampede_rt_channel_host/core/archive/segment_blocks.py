@@ -99,7 +99,7 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         return PlacedBlock(offset, unpack_head(self._columns.heads, at % len(self) * PACKED_HEAD_BYTES))
 
     def items_at(self, at: int) -> PlacedBlock | None:
-        """The block at position `at` among those that have items; -1: the last one. None: there is none."""
+        """The block at position `at` among the blocks that have items; -1: the last one. None: there is none."""
         places = self._columns.places
         return self[places[at]] if -len(places) <= at < len(places) else None
 
@@ -109,7 +109,7 @@ class SegmentBlocks(Sequence[PlacedBlock]):
             yield self._of(at).head, self._of(at + 1).head
 
     def position(self, offset: int) -> int:
-        """The position of the block at `offset` among those that have items."""
+        """The position of the block at `offset` among the blocks that have items."""
         return bisect_left(self._columns.places, bisect_left(self._columns.offsets, offset))
 
     def up(self, low: ItemKey) -> Iterator[PlacedBlock]:

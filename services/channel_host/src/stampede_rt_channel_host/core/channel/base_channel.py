@@ -184,7 +184,7 @@ class BaseChannel:
 
         `runs` have all items later than `after`, in the order of their seqs.
         `next_seq`: the seq of the next accepted item. `loss`: from which instant on, and before which, items may be
-        lost, see `Reading`; None: without a bound, or none was lost. `advance`: the latest one.
+        lost, see `Reading`; None: without a bound, or no item was lost. `advance`: the latest one.
         """
         restore(self._held, runs, after=after, next_seq=next_seq)
         self._reading.lost_from, self.lost_before = loss

@@ -141,11 +141,12 @@ class ChannelCore(ConsumedChannel):
     ) -> AllCursor:  # fmt: skip
         """Begin a subscription in seq order, or continue a saved one.
 
-        With `start` the subscription has the held items from that bound on, or with `start_exclusive` those later than
-        that bound, and then all new items. With `after` it has all items accepted after that position, which must have
-        a seq. With `saved` it continues from that cursor, and ignores the other arguments. Without any of them it has
-        only new items. Raises InvalidArgument for `start` together with `after`, for `after` without a seq, and for a
-        cursor that comes from a group. Raises IncarnationLost if `after` or `saved` is of another incarnation.
+        With `start` the subscription has the held items from that bound on, or with `start_exclusive` the held items
+        later than that bound, and then all new items. With `after` it has all items accepted after that position, which
+        must have a seq. With `saved` it continues from that cursor, and ignores the other arguments. Without any of
+        them it has only new items. Raises InvalidArgument for `start` together with `after`, for `after` without a seq,
+        and for a cursor that comes from a group. Raises IncarnationLost if `after` or `saved` is of another
+        incarnation.
         """
         return run_to_end(
             self.subscribing_all(now, start=start, start_exclusive=start_exclusive, after=after, saved=saved)

@@ -14,7 +14,7 @@ from stampede_rt_channel_host.core.channel.values import Counters
 
 
 class ConsumedChannel(BaseChannel):
-    """A channel whose consumers tell which items they have consumed. See `ChannelCore` for `now`."""
+    """A channel whose consumers report which items they have consumed. See `ChannelCore` for `now`."""
 
     def consume(
         self, consumer_id: int, seqs: Sequence[int], now: int, *, lease_nanos: int = LEASE_NANOS, owner: str = ""

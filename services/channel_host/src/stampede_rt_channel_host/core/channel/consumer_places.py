@@ -132,7 +132,7 @@ class PlaceTable:
         return own is not None and own.done is not None
 
     def in_order(self) -> list[Place]:
-        """The taken places: first those with an ended lease, then those with a valid lease.
+        """The taken places: first the places with an ended lease, then the places with a valid lease.
 
         In each group the place with the earliest lease end comes first.
         """
@@ -143,7 +143,7 @@ class PlaceTable:
         return list(self._live.irange_key(max_key=(seq, self._orders)))
 
     def first_live_above(self, seq: int) -> Place | None:
-        """The place with the lowest `below` above `seq`, of those with a valid lease; None if there is none."""
+        """The place with the lowest `below` above `seq`, of the places with a valid lease; None if there is none."""
         return next(self._live.irange_key(min_key=(seq + 1, 0)), None)
 
     def expire(self, clock: int) -> None:
@@ -264,7 +264,7 @@ class PlaceTable:
         del self._taken[place.consumer_id]
 
     def _end(self, place: Place) -> None:
-        """Move a place to those whose lease has ended. `until` is the end of the lease."""
+        """Move a place to the places whose lease has ended. `until` is the end of the lease."""
         self._live.remove(place)
         place.done = None
         self.count_ranges(place)
@@ -276,6 +276,6 @@ class PlaceTable:
         self.trim()
 
     def trim(self) -> None:
-        """Remove surplus places: first those with an ended lease, then those with the earliest lease ends."""
+        """Remove surplus places: first places with an ended lease, then the places with the earliest lease ends."""
         for place in self.in_order()[: max(0, len(self._taken) - self._places)]:
             self.drop(place)

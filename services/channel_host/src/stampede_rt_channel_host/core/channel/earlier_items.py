@@ -1,4 +1,4 @@
-"""Tells a channel's first consumers which items the channel had collected before it had consumers. Pure."""
+"""Reports to a channel's first consumers which items the channel had collected before it had consumers. Pure."""
 
 from __future__ import annotations
 

@@ -162,7 +162,7 @@ class EntryList:
         """The place of the last entry of `key` whose first seq is at most `seq`.
 
         If there is none, the place of the first entry at or above `key`. Bisects, because a bucket may hold any number
-        of entries. Those of equal keys must stand in the order of their seqs.
+        of entries. Entries of equal keys must stand in the order of their seqs.
         """
         (number, at), (last, end) = self._place(key, bisect_left), self._place(key, bisect_right)
         begins = range(number + 1, last + 1 if end else last)  # the further chunks that begin with entries of the key

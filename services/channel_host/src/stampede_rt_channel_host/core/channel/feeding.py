@@ -114,7 +114,7 @@ class ChannelFeed:
         """Begin a feed at `place`. None: the copy holds nothing, and the feed begins with the oldest item.
 
         With `window`, the retry window of the channel's owner, the feed has the facts that only the owner knows, too.
-        `is_exact`: only a part that brings the copy to the end of the source tells which items have left. So no item
+        `is_exact`: only a part that brings the copy to the end of the source says which items have left. So no item
         leaves the copy before the copy has the items that took its place. `follows`: the source is itself a copy of the
         owner from which `place` comes. `takes_puts`: see `OwnerFactsFeed`.
 

@@ -142,7 +142,7 @@ class HeldItems:
         return self.index.has_below(self._below_snapshots(self.floor), entries)
 
     def has_outdated(self, entries: int) -> bool:
-        """Whether there are at least this number of entries of outdated items, also those that a snapshot keeps."""
+        """Whether there are at least this number of entries of outdated items, entries kept by a snapshot included."""
         return self.index.has_below(self.floor, entries)
 
     @property

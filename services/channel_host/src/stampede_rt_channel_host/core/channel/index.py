@@ -294,7 +294,7 @@ class ChannelIndex:
             return None
         assert isinstance(entry, IndexPart), "an entry of one item has nothing between its ends"
         trimmed = Slice(entry.run, entry.lo, at)
-        if entry.run.times[at] == entry.first_time:  # the entry stays the first of those that begin at this time
+        if entry.run.times[at] == entry.first_time:  # the entry stays the first of the entries that begin at this time
             entry.lo = at
         else:
             self._by_time.remove(entry)

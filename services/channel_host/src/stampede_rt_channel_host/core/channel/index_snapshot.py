@@ -14,7 +14,7 @@ class IndexSnapshot:
     """The items at or above `floor` with seqs below `end_seq`.
 
     The snapshot copies nothing. From `hold` to `close` the channel keeps the snapshot's entries in the index. `shows`
-    tells by the seqs which items came later. A walk continues at a key, so the channel may add and split entries
+    decides by the seqs which items came later. A walk continues at a key, so the channel may add and split entries
     between two pieces.
     """
 

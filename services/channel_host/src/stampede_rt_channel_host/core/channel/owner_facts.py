@@ -108,7 +108,7 @@ class OwnerFactsFeed:
         return OwnerPart((run,), None, growth, now)
 
     def _counts_now(self) -> tuple[Growth, OddCounts | Counters]:
-        """The counts of which the copy must hear. A copy that takes puts works the other ones out."""
+        """The counts that the copy must get. A copy that takes puts computes the other counts."""
         source = self._source
         return source.growth, source.odd_counts if self._takes_puts else source.latest_counters()
 

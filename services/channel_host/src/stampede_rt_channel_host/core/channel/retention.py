@@ -295,9 +295,8 @@ class Retention:
         """The number and payload bytes of the items that the channel would collect because of a put of an item at
         `time`.
 
-        By age it may collect the oldest bucket, if the new item is the one that ends this bucket's span. By
-        consumption, if all leases have ended, it collects all items before the newest bucket, perhaps the new item
-        itself.
+        By age it may collect the oldest bucket, if the new item ends this bucket's span. By consumption, if all leases
+        have ended, it collects all items before the newest bucket, perhaps the new item itself.
         """
         held = self._held
         if self._no_place_holds and held.newest is not None and time != held.newest:

@@ -122,7 +122,7 @@ BLOCK_SEQS = 1024
 """`CountedSeqs` counts the seqs of a set in blocks of this many."""
 
 BLOCKS_FORGOTTEN_MAX = 64
-"""The most blocks that one `add` forgets, of those whose seqs are all less than `below`."""
+"""The most blocks that one `add` forgets, of the blocks whose seqs are all less than `below`."""
 
 
 class CountedSeqs(SeqSet):

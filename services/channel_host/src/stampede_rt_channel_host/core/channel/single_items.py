@@ -19,7 +19,7 @@ class FoundItem(NamedTuple):
 def item_at(held: HeldItems, time: int, now: int) -> FoundItem | None:
     """The only item whose span holds the instant `time`. `now` is the instant of the meta-time NOW.
 
-    None: there may be no such item, or several, and only a walk tells.
+    None: there may be no such item, or several, and only a walk finds out.
     """
     part = None if held.overlap_nanos else held.index.single_up_to(time)
     if part is None:

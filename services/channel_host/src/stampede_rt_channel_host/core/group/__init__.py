@@ -12,7 +12,7 @@ No module here reads a clock, waits, or knows the wire. The shell of groups has 
 - Reads through a group use `VisibleChannel` like a channel, with the present `Horizon`. Reads of several channels at
   one cut use a `Horizon` with that cut, even when the group's cut has advanced. The shell polls blocked gets after each
   change of the channel and of the cut.
-- A read that may want archived items performs the reads of a `RecordedView`. `reaches_archive` tells which reads do.
+- A read that may want archived items performs the reads of a `RecordedView`. `reaches_archive` says which reads do.
 - Subscriptions through a group use `VisibleAll` or `VisibleNewest`. For a recorded channel the shell performs each
   `RecordedStep` that `VisibleAll.unheld_step` returns.
 - Cut events: one host decides them and feeds an `EventDecider`. Every host takes its own channels' parts of an event by

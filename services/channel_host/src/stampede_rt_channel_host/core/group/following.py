@@ -1,7 +1,7 @@
 """The items of one channel that become visible as the cut rises, each once (paper, section 3.3). Pure.
 
 A follower is done with all items before its cut that have a seq below its `next_seq`. A step takes it to a later cut.
-The step brings the items between the two cuts. It also brings the late items: those before the former cut that the
+The step brings the items between the two cuts. It also brings the late items: items before the former cut that the
 channel accepted after the former step began.
 """
 

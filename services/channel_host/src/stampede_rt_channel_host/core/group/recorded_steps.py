@@ -31,7 +31,7 @@ class RecordedStep:
     """One step of one reader, from the cut `cut` to the cut `target`.
 
     It brings the items between the two cuts, with seqs below `seq_end`, in the order (time, seq). Before these it
-    brings the late items: those before `cut` with seqs from `next_seq` on. Order of use: while `late` is a range, load
+    brings the late items: items before `cut` with seqs from `next_seq` on. Order of use: while `late` is a range, load
     these seqs and call `take_late`. Then, while `is_read` is False, read `query` and call `take_page`. After each call
     take `batch` until it is empty. `dropped` counts the items that no part brings.
     """

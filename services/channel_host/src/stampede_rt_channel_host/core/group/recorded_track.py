@@ -1,4 +1,4 @@
-"""The track of a recorded member: the items below those in memory come from its archive, page by page. Pure.
+"""The track of a recorded member: the items below the items in memory come from its archive, page by page. Pure.
 
 A search that needs archived items raises NotLoaded. The caller performs the reads of the error, and searches again.
 """
@@ -164,7 +164,7 @@ class RecordedOwn(RecordedTrack):
         held, _ = self._channel.look(now)
         if low >= held.floor:
             return ones(held.slices(low), held.next_time)
-        # memory may have collected items since: then the page does not tell when the spans of its last bucket end
+        # memory may have collected items since: then the page does not show when the spans of its last bucket end
         is_behind = self._following is None and self._page_end < held.floor
         end = (self._last_time, 0) if is_behind else self._page_end
         covers = self._begin <= low < end and (not is_behind or next(self._page.slices(low, end), None) is not None)
@@ -223,7 +223,7 @@ def found_item(read: ArchivedRead) -> DeliveredSlice | None:
 
 
 class LateCounter:
-    """Counts the items of a recorded channel that a reader in time order never gets: late ones, and those that the
+    """Counts the items of a recorded channel that a reader in time order never gets: late items, and items that the
     archive lacks. It has the methods of `LossCounter`.
 
     A reader that continues a stream gets no count of late items that memory has lost meanwhile.

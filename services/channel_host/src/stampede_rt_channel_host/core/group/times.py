@@ -1,4 +1,4 @@
-"""The times that hosts tell each other about the channels of their groups (paper, section 4.1). Pure.
+"""The times that hosts report to each other about the channels of their groups (paper, section 4.1). Pure.
 
 Instants are int nanoseconds since the epoch, durations int nanoseconds.
 """
@@ -163,7 +163,7 @@ class TimesBoard:
         self._known[channel_id] = KnownTimes(times if held is None else self._merged(held, times), silent_since, None)
 
     def disown(self, channel_id: bytes, now: int) -> None:
-        """Note that the host does not own the channel any more. From now on another host must tell its times."""
+        """Note that the host does not own the channel any more. From now on another host must report its times."""
         held = self._known.get(channel_id)
         if held is not None and held.known_until is None:
             held.known_until = now

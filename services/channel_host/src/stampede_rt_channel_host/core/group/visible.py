@@ -97,7 +97,7 @@ class VisibleReading(Reading):
     ) -> None:
         """`now` is the host's clock. The channel first outdates the items that are too old at `now`.
 
-        `shown` are the items before the horizon; None: those in memory.
+        `shown` are the items before the horizon; None: the items in memory.
         """
         self._all: Holdings | HoldingsSnapshot
         self._all, retention = channel.look(now)

@@ -1,7 +1,7 @@
 """The message ids of the latest messages, so that the queue does not store a second message of the same id. Pure.
 
 The queue remembers an id for a limited time, and its ids take up a limited number of bytes. Above this number it
-forgets the oldest ids of the caller whose ids take up most. So one caller does not push out the ids of others.
+forgets the oldest ids of the caller whose ids take up most. So one caller does not push out the ids of other callers.
 """
 
 from __future__ import annotations

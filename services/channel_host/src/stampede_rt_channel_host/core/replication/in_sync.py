@@ -86,7 +86,7 @@ class ReplicasInSync:
     All items before `replicated` are at every replica for which the owner waits, and were at `min_replicas` replicas
     with a flag in the log when `replicated` passed them. The owner acknowledges only these items, and readers see only
     these. `start` is the owner's next seq when it began: the items before it may have been acknowledged by a former
-    owner. They need no minimum of replicas. `is_replicated`: the former owner has said that all these items are
+    owner. Such items need no minimum of replicas. `is_replicated`: the former owner has said that all these items are
     replicated. `may_lag`: puts wait only for replicas with a flag that are behind for more than LAG_NANOS_MAX.
     """
 

@@ -10,7 +10,7 @@ from stampede_rt_supernode.core.commands import Operation, Success
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SetQuotas(Operation):
-    """Set quotas. Each setting replaces the one of the same `who` and quota."""
+    """Set quotas. Each setting replaces the setting of the same `who` and quota."""
 
     settings: tuple[QuotaSetting, ...]
 

@@ -1,4 +1,4 @@
-"""Feature levels: the commands that a release knows, and those that a cluster of several releases may use. Pure.
+"""Feature levels: the commands that a release knows, and the commands that a cluster of several releases may use. Pure.
 
 Members are upgraded one by one, so their releases differ for a while. If one member did not know a command, only that
 member would refuse it, and the states would differ from then on. So each kind of command needs a level, which is in its

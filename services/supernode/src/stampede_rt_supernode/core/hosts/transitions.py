@@ -119,7 +119,7 @@ def _reset_channels(tables: Tables, operation: RegisterHost, *, continues: bool)
 
 
 def deregister_host(tables: Tables, operation: DeregisterHost) -> None:
-    """Deregister a host. Of its channels, those with a warm replica in sync get that replica's host as their owner.
+    """Deregister a host. Its channels with a warm replica in sync get that replica's host as their owner.
 
     The other channels have no live owner from then on. The host's mailboxes move to other hosts. If the host is lost,
     the call only takes it off the list of lost hosts. Does nothing if the host is not registered. Raises LeaseExpired

@@ -181,7 +181,7 @@ def check_peer_boot(peer: PeerRecord, boot_incarnation: int) -> None:
 
 
 def expire_peers(tables: Tables, operation: ExpirePeers, tenure: int) -> int:
-    """End the stated leases, except those that have changed since. Returns the number of ended leases.
+    """End the stated leases, except leases that have changed since. Returns the number of ended leases.
 
     `tenure`: the present tenure. A command of another tenure ends nothing.
     """

@@ -109,7 +109,9 @@ def refusal_of(
 
 
 def other_protocol(member_id: str, version: int) -> str:
-    """The reason why two members cannot talk: one speaks PROTOCOL_VERSION, the other one `version`."""
+    """The reason why two members cannot talk: they use different versions of the protocol, PROTOCOL_VERSION and
+    `version`.
+    """
     return (
         f"{member_id!r} speaks version {PROTOCOL_VERSION} of the log's protocol, not {version}: stop all supernodes, "
         "and start them with one release and the same folders (runbook: upgrade)"

@@ -170,7 +170,7 @@ class ConfirmedReads:
         return True
 
     def finish(self) -> None:
-        """Complete the reads that are confirmed and applied, and give up those whose time is up."""
+        """Complete the reads that are confirmed and applied, and give up the reads whose time is up."""
         while self._rounds and self._is_confirmed(self._rounds[0]):
             done = self._rounds.pop(0)
             self._confirmed.append((done.commit_index, done.reads))

@@ -57,7 +57,7 @@ class LeadershipTransfer:
         return self._leaving is not None
 
     def begin(self, request: HandOver) -> None:
-        """Begin to look for a successor, or add the caller to those that wait for one.
+        """Begin to look for a successor, or add the caller to the callers that wait for one.
 
         Answers True without a search if this node does not lead, and False if no other member votes.
         """

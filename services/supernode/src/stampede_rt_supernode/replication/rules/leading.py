@@ -65,7 +65,7 @@ class Leading(Membership):
     def step_down_if_diverged(self) -> None:
         """Stop leading if more than half of the members have the same state, and this leader has another.
 
-        Asks one of these members to lead: the one that has acknowledged the most entries.
+        Asks the one of these members that has acknowledged the most entries to lead.
         """
         if not self.is_leader:
             return

@@ -288,7 +288,7 @@ class Membership(NodeState):
     def free_sent_entries(self) -> None:
         """Free the entries that a snapshot has replaced and that are only kept to be sent.
 
-        A leader keeps those that a receiver may still lack, and the entry before them. A follower keeps none.
+        A leader keeps the entries that a receiver may still lack, and the entry before them. A follower keeps none.
         """
         held = [self.match_index.get(node, 0) for node in self.sent_to()]
         self.log.keep_after(min(held, default=self.log.last_index) - 1 if self.is_leader else self.log.last_index)

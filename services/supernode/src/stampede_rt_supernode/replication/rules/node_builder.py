@@ -31,8 +31,8 @@ def build_node(
 ) -> PreVoteElections:
     """Returns a node with its transport, snapshot keeper and reads. The node has not opened its snapshot yet.
 
-    `has_room` tells whether the link to a member accepts more entries or pieces of a snapshot. `rules` is the class of
-    our rules. It comes before the library's class in the method resolution order. Raises LibraryMismatch if another
+    `has_room` returns whether the link to a member accepts more entries or pieces of a snapshot. `rules` is the class
+    of our rules. It comes before the library's class in the method resolution order. Raises LibraryMismatch if another
     version of the library is installed.
     """
     assembly = Assembly(clock=clock, random_source=random_source)

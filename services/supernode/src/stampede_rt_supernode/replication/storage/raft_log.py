@@ -227,9 +227,10 @@ class RaftLog:
     ) -> None:
         """Let the log begin with the last two entries of a snapshot.
 
-        `configuration` is the one that was in effect at `last`. Pass all pieces to `write_piece` before. Entries after
-        `last` may be acknowledged already. So they stay if this log has the same entry `last`, and has either the same
-        entry `previous` or no entry at that position. The snapshot's trailer and the log reach the disk together.
+        `configuration` is the configuration that was in effect at `last`. Pass all pieces to `write_piece` before.
+        Entries after `last` may be acknowledged already. So they stay if this log has the same entry `last`, and has
+        either the same entry `previous` or no entry at that position. The snapshot's trailer and the log reach the disk
+        together.
         """
         held_before = self.entry_at(previous.log_index) is not None
         # Compares whole entries, because a hostile leader may have made different entries with the same terms.

@@ -62,7 +62,7 @@ CREATE TABLE snapshot_piece (
 """
 
 _HARD_STATE = "term, voted_for, commit_index, commits, first_index, last_index, last_term, promises, checksum"
-# The errors that SQLite raises, and those that a row with a changed bit can cause.
+# The errors that SQLite raises, and the errors that a row with a changed bit can cause.
 _UNREADABLE = (sqlite3.Error, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
 
 
