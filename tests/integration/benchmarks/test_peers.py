@@ -30,8 +30,8 @@ def test_a_peer_does_the_work_and_loses_nothing(name: str, work: str) -> None:
 
 
 def measured_without_haste(system: System, work: Work) -> Measured:
-    """Measure for a moment. Measure for longer if a busy machine delivered nothing in that moment, or its last items
-    too late.
+    """Measure for a moment. Measure for longer if a busy machine delivered nothing in that moment, or delivered the
+    last items too late.
     """
     for seconds in SECONDS[:-1]:
         with contextlib.suppress(RunFailed):

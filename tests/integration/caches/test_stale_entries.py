@@ -23,7 +23,7 @@ from tests.integration.caches.traces import Row, Trace, Traces, documented
 from tests.support.cluster import running_cluster
 from tests.support.waiting import until
 
-# What each row makes stale, as the kind of event in a trace; see `Traces.install`.
+# The kind of the entry that each row makes stale, as events in a trace name it; see `Traces.install`.
 SHOWN = {
     "the first use by a thread": "channel",
     "the channel has moved": "channel",

@@ -1,4 +1,6 @@
-"""Puts with ack="disk" at a real host, and puts that a full disk refuses. For kills see tests/robustness/archives."""
+"""Puts with ack="disk" at a real host, and puts that the host refuses because its disk is full. For kills see
+tests/robustness/archives.
+"""
 
 from __future__ import annotations
 

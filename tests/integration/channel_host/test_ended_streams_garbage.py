@@ -48,7 +48,9 @@ def left_to_the_collector() -> Iterator[Counter[str]]:
 
 
 def is_of_a_stream(found: object) -> bool:
-    """Whether this object belongs to the host's side of a stream. The host also makes calls, in `cluster`."""
+    """Whether this object belongs to a stream that the host serves. Objects of the host's own calls are in
+    `cluster`.
+    """
     module = str(type(found).__module__)  # in some classes that are written in C, this attribute is a descriptor
     return module.startswith(("stampede_rt_runtime", "stampede_rt_channel_host")) and ".cluster." not in module
 
@@ -140,7 +142,7 @@ async def at_its_socket(rig: Any, kind: str) -> AsyncIterator[str]:
 
 
 async def left_by(rig: Any, target: str, leave: Callable[[Any, RawStream], Awaitable[None]]) -> Counter[str]:
-    """The objects that remain of streams whose callers have left without closing them."""
+    """The objects of streams that remain after the callers have left without closing them."""
 
     async def stream() -> None:
         async with raw_stream(target) as stream:

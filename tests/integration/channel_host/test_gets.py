@@ -55,7 +55,7 @@ class Exchange:
 
 
 async def filled(rig: Rig) -> tuple[Opened, int]:
-    """A channel with the items a, b and c at t, t + 10 and t + 20 ns, and t. The item c lasts 5 ns."""
+    """A channel with the items a, b and c at t, t + 10 and t + 20 ns, and the time t. The item c lasts 5 ns."""
     channel = await rig.open()
     t = rig.now() - S
     await channel.put(run_of(b"a", b"b", b"c", times=[t, t + 10, t + 20], durations=[-1, -1, 5]))

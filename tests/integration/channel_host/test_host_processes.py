@@ -124,7 +124,7 @@ async def test_no_host_process_outlives_a_supervisor_that_was_killed(directory: 
         running.supervisor.kill()
         await running.supervisor.wait()
         loop = asyncio.get_running_loop()
-        for handle in handles:  # readable when the process has ended
+        for handle in handles:  # a pidfd is readable when its process has ended
             ended = asyncio.Event()
             loop.add_reader(handle, ended.set)
             await asyncio.wait_for(ended.wait(), SECONDS)

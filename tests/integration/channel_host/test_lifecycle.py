@@ -108,7 +108,7 @@ async def test_a_bind_fails_with_the_reason_if_the_directory_cannot_answer(
     record = rig.directory.add_channel("a", HOST_ID)
     rig.directory.refuse["ResolveChannel"] = Unavailable("no majority")
     error = await refusal(bind(Opened(rig, record)))
-    assert error.reason in ("NO_QUORUM", "DEADLINE_EXCEEDED")  # the last try may have hardly any time left
+    assert error.reason in ("NO_QUORUM", "DEADLINE_EXCEEDED")  # the host's last try may have hardly any time left
 
 
 async def test_readers_learn_at_the_next_bind_that_their_channel_has_moved(rig: Rig) -> None:

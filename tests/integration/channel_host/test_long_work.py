@@ -26,7 +26,7 @@ async def rig(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Rig]:
 
 
 class Large:
-    """A channel with 400 items of two producers that interleave: each is a slice of its own."""
+    """A channel with 400 items of two producers that interleave: each item is a slice of its own."""
 
     def __init__(self, channel: Opened) -> None:
         self.channel = channel

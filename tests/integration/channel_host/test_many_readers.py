@@ -96,6 +96,6 @@ async def test_a_stalled_reader_of_32_keeps_less_than_16_mib_of_the_host(rig: Ri
     assert size < held_bytes < HELD_BYTES_MAX
     read_bytes = (READERS - 1) * puts * size
     await until(lambda: hosted.delivered_bytes >= read_bytes)  # the host counts a message after its write
-    assert hosted.delivered_bytes - read_bytes < HELD_BYTES_MAX  # gRPC has these bytes, at most
+    assert hosted.delivered_bytes - read_bytes < HELD_BYTES_MAX  # at most these bytes are in gRPC's buffers
     assert rig.host.store.deliveries.kept_bytes <= SHARED_BYTES_MAX
     stalled.cancel()

@@ -22,7 +22,7 @@ from tests.support.waiting import wait_until
 cluster = cluster_fixture(hosts=2, supernodes=1, durable=False)
 PATIENCE_SECONDS = 60.0
 BUSY_PERMILLE, IDLE_PERMILLE = 150, 100
-STARVED_LOAD = 5  # for each processor
+STARVED_LOAD = 5  # the load of the machine for each processor
 
 
 @pytest.fixture

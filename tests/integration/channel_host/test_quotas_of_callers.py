@@ -36,7 +36,7 @@ async def rig() -> AsyncIterator[Rig]:
         yield rig
 
 
-SENDING_STILL = "Internal error from Core"  # grpc.aio's own text
+SENDING_STILL = "Internal error from Core"  # the error text of grpc.aio itself
 
 
 async def refusal_of(begin: Callable[[], Any]) -> Overloaded:
@@ -182,7 +182,7 @@ async def test_a_waiting_enqueue_above_the_quota_ends_its_stream() -> None:
 async def test_much_work_of_one_caller_does_not_delay_the_puts_of_another_one(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(control, "subject_of", lambda caller, peer: peer)  # each connection is a caller
+    monkeypatch.setattr(control, "subject_of", lambda caller, peer: peer)  # each connection is its own caller
     rig.accounts.set_default(Quota.CPU_PERCENT, 10)
     channel = await rig.open()
     request = pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"x")] * 16)
@@ -204,7 +204,7 @@ async def test_much_work_of_one_caller_does_not_delay_the_puts_of_another_one(
         for number in range(20):
             (ack,) = await channel.put(run_of(b"good", number=number + 1))
             assert ack.first_seq > 0
-        assert answered < 20 * 20  # without turns at least this number: one on each stream for each good put
+        assert answered < 20 * 20  # without turns at least as many: one on each stream for each good put
         for task in busy:
             task.cancel()
         await asyncio.gather(*busy, return_exceptions=True)

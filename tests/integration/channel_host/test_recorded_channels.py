@@ -37,7 +37,7 @@ def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
 
 
 def fill(channel: st.Channel, began: int, first: int = 0, count: int = ITEMS) -> None:
-    """Put items of one millisecond after the other."""
+    """Put items whose times are one millisecond apart."""
     for number in range(first, first + count):
         channel.put(b"%d" % number, time=began + number * MS)
 
@@ -202,7 +202,7 @@ def test_a_caller_that_fills_its_disk_quota_gets_an_error_with_the_name_of_the_q
         for _ in range(100):
             channel.put(bytes(2**10))
     with pytest.raises(st.Overloaded, match="bytes-archived"):  # noqa: PT012
-        for _ in range(400):  # each takes 16 bytes of the archive
+        for _ in range(400):  # each advance takes 16 bytes of the archive
             channel.advance(time.time_ns())
     with pytest.raises(st.Overloaded, match="bytes-archived"):
         rt.channel("rig/another", archive="forever").put(b"new")

@@ -88,11 +88,11 @@ def test_an_archive_in_an_object_store_equals_one_in_a_folder_and_follows_a_move
     assert numbers(channel.get(began, st.NOW)) == list(range(ITEMS))
     assert channel.oldest().payload == b"0"
     assert numbers(channel.at(began + 7 * MS + 5)) == [7]
-    put(channel, began, ITEMS, ITEMS + 20)  # the file with these is still open when the channel moves
+    put(channel, began, ITEMS, ITEMS + 20)  # the file with these items is still open when the channel moves
     assert stampede(["move", "rig/moves", "h2", "--url", cluster.address]) == 0
     put(channel, began, ITEMS + 20, ITEMS + 30)
     whole = list(range(ITEMS + 30))
-    with suppress(AssertionError):  # the next line names the missing items
+    with suppress(AssertionError):  # the assertion below names the missing items
         wait_until(lambda: numbers(channel.get(began, st.NOW)) == whole, within_seconds=20)
     missing = sorted({*whole} - {*numbers(channel.get(began, st.NOW))})
     assert not missing, (
@@ -212,7 +212,7 @@ def test_a_host_that_takes_a_channel_over_while_the_store_is_away_serves_it_at_o
         with channel.subscribe() as live:
             channel.put(b"100")
             assert next(live).payload == b"100"
-            later = time.time_ns() + 10**9  # max_future: the former owner may have items up to then
+            later = time.time_ns() + 10**9  # max_future: items of the former owner may have such times
             wait_until(lambda: time.time_ns() > later, "max_future has passed")
             taken = time.time_ns()
             put(channel, taken, 1, 5)

@@ -30,7 +30,7 @@ BAD_RUN = item_pb2.ItemRun(payload_length_bytes=[1], payloads=b"longer than it s
 def refusals_left_to_the_collector() -> Iterator[list[StampedeError]]:
     """Fills the list, at the end of the block, with the refusals that only the cyclic collector found.
 
-    Refusals of bad requests alone: a host's own tasks may meet other errors meanwhile.
+    It has only refusals of bad requests, because a host's own tasks may meet other errors meanwhile.
     """
     found: list[StampedeError] = []
     gc.collect()
@@ -75,7 +75,7 @@ async def puts_over_a_socket(channel: Opened, target: str) -> None:
     request = pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"x")])
     async with raw_stream(target) as stream:
         await stream.begin(PUT_METHOD)
-        for _ in range(2):  # the host may answer the second request in the turn in which it comes
+        for _ in range(2):  # the host may answer the second request in the turn in which this request comes
             await stream.send(FrameKind.MESSAGE, request.SerializeToString())
             assert not pb.PutResponse.FromString(await stream.message()).acks[0].HasField("error")
 

@@ -47,7 +47,7 @@ def depth(rt: Any, found: list[object]) -> list[object]:
 
 
 def surveyed(rt: Any, found: list[object]) -> list[object]:
-    """A consumer that reads through the group: at each match all frames of the last 25 ms before it."""
+    """A consumer that reads through the group: at each match it reads all frames of the last 25 ms before the match."""
     group = rt.group("stereo")
     with group.match("eye/left", "4ms", partial=True) as matches:
         found.append("open")
@@ -71,7 +71,7 @@ def film(left: st.Channel, right: st.Channel, began: int, *seen: list[object]) -
             right.put(b"right %d late" % (number - 1), time=at - 9 * MS)
         if number % 7 != 6:
             right.put(b"right %d" % number, time=at + (number % 3) * MS)
-            decided = number  # the frames before this one
+            decided = number  # the frames before this one are decided
         wait_until(lambda decided=decided: all(len(one) > decided for one in seen))
     for channel in (left, right):
         channel.advance(began + SECOND)

@@ -13,7 +13,7 @@ from stampede_rt_runtime.quotas.working import CallerWork
 from tests.support.channel_host.queue_rig import running_queue_host
 from tests.support.channel_host.rig import run_of, running_host
 
-PAYLOAD = bytes(600_000)  # in three pieces
+PAYLOAD = bytes(600_000)  # comes in three pieces
 
 
 @pytest.fixture

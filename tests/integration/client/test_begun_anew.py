@@ -129,7 +129,7 @@ def test_a_lost_group_is_opened_again_with_its_members_and_its_events_report_the
     group.delete()
     for gone in (group.refresh, group.newest, group[left].newest):
         with pytest.raises(st.GroupNotFound, match="anew/pair"):
-            for_ever(gone)  # the directory knows at once, and hosts a moment later
+            for_ever(gone)  # the directory knows of the deletion at once, and hosts a moment later
 
 
 def test_matches_report_the_loss_at_once_and_continue_with_new_items(cluster: LocalCluster, rt: st.Connection) -> None:
@@ -142,7 +142,7 @@ def test_matches_report_the_loss_at_once_and_continue_with_new_items(cluster: Lo
     with pytest.raises(st.IncarnationLost, match="anew/matched"):
         next(matches)
     with group.match(per=left, tolerance="10ms") as anew:
-        earlier = base - 10**9  # time may begin anew, too, as in a replay
+        earlier = base - 10**9  # the times of the items may begin anew, too, as in a replay
         assert put_pairs(earlier, left, right) == next(anew).time
 
 

@@ -100,6 +100,6 @@ async def test_a_stream_that_is_closed_while_it_opens_ends(cluster: LocalCluster
                 stream = made[kind]()
                 step = asyncio.ensure_future(anext(stream, None))
                 for _ in range(turns):
-                    await asyncio.sleep(0)  # gives others one turn
+                    await asyncio.sleep(0)  # gives other tasks one turn
                 stream.close()
                 assert await step is None

@@ -1,4 +1,6 @@
-"""Handles, subscriptions and producers that a program drops without closing them: their streams end with them."""
+"""Handles, subscriptions and producers that a program drops without closing them: their streams end with these
+objects.
+"""
 
 from __future__ import annotations
 

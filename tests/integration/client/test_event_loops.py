@@ -1,4 +1,4 @@
-"""An awaited connection on another event loop than its own: each use raises an error about this at once."""
+"""An awaited connection that a program uses on another event loop: each use raises an error about this at once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Use = Callable[[Any], Awaitable[Any]]
 
 
 class Things:
-    """A connection and its handles, each used before."""
+    """A connection and its handles. The program has used each of them on its own loop."""
 
     def __init__(self, rt: aio.Connection) -> None:
         self.rt = rt
@@ -72,7 +72,7 @@ async def test_a_call_on_another_event_loop_is_refused_and_has_no_effect(cluster
 
 
 def watched(things: Things) -> list[tuple[Any, Callable[[], object]]]:
-    """Handles that run in the background or can be iterated, each with its method that ends it."""
+    """Handles that run in the background or can be iterated, each with the method that ends it."""
     handles = [
         things.subscription,
         things.group.subscribe(),

@@ -1,4 +1,4 @@
-"""Recordings of live channels, with both clients."""
+"""Both clients record live channels."""
 
 from __future__ import annotations
 

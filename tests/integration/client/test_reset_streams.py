@@ -37,7 +37,7 @@ class World:
     secret: Secret
 
     async def reset(self) -> None:
-        """Reset all streams, as soon as there is one."""
+        """Wait for a stream, and then reset all streams."""
         await asyncio.to_thread(self.relay.wait_for_a_stream)
         await asyncio.to_thread(self.relay.reset)
 
@@ -110,7 +110,7 @@ async def test_a_producer_has_no_gap_and_no_duplicate_after_resets(world: World,
     before = world.relay.resets
     for number in range(ROUNDS):
         await producer.put(b"%d" % number)
-        await asyncio.to_thread(world.relay.reset)  # the stream may be between two openings
+        await asyncio.to_thread(world.relay.reset)  # the producer may have no stream just then
     await producer.flush(30)
     assert (producer.accepted, producer.rejections) == (ROUNDS, 0)
     assert world.relay.resets > before

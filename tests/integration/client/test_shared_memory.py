@@ -1,4 +1,6 @@
-"""Reads from shared memory, with real processes: which programs get it, their answers, and the end of a killed one."""
+"""Reads from shared memory, with real processes: the programs that get this memory, their answers, and the end of a
+killed program.
+"""
 
 from __future__ import annotations
 
@@ -279,7 +281,7 @@ def test_a_reader_can_write_neither_the_mapping_nor_the_file(cluster: LocalClust
 
 
 def _ask_for_file(channel: st.Channel) -> tuple[int, socket.socket]:
-    """A ring's file, as a hostile reader keeps it."""
+    """Ask the host for a ring's file, as a hostile reader would. Returns the file and the socket."""
     from stampede_rt.transports.socket_connecting_sync import connect
     from stampede_rt.transports.socket_routes import opening_of
     from stampede_rt.wire.stream_frames import FrameReader
@@ -311,7 +313,7 @@ def test_a_client_that_chose_grpc_shares_no_memory(cluster: LocalCluster) -> Non
 
 def test_a_ring_ends_when_a_reader_loses_its_right_and_other_readers_get_a_new_ring(own_cluster: LocalCluster) -> None:
     with operating(own_cluster) as operator, channel_of(own_cluster, "ring/right") as own:
-        operator.add("nobody", "read", "no-such-channel", "--kind", "channel")  # without rules all is allowed
+        operator.add("nobody", "read", "no-such-channel", "--kind", "channel")  # without any rule all is allowed
         operator.add("reader", "read,list", "ring/*", "--kind", "channel")
         with st.connect(own_cluster.address, transport="shared", secret=operator.token("reader")) as rt:
             channel = rt.channel("ring/right", create=False)

@@ -68,7 +68,9 @@ def proven(number: int) -> bytes:
 def test_a_stopped_reader_delays_no_other_caller_and_continues_at_its_position(
     cluster: LocalCluster, held: int, dropped_max: int
 ) -> None:
-    """The ring has room for 16 items. The host sends later items that the ring lacks, or reports them as dropped."""
+    """The ring has room for 16 items. When the reader goes on, the host sends the items that the ring has
+    overwritten, or reports them as dropped.
+    """
     name = f"stopped/reader/{held}"
     with st.connect(cluster.address, transport="shared") as rt:
         channel = rt.channel(name, max_items=held)

@@ -183,7 +183,7 @@ async def test_a_put_cancelled_while_its_stream_opens_delays_no_other_put(cluste
 
 
 async def test_puts_do_not_wait_for_a_stream_that_was_given_up_while_it_opened(cluster: LocalCluster) -> None:
-    """A write of gRPC then waits for ever."""
+    """In such a stream a write of gRPC waits for ever."""
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/given-up", max_age="60s")
         await channel.stats()

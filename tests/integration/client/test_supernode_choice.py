@@ -39,7 +39,7 @@ class Asked:
 
 
 class Place(directory_service_pb2_grpc.DirectoryServiceServicer):
-    """A supernode at a distance of some seconds, which answers pings once all others have got one, too."""
+    """A supernode at a distance of some seconds. It answers pings once all other supernodes have got a ping, too."""
 
     def __init__(self, name: str, asked: Asked, later_seconds: float) -> None:
         self._name, self._asked, self._later_seconds = name, asked, later_seconds

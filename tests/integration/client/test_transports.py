@@ -119,7 +119,7 @@ async def test_programs_find_the_new_socket_of_a_restarted_host(own_cluster: Loc
             host.kill()
             host.restart()
             assert await asyncio.to_thread(_use, rt, b"3") == await _await_use(awaited, b"4") == "socket"
-            [present] = _paths(sockets)  # the new process has removed the former one
+            [present] = _paths(sockets)  # the new process has removed the socket of the former process
             assert present != former
 
 

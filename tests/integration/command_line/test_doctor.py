@@ -89,7 +89,7 @@ def test_doctor_reports_a_killed_host_and_its_channels_until_it_restarts(cluster
     empty.restart()
     code, said = doctor("--url", cluster.address)
     assert (code, "lost" in row(said, "host h2"), "lost" in row(said, "host h1")) == (1, False, True)
-    cluster.hosts[0].restart()  # without a data folder it comes back as another host
+    cluster.hosts[0].restart()  # without its data folder h1 comes back as another host
     code, said = doctor("--url", cluster.address)
     assert (code, "came back without its data folder" in said) == (1, True)
     with st.connect(cluster.address) as rt:

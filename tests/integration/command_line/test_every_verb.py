@@ -70,7 +70,7 @@ def status_of(words: list[str], name: str, made: Stage) -> int:
     with made.busy() if name in WAITS_FOR_NEWS else contextlib.nullcontext():
         try:
             return run(words)
-        except SystemExit as end:  # --help
+        except SystemExit as end:  # of --help
             return int(end.code or 0)
 
 
@@ -147,7 +147,7 @@ def test_a_verb_ends_quietly_with_status_0_when_nothing_reads_its_pipe(
     words = list(EVERY[name](piped_things))
     with os.fdopen(writing, "w") as output:
         monkeypatch.setattr(sys, "stdout", output)
-        os.close(reading)  # as `head` does when it has its line
+        os.close(reading)  # as `head` does when it has read its line
         status = status_of(words, name, piped_things)
         monkeypatch.undo()
     said = capfd.readouterr().err

@@ -159,7 +159,7 @@ def test_a_verb_ends_quietly_with_status_0_when_its_reader_closes_the_pipe(
     reading, writing = os.pipe()
     with os.fdopen(writing, "w") as output:
         monkeypatch.setattr(sys, "stdout", output)
-        os.close(reading)  # as `head` does when it has its line
+        os.close(reading)  # as `head` does when it has read its line
         status = run(ENDLESS[verb])
         monkeypatch.undo()
     assert (status, capfd.readouterr().err) == (0, "")

@@ -112,7 +112,7 @@ def test_a_recording_that_is_killed_can_be_recovered(
         wait_until(lambda: len(seqs_of(read(path)[0], "killed")) >= 20)
         process.send_signal(signal.SIGKILL)
     status, out, told = run("file", "recover", path, "-o", saved)
-    assert status == 3  # nothing is known about later items
+    assert status == 3  # the file does not say whether later items existed
     seqs = seqs_of(read(saved)[0], "killed")
     assert seqs == list(range(1, len(seqs) + 1))
     assert len(seqs) >= 20
@@ -272,7 +272,7 @@ def test_channels_are_replayed_with_their_durations_attributes_advances_and_gaps
     right.advance(began + 10**9)
     words = ("--as", "again/", "--speed", "max", "--shift", "now")
     status, out, told = run("replay", "lab/*", "--from", str(began), *words)
-    assert status == 3  # two items were collected before
+    assert status == 3  # the host had collected two items before the replay
     assert "into again/lab/left and again/lab/right" in told
     assert "missing in the file: lab/left: " in out
     played, other = (rt.channel(f"again/lab/{side}", create=False) for side in ("left", "right"))

@@ -57,7 +57,7 @@ def test_the_mapper_answers_the_requests_of_the_planner(outcome: Outcome) -> Non
 
 def test_the_run_is_described_in_words_and_drawn(outcome: Outcome, tmp_path: Path) -> None:
     assert "exactly these" in render(outcome.report)
-    from stampede_rt_demos.stereo.picture import draw  # matplotlib: a second
+    from stampede_rt_demos.stereo.picture import draw  # not at the top: matplotlib takes a second to load
 
     draw(outcome.report, outcome.frames, 40_000_000, tmp_path / "stereo.png")
     assert (tmp_path / "stereo.png").read_bytes().startswith(b"\x89PNG")
@@ -72,7 +72,7 @@ def test_the_json_of_a_run_has_the_fields_that_the_page_names(
 
 
 def test_roles_may_do_only_the_actions_of_their_rights(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without certificates, which the other tests use. One role and one supernode are enough."""
+    """Unlike the other tests, this one uses no certificates. One role and one supernode are enough."""
     monkeypatch.setattr(orchestrator, "ROLES", {"left camera": "left_camera"})
     monkeypatch.setattr(orchestrator, "SUPERNODES", 1)
     monkeypatch.setitem(orchestrator.RIGHTS, "left camera", (Right(("read",), "channel", Side.LEFT.value),))

@@ -88,7 +88,7 @@ def test_the_json_of_a_run_has_the_fields_that_the_page_names(
 def test_the_picture_shows_the_spans(outcome: Outcome, tmp_path: Path):
     assert [(len(span.frames), len(span.sound)) for span in outcome.spans] == [(25, 8)] * SECONDS
     path = tmp_path / "picture.png"
-    from stampede_rt_demos.tv_watcher.timeline_picture import draw  # matplotlib: a second
+    from stampede_rt_demos.tv_watcher.timeline_picture import draw  # not at the top: it loads matplotlib
 
     draw(outcome.spans, path, "a test")
     with Image.open(path) as image:

@@ -52,7 +52,7 @@ def overlay(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     command = ["kubectl", "kustomize", folder / "overlays" / request.param]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert done.stderr == ""  # kustomize warns of fields that are out of use
+    assert done.stderr == ""  # kustomize warns of deprecated fields
     return list(yaml.safe_load_all(done.stdout))
 
 
@@ -144,7 +144,7 @@ def test_ports_and_images_are_those_of_the_services(overlay: list[Manifest], nam
     assert f"\nEXPOSE {port}\n" in dockerfile
     given = {each["name"]: each["containerPort"] for each in one.get("ports", [])}
     assert given == ({} if name == "stampede-web" else {"grpc": port, "metrics": 9464})
-    assert "command" not in one  # the image's own
+    assert "command" not in one  # so the image's own command runs
     assert "args" not in one
 
 
@@ -266,7 +266,7 @@ def test_each_service_has_its_credentials_in_files_of_a_secret(overlay: list[Man
     made = [one["metadata"]["name"] for one in of_kind(overlay, "Secret")]
     if "STAMPEDE_SECRET_FILE" in own:
         assert [one["secret"]["secretName"] for one in secrets] == made
-    else:  # the operator makes them, as deploy/README.md says
+    else:  # the operator makes these secrets, as deploy/README.md says
         assert made == []
         (secret,) = (one["secret"]["secretName"] for one in secrets)
         assert secret == f"{name}-certificates"

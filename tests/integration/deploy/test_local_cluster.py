@@ -109,7 +109,7 @@ def test_a_cluster_that_cannot_start_reports_the_reason_and_leaves_no_process(tm
     (tmp_path / "s1").write_text("a file where the supernode wants its folder")
     made = LocalCluster(hosts=1, supernodes=1, folder=tmp_path)
     with pytest.raises(ServiceFailed, match="supernode s1 ended with exit code"):
-        made.start(timeout=1000)  # the host would wait for it
+        made.start(timeout=1000)  # the host would wait for the supernode all this time
     assert not any(one.alive for one in made.processes())
 
 

@@ -1,4 +1,6 @@
-"""A local cluster whose hosts are in network namespaces. Clients reach them from outside and from other ones."""
+"""A local cluster whose hosts are in network namespaces. Clients reach the hosts from outside and from other
+namespaces.
+"""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ def test_free_ports_are_different_and_can_be_listened_at() -> None:
 def test_two_processes_never_choose_the_same_free_port(tmp_path: Path) -> None:
     """In an earlier version, each process took random free ports.
 
-    One test run then got the port of a restarting service of another.
+    One test run then got the port of a restarting service of another test run.
     """
     path = tmp_path / "ports"
     script = (

@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[3]
 UNITS = sorted((ROOT / "deploy/systemd").glob("*.service"))
 INSTALLED = Path(sys.executable).parent
 SECONDS = 60.0  # long, because the machine may be busy
-EXPOSURE_MAX = 20  # of 100, as `systemd-analyze security` counts
+EXPOSURE_MAX = 20  # of 100 points, as `systemd-analyze security` counts
 STOPS_IN_SECONDS = {
     "supernode": 2 * DRAIN_SECONDS + HAND_OVER_SECONDS,
     "frontend": 2 * DRAIN_SECONDS,
@@ -61,7 +61,7 @@ def test_every_service_has_its_unit() -> None:
 
 @has_systemd
 def test_systemd_accepts_the_units_without_a_warning(tmp_path: Path) -> None:
-    for unit in UNITS:  # the program must exist
+    for unit in UNITS:  # systemd demands that the program of each unit exists
         (tmp_path / unit.name).write_text(unit.read_text().replace("/opt/stampede/bin", str(INSTALLED)))
     assert analyze("verify", "--recursive-errors=no", *tmp_path.iterdir()) == ""
 
@@ -85,7 +85,7 @@ def test_each_service_accepts_the_command_of_its_unit(unit: Path, tmp_path: Path
     assert Path(words[words.index("--config") + 1]).name == sample.name
     command = [str(INSTALLED / Path(program).name), verb, *words, "--config", str(sample), "--listen", "nowhere"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, check=False)
-    assert "--listen: 'nowhere' cannot be used" in done.stderr  # so the service has accepted all words before this one
+    assert "--listen: 'nowhere' cannot be used" in done.stderr  # so the service has accepted the words before it
     assert done.returncode == EXIT_BAD_SETTINGS == int(value(unit, "RestartPreventExitStatus"))
 
 

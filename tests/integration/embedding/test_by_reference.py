@@ -90,7 +90,7 @@ async def test_a_put_whose_ack_came_too_late_is_stored_once(
 ) -> None:
     async def late(future: Future[object], timeout_s: float | None) -> object:
         await asyncio.wrap_future(future)
-        raise TimeoutError  # as for a program that blocks its event loop during the put
+        raise TimeoutError  # as if the program had blocked its event loop during the put
 
     async with aio.host(cluster.address, name="rig-late", drain="0s") as rt:
         channel = await rt.channel("reference/late")

@@ -1,4 +1,6 @@
-"""Hosts inside programs: other programs use their channels, and they leave in order, whatever the program does."""
+"""Hosts inside programs: other programs use the channels of such a host, and it leaves in order, whatever its
+program does.
+"""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ async def test_a_match_waits_for_credit_for_all_of_its_items(host: Host, monkeyp
         first = (await call.read()).matches
         assert [list(one.item.run.time_unix_nano) for one in first] == [[t]]
         charge = 2 * (64 + len(str(t)))
-        await call.write(pb.SubscribeMatchesRequest(credit_bytes=charge - 1))  # still owed
+        await call.write(pb.SubscribeMatchesRequest(credit_bytes=charge - 1))  # the credit is zero now
         await call.write(pb.SubscribeMatchesRequest(credit_bytes=charge + 1))
         matched = (await call.read()).matches
         assert [list(one.item.run.time_unix_nano) for one in matched] == [[t + 10], [t + 20]]

@@ -99,7 +99,7 @@ async def test_a_member_is_followed_though_the_group_was_last_named_at_its_host_
     async with asyncio.timeout(WAIT_SECONDS):
         while hosted.record.spec_version < 2:
             await left.host.status(group)
-    hosted.named_s = -1_000.0  # long ago, but the host has just asked for the record
+    hosted.named_s = -1_000.0  # no caller has named the group for long, but the host has just asked for the record
     cluster.directory.change_members(group.group_id, [left, right, third, fourth])
     await fourth.put(t + 5)
     await heard(left, fourth, group, t + 5)
@@ -113,7 +113,7 @@ async def test_a_host_that_missed_a_new_member_learns_of_it_from_the_host_that_w
         await channel.host.status(group)
     hosted = right.host.host.groups.known(group.group_id)
     assert hosted is not None
-    hosted.named_s = -1_000.0  # long ago
+    hosted.named_s = -1_000.0  # no caller has named the group for long
     cluster.directory.change_members(group.group_id, [left, right, third], told=False)
     await left.host.host.groups._look_up_again(group.group_id)
     await third.put(t + 5)

@@ -39,7 +39,7 @@ async def test_a_group_shows_items_before_the_newest_item_of_its_reference(host:
     assert (summary.cut_unix_nano, summary.reason) == (t + 15 * MS, error_pb2.ABSENCE_REASON_HIDDEN)
     assert "text" in summary.detail
     assert (await text.get(group))[0] == []
-    assert len((await audio.get())[0]) == 4  # the original descriptor shows all
+    assert len((await audio.get())[0]) == 4  # a read outside the group shows all items
     assert not (await audio.get())[1].HasField("cut_unix_nano")
 
 
@@ -54,7 +54,7 @@ async def test_a_member_that_is_silent_for_long_is_left_out_until_its_next_item(
     status = await host.status(group)
     assert status.cut_unix_nano == t + 2 * S
     assert {one.times.channel_id for one in status.members if one.idle} == {right.channel_id}
-    await right.put(t + 1)  # late, and visible at once
+    await right.put(t + 1)  # this item is late, and visible at once
     assert (await right.get(group))[0] == [t + 1, t + 1]
 
 
@@ -138,7 +138,7 @@ async def test_a_read_is_hidden_until_the_cut_reaches_the_cut_that_the_reader_ha
     await one.put(t, t + 1)
     times, summary = await one.get(group, cut_floor_unix_nano=t + 5)
     assert (times, summary.reason) == ([], error_pb2.ABSENCE_REASON_HIDDEN)
-    assert summary.cut_unix_nano == t + 1  # the number that the reader sent has not raised it
+    assert summary.cut_unix_nano == t + 1  # the floor that the reader sent has not raised the cut
     waiting = asyncio.create_task(one.get(group, cut_floor_unix_nano=t + 5, wait_nanos=10 * S))
     await one.put(t + 5)
     assert (await waiting)[0] == [t, t + 1]

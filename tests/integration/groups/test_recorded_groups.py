@@ -89,7 +89,7 @@ def test_a_group_far_behind_shows_archived_items_before_its_cut_and_names_the_hi
     newest = shown.newest()
     assert newest is not None
     assert newest.payload == b"98"
-    assert newest.end is None  # the hidden item after it ends no span yet
+    assert newest.end is None  # the next item is hidden, and ends no span yet
     part = shown.get(rig.began + 90 * MS, rig.began + 110 * MS)
     assert (numbers(part), part.reason) == (list(range(90, 99)), "HIDDEN")
     hidden = shown.get(rig.began + 150 * MS, rig.began + 160 * MS)

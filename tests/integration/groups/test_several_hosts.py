@@ -258,7 +258,7 @@ async def test_a_floor_of_a_group_that_is_new_here_is_kept_until_the_group_is_le
     ]
     pair.right.host.host.groups.exchange.hear(LOWER, pb.TimesUpdate(floors=floors), is_first=False)
     assert (await pair.right.host.until_cut(pair.group, t)).cut_unix_nano == t + 50
-    assert (await pair.left.host.until_cut(pair.group, t)).cut_unix_nano == t + 50  # the message had its id
+    assert (await pair.left.host.until_cut(pair.group, t)).cut_unix_nano == t + 50  # the message named the group's id
 
 
 async def test_a_host_with_a_false_identity_gets_no_times(pair: Pair) -> None:
@@ -295,7 +295,7 @@ async def test_a_host_that_owns_no_member_cannot_move_the_cut(pair: Pair) -> Non
     exchange.hear(stranger, pb.TimesUpdate(floors=[floor_of(pair, t + S)]), is_first=True)
     assert (await pair.left.host.status(pair.group)).cut_unix_nano == t
     exchange.hear(HIGHER, pb.TimesUpdate(floors=[floor_of(pair, t + 5)]), is_first=False)
-    assert (await pair.left.host.status(pair.group)).cut_unix_nano == t + 5  # the owner of a member may
+    assert (await pair.left.host.status(pair.group)).cut_unix_nano == t + 5  # the owner of a member may move the cut
 
 
 async def test_no_host_can_move_the_cut_beyond_max_lead_and_max_future(pair: Pair) -> None:

@@ -88,7 +88,7 @@ async def test_a_subscription_gets_a_cursor_at_its_start(host: Host) -> None:
 async def test_a_cursor_is_sent_after_all_runs_that_became_visible_together(
     host: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(subscription, "MESSAGE_BYTES_MAX", 1)  # one run in each
+    monkeypatch.setattr(subscription, "MESSAGE_BYTES_MAX", 1)  # one run in each message
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     for at in (10, 20, 30):

@@ -25,7 +25,7 @@ MODULES = {
 SECOND = "On the second machine"
 WITH_SECRET = {"The first machine": [0], "The second machine": [1], "Back at the first machine": [0]}
 WITH_CERTIFICATES = {"With certificates": [0, 1]}
-"""The machine of each part of a chapter. A second part begins with the word SECOND."""
+"""The machine of each part of a chapter. A second part begins with the text SECOND."""
 READY_SECONDS = 30.0
 
 pytestmark = pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")

@@ -55,7 +55,7 @@ def test_no_message_is_lost_when_a_taker_is_killed(cluster: LocalCluster) -> Non
         for number in range(4):
             queue.put(str(number).encode())
         assert killed_taker(cluster.address, "work/killed") == "0"
-        # The lease of later deliveries, so that their acks are in time even on a slow machine.
+        # The longer lease is for later deliveries, so that their acks are in time even on a slow machine.
         queue.configure(lease="60s")
         while queue.stats().policy.lease_nanos != 60 * 10**9:
             assert queue.stats().held == 4

@@ -44,7 +44,7 @@ asyncio.run(main())
 
 @contextmanager
 def taker(client: str, address: str, queue: str) -> Iterator[subprocess.Popen[str]]:
-    """A process that takes and acknowledges messages, and prints those whose lease it still had."""
+    """A process that takes and acknowledges messages. It prints the messages whose lease it still had."""
     command = [sys.executable, "-c", TAKER[client], address, queue]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
@@ -72,7 +72,7 @@ def test_a_hung_taker_holds_one_message_for_one_lease_and_is_served_again_when_i
             until(queue, lambda stats: stats.waiting_gets == 1)
             hung.send_signal(signal.SIGSTOP)
             queue.put(b"first")
-            queue.configure(lease="60s")  # the lease of later deliveries
+            queue.configure(lease="60s")  # this lease is for later deliveries
             until(queue, lambda stats: stats.policy.lease_nanos == 60 * 10**9)
             again = queue.get(timeout=20)
             assert again

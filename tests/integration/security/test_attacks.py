@@ -1,4 +1,4 @@
-"""Hostile and good callers at the same time, in processes: rules that must hold on any busy machine, too.
+"""Hostile and good callers at the same time, in processes: the checks must hold on any busy machine, too.
 
 `python -m tests.benchmarks.attacks` measures the same attacks, and more of them. The suite runs a few, and `make
 robustness` runs all.

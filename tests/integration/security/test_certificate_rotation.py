@@ -141,7 +141,7 @@ def test_certificates_and_authority_are_replaced_under_load_without_a_failed_cal
     load = Load(cluster.address, caller)
     with load.running():
         load.go_on()
-        certificates.take_over()  # both authorities are trusted from here on
+        certificates.take_over()  # the services trust both authorities from here on
         newcomer = copied(certificates.issue(Role.CLIENT, "newcomer"), tmp_path / "newcomer")
         for address in services:
             wait_until(lambda address=address: accepts(address, newcomer), f"{address} trusts the new authority")
@@ -163,7 +163,7 @@ def test_certificates_and_authority_are_replaced_under_load_without_a_failed_cal
                 f"{address} refuses the former certificate",
             )
         load.go_on()
-        cluster.supernodes[0].restart()  # comes back to peers that know only the new authority
+        cluster.supernodes[0].restart()  # the other services know only the new authority by now
         load.go_on()
     assert load.failures == []
     with pytest.raises(st.PermissionDenied, match="is not of an authority in"):

@@ -68,7 +68,7 @@ def operator(cluster: LocalCluster, tmp_path: Path, capsys: pytest.CaptureFixtur
 
 @pytest.fixture
 def client(cluster: LocalCluster, operator: Operator, monkeypatch: pytest.MonkeyPatch) -> Iterator[st.Connection]:
-    monkeypatch.setattr(reads, "CALL_TIMEOUT_S", 0.1)  # a refused get is tried again for as long
+    monkeypatch.setattr(reads, "CALL_TIMEOUT_S", 0.1)  # the client repeats a refused get for this time
     with st.connect(cluster.address, secret=operator.token(CLIENT)) as rt:
         yield rt
 
@@ -142,7 +142,7 @@ def test_a_client_makes_as_much_as_its_quotas_and_no_faster(cluster: LocalCluste
         assert len(told) == len(cluster.supernodes)
         assert {(row["used"], row["limit"]) for row in told} == {(2, 2)}
         assert sum(row["refused"] for row in told) == 1
-        assert make("quotas/made/1") == ""  # the channel exists
+        assert make("quotas/made/1") == ""  # this channel exists already
         operator.set("maker", "channels=unlimited", "changes-per-second=1")
         refusals = [make(f"quotas/faster/{number}") for number in range(40)]
     assert refusals[0] == ""

@@ -86,7 +86,8 @@ async def test_waiting_calls_continue_with_the_renewed_certificate(
     async with asyncio.timeout(50):
         await waits.begin()
         certificates.issue(Role.CLIENT, "waits")
-        await ticking(own, rt, f"{waits.name}/tick", ends + 1.5 * 10**9)  # a host looks for ended ones each second
+        # A host looks for ended certificates each second.
+        await ticking(own, rt, f"{waits.name}/tick", ends + 1.5 * 10**9)
         assert not [kind for kind, one in waits.waiting.items() if one.done()]
         await waits.bring(own, tls=cluster.tls_files())
         await waits.check()

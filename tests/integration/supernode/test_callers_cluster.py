@@ -180,7 +180,7 @@ async def test_a_call_for_the_leader_skips_another_cluster_at_the_known_leaders_
     async with connected(kind, frontend) as client:
         await client.peers()
         assert (former.clocks_asked, follower.clocks_asked) == ([True], [])
-        former.cluster_id = "y"  # a backup was restored there
+        former.cluster_id = "y"  # as if an operator had restored a backup there
         if others_know:
             follower.members = targets[1:]
         await client.peers()
@@ -220,7 +220,7 @@ async def test_a_client_leaves_a_front_end_that_now_serves_another_cluster(world
     async with connected(kind, frontend) as client:
         await client.hosts()
         serves.cluster_id, serves._supernodes = "y", [await world.supernode(stranger)]
-        own.cluster_id = "z"  # the former data is gone, too
+        own.cluster_id = "z"  # at the former address, another cluster serves now
         with pytest.raises(WrongCluster, match="of cluster z, and the caller of cluster x"):
             await client.hosts()
         assert stranger.served == []

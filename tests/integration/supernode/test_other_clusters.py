@@ -104,4 +104,4 @@ async def test_the_members_of_a_listed_cluster_may_be_given_another_list_after_i
         place = one._arguments.index("--members") + 1
         one._arguments[place] = ",".join(reversed(one._arguments[place].split(","))) + ",s9=127.0.0.1:1"
         await one.start()
-        await register(one, 2)  # an update; on a slow machine the former host may have lost its lease
+        await register(one, 2)  # needs the log; on a slow machine the former host may have lost its lease

@@ -21,7 +21,7 @@ def test_a_thread_sees_only_complete_steps_and_repeated_looks_do_not_stop_the_lo
         while number < STEPS or len(looks) < LOOKS:  # a thread may be slow to begin
             number += 1
             state[0] = number
-            sum(range(2000))  # other threads may look now
+            sum(range(2000))  # Python may switch to another thread here
             state[1] = number
             await asyncio.sleep(0)
 

@@ -13,7 +13,7 @@ def answer(*, ready: bool) -> ProbeAnswer:
 
 
 def started() -> tuple[SupernodeRoster, StatusLog]:
-    """A front-end that has just begun, and a moment at which it has begun long ago."""
+    """A front-end that began at the time 100: its roster of supernodes, and its log of their changes."""
     roster, journal = SupernodeRoster(("a:1", "b:1")), StatusLog()
     assert list(journal.changes(roster, 100.0)) == []
     return roster, journal

@@ -254,7 +254,7 @@ def test_a_reader_retries_if_a_replacement_of_the_files_ends_while_it_reads(
     reader = TlsReader(files)
     _, certificate, key = files.paths()
     newer = made.issue(Role.CLIENT, "newer").paths()
-    os.replace(newer[2], key)  # the certificate does not belong to it yet
+    os.replace(newer[2], key)  # the certificate does not belong to this key yet
 
     def check_and_end(given: TlsFiles) -> None:
         try:

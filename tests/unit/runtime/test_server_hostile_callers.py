@@ -125,7 +125,7 @@ async def test_a_call_whose_request_does_not_arrive_ends_and_frees_its_slot(
         for call in silent:
             assert await call.code() is grpc.StatusCode.DEADLINE_EXCEEDED
             assert f"no whole request of {method} came within 0.05 s" in await call.details()
-        monkeypatch.setattr("stampede_rt_runtime.requests.REQUEST_SECONDS_MAX", LIMIT_S)  # for good calls
+        monkeypatch.setattr("stampede_rt_runtime.requests.REQUEST_SECONDS_MAX", LIMIT_S)  # good calls get more time
         assert await one.list("cam/*") == "cam/*"
         assert await one.sent(method) == (
             grpc.StatusCode.INVALID_ARGUMENT,

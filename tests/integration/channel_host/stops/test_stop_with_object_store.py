@@ -117,7 +117,7 @@ async def test_a_host_whose_store_is_slow_ends_in_the_time_of_a_stop_and_keeps_i
     assert not store.objects
     assert len(segment_files(tmp_path)) == 1
     folder = ArchiveFolder(tmp_path)
-    folder.open(HOST_ID)  # the host has released it
+    folder.open(HOST_ID)  # the host has released the folder
     folder.close()
 
 

@@ -1,4 +1,6 @@
-"""Items that an archive lacks at its begin, at its end, and in segments without any whole block: readers hear LOST."""
+"""Items that an archive lacks at its beginning, at its end, and in segments without any whole block: readers hear
+LOST.
+"""
 
 from __future__ import annotations
 
@@ -162,7 +164,7 @@ def test_items_that_max_bytes_collected_after_all_archived_ones_are_a_loss(tmp_p
                 continue  # such a read does not ask the archive
             found, reason = read(files, segments, start, end, channel)
             assert found == [one for one in range(start, end + 1) if one in (1, 2, 7, 8)]
-            assert reason == "LOST", (start, end)  # max_items would still let them come late, before all others
+            assert reason == "LOST", (start, end)  # max_items would still let lost items come late, before all others
 
 
 def test_a_loss_stays_if_the_next_host_has_written_nothing_else(tmp_path: Path) -> None:
@@ -293,7 +295,7 @@ CLEAN, LOST_ALL, LOST_PART = (None, None), (500, None), (500, 4)  # `lost_before
 @pytest.mark.parametrize(
     ("bounds", "dropped", "loss", "expected"),
     [
-        (((1, 5), (5, 9)), 0, CLEAN, "NOT_YET"),  # the archive has all items, and none was known by then
+        (((1, 5), (5, 9)), 0, CLEAN, "NOT_YET"),  # the archive has all items, and the host had accepted none by then
         (((1, 5), (5, 9)), 1, CLEAN, "COLLECTED"),
         (((1, 5), (FIRST, FIRST + 4)), 0, CLEAN, "NOT_YET"),
         (((1, 5), (FIRST, FIRST + 4)), 0, LOST_PART, "NOT_YET"),

@@ -24,7 +24,7 @@ Step = tuple[str, int, int]  # the kind of step, the channel, the bytes
 
 
 class Recorded:
-    """A channel with its recorder. Nothing writes by itself."""
+    """A channel with its recorder. The recorder writes only when the test says so."""
 
     def __init__(self, disk: DiskUse, folder: Path, number: int, limits: ArchiveLimits) -> None:
         channel_id = bytes([number]) * 16
@@ -90,7 +90,7 @@ def test_the_files_stay_within_the_limit(
             else:
                 one.write()
                 empty = sum(1 for other in channels if not other.recorder.segments)
-                assert on_disk(folder) <= LIMIT + empty * 2**18  # the folder of a channel without items goes with it
+                assert on_disk(folder) <= LIMIT + empty * 2**18  # folders without items do not count
         assert disk.used_bytes <= LIMIT
         for one in channels:
             one.files.close(None)

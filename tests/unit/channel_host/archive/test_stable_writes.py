@@ -42,7 +42,7 @@ def test_the_blocks_of_a_write_share_few_system_calls_and_start_for_the_disk_bef
         calls.append("fsync")
         fsync(file)
 
-    files.write([long_runs(1, 1)], NO_LIMITS)  # begins the segment
+    files.write([long_runs(1, 1)], NO_LIMITS)  # this write begins the segment
     with monkeypatch.context() as noted:
         noted.setattr(f"{FILES}.os.writev", write_noted)
         noted.setattr(f"{FILES}.start_flush", flush_noted)

@@ -115,7 +115,7 @@ def test_a_message_that_is_short_or_has_short_parts_is_joined(lengths: list[int]
     assert not delivery.has_long_parts
     parts, length_bytes = delivery.parts, delivery.length_bytes
     assert delivery.encoded == b"".join(parts)
-    assert [len(part) for part in delivery.parts] == [length_bytes]  # it keeps no run in memory beside the message
+    assert [len(part) for part in delivery.parts] == [length_bytes]  # memory has no run beside the message
 
 
 def test_a_message_for_a_single_reader_is_not_kept() -> None:

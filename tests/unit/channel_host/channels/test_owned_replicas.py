@@ -31,7 +31,7 @@ class Replicas(OwnedReplicas[Feed]):
         self.wake_waits()
 
     def join(self) -> None:
-        """The replica has everything, and the log has its flag."""
+        """The replica has everything, and the directory's log has its in-sync flag."""
         self.report(REPLICA, self.feed, NEXT)
         for change in self.changes():
             self.confirm(change)
@@ -46,7 +46,7 @@ async def test_a_replica_may_begin_anew_at_an_owner_that_renewed_its_lease_late(
 
 async def test_a_replica_does_not_begin_anew_over_a_break() -> None:
     replicas = Replicas()
-    replicas.know([KnownReplica(REPLICA, 1, True)])  # with the flag, which the log must clear first
+    replicas.know([KnownReplica(REPLICA, 1, True)])  # with the in-sync flag, which the directory's log must clear first
     beginning = asyncio.create_task(replicas.begin_anew(REPLICA))
     await asyncio.sleep(0)
     replicas.end(FENCED)

@@ -62,7 +62,7 @@ class Store:
 
 
 class Stream:
-    """A stream of a producer to the store, and the things that the producer learns."""
+    """A stream of a producer to the store, and the acks and errors that the producer gets."""
 
     def __init__(self) -> None:
         self.store, self.acks, self.ends = Store(), list[pb.PutAck](), list[StampedeError]()

@@ -76,7 +76,7 @@ def test_a_long_read_of_an_archive_ends_with_its_present_window_when_its_caller_
 def test_a_read_of_the_time_of_a_crash_says_lost_also_after_later_crashes_and_stops(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, later: str
 ) -> None:
-    """The channel of a host that was lost before the instant 100, and then once more before the instant 200."""
+    """The channel's host was lost before the instant 100, and then once more before the instant 200."""
 
     async def scenario() -> list[str | None]:
         archive = archive_in(tmp_path / "a", monkeypatch)
@@ -104,7 +104,7 @@ def test_a_read_of_the_time_of_a_crash_says_lost_also_after_later_crashes_and_st
 
 
 async def reason_of(recording: Recording, start: int, end: int) -> str | None:
-    """The reason of a get of these times: None also for NEVER."""
+    """The reason in the answer to a get of these times; None also for NEVER."""
     query = Query(interval=Interval(Bound(None, start), Bound(None, end)), match=Match.START)
     read = await recording.read(query, None, PieceScheduler(), lambda: 1000)
     reason = read.answer().reason
@@ -120,7 +120,9 @@ def decode_timed(body: bytes) -> Run:
 async def started(
     archive: HostArchive, folder: Path, epoch: int, lost_before: int | None
 ) -> tuple[Recording, ChannelCore]:
-    """The recording of a channel whose host has started. The former one was lost before this instant, if any."""
+    """The recording of a channel whose host has started. If `lost_before` is given, the former process of the host
+    was lost before this instant.
+    """
     files = SegmentFiles(folder, {})
     incarnation = lost_before or 7
     found = files.open(epoch, incarnation)

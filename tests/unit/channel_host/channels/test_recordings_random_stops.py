@@ -75,7 +75,9 @@ class History:
             self.told.append(what)
 
     async def _check(self, owner: Owner) -> None:
-        """All found items are true ones, each once, and each interval without a true item says why."""
+        """Check that reads find only items that were put, each once, and that each read which lacks such an item
+        says why.
+        """
         found = await self._read(owner, 0, owner.host.clock) or []
         assert len(found) == len(set(found)), "\n".join(self.told)
         assert set(found) <= set(self.times), "\n".join(self.told)

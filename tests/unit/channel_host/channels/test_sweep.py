@@ -190,8 +190,8 @@ async def test_a_step_of_the_sweep_looks_at_a_bounded_number_of_changed_channels
 
 
 async def test_a_put_that_needs_memory_looks_at_few_channels_and_at_the_due_ones_first() -> None:
-    """In an earlier version, such a put looked at 2048 channels in one step, and began with the channels that had just
-    changed.
+    """In an earlier version, such a put looked at 2048 channels in one step, and began with the channels that had
+    changed last.
     """
     host = Host(bytes_max=200_000)
     old = [host.open(Policy(max_age_nanos=S)) for _ in range(4)]

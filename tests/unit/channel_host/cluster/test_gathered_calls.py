@@ -13,7 +13,7 @@ from stampede_rt_channel_host.cluster.gathered_calls import GatheredCalls
 
 
 class Directory:
-    """Answers each number with its square once `go` is set, and refuses negative ones. The first call `fails`."""
+    """Answers each number with its square once `go` is set, and refuses negative ones. The next call raises `fails`."""
 
     def __init__(self) -> None:
         self.calls: list[list[int]] = []

@@ -99,7 +99,9 @@ async def test_a_host_names_the_cluster_of_its_first_registration_after_a_restar
 async def test_a_host_whose_lease_the_successor_cluster_renews_belongs_to_that_cluster(
     tmp_path: Path,
 ) -> None:
-    """The host serves the callers of both clusters from then on, because callers change over at other moments."""
+    """The host serves the callers of both clusters from then on, because each caller changes over at a moment of its
+    own.
+    """
     async with directory(lease_ttl_nanos=200 * MS) as fake:
         host = Host(fake.target, folder=tmp_path)
         await host.registration.enter("localhost:1")

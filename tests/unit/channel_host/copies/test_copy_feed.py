@@ -65,7 +65,7 @@ def test_reports_repeat_the_reading_of_the_clock_which_the_source_would_answer()
 
 @pytest.mark.parametrize("opened", [None, pb.FeedOpened(begins_anew=True)], ids=["a newer record", "a new copy"])
 async def test_a_source_can_change_only_its_own_channel_at_the_copys_host(opened: pb.FeedOpened | None) -> None:
-    """The copy would take the place of that channel, even if this host owns it."""
+    """Otherwise the copy would take the place of the other channel, even if this host owns that channel."""
     rig = Rig()
     other = pb.FeedResponse(opened=opened, state=pb.FeedState())
     other.state.channel.channel_id = b"x" * 16
@@ -74,7 +74,9 @@ async def test_a_source_can_change_only_its_own_channel_at_the_copys_host(opened
 
 
 class SlowSource:
-    """A source to which the connection takes `connect_s`. Its first answer takes `answer_s`, and then it ends."""
+    """A source to which the connection takes `connect_s`. Its first answer takes `answer_s`, and then its stream
+    ends.
+    """
 
     def __init__(self, connect_s: float, answer_s: float) -> None:
         self._connect_s, self._answer_s = connect_s, answer_s

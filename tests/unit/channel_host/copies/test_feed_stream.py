@@ -224,7 +224,7 @@ async def test_a_replica_answers_a_part_in_the_turn_in_which_it_comes() -> None:
 
 
 async def test_a_replica_grants_credit_in_large_steps_with_its_answers_to_puts() -> None:
-    charge_bytes = 1 + ITEM_OVERHEAD_BYTES  # of one put
+    charge_bytes = 1 + ITEM_OVERHEAD_BYTES  # the charge of one put
     async with fed() as one, running_host() as other:
         copied = CopyFeed(
             other.host.store, one.hosted.record, CopyState(lambda: 0), REPLICA, "replica:1", owner_facts=True,

@@ -14,7 +14,7 @@ from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves
 
 
 class Directory(GatheredMoves):
-    """Commits none of the moves together. Refuses each move when all of them have asked."""
+    """Commits no moves in one call. Refuses each single move once all of them have been asked for."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -175,7 +175,7 @@ def test_the_memory_of_one_producer_has_a_bound_for_any_number_of_refusals() -> 
 
 
 def test_a_thousand_puts_of_one_item_cost_tens_of_bytes_each_and_the_window_knows_it() -> None:
-    """In an earlier version, the thousand puts took 607 kB, which no budget counted."""
+    """In an earlier version, the window took 607 kB for these puts, and no budget counted these bytes."""
     window = RetryWindow()
     tracemalloc.start()
     try:

@@ -30,7 +30,8 @@ def test_readings_in_quick_succession_follow_as_well_as_rare_ones() -> None:
     clock = HostTime(0, 0)
     for step in range(1, 100_001):
         clock.read(step * 1000, step * 1000 + 1_000_000)
-    assert 1_000_000 - clock.offset_nanos == 3327  # of 1 ms after 0.1 s of 30: 1 - exp(-0.1 / 30), rounded down
+    # The share of 1 ms after 0.1 s, if the time constant is 30 s: 1 - exp(-0.1 / 30), rounded down.
+    assert 1_000_000 - clock.offset_nanos == 3327
 
 
 def test_host_time_catches_up_with_a_wall_clock_step_of_an_hour_in_about_two_hours() -> None:

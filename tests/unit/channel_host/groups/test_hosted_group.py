@@ -62,7 +62,7 @@ def _ignore(one: bytes) -> None: ...
 
 
 async def turns(count: Callable[[], int]) -> list[int]:
-    """The count after each turn of the event loop, until it no longer changes."""
+    """The results of `count` after each turn of the event loop, until they no longer change."""
     counts = [count()]
     while len(counts) < 6 or counts[-1] != counts[-6]:
         await asyncio.sleep(0)

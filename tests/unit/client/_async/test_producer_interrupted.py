@@ -1,4 +1,6 @@
-"""The blocking producer, while a signal handler interrupts it at each bytecode: it raises, or puts itself."""
+"""The blocking producer, while a signal handler interrupts it at each bytecode: the handler raises, or makes a put
+of its own.
+"""
 
 from __future__ import annotations
 

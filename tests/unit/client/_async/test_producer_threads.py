@@ -33,7 +33,7 @@ class Place:
         self.cache, self.endpoints = BindingCache(), self
         self.on_response: Any = None
         self.streams = 0
-        self.errors: list[BaseException] = []  # of the next sends
+        self.errors: list[BaseException] = []  # the errors of the next sends
 
     def check_process(self) -> None:
         return

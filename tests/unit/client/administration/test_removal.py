@@ -47,7 +47,9 @@ def answered(told: StampedeError) -> Failure:
 
 
 class Supernodes:
-    """Three supernodes that answer every list and ping. A removal fails with the next of `failures`, the last again."""
+    """Three supernodes that answer every list and ping. A removal fails with the next of `failures`, which then
+    repeat the last one.
+    """
 
     def __init__(self, failures: list[Failure]) -> None:
         self._failures = failures

@@ -11,7 +11,7 @@ REFUSED = {"s1": "'s1' comes with an older copy of its store"}
 
 
 def answer(address: str) -> PartAnswer:
-    """The answer of a part at an address that calls itself s1, and refused."""
+    """The answer of a part at this address: it calls itself s1, and says that it has refused REFUSED."""
     seen = Observation(kind=SUPERNODE, name="s1", address=address)
     return PartAnswer(pb.DirectoryServicePingResponse(supernode_id="s1", refused_supernodes=REFUSED), seen)
 

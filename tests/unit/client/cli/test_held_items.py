@@ -17,7 +17,7 @@ def test_without_a_start_or_a_known_clock_all_items_are_read() -> None:
 
 @pytest.mark.parametrize("ahead_s", [-3600, 0, 3600])
 def test_a_machine_whose_clock_is_wrong_reads_all_items_from_the_start_on(ahead_s: int) -> None:
-    now = 10**6 * SECOND  # at the hosts
+    now = 10**6 * SECOND  # the time at the hosts
     since = since_of(now - 60 * SECOND, now + ahead_s * SECOND, clock(ahead_s))
     assert int(since.removesuffix(" ns")) >= 60 * SECOND + CLOCKS_APART_NANOS
 

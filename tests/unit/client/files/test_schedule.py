@@ -1,4 +1,4 @@
-"""When a replay puts each item, and with which time."""
+"""The moment at which a replay puts each item, and the time of the item."""
 
 from __future__ import annotations
 

@@ -16,16 +16,13 @@ FRAME = 18_000
 
 
 class Reader:
-    """Takes items that are available at once, each in a stated time.
-
-    `ahead`: the bytes that the host may have sent before it asks.
-    """
+    """Takes items that are available at once, each in a stated time."""
 
     def __init__(self, window: CreditWindow, item_bytes: int) -> None:
         self.window = window
         self.item_bytes = item_bytes
         self.now_s = 0.0
-        self.left = 0  # at the host
+        self.left = 0  # the credit that the host has left
         self.on_the_way = 0
         self.messages = 0
 
@@ -90,7 +87,7 @@ def test_credit_that_is_asked_for_twice_is_granted_once() -> None:
     window = CreditWindow()
     assert window.ask(0.0) == 1
     assert window.ask(1.0) == 0
-    window.begin()  # on a new stream
+    window.begin()  # as on a new stream
     assert window.ask(2.0) == 1
 
 

@@ -196,7 +196,7 @@ def test_the_estimate_of_the_hosts_clock_advances_between_readings_and_corrects_
     assert host_now(facts, BOOTTIME + 70) == 5070
     assert host_now(facts, BOOTTIME - 1) == 5000
     facts[13] = 30_000_000_000
-    assert host_now(facts, BOOTTIME + 100) == 5150  # host time runs at most one and a half times as fast
+    assert host_now(facts, BOOTTIME + 100) == 5150  # the estimate runs at most 1.5 times as fast as the boot time
     facts[13] = 30
     assert host_now(facts, BOOTTIME + 10**9) == 5000 + 10**9 + 1
 

@@ -29,7 +29,7 @@ async def test_a_connection_is_closed_if_its_caller_gives_up_in_any_turn_of_the_
         await asyncio.sleep(0)
     call.cancel()
     if (await asyncio.gather(call, return_exceptions=True))[0].__class__ is SocketConnection:
-        ours.close()  # the caller has it
+        ours.close()  # the caller has got the connection, so the caller closes it
     for _ in range(5):
         await asyncio.sleep(0)
     reached = route.tcp.reaching is not None

@@ -47,7 +47,7 @@ def connect(request: pytest.FixtureRequest) -> Connect:
 
 @pytest.fixture
 def listening() -> Iterator[socket.socket]:
-    """A port that accepts connections. The test greets."""
+    """A port that accepts connections. The test sends the greeting of the host."""
     with socket.create_server(("127.0.0.1", 0)) as made:
         made.settimeout(20)
         yield made
@@ -86,7 +86,7 @@ async def test_a_port_without_a_greeting_delays_no_stream_and_is_used_after_it_g
     monkeypatch.setattr(socket_connecting_sync, "HEAD_START_S", 0.01)
     route, port = best(), port_of(listening)
     assert over_threads(route, port) is None
-    assert not route.may_lead  # the next streams do not even try
+    assert not route.may_lead  # the next streams do not even try TCP
     with await asyncio.to_thread(greet, listening):
         await asyncio.to_thread(wait_until, lambda: route.tcp.address, "the port is reached in the background")
     assert route.late_arrivals == 1  # streams over TCP will replace idle streams over gRPC

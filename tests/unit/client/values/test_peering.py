@@ -49,7 +49,9 @@ def test_the_error_names_a_wrong_lease() -> None:
 
 
 def test_a_clock_is_compared_with_the_time_halfway_through_the_call() -> None:
-    """The peer calls at 5000 by its own clock. The ways take 600, the supernode waits 400, and then reads 4000."""
+    """The peer calls at 5000 by its own clock. The two ways together take 600. The supernode waits 400, and then
+    reads 4000 from its clock.
+    """
     found = ClockOffset.measured(
         sent_unix_nano=5000, took_nanos=1000, told_unix_nano=4000, supernode="s1", held_nanos=400
     )

@@ -32,7 +32,7 @@ runs_of_items = some.lists(
 
 
 def response_of(runs: object, first_seq: int = 5) -> pb.SubscribeResponse:
-    """A response of LONG_BYTES or more with these runs, the first of which has one more item."""
+    """A response of LONG_BYTES or more with these runs. Each run gets one more item, which is long."""
     response = pb.SubscribeResponse(cursor=pb.SubscriptionCursor(incarnation=7, next_seq=9), repair_next_seq=3)
     for columns, stamped, attributes, content_type, next_time in runs:  # type: ignore[attr-defined]
         times, durations, payloads = zip(*columns, (60, -1, bytes(LONG_BYTES)), strict=True)
@@ -66,7 +66,7 @@ def test_items_keep_their_payloads_when_the_memory_of_the_response_is_used_again
     room = bytearray(raw)
     items = items_in(memoryview(room))
     room[:] = bytes(len(room))
-    room.append(0)  # no item has a view of it
+    room.append(0)  # possible only if no item has a view of the buffer
     assert [item.payload for item in items] == [b"first", b"second", bytes(LONG_BYTES)]
     assert all(type(item.payload) is bytes for item in items)
 

@@ -87,7 +87,7 @@ def test_the_rest_of_a_long_frame_is_read_into_its_own_memory() -> None:
     assert place is short
     place[:] = frame[:SHORT_BYTES]
     assert reader.take(short, SHORT_BYTES) == []
-    for begin in range(SHORT_BYTES, len(frame), 20):  # the missing rest is longer or shorter than the short memory
+    for begin in range(SHORT_BYTES, len(frame), 20):  # at first the rest is longer than the short memory, later shorter
         place = reader.place(short)
         assert len(place) == len(frame) - begin
         part = frame[begin : begin + 20]

@@ -112,7 +112,7 @@ async def test_a_port_without_the_rules_serves_no_caller_that_needs_a_rule(
 
 @pytest.fixture
 def waits(monkeypatch: pytest.MonkeyPatch) -> asyncio.Event:
-    """Is set once a call waits for the rules or for the keys of tokens."""
+    """An event that is set once a call waits for the rules or for the keys of tokens."""
     monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 20.0)
     event, wait_while = asyncio.Event(), AccessControl.wait_while
 

@@ -39,7 +39,7 @@ async def test_callers_at_the_same_time_share_one_page() -> None:
 
 
 async def test_other_tasks_run_between_two_steps_of_a_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(metrics_serving, "STEP_SECONDS", 0.0)  # each family is a step
+    monkeypatch.setattr(metrics_serving, "STEP_SECONDS", 0.0)  # so that each family is a step
     turns = 0
 
     async def work() -> None:

@@ -110,7 +110,7 @@ async def test_a_changed_share_takes_effect_at_once() -> None:
 
 
 class Clock:
-    """The time of the loop. It passes only by `works`."""
+    """The time of the loop. It passes only by calls of `works`."""
 
     def __init__(self) -> None:
         self.now = 10**9
@@ -120,7 +120,7 @@ class Clock:
         self.now += nanos
 
     def charged(self, work: Coroutine[Any, Any, Any]) -> Coroutine[Any, Any, Any]:
-        """The work of the clock's one caller."""
+        """Charge the work to the one caller of this clock."""
         return charged(self.account, work)
 
     def used_ms(self) -> int:
@@ -146,7 +146,7 @@ async def test_the_steps_of_a_charged_call_count_for_its_caller_but_its_waits_do
 
     task = asyncio.create_task(clock.charged(work()))
     while not task.done():
-        clock.works(10 * MS)  # the steps of others
+        clock.works(10 * MS)  # as if steps of other callers ran
         await asyncio.sleep(0)
     assert task.result() == "done"
     assert clock.used_ms() == 300
@@ -226,7 +226,7 @@ def test_usable_time_continues_soon_after_a_failed_read_of_the_statistics() -> N
     passed, waited = 100_000 * MS, 60_000 * MS
     usable = usable_time(lambda: passed, lambda: waited)
     assert usable() == 40_000 * MS
-    passed, waited = 100_020 * MS, 0  # no descriptor was left
+    passed, waited = 100_020 * MS, 0  # the process had no file descriptor left to read the wait
     assert usable() == 40_020 * MS
     passed, waited = 100_040 * MS, 60_010 * MS
     assert usable() == 40_030 * MS

@@ -48,7 +48,7 @@ async def test_a_longer_frame_takes_more_buffers_and_later_frames_wait() -> None
     buffers, busy = FrameBuffers(), Accounts().of("busy")
     half, other, whole, small = (buffers.place(busy) for _ in range(4))
     assert half.take_now(PLACES * PLACE_BYTES // 2)
-    assert other.take_now(PLACE_BYTES + 1)  # takes two
+    assert other.take_now(PLACE_BYTES + 1)  # takes two places
     waiting = [asyncio.ensure_future(whole.take(PLACES * PLACE_BYTES))]
     await asyncio.sleep(0)
     assert not small.take_now(1), "the long frame came first"

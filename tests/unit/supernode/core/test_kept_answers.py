@@ -66,7 +66,7 @@ def request_id(number: int) -> bytes:
 
 
 def done(log: Log, number: int) -> Result:
-    """Open a channel under the request id of that number, by a supernode that has applied everything."""
+    """Open a channel under the request id of that number. The supernode that asks the log has applied everything."""
     as_of_index = log.directory.applied_index
     return log.apply(open_channel(f"cam/{number}"), op_id=request_id(number), as_of_index=as_of_index)
 
@@ -89,7 +89,7 @@ def test_an_answer_is_kept_for_longer_than_a_request_may_be_repeated() -> None:
     log = Log()
     log.apply(register(1))
     done = log.apply(open_channel("cam"), op_id=id_of(77))
-    # The first mark may come at once, and the request be under way for one more.
+    # The first mark may come at once, and the request may be under way for one more mark.
     for _ in range(REPEAT_NANOS_MAX // MARK_NANOS + 2):
         log.mark_time()
         assert log.apply(open_channel("cam"), op_id=id_of(77)) == done

@@ -112,7 +112,7 @@ async def test_an_update_whose_first_proposal_fails_is_performed_once(node: Node
 
 
 async def test_an_unknown_outcome_is_reported_as_ambiguous(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calls, "ANSWER_SECONDS", 2.0)  # the answer comes within it on a busy machine, too
+    monkeypatch.setattr(calls, "ANSWER_SECONDS", 2.0)  # the answer comes within this time on a busy machine, too
     node.log.outcomes.extend([ProposalOutcome.LOST] + [ProposalOutcome.REFUSED] * 1000)
     request = pb.DeleteChannelRequest(request_id=id_of(1), channel_id=id_of(2))
     error = await reason_of(node.stub.DeleteChannel(request, timeout=2.5))

@@ -127,7 +127,7 @@ async def test_a_leader_writes_time_marks_as_long_as_answers_are_kept(node: Node
         return node.replica.read(lambda directory: (len(directory.kept_answers.marks), len(directory.kept_answers)))
 
     await node.pass_seconds(9)
-    assert marks() == (0, 3)  # the tenure, the host, and by now the end of its lease
+    assert marks() == (0, 3)  # the answers about the tenure, the host and the end of its lease
     await node.pass_seconds(11)
     assert marks()[0] == 1
     await node.pass_seconds(10 * MARKS_KEPT + 10)

@@ -216,7 +216,7 @@ async def test_a_watch_of_peers_has_every_change_and_continues_where_another_one
     watch = node.peers.WatchPeers(pb.WatchPeersRequest())
     begin = (await watch.read()).applied_index
     await node.peers.RegisterPeer(entering(7, "planner"))
-    await node.open("cam")  # is not a peer
+    await node.open("cam")  # a channel is no peer
     await node.peers.RegisterPeer(entering(8))
     await node.peers.DeregisterPeer(leaving(7))
     seen = await _changes(watch, 3)

@@ -196,7 +196,7 @@ async def _until_it_ends(stream: Any) -> None:
 
 
 async def until_idle(counted: list[int]) -> list[int]:
-    """How much is added to `counted` in each turn of the event loop, until nothing is for a hundred turns."""
+    """The number of additions to `counted` in each turn of the event loop, until a hundred turns have added nothing."""
     added, idle = [], 0
     while idle < 100:
         before = len(counted)

@@ -72,7 +72,7 @@ async def test_the_next_owner_reads_the_moved_files_and_the_former_owner_cannot_
     write_closed(owner, 5, 1)
     await move(owner, store)
     before = dict(store.objects)
-    await move(former, store)  # the former owner goes on, and does not know of the new owner
+    await move(former, store)  # the former owner goes on moving files, because it does not know of the new owner
     assert {name: store.objects[name] for name in before} == before
     assert found_by(owner) == [1, 2, 3, 4, 5, 6]
     assert found_by(host(tmp_path, "c", store, 3)) == [1, 2, 3, 4, 5, 6]
@@ -112,7 +112,7 @@ async def test_the_new_host_of_an_idle_channel_takes_over_the_last_files_but_not
     write_closed(former, 1)
     await move(former, store)
     write_closed(former, 5)
-    write_closed(former, 9)  # the owner does not know of these items
+    write_closed(former, 9)  # the new owner does not know of these items
     new = host(tmp_path, "b", store, 2)
     assert new.lacks_items(9)
     await move(former, store)

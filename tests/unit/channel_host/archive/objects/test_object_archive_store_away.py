@@ -201,7 +201,7 @@ async def test_the_list_on_the_disk_follows_the_epoch_of_the_channel(tmp_path: P
     recorder = await one.serve(1)
     await one.write()
     assert not await one.mover.move_all()
-    recorder.files.raise_epoch(2)  # the channel was opened before the move here was committed
+    recorder.files.raise_epoch(2)  # the host opened the channel before the directory committed the move to this host
     assert not await one.mover.move_all()
     one.archive.folder.close()  # the host is killed
     store.failure = "away"

@@ -33,7 +33,7 @@ def remove_files(folder: Path) -> None:
 
 async def fill(one: Host) -> None:
     """Write until an item is refused because of the limit of the disk."""
-    while True:  # each write takes some of the room
+    while True:  # each write takes some bytes of the limit
         await one.write()
 
 
@@ -231,7 +231,7 @@ async def test_the_limits_of_an_idle_channel_remove_its_objects(
             await one.mover.move_all()
         one.recorder.limit(ArchiveLimits(10**9, None))
         assert not await one.mover.move_all()
-        assert len(store.objects) == 1  # the last object stays
+        assert len(store.objects) == 1  # the limit keeps the last object
         assert len(one.recorder.segments) == 1
 
 

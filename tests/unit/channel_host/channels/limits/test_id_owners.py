@@ -15,7 +15,7 @@ QUEUE, OTHER = b"q" * 16, b"o" * 16
 
 
 def allowed() -> None:
-    """The caller may act at the thing."""
+    """Stands for a check that lets the caller act at the thing."""
 
 
 def denied() -> None:

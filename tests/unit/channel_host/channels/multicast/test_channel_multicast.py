@@ -45,7 +45,7 @@ class Group:
         await self.may_send.wait()
 
     async def between_parts(self) -> None:
-        """Stands for the wait at a low rate."""
+        """Stands for the wait between two parts at a low rate."""
 
     def close(self) -> None:
         pass
@@ -224,7 +224,7 @@ async def test_short_items_with_long_attributes_go_in_several_messages(monkeypat
     async with rig.reader() as opener:
         for _ in range(3):
             rig.put(b"x", {"k": "v" * 1000})
-        rig.put(b"x", {"k": "v" * 3000})  # too long for a message
+        rig.put(b"x", {"k": "v" * 3000})  # this item is too long for a message, so no message has it
         found = await rig.group.parts(opener, 1)
         while found[-1].kind is not MessageKind.BEAT:
             found = await rig.group.parts(opener, len(found) + 1)
@@ -238,7 +238,7 @@ async def test_a_slow_multicast_skips_items_and_announces_them_in_a_heartbeat() 
         rig.group.may_send.clear()
         for _ in range(3):
             rig.put(bytes(5000))
-        assert (await rig.group.parts(opener, 1))[0].end_seq == 3  # the first two
+        assert (await rig.group.parts(opener, 1))[0].end_seq == 3  # the first two items
         one = rig.multicasts.find(rig.hosted)
         assert one is not None
         one._goal_s -= channel_multicast.LATE_S_MAX

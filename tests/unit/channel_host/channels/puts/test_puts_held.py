@@ -39,7 +39,7 @@ async def test_a_partly_accepted_run_continues_at_the_next_owner() -> None:
     assert waiting.ack.HasField("error")
     larger = a_channel(10)
     destination = puts_of(larger)
-    larger.put(run_of(3).offer, NOW, lambda first_seq, kept, stamped: b"body")  # an item that the feed has brought
+    larger.put(run_of(3).offer, NOW, lambda first_seq, kept, stamped: b"body")  # the items that the feed has brought
     destination.retries = source.retries
     ack = destination.put(run_of(4), NOW)
     assert ack is not None

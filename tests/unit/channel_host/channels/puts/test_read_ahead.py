@@ -46,7 +46,7 @@ async def test_requests_read_ahead_are_charged_until_they_are_handled_or_the_str
     ahead.start()
     await turns()
     assert memory.used_bytes == 4 * 2**20
-    await ahead.next()  # this request still counts, because it may wait for the turn of its client
+    await ahead.next()  # the request that this returns still counts, because it may wait for the turn of its client
     assert memory.used_bytes == 4 * 2**20
     ahead.release()
     assert memory.used_bytes == 3 * 2**20

@@ -13,7 +13,7 @@ from stampede_rt_channel_host.core.channel import ChannelCore, Offer
 
 S = 10**9
 ROOM = Policy(max_items=10**6)
-CALLS_MAX = 3.5  # times the calls of a put with room; it was 3.6 to 5.7 before
+CALLS_MAX = 3.5  # times the calls of a put with room; in an earlier version it was 3.6 to 5.7
 
 
 def nothing_sealed(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:

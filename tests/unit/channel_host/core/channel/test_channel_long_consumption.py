@@ -178,7 +178,7 @@ def test_items_that_all_consumers_consumed_are_freed_in_small_steps(monkeypatch:
         note_collected(self, first, end)
 
     monkeypatch.setattr(Consumers, "note_collected", counting)
-    for first in range(2, ITEMS + 1, 4096):  # without the first item, which has the latest time
+    for first in range(2, ITEMS + 1, 4096):  # all items except the first one, which has the latest time
         seqs = range(first, min(first + 4096, ITEMS + 1))
         for consumer in (1, 2):
             channel.consume(consumer, seqs, CLOCK)

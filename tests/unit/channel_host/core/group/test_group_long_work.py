@@ -46,7 +46,7 @@ def looked(monkeypatch: pytest.MonkeyPatch) -> Counter:
 
 
 def late() -> tuple[ChannelCore, CutFollower]:
-    """A reader at cut 1,000,000, and 10,000 items below it that came since, the latest first."""
+    """A reader at cut 1,000,000, and 10,000 items below this cut that came afterwards, the latest first."""
     made = channel(1_000_000, policy=POLICY)
     follower = CutFollower(made, 1_000_001, NOW)
     for time in range(ITEMS, 0, -1):
@@ -90,7 +90,7 @@ def test_the_merge_of_late_items_begins_with_one_list_in_each_part(monkeypatch: 
         return order(part)
 
     monkeypatch.setattr(following, "_order", counting)
-    _, follower = late()  # in 625 lists
+    _, follower = late()  # the reader holds the items in 625 lists
     follower.begin(1_000_002)
     times: list[int] = []
     while follower.under_way:

@@ -28,7 +28,7 @@ def test_only_items_before_the_cut_are_visible_and_the_channel_keeps_the_others(
     view = VisibleChannel(made)
     answer = view.read(everything(), horizon(30), CLOCK)
     assert times(answer.slices) == [10, 20]
-    assert answer.next_time is None  # the next item is hidden, and its time, too
+    assert answer.next_time is None  # the next item is hidden, so its time is hidden, too
     assert times(made.read(everything(), CLOCK).slices) == [10, 20, 30]
     assert view.hidden_items(30, CLOCK) == 1
 
@@ -75,7 +75,7 @@ def test_a_read_reports_a_max_age_shorter_than_the_lead_over_the_cut() -> None:
     view = VisibleChannel(channel(10, 5_000, policy=Policy(max_age_nanos=4_000)))
     assert view.window_too_short(20, 5_001)
     assert not view.window_too_short(1_500, 5_001)
-    assert not view.window_too_short(1_000, 5_001)  # 4000 ahead, and kept for 4000
+    assert not view.window_too_short(1_000, 5_001)  # the channel is 4000 ahead of the cut, and keeps items for 4000
 
 
 def test_an_item_that_was_collected_at_or_after_the_cut_shows_that_retention_is_too_short() -> None:

@@ -272,7 +272,7 @@ def test_a_host_with_far_more_channels_gets_another_only_if_the_other_hosts_have
 def test_a_host_without_reports_counts_with_its_own_channels() -> None:
     log = log_with_hosts(2)
     tables = log.directory.tables
-    tables.hosts[id_of(1)] = replace(tables.hosts[id_of(1)], load=None)  # of a release without reports
+    tables.hosts[id_of(1)] = replace(tables.hosts[id_of(1)], load=None)  # as of a host whose release makes no reports
     note(log, {2: HostLoad(busy_permille=100)})
     found = Counter(opened_at(log, f"c/{number}") for number in range(40))
     assert min(found.values()) >= 15, "neither gets all"

@@ -37,7 +37,7 @@ def test_a_member_whose_release_knows_the_clusters_level_is_accepted() -> None:
 
 
 class Links3(PeerLinks):
-    """The links of s2, one of three members. `done`: the other calls that they got."""
+    """The links of s2, one of three members. `done`: the arguments with which they called back."""
 
     def __init__(self, leader_id: str | None = None) -> None:
         settings = ReplicationSettings(self_member=OTHER, initial_members=[SELF, OTHER])

@@ -161,7 +161,8 @@ def test_a_process_that_was_suspended_does_not_report_a_slow_disk(
 
     thread = TickThread(on_fatal=lambda error: None)
     monkeypatch.setattr(thread, "_ended", Ended())
-    # So far off that no number of looks comes near. By the clock, the step has lasted for two days at the first look.
+    # A look counts as so short a time that the looks never add up to STUCK_SECONDS. By the clock, the step has lasted
+    # for two days at the first look.
     monkeypatch.setattr(tick_thread, "LOOK_SECONDS", 1e-9)
     thread._step_began = time.monotonic() - 2 * 86400.0
     watcher = threading.Thread(target=thread._watch, daemon=True)
