@@ -1,8 +1,8 @@
 """Runs several host processes on one machine: `stampede host --processes N` (decision 0161).
 
-The supervisor holds no channels. It starts the processes, starts a process that ended again, and ends them all when it
-gets a stop signal. Each process reads a pipe of which only the supervisor has the other end. So the processes end
-even if the supervisor is killed.
+The supervisor holds no channels. It starts the processes, starts an ended process again, and ends all processes when it
+gets a stop signal. Each process reads a pipe of which only the supervisor has the other end. So the processes end even
+if the supervisor is killed.
 """
 
 from __future__ import annotations

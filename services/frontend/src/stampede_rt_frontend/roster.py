@@ -1,7 +1,7 @@
 """The supernodes of a front-end: first the configured seeds, then the directory's own member list. Pure.
 
-Values come in (the answers to probes), values go out (the supernodes to probe, and those to name to callers). Nothing
-here is durable.
+Values come in (the answers to probes), values go out (the supernodes to probe, and the supernodes to name to callers).
+Nothing here is durable.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class ProbeAnswer:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MemberList:
-    """The members of the cluster, as one supernode lists them. Of two lists, the one with the higher (term, applied
+    """The members of the cluster, as one supernode lists them. Of two lists, the list with the higher (term, applied
     index) is newer.
     """
 

@@ -51,7 +51,9 @@ class IssuedCertificate:
 
 @dataclass(frozen=True, slots=True)
 class CertificateContents:
-    """The contents of a certificate. `identity` is None for an authority and for certificates of others."""
+    """The contents of a certificate. `identity` is None for an authority, and for a certificate without exactly
+    one identity.
+    """
 
     subject: str
     issuer: str

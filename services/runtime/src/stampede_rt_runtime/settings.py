@@ -27,7 +27,7 @@ from stampede_rt.values.timeline import format_duration
 from stampede_rt_runtime.values import format_size, parse_bool, parse_duration, parse_int, parse_size
 
 EXIT_BAD_SETTINGS = 2
-# One file serves a whole deployment. A service ignores the tables of others, but refuses a misspelt table.
+# One file serves a whole deployment. A service ignores the tables of other services, but refuses a misspelt table.
 TABLES = ("frontend", "supernode", "host", "web", "dev")
 SAMPLE_COLUMNS = 100
 _CREDENTIALS = re.compile(r"(?<=://)[^/\s]*(?=@)|(?<=\?).*")  # of a URL

@@ -16,7 +16,8 @@ HEADERS_SECONDS_MAX = 2.0
 
 
 async def send_headers(context: Context) -> None:
-    """Send the headers, and let a cancellation of the task wait until gRPC has noted that. Raises InternalError.
+    """Send the headers, and let a cancellation of the task wait until gRPC has noted that they are sent. Raises
+    InternalError.
 
     Streams over sockets have no headers.
     """

@@ -72,7 +72,7 @@ class ServiceTls:
         return newest
 
     def require_name(self, name: str, flag: str) -> None:
-        """Raises PermissionDenied if the service's configured name differs from that in its certificate."""
+        """Raises PermissionDenied if the service's configured name differs from the name in its certificate."""
         if name != self.identity.name:
             raise PermissionDenied(
                 f"{flag} is {name!r}, but the certificate {self.reader.files.certificate} belongs to "

@@ -1,4 +1,4 @@
-"""The note that a host leaves when it stops: the archive has all items of a channel. For threads, because it blocks."""
+"""The note that a host leaves when it stops: the archive has all items of a channel. The functions block."""
 
 from __future__ import annotations
 

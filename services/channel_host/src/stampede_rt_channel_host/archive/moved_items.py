@@ -1,4 +1,4 @@
-"""Finds out which items of a channel that has moved here the shared archive lacks. A part at a time."""
+"""Finds the items of a channel that has moved here which the shared archive lacks, a part at a time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ SLICES_PER_LOOK = 2048  # a look at this many takes about 1 ms
 
 
 class MovedItems:
-    """The items in the memory of a channel that came with its move, and the last hole before or among them.
+    """The items that came into memory with the move of a channel, and the last hole before or among them.
 
     Memory has lost the items of a hole. So the former owner has archived these items, and all items of lower seqs.
     """

@@ -11,7 +11,7 @@ class Deletions:
     """The ids of the latest requests that deleted a channel, at most DELETIONS_MAX.
 
     For a further id, the oldest id of the caller with the most ids is dropped. So one caller does not push out the ids
-    of others.
+    of other callers.
     """
 
     def __init__(self) -> None:

@@ -118,7 +118,7 @@ class Delivery:
 
     @property
     def has_long_parts(self) -> bool:
-        """Whether to send the parts takes less time than to join them."""
+        """Whether it takes less time to send the parts than to join them."""
         return self.length_bytes > max(JOINED_BYTES_MAX, PART_BYTES_MIN * len(self.parts))
 
 

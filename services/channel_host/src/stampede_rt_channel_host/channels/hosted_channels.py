@@ -140,7 +140,7 @@ class HostedChannel:
 
     @property
     def waiting_gets(self) -> int:
-        """The number of blocked gets, those through groups included."""
+        """The number of blocked gets, gets through groups included."""
         return len(self.group_gets) + (0 if self._gets is None else len(self._gets))
 
     def update(self, record: RecordedChannel) -> None:
@@ -266,7 +266,7 @@ class HostedChannel:
         yield from self.ending(error)
 
     def collect(self, now: int) -> bool:
-        """Free a bounded number of outdated items. Returns True if others are left, for which to call again soon."""
+        """Free a bounded number of outdated items. Returns True if others are left: then call again soon."""
         more = self.core.collect(now)
         if self.replication is not None:
             more = self.replication.collect(now) or more

@@ -61,7 +61,8 @@ class HostedCopies:
         return self._add(record, begun)
 
     def inherit(self, copy: HostedChannel, record: RecordedChannel) -> HostedChannel | None:
-        """Make the owner of a copy, as `record` of the directory says. None if the copy cannot become the owner.
+        """Make a copy the owner, as `record` of the directory says. Returns the owner; None if the copy cannot become
+        it.
 
         Drops the copy; its readers get MOVED, and come back to the owner. The owner holds puts until the move is over.
         """

@@ -168,7 +168,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
         self._is_last_period = True
 
     def watch(self, look: Callable[[bool], None]) -> None:
-        """Call `look` after each change on which answers wait, until `unwatch`. It must not wait.
+        """Call `look` after each change on which answers wait, until `unwatch`. `look` must not wait.
 
         Its argument says whether it may write a message in this turn of the event loop.
         """

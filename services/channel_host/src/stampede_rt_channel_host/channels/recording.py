@@ -84,8 +84,8 @@ async def open_archive(
 
 
 async def _newest(archive: HostArchive, files: SegmentFiles, segments: tuple[Segment, ...]) -> ArchiveWindow | None:
-    """The newest archived items; None: there are none. While the object store is away, those on the disk, as far as
-    they are later than all items in the store. Raises OSError.
+    """The newest archived items; None: there are none. While the object store is away, the newest items on the disk, as
+    far as they are later than all items in the store. Raises OSError.
     """
     if not segments or not files.is_known:
         return None

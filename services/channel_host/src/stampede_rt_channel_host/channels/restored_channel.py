@@ -42,7 +42,7 @@ def restore_channel(
 def _loss(
     channel: ChannelCore, found: OpenedArchive, window: ArchiveWindow, end_seq: int
 ) -> tuple[int | None, int | None]:
-    """From which instant on, and before which, items may be lost (see `Reading`). `end_seq`: of the segments."""
+    """The instants from which on, and before which, items may be lost (see `Reading`). `end_seq`: of the segments."""
     since = _lost_since(found.segments, window)
     return (since, channel.lost_before) if found.stop is None else loss_after(found.stop, since, end_seq)
 
@@ -60,7 +60,7 @@ def loss_after(stop: CleanStop, since: int | None, end_seq: int) -> tuple[int | 
 
 
 def lost_since(segments: Sequence[Segment]) -> int | None:
-    """From which instant on the items behind these segments may lie; None: any.
+    """The instant from which on the items behind these segments may lie; None: any instant.
 
     The newest item may have a time in the future. Then the items behind it have the time of their acceptance.
     """

@@ -44,8 +44,8 @@ CHANNELS_ENDED_PER_PIECE = 128
 
 
 class ChannelStore:
-    """Every data request gets its channel by `find`. Before, a client calls `bind`. `bind` asks the directory if the
-    store does not know the channel, or knows another epoch or an older spec than the caller.
+    """Every data request gets its channel by `find`. Before that, a client calls `bind`. `bind` asks the directory if
+    the store does not know the channel, or knows another epoch or an older spec than the caller.
 
     `lease_held` says whether the host may serve at this moment. `scheduler` does long work in pieces. `limits` ends
     the waits of all blocked gets. `consumers` remembers which caller uses which consumer id.

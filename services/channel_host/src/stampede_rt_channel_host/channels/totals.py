@@ -33,7 +33,7 @@ class ChannelTotals:
         self.waiting_puts += len(hosted.puts)
 
     def add_counts(self, hosted: HostedChannel, counted: Counters) -> None:
-        """Add only the counters, of a channel that leaves.
+        """Add only the counters of a channel, because it leaves.
 
         Leaves out items that other hosts count: the items of a copy, and the items of a channel before it moved here.
         """

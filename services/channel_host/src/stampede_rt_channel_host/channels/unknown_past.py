@@ -115,7 +115,7 @@ class UnknownPast:
         self._stop = self._stop or stop
 
     def is_over(self, recorder: ChannelRecorder, now: int) -> bool:
-        """Whether the host knows all items now. Then memory has left the earlier ones to the archive."""
+        """Whether the host knows all items now. Then memory has left the earlier items to the archive."""
         if not (self._is_listed and self.is_fresh):
             return self._is_listed
         former = tuple(one for one in recorder.segments if one.end_seq <= self._first_seq)
@@ -129,7 +129,7 @@ class UnknownPast:
         return self._channel.leave_to_archive(edge, loss, now)
 
     def _loss(self, former: Sequence[Segment]) -> tuple[int | None, int | None]:
-        """From which instant on, and before which, items of the former owners may be lost."""
+        """The instants from which on, and before which, items of the former owners may be lost."""
         stop, since = self._stop, lost_since(former)
         if stop is None:
             return since, self._begun

@@ -19,7 +19,8 @@ logger = logging.getLogger(__name__)
 LONG_CALL_PARTS = 4
 LONG_CALL_INTERVAL_S_MAX = 0.05
 """After a long call the directory has much to do, so the next call waits for more questions. The time between the
-begins of the two calls is LONG_CALL_PARTS times the duration of the first call, but at most LONG_CALL_INTERVAL_S_MAX.
+beginnings of the two calls is LONG_CALL_PARTS times the duration of the first call, but at most
+LONG_CALL_INTERVAL_S_MAX.
 """
 
 
@@ -35,7 +36,7 @@ class GatheredCalls(Generic[Question, Answer]):
         most: int,
         interval_s: float = 0.0,
     ) -> None:
-        """`interval_s`: the least time between the begins of two calls; 0: no call waits.
+        """`interval_s`: the least time between the beginnings of two calls; 0: no call waits.
 
         After a long call the time is longer. Questions that come earlier wait, and go together into the next call.
         """

@@ -257,7 +257,9 @@ class CopyFeed:
             held.update(record)
 
     async def _apply(self, state: pb.FeedState, bodies: Sequence[bytes | memoryview]) -> None:
-        """Apply one part. Stores a few runs in each turn of the event loop, and the source's state with the last."""
+        """Apply one part. Stores a few runs in each turn of the event loop, and the source's state with the last
+        runs.
+        """
         rest = bodies
         while len(rest) > RUNS_PER_TURN:
             some, rest = [run_of(bytes(body)) for body in rest[:RUNS_PER_TURN]], rest[RUNS_PER_TURN:]

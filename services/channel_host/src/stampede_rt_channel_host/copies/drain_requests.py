@@ -17,7 +17,7 @@ METHOD = "/stampede_rt.v1.MigrationService/MoveEachHere"
 
 
 class DrainRequests:
-    """The requests to one host. Those of one turn of the event loop go into one message, up to NAMED_MAX of them."""
+    """The requests to one host. The requests of one turn of the event loop go into one message, NAMED_MAX at most."""
 
     def __init__(self, target: str, channel: grpc.aio.Channel) -> None:
         """`channel`: the connection to the host at `target`."""
@@ -56,7 +56,7 @@ class DrainRequests:
         return self._is_served
 
     async def _run(self) -> None:
-        """Ask, and deal the outcomes, until the stream breaks. Then all requests without an answer fail."""
+        """Ask, and deliver the outcomes, until the stream breaks. Then all requests without an answer fail."""
         failure: StampedeError = Unavailable(f"{self._target} has ended the stream of the drain")
         call = self._channel.stream_stream(
             METHOD,

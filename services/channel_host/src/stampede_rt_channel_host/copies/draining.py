@@ -116,7 +116,8 @@ class _OwnQueue:
 class Draining:
     """Moves the channels and queues of one host away.
 
-    `groups_of` returns the groups of a channel, `dial` opens connections, `dial_streams` those for one stream.
+    `groups_of` returns the groups of a channel, `dial` opens connections, and `dial_streams` opens connections for one
+    stream.
     """
 
     def __init__(

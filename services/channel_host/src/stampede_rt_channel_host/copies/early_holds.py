@@ -1,6 +1,4 @@
-"""Remembers the sources whose last message of a copy comes too slowly: they must not hold the channel before it.
-Pure.
-"""
+"""Remembers the sources whose last message of a copy comes slowly. They must not hold the channel early. Pure."""
 
 from __future__ import annotations
 

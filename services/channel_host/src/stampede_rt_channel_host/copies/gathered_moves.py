@@ -41,7 +41,9 @@ class Release(NamedTuple):
 
 
 class GatheredMoves(ABC):
-    """Gathers the calls of one host. A subclass makes them: `..._one` and `..._all` raise the directory's errors."""
+    """Gathers the calls of one host. A subclass makes the calls: `..._one` and `..._all` raise the directory's
+    errors.
+    """
 
     def __init__(self) -> None:
         self._owners = GatheredCalls(self._owner_of_each, MOVES_MAX, OWNER_SECONDS)

@@ -125,7 +125,8 @@ class _Feed:
         self._note(self.record.queue_id)
 
     def take_steps(self, request: pb.FeedQueueRequest, answer: Callable[[pb.FeedQueueResponse], None]) -> bool:
-        """Apply a request that has a few steps. Returns False, and does nothing, if it has more, or a part of a queue.
+        """Apply a request that has a few steps. Returns False, and does nothing, if it has more steps, or a part of a
+        queue.
 
         Calls `answer` with the place after the request, as soon as nothing can fail: callers of the owner wait for it.
         Does not wait.

@@ -142,7 +142,9 @@ class QueueHandovers:
 
 
 async def _send(parts: Iterator[pb.HandOverQueueResponse], keeping: Awaitable[None], context: Context) -> None:
-    """Send the queue. The last part has the permit, with which the new owner can commit. It waits for `keeping`."""
+    """Send the queue. The last part has the permit, with which the new owner can commit. This part waits for
+    `keeping`.
+    """
     while (part := await asyncio.to_thread(next, parts, None)) is not None:
         if part.ends:
             await keeping

@@ -292,7 +292,7 @@ class KeptChannel(KeptReplicas):
         self.work_for(replica.known.host_id, partial(self._start, replica), "start of a replica of")
 
     async def _start(self, replica: ListedReplica) -> None:
-        """Bind the channel at the host of a replica. It answers MOVED, because it serves no readers."""
+        """Bind the channel at the host of a replica. That host answers MOVED, because a replica serves no readers."""
         channel = self._dial(replica.target)
         stub = gatekeeper_service_pb2_grpc.GatekeeperServiceStub(channel)
         request = gatekeeper_service_pb2.BindChannelRequest(channel_id=self._thing_id, epoch=self._hosted.epoch)

@@ -73,7 +73,9 @@ class KnownProducer:
         return PRODUCER_BYTES + len(self._columns) // _FIELDS * RUN_BYTES + self._odd_bytes
 
     def add(self, first_number: int, outcome: RunOutcome) -> None:
-        """Add a record. It replaces the latest one if that is of the same run, which waits for room in the meantime."""
+        """Add a record. It replaces the latest record if this is of the same run, which waits for room in the
+        meantime.
+        """
         if len(self) and self._columns[-_FIELDS] == _signed(first_number):
             self.drop_newest()
         if self.odd:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 BUSY_STEP_PERMILLE = 100
 """Hosts whose loads differ by less than this count as equally busy. Of these, the host with the fewest channels gets
-the next ones.
+the next channels.
 """
 
 

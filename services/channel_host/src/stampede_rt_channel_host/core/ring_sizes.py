@@ -35,7 +35,8 @@ class RingFit(NamedTuple):
 
 
 def fits_for(run_bytes: int) -> Iterator[RingFit]:
-    """The possible rings for runs of up to this length, the best one first. None if the runs are too long for a ring.
+    """The possible rings for runs of up to this length, the best one first. Yields nothing if the runs are too long for
+    a ring.
 
     The best one has a multiple of DATA_BYTES_MIN, so that a ring seldom needs a larger successor when the items grow.
     Each further ring has half of the data of the ring before it, for a host whose memory is short.

@@ -12,7 +12,7 @@ from stampede_rt_channel_host.groups.own_channels import OwnChannel
 
 
 class HostedGroups:
-    """The table of groups, by id. `board` has the times of their members, also of those at other hosts.
+    """The table of groups, by id. `board` has the times of their members, also of members at other hosts.
 
     `own`: the members that this host owns and serves. `idling`: groups whose members may become idle.
     """

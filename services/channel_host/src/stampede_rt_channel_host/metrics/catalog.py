@@ -11,7 +11,7 @@ from stampede_rt_runtime.metrics.families import Metric, counter, gauge
 NAMES_MAX = 100
 """The most channels, queues, groups and subscriptions that have metrics of their own."""
 HOLDERS_MAX = 4
-"""The most members that the metrics name as those which hold back the cut of one group."""
+"""The most members that the metrics name as the holders of one group's cut."""
 
 LEASE_HELD = gauge("stampede_host_lease_held", "1 if the host has its lease and may serve, else 0.")
 LEASE_REMAINING = gauge(

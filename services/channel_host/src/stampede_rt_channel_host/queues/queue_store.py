@@ -80,7 +80,8 @@ class QueueStore:
         self.takers = IdOwners()  # which caller uses which taker id
         self._arriving: dict[bytes, tuple[int, QueueContent]] = {}  # with the epoch of this host as the owner
         self.copies = QueueCopies(memory, now, self.may_serve)
-        self.on_replicated: Callable[[HostedQueue], None] = lambda hosted: None  # for queues that begin to wait
+        # called with each queue that begins to wait for replicas
+        self.on_replicated: Callable[[HostedQueue], None] = lambda hosted: None
         self.departed: Counter[str] = Counter()
         """The counters of the queues that this host served before, by the names in QueueCounters."""
 

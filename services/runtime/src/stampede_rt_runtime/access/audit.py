@@ -20,7 +20,7 @@ SUBJECTS_MAX = 1024  # the most callers whose last lines are remembered
 
 
 class AuditLog:
-    """The audit log of one port. `denials` counts all denials, also those without a line."""
+    """The audit log of one port. `denials` counts all denials, also denials without a line."""
 
     def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._clock_s = clock_s

@@ -34,7 +34,7 @@ class Caller:
 
     `serial` identifies the certificate or token among others of the same name; empty: there is none. `ends_unix_nano`:
     the end of its validity; 0: it has no end. `connection`: the certificate that opened the connection, if a token came
-    with it; the caller is valid only as long as both proofs are.
+    with it; the caller is valid only as long as both proofs are valid.
     """
 
     kind: CallerKind

@@ -45,7 +45,7 @@ DEFAULTS: Mapping[Quota, int] = {
     Quota.CPU_PERCENT: 50,
     Quota.GROUPS: 7500,  # of the 10,000 of a directory
     # Of the 100,000 of a directory. A mailbox takes the room of a queue, and 40,000 mailboxes and 150,000 queues leave
-    # room for others.
+    # room for other callers.
     Quota.PEERS: 40_000,
     Quota.BYTES_ARCHIVED: LIMIT_MAX,  # a host with an archive sets its own limit
 }

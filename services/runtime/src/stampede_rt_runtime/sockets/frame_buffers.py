@@ -23,7 +23,7 @@ PLACE_BYTES = 2**18
 
 To read 256 KiB takes about 0.1 ms."""
 BUFFERS_KEPT = 4
-"""The buffers of former frames that the port keeps for the next ones.
+"""The buffers of former frames that the port keeps for the next frames.
 
 New memory for each frame would be filled with zeros first, and cost a page fault for each 4 KiB.
 """
@@ -67,7 +67,8 @@ class FrameBuffers:
         return bytearray(frame_bytes)
 
     def give_back(self, buffer: bytearray) -> None:
-        """Keep the buffer of a frame for later frames. `buffer` leaves it out while somebody has a view of it.
+        """Keep the buffer of a frame for later frames. `buffer` leaves a kept buffer out while somebody has a view of
+        it.
 
         asyncio and uvloop have a view of it until they have returned from the call that completed the frame.
         """

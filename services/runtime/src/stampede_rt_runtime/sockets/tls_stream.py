@@ -31,7 +31,7 @@ class HandshakeSteps:
         self._is_due = False
 
     def add(self, machine: str, step: Callable[[], object]) -> None:
-        """Call `step` soon, after the earlier ones of its machine."""
+        """Call `step` soon, after the earlier steps of its machine."""
         self._lines.setdefault(machine, deque()).append(step)
         if not self._is_due:
             self._is_due = True

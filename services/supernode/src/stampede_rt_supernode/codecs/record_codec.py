@@ -1,4 +1,4 @@
-"""Converts channels from and to their messages, and changes of the directory to theirs. Makes no decisions."""
+"""Converts channels from and to their messages, and changes of the directory to their messages. Makes no decisions."""
 
 from __future__ import annotations
 

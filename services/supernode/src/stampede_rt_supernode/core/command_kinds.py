@@ -36,8 +36,8 @@ class CommandKind(Generic[Op, Done]):
     result: type[Done]
     # The level that the cluster must have before it may use the command; see `cluster.feature_levels`.
     feature_level: int
-    # The id or name of the thing that the operation concerns. A request with the operation id of an earlier one must
-    # have the same subject.
+    # The id or name of the thing that the operation concerns. A request with the operation id of an earlier request
+    # must have the same subject.
     subject: Callable[[Op], str]
     # The checks that need no state. A command that passes fits in a log entry. Raises InvalidName or InvalidArgument.
     check: Callable[[Op], None] = _check_nothing

@@ -24,7 +24,8 @@ def check_not_late(
     `thing`: its kind and name; it must not exist now. `as_of_index`: the log position of the
     supernode's state when it received the request; 0 if it is unknown, and then the check passes. `frees`: whether a
     result means that the name became free. O(entries since the request). The directory knows of a deletion for as long
-    as it keeps the answer. A request is also late if the directory has forgotten answers that are newer than it.
+    as it keeps the answer. A request is also late if the directory has forgotten answers that are newer than the
+    request.
     """
     if as_of_index == 0:
         return

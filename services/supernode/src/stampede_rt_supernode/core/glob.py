@@ -10,7 +10,7 @@ from stampede_rt_supernode.core.validation import check_glob
 
 
 def matcher(glob: str) -> Callable[[str], bool]:
-    """Returns a function that returns whether a name matches `glob`. Every name matches an empty `glob`.
+    """Returns a function that says whether a name matches `glob`. Every name matches an empty `glob`.
 
     The function takes time in proportion to the name's length times the number of stars, at most. Raises
     InvalidArgument for an invalid pattern.

@@ -64,7 +64,7 @@ def host_page(
 ) -> HostPage:
     """Up to `hosts_max` (0: PAGE_SIZE_MAX) hosts after `after_key`. O(all hosts).
 
-    `include_dead`: returns also those hosts without a lease that still own a channel or queue, or whose lease ended at
+    `include_dead`: returns also hosts without a lease that still own a channel or queue, or whose lease ended at
     `lost_since` (Unix nanoseconds) or later.
     """
     limit = min(hosts_max or PAGE_SIZE_MAX, PAGE_SIZE_MAX)

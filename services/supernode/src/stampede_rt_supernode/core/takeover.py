@@ -54,7 +54,7 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
         if successor is not None:
             incarnation = channel.incarnation
             if not _lost_nothing(tables, channel, successor):
-                incarnation = (channel.incarnation + 1) % 2**64 or 1  # the first was random; later ones count up
+                incarnation = (channel.incarnation + 1) % 2**64 or 1  # the first number is random; later ones ascend
             after = replace(channel, host_id=successor.host_id, epoch=channel.epoch + 1, incarnation=incarnation)
             give_owner(tables, channel, after)
             inherited += [channel.channel_id] if isinstance(channel, ChannelRecord) else []

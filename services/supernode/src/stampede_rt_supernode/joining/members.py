@@ -1,4 +1,4 @@
-"""The supernodes as this one sees them: the members of the log, and their states."""
+"""The supernodes as this supernode sees them: the members of the log, and their states."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ class Members:
     def refused(self) -> Mapping[str, str]:
         """By id: the trouble of each member in trouble, and the member that reports it.
 
-        These are members whose stores this one refuses, or whose states are in doubt. This supernode itself is among
-        them if others refuse it, its state differs, or its disk does not answer.
+        These are members whose stores this supernode refuses, or whose states are in doubt. This supernode itself is
+        among them if others refuse it, its state differs, or its disk does not answer.
         """
         status = self._log.status()
         refusals = {name: f"{why} (says {status.self_id})" for name, why in status.refused.items()}

@@ -36,7 +36,7 @@ class ProbeResult:
 
 
 class Probe:
-    """Probes every member but this one, over one connection for each.
+    """Probes every member except this supernode, over one connection for each.
 
     `explain` may give a better reason than gRPC for a failed connection to a member.
     """
@@ -50,7 +50,7 @@ class Probe:
     ) -> None:
         self._log = log
         self._explain = explain
-        self._logged: dict[str, str] = {}  # address -> the last logged reason why the member refuses this one
+        self._logged: dict[str, str] = {}  # address -> the last logged reason why the member refuses this supernode
         self._dial = dial
         self._channels: dict[str, grpc.aio.Channel] = {}
         self._findings: dict[str, ProbeResult] = {}

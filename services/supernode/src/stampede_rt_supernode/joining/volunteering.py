@@ -1,4 +1,4 @@
-"""Asks the members to let this supernode in, until it is a member. Runs after `stampede supernode join`."""
+"""Asks the members to let this supernode join, until it is a member. Runs after `stampede supernode join`."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from stampede_rt_supernode.replication.interface import Member
 
 MEMBERS_MAX = 9
-# How many ids of former members, and how many used tickets, a configuration remembers: the latest ones.
+# A configuration remembers this many ids of former members and this many used tickets: the latest of each.
 RETIRED_MAX = 512
 SPENT_MAX = 512
 

@@ -238,7 +238,8 @@ class ReplicatedLog(Protocol):
         """
 
     async def take_snapshot(self, *, timeout: float) -> TakenSnapshot:
-        """Write a snapshot that covers every entry that is applied now. If the last snapshot does, return that one.
+        """Write a snapshot that covers every entry that is applied now. If the last snapshot covers them all, return
+        that snapshot.
 
         Raises LogUnavailable. Even then the log may still write the snapshot.
         """

@@ -67,7 +67,7 @@ class ReplicationSettings:
     replica, which they will add. As soon as the log has a configuration, that configuration counts instead. `data_dir`
     is the folder of this replica's store; None keeps everything in memory, for development. `create` allows a new store
     in a folder without one. Use False if a store must exist, because a member that lost its disk must come back under a
-    new id. The members of one cluster have the same `cluster_id`, and refuse callers with another one. At most
+    new id. The members of one cluster have the same `cluster_id`, and refuse callers with another id. At most
     `proposals_max` commands and `reads_max` reads wait. The log takes a snapshot when it has more than
     `snapshot_every_entries` entries, or when the last snapshot is more than `snapshot_every_seconds` old. A leader
     sends a snapshot in pieces of `snapshot_piece_bytes`. `inbox_items_max` messages and `inbox_bytes_max` bytes of each

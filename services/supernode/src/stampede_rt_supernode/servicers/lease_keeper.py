@@ -82,7 +82,7 @@ class LeaseKeeper:
         # The log position of the last mark of time, and when this leader first saw the mark, or began to lead.
         self._last_mark = self._marked_nanos = 0
         # The id that the founder gave the cluster. In a restored cluster, whether callers of the former cluster may go
-        # over to this one.
+        # over to this cluster.
         self.founding_cluster_id, self.takes_over = "", False
         # Whether the cluster keeps everything in memory. If the first leader makes the cluster's id, the id shows this.
         self.in_memory = False
@@ -94,7 +94,7 @@ class LeaseKeeper:
             await asyncio.sleep(TICK_SECONDS)
 
     async def tick(self) -> None:
-        """As the leader, take over the leases at first, then end the due leases.
+        """As the leader, take over the leases first, and then end the due leases.
 
         Drop all leases if another supernode leads.
 

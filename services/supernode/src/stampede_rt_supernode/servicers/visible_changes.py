@@ -10,7 +10,7 @@ from stampede_rt_supernode.core.records import ChannelRecord, DirectoryChange, G
 
 
 def visible_to_caller() -> Callable[[DirectoryChange], bool]:
-    """Returns a function that returns whether the caller gets a change.
+    """Returns a function that decides whether the caller gets a change.
 
     The function judges each change by the rules that are in effect when it is called. Every caller gets the changes of
     hosts, and every AccessChange.

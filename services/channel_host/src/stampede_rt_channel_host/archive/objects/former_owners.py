@@ -39,7 +39,7 @@ class FormerOwners:
         return min((one.due for one in self._expected.values()), default=float("inf")) - _clock()
 
     def take_due(self) -> list[MovingFiles]:
-        """The channels for which the caller looks now."""
+        """The channels whose looks are due. The caller looks for their objects now."""
         found = [files for files, one in self._expected.items() if one.due <= _clock()]
         for files in found:
             one = self._expected[files]

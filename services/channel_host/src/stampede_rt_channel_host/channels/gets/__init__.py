@@ -1,1 +1,1 @@
-"""The gets of channels: their streams, the blocked ones, and the answers on their way to the callers."""
+"""The gets of channels: their streams, the blocked gets, and the answers on their way to the callers."""

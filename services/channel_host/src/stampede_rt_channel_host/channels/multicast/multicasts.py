@@ -15,7 +15,8 @@ logger = logging.getLogger(__name__)
 
 
 class Multicasts:
-    """Begins to multicast a channel with its first reader, and ends with its last one. Used on the host's event loop.
+    """Begins to multicast a channel with its first reader, and ends with its last reader. Used on the host's event
+    loop.
 
     `repairs`: the requests of all readers so far for items that no datagram brought.
     """

@@ -100,7 +100,9 @@ class AckWriter:
         return acks
 
     def _on_due(self, at_once: bool) -> None:
-        """Write the acks that have become due. If `at_once` is False, the task does it. It awaits unfinished writes."""
+        """Write the acks that have become due. If `at_once` is False, the task writes them. The task also awaits
+        unfinished writes.
+        """
         if at_once and not self._is_writing:
             self._work.spend_write()
             begun = Begun(self._context.write(self._encode(self._take())))

@@ -113,7 +113,7 @@ class ChannelPuts:
     def announced_together(self) -> Iterator[None]:
         """A block without an await whose runs are announced at its end, once for all of them.
 
-        Give no ack before: a reader must see each item whose put is acknowledged.
+        Give no ack before that end: a reader must see each item whose put is acknowledged.
         """
         announce, accepted_at = self._on_accepted, list[int]()
         self._on_accepted = accepted_at.append

@@ -62,7 +62,7 @@ class MulticastReader:
 
     @property
     def has_asked(self) -> bool:
-        """Whether the reader has asked for a place at which the cursor is not yet."""
+        """Whether the reader has asked for a place that the cursor does not have yet."""
         return self._asked_seq is not None
 
     @property

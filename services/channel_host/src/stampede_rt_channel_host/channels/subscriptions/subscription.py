@@ -75,7 +75,7 @@ class Subscription(ChangeObserver):
             self._news.set_result(True)
 
     def end(self, error: StampedeError) -> None:
-        """The host does not serve the channel any more."""
+        """Note that the host no longer serves the channel."""
         self._stream.end(error)
 
     async def run(self, request: pb.SubscribeRequest) -> None:

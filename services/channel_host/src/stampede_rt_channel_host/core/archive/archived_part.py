@@ -27,7 +27,7 @@ STRADDLING_MAX = 16
 
 
 class ChosenPart(NamedTuple):
-    """The blocks of the next seqs, and other blocks with items of times between theirs.
+    """The blocks of the next seqs, and other blocks with items whose times lie between the times of these blocks.
 
     `end_seq`: the blocks have all archived items below this seq. `following`: the time of the first bucket after all
     these blocks, or None.
@@ -40,7 +40,7 @@ class ChosenPart(NamedTuple):
 
 
 class ArchivedPart(NamedTuple):
-    """The loaded items of the next seqs, with other items of times between theirs."""
+    """The loaded items of the next seqs, with other items whose times lie between their times."""
 
     items: ChannelIndex
     end_seq: int

@@ -25,7 +25,7 @@ from stampede_rt_channel_host.core.channel.values import Query, ReadAnswer
 FIRST_WINDOW_BYTES = 2**18
 WINDOW_BYTES = 2**20
 ANSWER_BYTES = 4 * 2**20
-"""The usual most bytes of the archive in one answer. Its reader asks for the rest of a longer answer."""
+"""One answer usually has at most this many bytes of the archive. The reader asks for the rest of a longer answer."""
 
 
 def resolved(moment: ChannelSnapshot, span: ArchiveSpan, query: Query) -> ResolvedInterval | None:

@@ -105,7 +105,7 @@ def encode_items(runs: Sequence[ArchivedRun]) -> tuple[BlockHead, list[bytes]]:
 
 
 NOTHING_LOST = MIN_INSTANT
-"""The acceptance instant of a gap without seqs that withdraws an earlier one."""
+"""The acceptance instant of a gap without seqs that withdraws an earlier gap."""
 
 
 def encode_gap(first_seq: int, end_seq: int, near: ItemKey, accepted: int) -> tuple[BlockHead, list[bytes]]:
@@ -135,7 +135,7 @@ def decode_advances(content: bytes) -> list[ArchivedAdvance]:
 
 
 def encode_opening(facts: bytes, first_seq: int) -> list[bytes]:
-    """The first block of a segment. `facts`: the shell's own facts, which it finds there again."""
+    """The first block of a segment. `facts`: the shell's own facts, which the shell finds there again."""
     key = (0, 0)
     head = BlockHead(OPENING, crc32(facts), len(facts), 0, 0, first_seq, first_seq, key, key, 0, 0)
     return [encode_head(head), facts]

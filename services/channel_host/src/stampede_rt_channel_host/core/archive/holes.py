@@ -118,7 +118,8 @@ def _last_hole(
 def _neighbours(
     with_items: Sequence[Segment], blocks_of: BlocksOf, taken: Mapping[Segment, Set[int]]
 ) -> Iterator[tuple[Segment | None, Segment | None]]:
-    """The pairs of neighbouring segments with blocks of which the read took the last or the first one.
+    """The pairs of neighbouring segments with blocks, if the read took the last block of the first or the first block
+    of the second segment.
 
     None: there is no such segment. Looks at no other segments, which may be in a store that is away.
     """

@@ -218,7 +218,7 @@ def is_nothing_left(segments: Sequence[Segment], past: Past, *, has_dropped: boo
 
 
 def _lacks_first(segments: Sequence[Segment], past: Past) -> int:
-    """How many items before the next ones the archive lacks, if it has none of that instant."""
+    """How many items the archive lacks before the next items, if it has no item of that instant."""
     if not segments:
         return 0
     next_seq = past.next_seq if past.next_items is None else past.next_items.first_seq

@@ -66,7 +66,7 @@ class Segment(NamedTuple):
 
 
 def scan(read_at: ReadAt, length: int, *, check_contents: bool, begin: int = 0, may_be_torn: bool = True) -> Scan:
-    """All blocks of a segment of `length` bytes, or those from the offset `begin` on.
+    """All blocks of a segment of `length` bytes, or the blocks from the offset `begin` on.
 
     A block that reaches beyond the end is a torn tail. If a head is damaged, the scan searches for the next head. With
     `check_contents`, last blocks with damaged contents also belong to the torn tail: a host that lost its power may

@@ -1,4 +1,4 @@
-"""The seqs at which an owner begins that does not know the seqs of the former owners. Pure.
+"""The seqs at which owners begin if they do not know the seqs of the former owners. Pure.
 
 A host may take a channel over while the object store with its archive is away. Then it begins with the first seq of its
 epoch. This seq is above all seqs of the former owners. The first seq of the next epoch is above all seqs of this owner.

@@ -18,8 +18,8 @@ duties:
   `FedChannel`, and passes each part to `apply`. If it may become the owner (`as_owner`), its feed has the retry window.
 - Housekeeping: the caller calls `collect(now)` at `next_deadline(now)`, and repeats the call while it returns True.
 - Long work: for reads and for the beginning of subscriptions there are methods that work in pieces (`reading`,
-  `polling`, `giving_up`, `subscribing_all`). Others may use the channel between two pieces. The result is as of the
-  first piece.
+  `polling`, `giving_up`, `subscribing_all`). Other calls may use the channel between two pieces. The result is as of
+  the first piece.
 - Counts: the caller calls `counters(now)`, and `reject_malformed` for items that never became an offer.
 
 "After each change" means after every put that accepted an item, every advance and every configure. Waiting puts are

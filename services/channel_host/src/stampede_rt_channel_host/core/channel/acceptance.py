@@ -176,7 +176,7 @@ class Acceptance:
         return InFuture(text, metadata=_offset(time, clock))
 
     def _too_old(self, time: int, duration: int, length: int, clock: int) -> TooOld | None:
-        """The error of an item that is too old, or None if the item is not."""
+        """The error of an item that is too old, or None if the item is not too old."""
         why = self._below_promises(time) or self._outdated(time, duration, length, clock)
         if why is None:
             return None

@@ -1,8 +1,8 @@
 """Index entries in the order of one of their numbers. Pure.
 
-Nearly all entries come in order, leave in order, and are few in a search. This list makes these steps short, where a
-sorted list of a library takes several times as long (decision 0232). It keeps the entries in chunks, so that an entry
-that comes late moves at most the references of one chunk.
+Nearly all entries come in order and leave in order, and a search reads few entries. This list makes these steps short,
+where a sorted list of a library takes several times as long (decision 0232). It keeps the entries in chunks, so that an
+entry that comes late moves at most the references of one chunk.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ class OwnerFactsFeed:
         return self._window.is_level
 
     def is_complete(self, now: int) -> bool:
-        """Whether the copy has all facts. If places have changed since the last round, begins another one."""
+        """Whether the copy has all facts. If places have changed since the last round, begins another round."""
         self._next_round = min(self._next_round, now)
         has_places = self._round is None and self._places_now() == self._sent
         return has_places and self._window.is_level and self._counts_now() == self._sent_counts

@@ -51,7 +51,9 @@ class Reading:
         self.consumed_up_to: int | None = None  # the latest time of a consumed item: the channel has passed this time
 
     def note_loss(self, lost_before: int | None) -> None:
-        """Items before this instant may be lost; None: an archive has all items of the earlier incarnation."""
+        """Note that items before this instant may be lost; None: an archive has all items of the earlier
+        incarnation.
+        """
         self._lost_before = lost_before
 
     def now(self, clock: int) -> int:

@@ -221,7 +221,7 @@ class _Taking:
         self._slices.append(one)
 
     def _note_next_time(self, one: Slice) -> None:
-        """With overlap, an item that the test leaves out may end the span of an item before it."""
+        """Note the time of an item that the test leaves out: with overlap it may end the span of an item before it."""
         taken = self._slices[-1] if self._slices else self._taken_before()
         if taken is None:
             return

@@ -1,4 +1,4 @@
-"""Finds the item of a usual read without a walk: the item at an instant, and the newest one. Pure."""
+"""Finds the item of a usual read without a walk: the item at an instant, and the newest item. Pure."""
 
 from __future__ import annotations
 

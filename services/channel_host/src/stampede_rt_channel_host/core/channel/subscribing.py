@@ -50,7 +50,7 @@ class AllCursor:
         """Make the cursor.
 
         `owed` are the ranges of owed seqs below `live_seq`, ascending. All seqs from `live_seq` on are owed, too. Of
-        the items with seqs below `begun_seq`, only those at or above the key `low` belong to the subscription.
+        the items with seqs below `begun_seq`, only items at or above the key `low` belong to the subscription.
         `losses`: the losses of items that the reader has yet to hear of, at their places.
         """
         self._owed_before = owed

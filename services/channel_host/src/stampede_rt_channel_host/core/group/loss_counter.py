@@ -53,7 +53,7 @@ class LossCounter:
             if came_above is None:
                 came_above = _items(above_key(held, self._low, self.next_seq, next_seq))
             left = self._owed + came_above - given_above
-        elif held.floor >= low:  # all held items lie above `low`; those from `next_seq` on are not counted in `_owed`
+        elif held.floor >= low:  # all held items lie above `low`; items from `next_seq` on are not counted in `_owed`
             left = held.items - _items(held.slices_by_seq(next_seq, held.next_seq))
         else:
             left, self.lowest_seq = _owed(held, low, next_seq)

@@ -123,8 +123,8 @@ class OwnTimes:
 class KnownTimes:
     """A host's knowledge of one channel. `silent_since` and `known_until` are instants of that host's clock.
 
-    The channel had no put and no advance from `silent_since` to `known_until`. Later ones are not known yet. If
-    `known_until` is None, the host owns the channel and always knows.
+    The channel had no put and no advance from `silent_since` to `known_until`. Later puts and advances are not known
+    yet. If `known_until` is None, the host owns the channel and always knows.
     """
 
     times: ChannelTimes

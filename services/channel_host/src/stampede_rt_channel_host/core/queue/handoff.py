@@ -170,7 +170,7 @@ def _ranges(seqs: Iterable[int]) -> list[SeqRange]:
 
 
 def _joined(ranges: Iterable[SeqRange]) -> list[SeqRange]:
-    """The ranges, ascending, with those joined that have no gap between them."""
+    """The ranges, ascending. Ranges without a gap between them are joined."""
     found: list[SeqRange] = []
     for one in ranges:
         if found and found[-1].last + 1 == one.first:

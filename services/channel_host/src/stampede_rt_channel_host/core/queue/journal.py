@@ -108,7 +108,7 @@ class QueueJournal:
     def surely_takes(self, step: QueueStep) -> bool:
         """Whether `apply` cannot fail: this is the next step, and the copy holds each message that the step changes.
 
-        False if it takes a longer look.
+        False also if only a longer look would find out.
         """
         changed = (*(one.seq for one in step.changes.items), *step.removed)
         new = {seq for seq in changed if self._queue_items.tracked.get(seq) is None}

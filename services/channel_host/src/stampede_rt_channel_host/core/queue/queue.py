@@ -160,7 +160,7 @@ class QueueCore:
         self._queue_items.tally.rejected_malformed += 1
 
     def reject_overloaded(self, items: int) -> None:
-        """Count messages that were refused because a limit of the host or of its waiting line is reached."""
+        """Count messages that were refused because a limit of the host or of the queue's waiting line is reached."""
         self._queue_items.tally.rejected_overloaded += items
 
     def reject_too_large(self) -> None:

@@ -87,7 +87,7 @@ def open_channel(tables: Tables, operation: OpenChannel) -> ChannelOpened:
 def open_unchanged(tables: Tables, operation: OpenChannel) -> ChannelOpened | None:
     """The answer to `operation` if it changes nothing; otherwise None.
 
-    Raises the errors of `open_channel`, except those for a missing host or for a full directory or host.
+    Raises the errors of `open_channel`, except the errors for a missing host or for a full directory or host.
     """
     check_open(operation)
     channel = tables.channel_named(operation.name)

@@ -73,7 +73,7 @@ def open_group(tables: Tables, operation: OpenGroup, *, has_shares: bool = True)
 def open_group_unchanged(tables: Tables, operation: OpenGroup) -> GroupOpened | None:
     """The answer to `operation` if the group exists; None if it does not.
 
-    Raises the errors of `open_group`, except those about its channels and about a lack of room.
+    Raises the errors of `open_group`, except errors about its channels and about a lack of room.
     """
     check_open_group(operation)
     group = tables.groups.named(operation.name)

@@ -1,11 +1,11 @@
 """Gives a channel or queue to another host that holds all its items (paper, section 4.1). Pure.
 
 The caller holds everything that the owner accepted, and the owner accepts nothing more until the epoch changes. So one
-entry decides: the first CommitMove of an epoch counts, and each later one of that epoch is refused. The former owner
-keeps its items until the new owner removes it from the directory as a copy. If the new owner is lost before that, the
-former owner becomes the owner again. If the new owner held a replica, the former owner becomes a replica in its place.
-The former owner holds everything, so it stays in sync. The former owner of a queue is never a fallback. It stays as a
-replica if the new owner held one.
+entry decides: the first CommitMove of an epoch counts, and each later CommitMove of that epoch is refused. The former
+owner keeps its items until the new owner removes it from the directory as a copy. If the new owner is lost before that,
+the former owner becomes the owner again. If the new owner held a replica, the former owner becomes a replica in its
+place. The former owner holds everything, so it stays in sync. The former owner of a queue is never a fallback. It stays
+as a replica if the new owner held one.
 
 The directory does not rely on what the host says: the owner's permit must say that the host holds everything, see
 `move_permits`.

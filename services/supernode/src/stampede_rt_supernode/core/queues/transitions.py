@@ -66,7 +66,7 @@ def open_queue(tables: Tables, operation: OpenQueue) -> QueueOpened:
 def open_queue_unchanged(tables: Tables, operation: OpenQueue) -> QueueOpened | None:
     """The answer to `operation` if it changes nothing; otherwise None.
 
-    Raises the errors of `open_queue`, except those about a lack of room or of a host.
+    Raises the errors of `open_queue`, except errors about a lack of room or of a host.
     """
     check_open_queue(operation)
     queue = tables.queues.named(operation.name)

@@ -1,6 +1,6 @@
 """Our log, snapshots and transport, in the form that the library expects.
 
-The names in camelCase, one of them misspelt, are the library's public ones.
+The names in camelCase, one of them misspelt, are public names of the library.
 """
 
 # ruff: noqa: N802, N803, N815

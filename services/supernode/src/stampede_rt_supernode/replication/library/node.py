@@ -237,7 +237,7 @@ class LibraryNode:
         """A member has sent its view of the members. The library needs no action."""
 
     def on_disputed(self, member_id: str, why: str) -> None:
-        """A member refuses this one's store, or accepts it again. The library needs no action."""
+        """A member refuses this node's store, or accepts it again. The library needs no action."""
 
     def on_introduced(self, member: Member) -> None:
         """An unknown node has said that it is a member. The library needs no action."""
@@ -248,7 +248,7 @@ class LibraryNode:
 
     def _applyCommand(self, command: bytes, callback: Any, commandType: int | None = None) -> None:
         # The library calls this for a command of this member and for a command that another member has forwarded. Only
-        # the forwarded one begins with the byte of its kind.
+        # the forwarded command begins with the byte of its kind.
         if self.state_machine.takes(command if commandType is not None else command[1:]):
             super()._applyCommand(command, callback, commandType)  # type: ignore[misc]
         else:

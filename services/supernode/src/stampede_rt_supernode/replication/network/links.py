@@ -65,7 +65,7 @@ class PeerLinks:
         self._ending: set[asyncio.Task[None]] = set()
         self._deliver: Callable[[NetworkEvent], None] | None = None
         self._introduce: Introduce | None = None
-        # The members that refuse this one until a person acts, and their reasons.
+        # The members that refuse this member until a person acts, and their reasons.
         self.refusals = Refusals()
         # When this member last asked the others whether they accept it, on the monotonic clock.
         self._others_asked_at = float("-inf")
@@ -137,7 +137,7 @@ class PeerLinks:
                 self.on_refusal_confirmed(self.refusals.why)
 
     def _count(self, refusals: Refusals, member_id: str, why: str, what_follows: str) -> bool:
-        """Note in `refusals` that a member refuses this one. Returns True if only now a refusal there is confirmed.
+        """Note in `refusals` that a member refuses this member. Returns True if only now a refusal there is confirmed.
 
         `what_follows`: the beginning of a sentence for the log, such as OUTDATED_FOLLOWS.
         """
@@ -155,9 +155,9 @@ class PeerLinks:
         return is_confirmed and not was_confirmed
 
     def _ask_the_others(self, refusals: Refusals) -> None:
-        """Send a new hello to each member that has not refused this one.
+        """Send a new hello to each member that has not refused this member.
 
-        Only a new hello makes a member accept or refuse this one.
+        Only a new hello makes a member accept or refuse this member.
         """
         now = time.monotonic()
         if now - self._others_asked_at > ASK_OTHERS_SECONDS:

@@ -61,5 +61,5 @@ class Refusals:
         return self.confirmed is not None
 
     def accepted(self, member_id: str) -> bool:
-        """Note that a member accepts this one. Returns whether that member refused this one before."""
+        """Note that a member accepts this member. Returns whether the other member refused this member before."""
         return self.by.pop(member_id, None) is not None

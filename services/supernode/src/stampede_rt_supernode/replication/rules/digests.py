@@ -5,7 +5,7 @@ So each replica finds out whether most members have the same state.
 Replicas apply the same commands in the same order. So they reach the same state, as long as they agree on the effect of
 each command. But a release that does not know a command refuses it, and the log does not show the difference.
 
-The leader names a position for a while. The members answer with their digests at that position. The leader tells all
+The leader names a position for a while. The members answer with their digests at that position. The leader sends all
 members the digest that more than half of them have. A member with another digest has diverged, even if it leads. While
 no digest has a majority, a member that differs from the leader is only in doubt (decision 0111). Pure.
 

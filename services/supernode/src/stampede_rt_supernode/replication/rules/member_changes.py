@@ -31,7 +31,7 @@ from stampede_rt_supernode.replication.rules.member_change import (
 )
 from stampede_rt_supernode.replication.rules.membership import Membership
 
-# The leader gives up a newcomer that has made no progress for this time, so that others can join.
+# The leader gives up a newcomer that has made no progress for this time, so that other newcomers can join.
 STALLED_SECONDS = 30.0
 # A newcomer that has made no progress for this time gives way to another newcomer that asks. A newcomer that the leader
 # has given up before gives way without delay, until it makes progress.

@@ -272,7 +272,7 @@ class Membership(NodeState):
         return self.log.configurations.current
 
     def held_by(self, member_id: str) -> int:
-        """The position up to which a member or the learner has acknowledged this leader's log; 0 for others."""
+        """The position up to which a member or the learner has acknowledged this leader's log; 0 for other members."""
         node = self.transport.find_node(member_id)
         return 0 if node is None else self.match_index.get(node, 0)
 

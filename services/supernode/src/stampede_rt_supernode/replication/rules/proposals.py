@@ -73,7 +73,7 @@ class Proposals:
         heapq.heappush(self._deadlines, (proposal.deadline, self._sequence, proposal))
 
     def advance(self, *, leader_reachable: bool, now: float) -> None:
-        """Give up the proposals whose time is over. If the leader is reachable, submit the waiting ones."""
+        """Give up the proposals whose time is over. If the leader is reachable, submit the waiting proposals."""
         while self._deadlines and (self._deadlines[0][0] <= now or self._deadlines[0][2].finished):
             self._expire(heapq.heappop(self._deadlines)[2])
         for _ in range(len(self._waiting)):

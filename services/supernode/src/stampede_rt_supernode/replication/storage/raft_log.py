@@ -69,7 +69,9 @@ class RaftLog:
         self._dirty = False
 
     def track_members(self, base: Configuration) -> None:
-        """Set the configuration that was in effect before the first entry, and read the later ones from the entries."""
+        """Set the configuration that was in effect before the first entry, and read the later configurations from the
+        entries.
+        """
         self.configurations = Configurations(base)
         for entry in self._entries:
             self._note_configuration(entry)
@@ -79,7 +81,7 @@ class RaftLog:
             self.configurations.note(entry.log_index, decode_configuration(entry.command))
 
     def append(self, command: bytes, log_index: int, term: int) -> None:
-        """Append an entry. `log_index` must follow the last held one."""
+        """Append an entry. `log_index` must follow the index of the last held entry."""
         if self._entries and log_index != self._entries[-1].log_index + 1:
             raise AssertionError(f"entry {log_index} does not follow {self._entries[-1].log_index}")
         self._entries.append(Entry(command, log_index, term))
@@ -151,7 +153,7 @@ class RaftLog:
             self._promises_changed = True
 
     def _bounded(self, promises: dict[str, Promise]) -> dict[str, Promise]:
-        """The promises, without the oldest ones of non-members if there are too many."""
+        """The promises. If there are too many, leaves out the oldest promises of non-members."""
         members = {member.member_id for member in self.configurations.known_members()}
         others = [member_id for member_id in promises if member_id not in members]
         for member_id in others[: max(0, len(promises) - PROMISES_MAX)]:
@@ -186,7 +188,7 @@ class RaftLog:
         )
 
     def sendable_from(self, log_index: int, bytes_max: int) -> list[Entry]:
-        """The sendable entries from a position on, up to and including the one that reaches `bytes_max`."""
+        """The sendable entries from a position on, up to and including the entry that reaches `bytes_max`."""
         found, size, first = [], 0, self.first_sendable
         kept = islice(self._kept, max(0, log_index - first), None)
         held = islice(self._entries, max(0, log_index - first - len(self._kept)), None)

@@ -107,8 +107,8 @@ class SnapshotReceiver:
 
         Returns the last entry that the snapshot covers, as soon as the state machine and the log have taken the
         snapshot over. Until then returns None. A snapshot that ends at or before `newer_than` is dropped, because it
-        would undo applied entries. Raises UnreadableSnapshot for an invalid snapshot, or one of a later term than
-        `term_max`, and ReleaseTooOld. Then the log is unchanged.
+        would undo applied entries. Raises UnreadableSnapshot for an invalid snapshot, or for a snapshot of a later term
+        than `term_max`, and ReleaseTooOld. Then the log is unchanged.
         """
         opening = self._opening
         if opening is None or not opening.decoded.done():

@@ -71,7 +71,7 @@ class SnapshotKeeper:
         """Continue to take the snapshot under way.
 
         Returns None unless the snapshot ends in this step. If the log adopts the snapshot, returns the entry before the
-        last one that the snapshot covers: it is now the log's first entry. If a leader has sent a newer snapshot
+        last entry that the snapshot covers: it is now the log's first entry. If a leader has sent a newer snapshot
         meanwhile, drops its own, and returns that entry of the dropped snapshot.
 
         Another thread encodes the snapshot. Then each step writes one piece, so that no step takes long. The trailer

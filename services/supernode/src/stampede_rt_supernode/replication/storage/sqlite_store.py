@@ -128,7 +128,7 @@ class SqliteStore:
         self._path = data_dir / DATABASE_NAME
         # The number of commits so far. The file beside the database has it, too (see watermark.py).
         self._commits = 0
-        # Whether there may be pieces of earlier snapshots, of this process or a killed one.
+        # Whether there may be pieces of earlier snapshots, of this process or of a killed process.
         self._has_old_pieces = True
         existed = holds_store(data_dir)
         if not existed and not create:

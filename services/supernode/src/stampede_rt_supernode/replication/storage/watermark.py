@@ -1,7 +1,7 @@
 """The number of commits of a store, in a file beside the database.
 
 SQLite treats a damaged frame of its write-ahead log as the end of the log, and reports no error: committed entries are
-lost in silence. So the store counts its commits, and writes their number to the database and to this file. If the
+lost without notice. So the store counts its commits, and writes their number to the database and to this file. If the
 number in the database is lower than the number in the file, the database is damaged.
 
 The store syncs the file about once a second, and not at every commit. After a power failure the number in the file may

@@ -54,7 +54,7 @@ class WorkerThread:
         return self._executor.submit(_giving_way, work)
 
     def close(self) -> None:
-        """Begin no more work. Does not wait for the work that has begun: nobody uses its result."""
+        """Begin no more work. Does not wait for the work that has begun: no code uses its result."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 

@@ -41,7 +41,7 @@ class StreamOpened:
 
 @dataclass(frozen=True, slots=True)
 class StreamEnded:
-    """A member's stream to this one has ended, and no newer one has replaced it."""
+    """A member's stream to this one has ended, and no newer stream has replaced it."""
 
     member_id: str
 
@@ -126,7 +126,7 @@ class BufferedTransport:
     """The incoming and outgoing messages of one node. Tick thread only."""
 
     def __init__(self, nodes: Iterable[MemberNode]) -> None:
-        # The known members. Others are neither heard nor sent to.
+        # The known members. The node neither hears other nodes nor sends to them.
         self._nodes: dict[str, MemberNode] = {node.id: node for node in nodes}
         # Members to which there is a link. They may be unknown, because links come and go a little later than members.
         self._connected: set[str] = set()
@@ -200,11 +200,11 @@ class BufferedTransport:
         return outbox
 
     def node(self, member_id: str) -> MemberNode:
-        """The node of a member that this node hears. Raises KeyError for others."""
+        """The node of a member that this node hears. Raises KeyError for other members."""
         return self._nodes[member_id]
 
     def find_node(self, member_id: str) -> MemberNode | None:
-        """The node of a member that this node hears; None for others."""
+        """The node of a member that this node hears; None for other members."""
         return self._nodes.get(member_id)
 
     def add_node(self, node: MemberNode) -> None:
