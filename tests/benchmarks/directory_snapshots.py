@@ -89,7 +89,7 @@ class Alone:
                 return
             self.step()
             time.sleep(0.001)  # as a supernode's own thread, which waits for arrivals
-        raise AssertionError("it did not happen")
+        raise AssertionError("the awaited event did not happen")
 
     def forget(self) -> None:
         self.longest_wall = self.longest_cpu = 0.0

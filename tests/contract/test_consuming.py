@@ -144,7 +144,7 @@ def subscribed(channel: Any) -> Any:
 
     async def subscribe(item: st.Item) -> None:
         async with channel.subscribe(after=item):
-            raise AssertionError("it is refused")
+            raise AssertionError("the subscription is refused")
 
     return subscribe
 

@@ -358,10 +358,10 @@ class OracleFollower:
         assert all(before is not None and one.time < before for one in late)
         seqs = [one.seq for one in new + late]
         assert len(set(seqs)) == len(seqs)
-        assert set(seqs) <= self.owed, "nothing twice, and nothing that is not meant for it"
+        assert set(seqs) <= self.owed, "the reader gets each item once, and only items that are meant for it"
         self.owed -= set(seqs)
         gone = self.pass_over(cut)
-        assert not gone & self.visible(cut), "nothing is left out"
+        assert not gone & self.visible(cut), "no item is left out"
         return gone - self.visible(cut)
 
     def visible(self, cut: int) -> set[int]:

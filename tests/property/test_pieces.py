@@ -121,7 +121,7 @@ def test_an_answer_built_in_pieces_shows_the_channel_at_its_first_piece(name: st
                 unfinished += 1
                 found = busy.finish(found.rest)
             assert told(found) == told(expected), f"seed {seed}"
-            assert not busy.channel.look(busy.now)[0]._snapshots, "nothing is held back any more"
+            assert not busy.channel.look(busy.now)[0]._snapshots, "the channel keeps no snapshot any more"
     assert unfinished > SEEDS // 10
 
 
@@ -170,7 +170,7 @@ def test_a_snapshot_gives_the_same_answer_later(name: str) -> None:
                 assert told(later) == told(before), f"seed {seed}"
             else:
                 assert later == before, f"seed {seed}"
-        assert not busy.channel.look(busy.now)[0]._snapshots, "nothing is held back any more"
+        assert not busy.channel.look(busy.now)[0]._snapshots, "the channel keeps no snapshot any more"
     assert min(released.values()) > SEEDS // 10
 
 

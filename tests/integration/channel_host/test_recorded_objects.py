@@ -106,7 +106,7 @@ def test_an_archive_in_an_object_store_equals_one_in_a_folder_and_follows_a_move
     assert got == whole
 
 
-def test_the_next_owner_of_a_channel_serves_what_its_lost_host_had_moved(
+def test_the_next_owner_of_a_channel_serves_the_items_that_its_lost_host_had_moved(
     server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection
 ) -> None:
     channel, began = filled(rt, "rig/lost", "h1")
@@ -169,7 +169,7 @@ def test_live_readers_are_served_while_the_store_is_away_and_doctor_names_the_re
 
 
 @pytest.mark.parametrize("end", ["kill", "stop"])
-def test_a_host_that_starts_while_the_store_is_away_serves_what_it_has_and_catches_up(
+def test_a_host_that_starts_while_the_store_is_away_serves_its_own_items_and_catches_up(
     server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection, end: str
 ) -> None:
     name = f"rig/started-{end}"

@@ -37,7 +37,7 @@ def test_puts_and_gets_open_a_lost_channel_again_and_continue(cluster: LocalClus
     item = channel.put(b"anew")
     assert item.incarnation != before.incarnation
     assert [one.payload for one in channel.get(st.OLDEST, st.NEWEST)] == [b"anew"]
-    assert rt.channel("anew/camera", create=False).info.policy.max_items == 7, "it is set up as it was"
+    assert rt.channel("anew/camera", create=False).info.policy.max_items == 7, "the channel is set up as it was"
     with pytest.raises(st.IncarnationLost):
         channel.newest(after=before)
 

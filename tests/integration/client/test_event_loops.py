@@ -100,7 +100,9 @@ async def test_a_call_that_ends_a_handle_is_refused_on_another_thread(cluster: L
         for _, end in ends:
             await asyncio.to_thread(elsewhere, end)
         await things.channel.put(b"2")
-        assert (await anext(things.subscription)).payload == b"2", "nothing has ended it"
+        assert (await anext(things.subscription)).payload == b"2", (
+            "no call from the other loop has ended the subscription"
+        )
         loop = asyncio.get_running_loop()
         for _, end in ends:
             await asyncio.to_thread(loop.call_soon_threadsafe, end)

@@ -158,7 +158,7 @@ async def test_each_call_in_a_forked_child_of_an_asyncio_program_fails_at_once(c
                 return told
 
             told = in_a_forked_child(in_child)
-            assert told.pop("aclose") == "StopIteration", "it ends without waiting for anything"
+            assert told.pop("aclose") == "StopIteration", "`aclose` ends without waiting for anything"
             assert {name: error for name, error in told.items() if error != "ForkedProcess"} == {}
             after = await camera.put(b"after")
             assert [(await anext(subscription)).payload for _ in range(2)] == [b"before", b"after"]

@@ -52,7 +52,7 @@ def test_after_a_long_outage_all_streams_of_the_program_continue(
         camera, queue, plain = rt.channel("outage/camera"), rt.queue("outage/work"), rt.channel("outage/plain")
         listener = camera.on_item(lambda item: got.append(item.payload))
         camera.put(b"before")
-        wait_until(lambda: got == [b"before"], "the first item")
+        wait_until(lambda: got == [b"before"], "the listener has the first item")
         assert (listener.connected, listener.reconnects) == (True, 0)
         subscription, watch = plain.subscribe(), rt.watch_peers()
         raised: dict[str, BaseException] = {}
@@ -93,7 +93,7 @@ async def test_after_a_long_outage_all_awaited_streams_of_the_program_continue(
         camera, queue = await rt.channel("outage/camera"), await rt.queue("outage/work")
         listener = await camera.on_item(lambda item: got.append(item.payload))
         await camera.put(b"before")
-        await asyncio.to_thread(wait_until, lambda: got == [b"before"], "the first item")
+        await asyncio.to_thread(wait_until, lambda: got == [b"before"], "the listener has the first item")
 
         async def take() -> bytes:
             async for message in queue:

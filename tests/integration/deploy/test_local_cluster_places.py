@@ -51,4 +51,4 @@ def test_two_networks_have_names_and_addresses_of_their_own() -> None:
         assert one.address != other.address
         assert one.namespaces[0].name != other.namespaces[0].name
     with NamespaceNetwork(1) as again:
-        assert again.address == one.address, "nothing was left behind"
+        assert again.address == one.address, "the former networks left nothing behind"

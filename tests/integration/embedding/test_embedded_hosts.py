@@ -46,7 +46,7 @@ def test_other_programs_use_a_channel_of_an_embedded_host_and_continue_when_it_l
                 assert next(items).payload == b"first"
                 incarnation = there.incarnation
         assert [item.payload for item in there.get(st.OLDEST, st.NEWEST)] == [b"first", b"second"]
-        assert (there.host, there.incarnation) == ("h1", incarnation), "its items have moved"
+        assert (there.host, there.incarnation) == ("h1", incarnation), "the items of the embedded host have moved"
         assert "rig-1" not in names_of_hosts(other)
 
 

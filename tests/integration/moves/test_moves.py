@@ -109,7 +109,7 @@ def test_many_moves_in_a_row_neither_lose_nor_repeat_items(rt: Any, channel: Any
         beside.stop()
         end = channel.put(b"end").seq
         for reader in readers:
-            eventually(lambda reader=reader: reader.last == end, "a reader has everything")  # type: ignore[misc]
+            eventually(lambda reader=reader: reader.last == end, "each reader has everything")  # type: ignore[misc]
             assert reader.seqs == [*range(1, end + 1)]
         eventually(lambda: got.seqs and got.seqs[-1] == end, "the blocked gets have everything")
         eventually(lambda: called and called[-1] == end, "the callback has everything")

@@ -88,7 +88,10 @@ def test_puts_that_waited_for_the_disk_are_on_the_disk_of_the_new_host(rt: Any, 
     rt.move(channel, "h2")
     cluster.hosts[1].kill()
     cluster.hosts[1].restart()
-    wait_until(lambda: payloads(read(channel, began, 100 - HELD, 100)) == [*range(100 - HELD, 100)], "it is back")
+    wait_until(
+        lambda: payloads(read(channel, began, 100 - HELD, 100)) == [*range(100 - HELD, 100)],
+        "the restarted host serves the archived items again",
+    )
 
 
 def test_no_move_or_drain_gives_a_recorded_channel_to_a_host_without_an_archive(rt: Any, cluster: LocalCluster) -> None:

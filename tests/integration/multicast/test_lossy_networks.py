@@ -159,7 +159,10 @@ def test_readers_continue_over_their_stream_if_no_datagram_arrives(rig: Rig) -> 
     try:
         first = channel.stats().accepted + 1
         channel.put(payload_of(first))
-        wait_until(lambda: not any(_looked(one).follows for one in readers) or _put(channel), "all have left")
+        wait_until(
+            lambda: not any(_looked(one).follows for one in readers) or _put(channel),
+            "all readers have left the datagrams",
+        )
         channel.put(payload_of(channel.stats().accepted + 1), attributes={"last": "yes"})
         wait_until(lambda: ended(readers), "all readers are at the end")
     finally:

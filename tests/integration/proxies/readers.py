@@ -131,7 +131,9 @@ def produced(channel: Any) -> Iterator[Producing]:
 
 def all_saw(readers: list[Reading], last: int) -> None:
     """Every reader got each item up to `last` once and in order."""
-    wait_until(lambda: all(reader.last >= last or reader.error for reader in readers), f"all have seen seq {last}")
+    wait_until(
+        lambda: all(reader.last >= last or reader.error for reader in readers), f"all readers have seen seq {last}"
+    )
     for reader in readers:
         assert reader.error is None, reader.error
         assert reader.seqs == [*range(reader.seqs[0], last + 1)]

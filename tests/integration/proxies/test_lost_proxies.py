@@ -44,7 +44,7 @@ def test_readers_of_a_killed_proxy_continue_at_the_owner(cluster: LocalCluster) 
         channel = opened(rt)
         rt.proxy(channel, "h2")
         with reading(channel, 6) as readers, produced(channel) as producing:
-            eventually(lambda: has_readers(rt, channel, "h2"), "some are at the proxy")
+            eventually(lambda: has_readers(rt, channel, "h2"), "some readers are at the proxy")
             cluster.hosts[1].kill()
             passes(producing, 100)
             all_saw(readers, producing.stop())
@@ -57,10 +57,10 @@ def test_readers_of_a_frozen_proxy_continue_at_the_owner(cluster: LocalCluster) 
         channel = opened(rt)
         rt.proxy(channel, "h2")
         with reading(channel, 4) as readers, produced(channel) as producing:
-            eventually(lambda: has_readers(rt, channel, "h2"), "some are at the proxy")
+            eventually(lambda: has_readers(rt, channel, "h2"), "some readers are at the proxy")
             with frozen(cluster.hosts[1]):
                 passes(producing, 100)
-                eventually(lambda: channel.stats().subscriptions == 4, "all are at the owner")
+                eventually(lambda: channel.stats().subscriptions == 4, "all readers are at the owner")
                 all_saw(readers, producing.stop())
 
 
@@ -75,7 +75,10 @@ def test_a_proxy_serves_its_readers_while_the_owner_is_frozen(cluster: LocalClus
         with reading(channel, 4) as readers:
             first = channel.put(b"an item").seq
             with frozen(cluster.hosts[0]):
-                eventually(lambda: all(one.last == first for one in readers if one.seqs), "they wait")
+                eventually(
+                    lambda: all(one.last == first for one in readers if one.seqs),
+                    "the readers have the first item, and wait",
+                )
             with produced(channel) as producing:
                 passes(producing, 50)
                 all_saw(readers, producing.stop())
@@ -95,11 +98,12 @@ def test_readers_of_a_proxy_learn_of_the_loss_of_the_owner_and_continue_with_the
             item = channel.put(b"of the next incarnation")
             assert item.incarnation != incarnation
             eventually(
-                lambda: all(isinstance(one.error, st.IncarnationLost) for one in readers), "all hear of the loss"
+                lambda: all(isinstance(one.error, st.IncarnationLost) for one in readers),
+                "all readers hear of the loss",
             )
         if channel.host != "h2":  # otherwise the proxy's host has become the owner, and the proxy has ended
             eventually(lambda: rt.proxies(channel)[0].ready, "the proxy follows the new owner")
-            eventually(lambda: rt.proxies(channel)[0].held == 1, "it has the items of the new incarnation alone")
+            eventually(lambda: rt.proxies(channel)[0].held == 1, "the proxy has only the items of the new incarnation")
         with reading(channel, 4) as readers:
             all_saw(readers, item.seq)
 
@@ -114,7 +118,7 @@ def test_a_proxy_continues_after_a_broken_link(transport: str) -> None:
         channel = rt.channel("cam", max_items=100_000, host=relayed.host)
         rt.proxy(channel, "h1")
         with reading(channel, 4) as readers, produced(channel) as producing:
-            eventually(lambda: has_readers(rt, channel, "h1"), "some are at the proxy")
+            eventually(lambda: has_readers(rt, channel, "h1"), "some readers are at the proxy")
             for how in CUTS:
                 passes(producing, 30)
                 relayed.relay.cut(how)

@@ -93,13 +93,15 @@ def test_subscriptions_spread_over_the_owner_and_the_proxies(rt: Any, channel: A
         def spread() -> list[int]:
             return [channel.stats().subscriptions, *(one.subscriptions for one in rt.proxies(channel))]
 
-        eventually(lambda: sum(spread()) == 9 and max(spread()) - min(spread()) <= 2, "about three at each")
+        eventually(
+            lambda: sum(spread()) == 9 and max(spread()) - min(spread()) <= 2, "each copy has about three readers"
+        )
 
 
 def test_a_subscription_that_wants_the_owner_stays_there(rt: Any, channel: Any) -> None:
     rt.proxy(channel, "h2")
     with reading(channel, 4, stale_ok=False):
-        eventually(lambda: channel.stats().subscriptions == 4, "all are at the owner")
+        eventually(lambda: channel.stats().subscriptions == 4, "all readers are at the owner")
 
 
 def test_no_reader_misses_or_repeats_an_item_while_proxies_are_added_and_removed(rt: Any, channel: Any) -> None:
@@ -110,7 +112,7 @@ def test_no_reader_misses_or_repeats_an_item_while_proxies_are_added_and_removed
             eventually(lambda: all(one.subscriptions for one in rt.proxies(channel)), "readers have moved there")
             passes(producing, 30)
             rt.remove_proxy(channel, host)
-            eventually(lambda: channel.stats().subscriptions == 8, "all are back")
+            eventually(lambda: channel.stats().subscriptions == 8, "all readers are back at the owner")
         all_saw(readers, producing.stop())
 
 
@@ -121,8 +123,11 @@ def test_a_chain_of_proxies_continues_when_its_middle_ends(rt: Any, channel: Any
         with reading(channel, 6) as readers:
             passes(producing, 50)
             rt.remove_proxy(channel, "h2")
-            eventually(lambda: [(one.host, one.source) for one in rt.proxies(channel)] == [("h3", "h1")], "fed by h1")
-            eventually(lambda: rt.proxies(channel)[0].ready, "it serves readers again")
+            eventually(
+                lambda: [(one.host, one.source) for one in rt.proxies(channel)] == [("h3", "h1")],
+                "h1 feeds the proxy at h3",
+            )
+            eventually(lambda: rt.proxies(channel)[0].ready, "the proxy serves readers again")
             passes(producing, 50)
             all_saw(readers, producing.stop())
 
@@ -146,7 +151,9 @@ def test_a_changed_policy_and_the_end_of_the_channel_reach_the_proxies(rt: Any, 
     eventually(lambda: rt.proxies(channel)[0].held == 2, "the proxy holds two items")
     with reading(channel, 4) as readers:
         channel.delete()
-        eventually(lambda: all(isinstance(one.error, st.ChannelNotFound) for one in readers), "all hear of the end")
+        eventually(
+            lambda: all(isinstance(one.error, st.ChannelNotFound) for one in readers), "all readers hear of the end"
+        )
 
 
 def test_puts_and_changes_go_to_the_owner_also_after_reads_from_a_proxy(rt: Any, channel: Any) -> None:
@@ -177,4 +184,7 @@ def test_ended_proxies_keep_no_connections(rt: Any, cluster: LocalCluster) -> No
         for one in channels:
             rt.remove_proxy(one, "h2")
         eventually(lambda: not rt.hosted_channels("h2", "many/*"), "the proxies have ended")
-    eventually(lambda: all(now <= then + 4 for now, then in zip(connections(), before, strict=True)), "all are closed")
+    eventually(
+        lambda: all(now <= then + 4 for now, then in zip(connections(), before, strict=True)),
+        "all connections of the proxies are closed",
+    )

@@ -28,7 +28,9 @@ def test_with_certificates_feeds_use_the_sockets_of_the_other_host_and_nothing_i
         channel = rt.channel("cam", host="h1", replicas=1, ack="replica")
         queue = rt.queue("jobs", host="h1", replicas=1, ack="replica", min_replicas=0)
         eventually(lambda: [one.in_sync for one in channel.stats().copies] == [True], "the replica is in sync")
-        eventually(lambda: [one.in_sync for one in queue.stats().replicas] == [True], "the queue's, too")
+        eventually(
+            lambda: [one.in_sync for one in queue.stats().replicas] == [True], "the queue's replica is in sync, too"
+        )
         assert channel.put(bytes(300_000)).copies == queue.put(b"work").copies == 2
         owner, copy = secured.hosts
         for process in (owner, copy):

@@ -53,7 +53,7 @@ def test_only_a_regular_file_is_replaced_and_nothing_is_fetched_for_another_one(
     asked = responses(BODY + SHA256)
     with pytest.raises(StampedeError, match="not a regular file"):
         write_backup(asked, out)
-    assert next(asked) == FACTS, "nothing was asked for"
+    assert next(asked) == FACTS, "no response was taken"
     assert not out.is_file()
     assert list(tmp_path.iterdir()) == [out]
 

@@ -63,7 +63,7 @@ def restored_at(address: str, backup: Path, folder: Path, *words: str) -> Iterat
     ) as process:
         try:
             assert process.stdout is not None
-            assert process.stdout.readline(), "it ended before it was ready"
+            assert process.stdout.readline(), "the restored supernode ended before it was ready"
             yield process
         finally:
             process.send_signal(signal.SIGTERM)
@@ -119,12 +119,15 @@ def test_hosts_and_front_ends_stay_in_their_cluster_and_lose_no_item(cluster: Lo
             with st.connect(cluster.address) as newcomer:
                 for name, owned in before.items():
                     info = newcomer.channel(name, create=False).info
-                    assert (info.host, info.incarnation, info.epoch) == owned, "it keeps its owner"
+                    assert (info.host, info.incarnation, info.epoch) == owned, "the channel keeps its owner"
                 newcomer.channel("cam/new").put(b"taken by those that live")
             assert "restored is there" in supernode_command("status", "--member", living[0].address)
             # The stranger knows both hosts from the backup. Neither host renews its lease there, so their leases end.
             assert len(asyncio.run(hosts_at(cluster, gone.address, include_dead=True))) == len(cluster.hosts)
-            until(lambda: not asyncio.run(hosts_at(cluster, gone.address, include_dead=False)), "both leases end there")
+            until(
+                lambda: not asyncio.run(hosts_at(cluster, gone.address, include_dead=False)),
+                "both leases end at the stranger",
+            )
             assert len(asyncio.run(hosts_at(cluster, living[0].address, include_dead=False))) == len(cluster.hosts)
 
 

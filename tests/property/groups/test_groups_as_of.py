@@ -78,7 +78,7 @@ def cut_of(small: dict[bytes, ArchivedChannel], as_of: int) -> int | None:
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_a_past_cut_from_archives_that_have_dropped_items_is_right_or_says_what_is_missing(seed: int) -> None:
+def test_a_past_cut_from_archives_that_have_dropped_items_is_right_or_names_the_missing_items(seed: int) -> None:
     draw = random.Random(seed)
     told = {name: tell(draw, advances=True) for name in NAMES}
     large, small = {name: one[0] for name, one in told.items()}, {name: one[1] for name, one in told.items()}

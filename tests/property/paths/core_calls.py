@@ -34,7 +34,7 @@ class Call:
 
     def outcome(self) -> Any:
         """The result or the StampedeError."""
-        assert self._outcomes, "it ought to be done by now"
+        assert self._outcomes, "the call ought to be done by now"
         (outcome,) = self._outcomes
         return outcome if isinstance(outcome, st.StampedeError) else self._convert(outcome)
 

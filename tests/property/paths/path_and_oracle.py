@@ -87,7 +87,7 @@ class PathAndOracle:
             stats: st.ChannelStats = self.surface.do(self.channel.stats)
             if condition(stats):
                 return stats
-        raise AssertionError(f"it never came: {stats}, {self.line}, {self.followers}")
+        raise AssertionError(f"the condition never came true: {stats}, {self.line}, {self.followers}")
 
     def check_counters(self, stats: st.ChannelStats) -> None:
         """Check that the counters and the bounds agree with the oracle's."""

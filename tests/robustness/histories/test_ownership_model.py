@@ -102,7 +102,7 @@ def test_items_that_a_replica_still_has_are_not_lost() -> None:
     lacks_more = [*goes_on[:-1], listed(12, A + 1, (1, b"1"), (3, b"4"))]
     assert judge_items(lacks_more).gone_with_host == 2
     assert "1 items were lost" in early_losses(lacks_more)[0]
-    assert early_losses(lacks_more[:-1]) == [], "no reader has read the items that are there"
+    assert early_losses(lacks_more[:-1]) == [], "no reader has read the items that exist"
     shown = listed(8, A, (1, b"1"), (2, b"2"), (3, b"3"))  # the owner showed item 3, and did not acknowledge it
     lost = [FIRST, SECOND, shown, put(b"4", 10, A + 1, 2), listed(12, A + 1, (1, b"1"), (2, b"4"))]
     assert early_losses(lost) == [], "item 2 was one of the last second"

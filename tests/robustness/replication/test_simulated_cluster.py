@@ -415,7 +415,7 @@ def with_older_member(world: World, *, leads: bool) -> tuple[SimMember, SimMembe
         assert leader.replica is not None
         leader.replica.change_members(HandOver(lambda left: None))
         world.run_until(world.now + 5.0, lambda leader=leader: not _leads(leader))  # type: ignore[misc]
-    raise AssertionError("it was never elected")
+    raise AssertionError("the member was never elected")
 
 
 def _leads(member: SimMember) -> bool:

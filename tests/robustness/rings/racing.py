@@ -62,7 +62,7 @@ def write_on(memory: mmap.mmap, ends: Event, seed: int) -> None:
 
 
 def no_columns(body: bytes) -> Columns:
-    raise AssertionError("a run of several items, which nobody wrote")
+    raise AssertionError("the writer never wrote a run of several items")
 
 
 def read_on(memory: mmap.mmap, ends: Event, found: Any) -> None:

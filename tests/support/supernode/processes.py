@@ -177,7 +177,7 @@ async def attempts() -> AsyncIterator[None]:
     while time.monotonic() < deadline:
         yield
         await asyncio.sleep(0.02)
-    raise AssertionError(f"it did not happen within {PATIENCE_SECONDS} s")
+    raise AssertionError(f"the awaited event did not happen within {PATIENCE_SECONDS} s")
 
 
 async def register(supernode: Supernode, number: int, *, cluster_id: str = "") -> pb.RegisterHostResponse:

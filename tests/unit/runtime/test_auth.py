@@ -127,7 +127,7 @@ def register(server: grpc.aio.Server) -> None:
     """The health service is there anyway; its Watch stands for all methods that need the secret."""
 
     async def never(request: bytes, context: Any) -> bytes:
-        raise AssertionError("nobody here may call it")
+        raise AssertionError("the test must not call this method")
 
     handlers = {"RemoveSupernode": grpc.unary_unary_rpc_method_handler(never)}
     server.add_generic_rpc_handlers(

@@ -136,7 +136,9 @@ def secret(source: ByteSource) -> None:
         file.touch(0o600)
         file.write_bytes(content(source, b"secret-of-the-cluster\nanother\n"))
         values = read_secrets(file)
-        assert all(value.isprintable() for value in values or ()), "a secret travels in a header"
+        assert all(value.isprintable() for value in values or ()), (
+            "a secret must be printable, because it travels in a header"
+        )
         load_secret(file)
 
 

@@ -90,7 +90,7 @@ def test_misused_words_reach_the_terminal_escaped(words: list[str], capsys: pyte
         run(words)
     last = capsys.readouterr().err.rstrip("\n").splitlines()[-1]
     assert last.isprintable()
-    assert "forged" in last, "it does not look like a line of its own"
+    assert "forged" in last, "the forged text does not look like a line of its own"
 
 
 @pytest.mark.parametrize("text", [NO_TEXT, "geheimnüs".encode(), b"with\x1bescape"])

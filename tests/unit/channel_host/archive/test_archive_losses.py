@@ -306,7 +306,7 @@ CLEAN, LOST_ALL, LOST_PART = (None, None), (500, None), (500, 4)  # `lost_before
         (((1, 5), (FIRST, FIRST + 4), (start_of(3), start_of(3) + 4)), 2, CLEAN, "COLLECTED"),
     ],
 )
-def test_a_read_before_the_first_item_of_a_later_epoch_says_what_has_become_of_the_earlier_ones(
+def test_a_read_before_the_first_item_of_a_later_epoch_says_why_earlier_items_are_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bounds: tuple[tuple[int, int], ...], dropped: int,
     loss: tuple[int | None, int | None], expected: str,
 ) -> None:  # fmt: skip

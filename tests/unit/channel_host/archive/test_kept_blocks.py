@@ -94,7 +94,7 @@ def test_only_a_short_window_in_memory_is_read_without_a_thread(
     found = files.load_at_hand(segments, one, decode)
     assert found is not None
     assert seqs_of(found) == seqs_of(expected) == [4, 5]
-    assert files.load_at_hand(segments, ALL, decode) is None, "it has 30 blocks"
+    assert files.load_at_hand(segments, ALL, decode) is None, "the read needs 30 blocks"
 
     def away(*_: object) -> int:
         raise BlockingIOError

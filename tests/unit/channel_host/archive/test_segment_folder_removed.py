@@ -50,7 +50,7 @@ def test_no_write_counts_and_no_read_says_lost_while_the_folder_of_the_archive_i
             write(files, 3, 1)
         with pytest.raises(OSError, match="channels is missing") as refused:
             seqs(files, before)
-        assert not isinstance(refused.value, FileNotFoundError), "a read is not tried again for it"
+        assert not isinstance(refused.value, FileNotFoundError), "the caller does not repeat the read after this error"
     (tmp_path / "elsewhere").rename(folder)
     assert seqs(files, write(files, 3, 1)) == [1, 2, 3, 4]
     files.close(None)

@@ -44,7 +44,9 @@ def test_seqs_that_are_consumed_out_of_order_are_refused_when_the_spare_memory_i
         deque((channel.consume(7, part, LEASE_NANOS) for part in parts), 0)
     spare = memory.bytes_max // CONSUMPTION_SHARE
     assert 0 < memory.used_bytes - memory.bytes_max <= spare
-    assert spare - (memory.used_bytes - memory.bytes_max) <= 32 * CONSUMED_RANGE_BYTES, "all of it can be used"
+    assert spare - (memory.used_bytes - memory.bytes_max) <= 32 * CONSUMED_RANGE_BYTES, (
+        "the consumer can use all of the spare memory"
+    )
 
 
 def test_a_consumer_that_consumes_in_order_is_accepted_although_the_memory_is_used_up() -> None:

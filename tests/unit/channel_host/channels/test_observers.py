@@ -136,4 +136,4 @@ async def test_a_removed_observer_is_neither_woken_nor_ended() -> None:
     assert pieces == MANY // OBSERVERS_PER_PIECE - 1
     assert book.woken == [*range(MANY - 1)]
     assert [reader.error is None for reader in book.readers] == [False] * (MANY - 1) + [True]
-    assert late.error is None, "it came after the end"
+    assert late.error is None, "this reader came after the end"

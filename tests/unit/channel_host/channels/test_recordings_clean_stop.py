@@ -261,7 +261,7 @@ def test_the_name_of_the_object_tells_all_about_a_clean_stop(stop: CleanStop) ->
 
 
 @pytest.mark.parametrize("name", ["", "x", "1_2_x_x_x.stopped", "000000001_2_x_x.stopped", "000000001_2_x_x_x.segment"])
-def test_an_object_with_another_name_tells_nothing(name: str) -> None:
+def test_an_object_with_another_name_says_nothing_about_the_stop(name: str) -> None:
     assert stop_named(name) is None
 
 

@@ -241,7 +241,7 @@ async def test_a_short_share_gives_a_shorter_ring_and_a_longer_one_when_there_is
     assert host.hosted.ring is not None
     assert host.hosted.ring.fit.data_bytes == 6 * MIB
     host.put(bytes(1_000_000))
-    assert host.hosted.ring is not None, "it takes runs of a quarter of its data"
+    assert host.hosted.ring is not None, "a ring takes runs of up to a quarter of its data"
     host.memory.bytes_max = 2**30
     host.rings.review(asyncio.get_running_loop().time() + REVIEW_SECONDS)
     assert host.hosted.ring is None

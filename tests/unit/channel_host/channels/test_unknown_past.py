@@ -47,7 +47,7 @@ async def taken_over(path: Path, store: FakeStore) -> Owner:
 
 
 @pytest.mark.asyncio
-async def test_the_new_owner_serves_what_it_has_and_says_what_it_does_not_know_yet(tmp_path: Path) -> None:
+async def test_the_new_owner_serves_its_items_and_refuses_reads_of_a_past_that_it_does_not_know(tmp_path: Path) -> None:
     store = FakeStore()
     await left(tmp_path / "a", store)
     store.failure = "connection refused"

@@ -10,7 +10,7 @@ from stampede_rt_channel_host.cluster.identity import HomeCluster
 
 def test_a_host_refuses_the_callers_of_another_cluster(tmp_path: Path) -> None:
     home = HomeCluster(tmp_path)
-    assert home.judge("anybody") is None, "it is of no cluster yet, and has nothing"
+    assert home.judge("anybody") is None, "the host is of no cluster yet, and has nothing"
     home.note("x")
     refused = home.judge("y")
     assert isinstance(refused, WrongCluster)

@@ -48,7 +48,7 @@ def test_an_idle_channel_is_held_and_handed_over_at_once() -> None:
     source.now += IDLE_NANOS
     source.feed.take(source.now, MOST_BYTES)
     assert source.handing_over.due(source.now) is not None
-    assert source.handing_over.due(source.now) is None, "only once"
+    assert source.handing_over.due(source.now) is None, "the message is due only once"
 
 
 def test_the_outcomes_that_the_hold_notes_are_in_the_copy_before_the_channel_is_handed_over() -> None:

@@ -239,7 +239,9 @@ def test_one_caller_with_very_many_producers_displaces_only_its_own(bounds: dict
         window.record(producer_id, 1, accepted(1, producer_id), owner="good")
     for producer_id in range(1000, 3000):
         window.record(producer_id, 1, accepted(1, producer_id), owner="hostile")
-    assert all(window.find(one, 1, 1, now=0) is not None for one in range(1, 11)), "they were silent longest"
+    assert all(window.find(one, 1, 1, now=0) is not None for one in range(1, 11)), (
+        "the good producers stay, although they were silent longest"
+    )
     assert window.find(1000, 1, 1, now=0) is None
     assert window.find(2999, 1, 1, now=0) is not None
     assert len(window) <= 200 or window.footprint_bytes <= 100_000

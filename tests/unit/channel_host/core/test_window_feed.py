@@ -96,7 +96,7 @@ def test_a_copied_window_takes_over_the_entry_of_its_owner_if_the_two_differ() -
         window.find(1, 4, 2, 2)
 
 
-def test_a_put_that_the_window_has_forgotten_is_no_put_to_take() -> None:
+def test_a_put_that_left_the_window_is_not_taken_into_the_copy() -> None:
     """The host's clock may go on by more than the window keeps, while a write of the feed is under way."""
     window = RetryWindow()
     feed = WindowFeed(window, None)

@@ -31,14 +31,14 @@ def passed(member: RemoteMember, instant: int) -> bool:
 
 async def test_a_match_waits_for_the_archived_items_of_an_idle_member() -> None:
     member = RemoteMember(b"m" * 16, 0)
-    assert not passed(member, 5), "its host has not answered"
+    assert not passed(member, 5), "the member's host has not answered"
     member._take(OPENED)
     assert not passed(member, 5)
     member._take(items(1, 4))
     assert passed(member, 4)
     assert not passed(member, 5), "more items may come from the archive"
     member._take(PROGRESS)
-    assert passed(member, 10**9), "it has no more items"
+    assert passed(member, 10**9), "the archive has no more items"
     assert not member.has_passed(10**9, 0, is_idle=False)
 
 

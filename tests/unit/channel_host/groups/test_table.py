@@ -62,7 +62,7 @@ async def test_a_group_that_loses_members_deletes_their_state_and_looks_at_no_ot
         table.board.hear(channel(number), ChannelTimes(1, 1, NOW), 0, NOW)
     known.walks = 0
     table.adopt(table.groups[(7).to_bytes(16)], told(7, 8))
-    assert table.board.find(channel(7)) is not None, "another group has it"
+    assert table.board.find(channel(7)) is not None, "another group has the channel"
     table.forget((6).to_bytes(16))
     assert table.board.find(channel(7)) is None
     assert table.board.find(channel(8)) is not None

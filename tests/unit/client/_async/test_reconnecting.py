@@ -73,7 +73,7 @@ async def test_an_outage_of_any_length_ends_with_the_stream_open_and_counted_onc
     await one.open(opening)
     assert len(opening.allowed_s) == 5001
     assert clock.now_s > 3600
-    assert max(clock.slept) <= 1.0, "it looks again at least each second"
+    assert max(clock.slept) <= 1.0, "the client tries again at least each second"
     assert (one.reconnects, one.connected) == (1, True)
 
 

@@ -153,7 +153,7 @@ async def until_handed_over(taker: Taker) -> None:
         if taker._credit < credit and len(taker._waiting) < waiting:
             return
         await asyncio.sleep(0)
-    raise AssertionError("nothing came")
+    raise AssertionError("no waiting caller has got a message")
 
 
 async def seq_of(get: Any) -> int:

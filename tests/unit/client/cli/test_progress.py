@@ -17,6 +17,6 @@ def test_without_a_known_total_the_progress_line_is_the_text_within_the_width() 
 
 
 def test_nothing_is_written_if_standard_error_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    with shown_progress(lambda: pytest.fail("nobody looks")):
+    with shown_progress(lambda: pytest.fail("no progress may be asked for")):
         pass
     assert capsys.readouterr() == ("", "")

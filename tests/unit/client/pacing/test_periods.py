@@ -129,7 +129,7 @@ async def test_a_cancelled_sampled_function_has_failed(caplog: pytest.LogCapture
         await task
 
     async def put(value: int, timeout_s: float) -> None:
-        raise AssertionError("nothing is returned")
+        raise AssertionError("the sampler must put nothing")
 
     made = sampler(clock, session, sample, put)
     assert await made.join(10)

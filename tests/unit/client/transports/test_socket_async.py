@@ -209,13 +209,13 @@ async def test_a_response_is_taken_in_the_turn_in_which_it_comes_if_the_user_wai
         call.at_once = take
         far.socket.sendall(frame_of(FrameKind.MESSAGE, b"early"))
         await until(lambda: bool(call._came))
-        assert await anext(call) == b"early", "nobody waited for it when it came"
+        assert await anext(call) == b"early", "no caller waited for the message when it came"
         reading = asyncio.ensure_future(anext(call))
         await asyncio.sleep(0)
         for message in (b"one", b"last"):
             far.socket.sendall(frame_of(FrameKind.MESSAGE, message))
             assert await asyncio.to_thread(far.message) == b"answer to " + message
-        assert await asyncio.wait_for(reading, 20) == b"last", "it was not taken"
+        assert await asyncio.wait_for(reading, 20) == b"last", "`at_once` has not taken the last message"
         assert taken == [b"one", b"last"]
 
 

@@ -77,7 +77,7 @@ async def test_a_host_that_greets_gets_the_stream(connect: Connect, listening: s
         assert route.tcp.address == "127.0.0.1"
         assert connected.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         timeout_millis = connected.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
-        assert timeout_millis == 0, "it would end the stream of a put that waits for room, although the host lives"
+        assert timeout_millis == 0, "a limit would end the stream of a put that waits for room, although the host lives"
 
 
 async def test_a_port_without_a_greeting_delays_no_stream_and_is_used_after_it_greets(

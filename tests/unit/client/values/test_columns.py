@@ -120,7 +120,7 @@ def test_an_item_object_is_created_on_first_access() -> None:
     assert make.made == 1
     assert [one.seq for one in found[10:13]] == [11, 12, 13]
     assert make.made == 4
-    assert [*found][150] is item, "a program may have decoded its value"
+    assert [*found][150] is item, "the columns keep the item, because a program may have decoded its value"
     before = make.made
     assert [*found][150] is item
     assert make.made == before

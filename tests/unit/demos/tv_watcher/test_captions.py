@@ -17,7 +17,7 @@ def test_a_caption_over_the_loops_end_says_so_and_names_the_longer_part():
     assert caption_text(5 * SECOND, LOOP, SECOND) == f"00:05.00 {SCENES[0].text} (the clip starts again)"
 
 
-def test_a_caption_that_ends_with_the_loop_does_not_speak_of_the_next():
+def test_a_caption_that_ends_with_the_loop_does_not_mention_the_next_loop():
     assert "again" not in caption_text(LOOP - SECOND, LOOP, SECOND)
 
 

@@ -94,7 +94,7 @@ async def ended(call: Any) -> Exception:
         await call.read()
     except grpc.aio.AioRpcError as error:
         return from_rpc_error(error, "it")
-    raise AssertionError(f"it did not end with an error: {await call.code()}")
+    raise AssertionError(f"the call did not end with an error: {await call.code()}")
 
 
 async def test_a_port_without_the_rules_serves_no_caller_that_needs_a_rule(

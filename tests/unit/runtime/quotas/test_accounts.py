@@ -56,10 +56,10 @@ def test_held_amounts_are_summed_and_a_sum_of_zero_is_deleted() -> None:
 def test_a_refused_waiting_call_uses_up_nothing() -> None:
     one = account(waiting_calls=1, bytes_in_flight=5)
     with pytest.raises(Overloaded), one.waiting(6):
-        raise AssertionError("it must not wait")
+        raise AssertionError("the call must not wait")
     assert used(one) == {}
     with one.waiting(5), pytest.raises(Overloaded), one.waiting(0):
-        raise AssertionError("it must not wait")
+        raise AssertionError("the call must not wait")
     assert used(one) == {}
 
 

@@ -195,7 +195,7 @@ def test_the_debt_of_a_step_counts_at_the_end_of_the_step() -> None:
     assert busy.must_wait
     loop.works(busy, 1)
     loop.now += 2 * BURST_NANOS
-    assert not busy.must_wait, "it was counted twice"
+    assert not busy.must_wait, "the debt was counted twice"
 
 
 def test_a_caller_with_an_unlimited_share_never_waits() -> None:

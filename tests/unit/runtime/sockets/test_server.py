@@ -104,7 +104,9 @@ async def test_a_method_may_answer_messages_as_they_arrive_and_reads_the_unanswe
             await stream.send(FrameKind.MESSAGE, message)
             assert await stream.message() in (message, b"at once: " + message)
         await stream.send_bytes(frame_of(FrameKind.MESSAGE, b"a") + frame_of(FrameKind.MESSAGE, b"b"))
-        assert [await stream.message(), await stream.message()] == [b"a", b"b"], "two together go to the method"
+        assert [await stream.message(), await stream.message()] == [b"a", b"b"], (
+            "two messages that come together go to the method"
+        )
         await stream.send(FrameKind.MESSAGE, b"short")
         assert await stream.message() == b"at once: short"
         await stream.send(FrameKind.END)

@@ -24,7 +24,7 @@ def test_a_machine_that_uses_up_its_share_does_not_affect_others() -> None:
     assert unopened.has_room_for("10.0.0.4")
     other: Any = Connection("10.0.0.4")
     unopened.add(other)
-    assert not unopened.has_room_for("10.0.0.5"), "all together are bounded, too"
+    assert not unopened.has_room_for("10.0.0.5"), "the connections of all machines together are bounded, too"
     for _ in range(2):
         unopened.discard(held[0])
     assert len(unopened) == 3

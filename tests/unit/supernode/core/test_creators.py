@@ -144,7 +144,7 @@ def test_groups_and_peers_have_no_quota_below_the_feature_level_of_these_quotas(
     channel = log.directory.tables.channel_ids["c"]
     assert not isinstance(log.apply(by("cam", open_group("g", (channel,)), 0)), Refused)
     assert not isinstance(log.apply(by("cam", register_peer(1), 0)), Refused)
-    assert log.directory.tables.peers.creators["cam"] == 0, "a replica of an earlier release does not count it"
+    assert log.directory.tables.peers.creators["cam"] == 0, "a replica of an earlier release does not count the peer"
 
 
 def test_a_state_read_from_a_snapshot_has_the_same_counts() -> None:

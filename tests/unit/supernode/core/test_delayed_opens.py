@@ -53,7 +53,7 @@ async def open_and_delete(node: Node, request: pb.OpenChannelRequest) -> None:
     made = await node.open("cam")
     index = node.log.index
     assert (await node.stub.OpenChannel(request)).channel == made.channel
-    assert node.log.index == index, "answered without an entry"
+    assert node.log.index == index, "the directory answered without an entry in the log"
     gone = pb.DeleteChannelRequest(request_id=id_of(6), channel_id=made.channel.channel_id)
     await node.stub.DeleteChannel(gone)
 

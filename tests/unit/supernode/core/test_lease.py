@@ -175,7 +175,7 @@ def test_very_many_leases_are_looked_at_and_ended_a_part_at_a_time(monkeypatch: 
         assert CountedHolder.seen - before <= 4 * LOOKS_MAX
         before = CountedHolder.seen
     assert pass_time(table, 0, TTL - SECOND) == []
-    assert looks == 0, "none of them can be due"
+    assert looks == 0, "none of the leases can be due"
     ended: set[bytes] = set()
     while due := table.due(TTL):
         assert looks <= LOOKS_MAX
@@ -195,7 +195,7 @@ def test_a_holder_that_has_registered_again_keeps_its_lease(table: LeaseTable) -
     assert table.due(2 * TTL - 1) == []  # all other leases got a full TTL, because the leader had not looked
     assert (again.host_id, 1, 9) in pass_time(table, 2 * TTL - 1, 4 * TTL)
     table.note_gone(again.host_id, 8)
-    assert not table.renew(again, 4 * TTL), "its end is proposed"
+    assert not table.renew(again, 4 * TTL), "the leader has proposed the lease's end"
 
 
 def test_a_leader_that_resigns_frees_its_leases_in_pieces() -> None:

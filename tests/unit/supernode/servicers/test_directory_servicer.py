@@ -234,7 +234,7 @@ async def test_a_request_with_an_unknown_value_gets_invalid_argument(node: Node,
         request_.create = True
     error = await reason_of(getattr(node.stub, method)(request_))
     assert error.reason in ("INVALID_ARGUMENT", "INVALID_NAME")
-    assert node.log.index == 3, "nothing of it came into the log"
+    assert node.log.index == 3, "nothing of the request came into the log"
 
 
 async def test_ping_returns_the_clock_the_id_and_the_readiness_of_the_supernode(node: Node) -> None:

@@ -58,7 +58,9 @@ async def test_pages_of_every_size_have_each_visible_thing_once_and_tokens_name_
 async def test_a_page_needs_one_confirmed_read_and_is_of_one_log_position() -> None:
     calls = Calls()
     page = await listed("", 0, calls)
-    assert (calls.confirmed, page.applied_index) == (1, 1), "the first: later changes come by a watch"
+    assert (calls.confirmed, page.applied_index) == (1, 1), (
+        "the position is the first one, because later changes come by a watch"
+    )
     assert calls.reads == len(NAMES) / listing.JUDGED_PER_TURN + 0.5
 
 

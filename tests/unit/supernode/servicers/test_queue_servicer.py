@@ -59,7 +59,9 @@ async def test_an_existing_queue_is_opened_without_an_entry_in_the_log(node: Nod
     second = await node.queues.OpenQueue(open_request(2, "jobs", create=False))
     assert (second.queue, second.created) == (first.queue, False)
     assert (await reason_of(node.queues.OpenQueue(open_request(3, "jobs", max_items=6)))).reason == "QUEUE_EXISTS"
-    assert await node.queues.OpenQueue(open_request(1, "jobs", max_items=5)) == first, "created, as it was then"
+    assert await node.queues.OpenQueue(open_request(1, "jobs", max_items=5)) == first, (
+        "the answer says that the queue was created, as the first answer did"
+    )
     assert (await reason_of(node.queues.OpenQueue(open_request(4, "none", create=False)))).reason == "QUEUE_NOT_FOUND"
     assert node.log.index == index
 

@@ -71,7 +71,7 @@ async def test_an_existing_group_is_opened_without_an_entry_in_the_log(node: Nod
     assert (await node.groups.OpenGroup(bare)).group == first.group
     assert (await reason_of(node.groups.OpenGroup(open_request(4, "pair", left)))).reason == "GROUP_EXISTS"
     repeated = await node.groups.OpenGroup(open_request(1, "pair", left, right))
-    assert repeated == first, "created, as it was then"
+    assert repeated == first, "the answer says that the group was created, as the first answer did"
     assert node.log.index == index
 
 

@@ -12,7 +12,7 @@ from stampede_rt_channel_host.archive.objects.known_objects import Known, KnownO
 URL = "s3://bucket/a prefix"
 
 
-def test_a_list_of_objects_shows_what_was_added_and_removed(tmp_path: Path) -> None:
+def test_a_list_of_objects_shows_the_additions_and_removals(tmp_path: Path) -> None:
     known = KnownObjects(tmp_path, URL)
     assert known.read() is None
     known.add({"a": 1})  # there is no list yet to which this object could be added

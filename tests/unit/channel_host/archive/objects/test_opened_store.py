@@ -101,7 +101,7 @@ async def test_the_error_for_wrong_credentials_is_clear_and_does_not_show_the_se
     with pytest.raises(SettingsError, match=r"--archive: .*s3://archives/x.*AWS_ACCESS_KEY_ID") as caught:
         await check_store(OpenedStore(f"s3://{BUCKET}/x"))
     assert server.environment["AWS_SECRET_ACCESS_KEY"] not in str(caught.value)
-    assert "<" not in str(caught.value), "it has the code and the message of the store, and no XML"
+    assert "<" not in str(caught.value), "the error has the code and the message of the store, and no XML"
 
 
 @pytest.mark.parametrize("variable", ["AZURE_STORAGE_ACCOUNT_KEY", "AZURE_STORAGE_ACCOUNT_NAME"])

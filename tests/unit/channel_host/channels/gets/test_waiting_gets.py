@@ -224,7 +224,7 @@ async def test_cancelled_gets_are_removed_from_the_list_of_waiting_gets() -> Non
     before, kept_before = timers(), kept_gets()
     ahead = Query(interval=parse_interval(START + S, MAX_INSTANT))
     gets = [blocked.block(number, (NEWEST, ahead)[number % 2], 3600 * S) for number in range(10_000)]
-    assert timers() - before == 2, "one for time limits, one for instants"
+    assert timers() - before == 2, "one timer is for time limits, and one for instants"
     for get in gets:
         get.cancel()
         get.cancel()

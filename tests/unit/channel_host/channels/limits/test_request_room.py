@@ -100,10 +100,10 @@ async def test_unfinished_large_requests_leave_room_for_the_requests_of_producer
     async with uploads(RequestRooms()) as some:
         for number in range(12):
             await some.begin(f"large {number}", f"hostile {number % 3}", REQUEST_BYTES_MAX)
-        assert len(some.under_way) == 3, "as many as fit into one half"
+        assert len(some.under_way) == 3, "as many requests as fit into one half of the room"
         for number in range(40):
             await some.begin(f"joined {number}", "good", JOINED_BYTES_MAX)
-        assert len(some.under_way) == 3 + 32, "one caller gets half of the other half"
+        assert len(some.under_way) == 3 + 32, "one caller gets half of the other half of the room"
         assert some.room.used_bytes <= ROOM_BYTES
 
 

@@ -129,8 +129,8 @@ async def test_a_put_that_may_wait_for_room_is_passed_to_the_stream() -> None:
     async with stream_of("Put", **policy) as (stream, channel):
         assert stream.send(put_of(channel, 1)) == []
         assert acks_in(await stream.until_written(1))[0].first_seq == 1
-        assert stream.send(put_of(channel, 2)) == [], "there is no room"
-        assert stream.send(put_of(channel, 3)) == [], "the second put comes first"
+        assert stream.send(put_of(channel, 2)) == [], "the channel has no room"
+        assert stream.send(put_of(channel, 3)) == [], "the second put must be answered first"
 
 
 async def test_a_put_between_the_pieces_of_another_request_is_refused() -> None:

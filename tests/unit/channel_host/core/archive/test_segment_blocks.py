@@ -92,7 +92,7 @@ def test_only_the_runs_that_a_read_needs_are_decoded() -> None:
 
     content = b"".join(parts[1:])
     archive.decode_items(head, content, decode, TimeRange(start=500, end=515, overlap=0))
-    assert decoded == [49, 50, 51, 52], "with the bucket before and the one after"
+    assert decoded == [49, 50, 51, 52], "with the bucket before the range and the bucket after it"
     decoded.clear()
     archive.decode_items(head, content, decode, TimeRange(start=500, end=500, overlap=25))
     assert decoded == [48, 49, 50]

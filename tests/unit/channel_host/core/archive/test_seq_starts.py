@@ -24,5 +24,5 @@ def test_the_starts_of_the_owners_rise_and_fit_into_63_bits() -> None:
         (start_of(2) + 5, start_of(2) + 9, 4),
     ],
 )
-def test_the_seqs_before_such_a_start_are_no_items(first: int, end: int, given: int) -> None:
+def test_the_seqs_skipped_before_a_start_are_no_items(first: int, end: int, given: int) -> None:
     assert given_between(first, end) == given

@@ -80,7 +80,9 @@ def test_an_item_before_the_newest_collected_bucket_is_too_old_but_one_in_it_is_
 def test_an_item_that_max_age_would_collect_at_once_is_too_old() -> None:
     channel = a_channel(max_age_nanos=100)
     put(channel, CLOCK - 50)
-    assert put(channel, CLOCK - 500).run is not None, "its span reaches to the next item, within the age"
+    assert put(channel, CLOCK - 500).run is not None, (
+        "the item's span reaches to the next item, which is within the age"
+    )
     short = put(channel, CLOCK - 300, durations=[200])
     assert reasons(short.rejections) == [(0, "TOO_OLD")]
     assert isinstance(short.rejections[0].error, TooOld)

@@ -135,7 +135,7 @@ def test_the_end_of_a_large_bucket_is_known_without_a_walk_over_its_items(looked
     looked.slices = 0
     due = channel.next_deadline(CLOCK)
     assert looked.slices <= SLICES_MAX + 10
-    assert due == CLOCK + 50 + 1000, "its spans count up to the next bucket"
+    assert due == CLOCK + 50 + 1000, "the spans of the bucket count up to the next bucket"
     looked.slices = 0
     held, _ = channel.look(CLOCK + 1050)
     assert (held.items, held.collected_end) == (1, CLOCK + 50)

@@ -267,4 +267,4 @@ def test_a_late_item_after_much_was_consumed_during_a_long_read_frees_a_bounded_
     later = CLOCK + AFTER_READS_NANOS
     while channel.next_deadline(later) == later:
         channel.collect(later)
-    assert channel.counters(later).held == 1, "the newest item, which nobody has consumed"
+    assert channel.counters(later).held == 1, "the newest item stays, because no consumer has consumed it"

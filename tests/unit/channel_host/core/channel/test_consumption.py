@@ -32,7 +32,7 @@ def three_items(consumers: int = 2, **policy: int | str) -> ChannelCore:
 def test_an_item_is_collected_when_the_consumer_of_each_place_has_consumed_it() -> None:
     channel = three_items()
     assert channel.consume(ANN, [1, 2], CLOCK).items == 2
-    assert held(channel) == [1, 2, 3], "one place was never taken, and holds all"
+    assert held(channel) == [1, 2, 3], "one place was never taken, and holds all items"
     assert channel.consume(BOB, [1], CLOCK).items == 1
     assert held(channel) == [2, 3]
     assert channel.counters(CLOCK).collected["consumption"] == 1
@@ -167,7 +167,7 @@ def test_the_other_limits_also_collect_items_that_are_not_consumed() -> None:
     put(channel, 40)
     counters = channel.counters(CLOCK)
     assert (counters.collected["count"], counters.collected["consumption"]) == (1, 0)
-    assert channel.consume(ANN, [1, 2], CLOCK).items == 1, "the first was gone"
+    assert channel.consume(ANN, [1, 2], CLOCK).items == 1, "the first item was gone"
 
 
 def test_an_interval_is_still_finished_when_the_item_after_it_is_consumed() -> None:
@@ -187,7 +187,7 @@ def test_a_large_backlog_is_collected_in_small_parts() -> None:
     for first in (2, 4001):
         channel.consume(ANN, range(first, min(first + 4000, 8001)), CLOCK)
     channel.consume(ANN, [1], CLOCK)
-    assert channel.next_deadline(CLOCK) == CLOCK, "there is more to do at once"
+    assert channel.next_deadline(CLOCK) == CLOCK, "the channel has more to collect immediately"
     assert 0 < channel.counters(CLOCK).held < 8000
     while channel.next_deadline(CLOCK) == CLOCK:
         channel.collect(CLOCK)
@@ -260,14 +260,14 @@ def test_consumer_places_can_be_exported_and_imported_as_values() -> None:
 def test_the_window_follows_the_slowest_live_consumer_between_its_two_bounds() -> None:
     channel = a_channel(max_age_nanos=100, max_age_unconsumed_nanos=1000)
     put(channel, CLOCK, CLOCK + 10, CLOCK + 20)
-    assert times_of(get(channel, now=CLOCK + 115).slices) == [CLOCK + 10, CLOCK + 20], "nobody consumes"
+    assert times_of(get(channel, now=CLOCK + 115).slices) == [CLOCK + 10, CLOCK + 20], "the channel has no consumer"
     channel.consume(ANN, [], CLOCK + 115)
     channel.consume(BOB, [2, 3], CLOCK + 115)
     put(channel, CLOCK + 30, now=CLOCK + 115)
     assert held(channel, CLOCK + 500) == [2, 3, 4], "one consumer lags"
     channel.consume(ANN, [2], CLOCK + 500)
     assert held(channel, CLOCK + 500) == [3, 4]
-    assert held(channel, CLOCK + 1030) == [4], "the upper bound holds for everybody"
+    assert held(channel, CLOCK + 1030) == [4], "the upper bound holds for all consumers"
     assert channel.counters(CLOCK + 1030).collected == {"age": 3, "count": 0, "bytes": 0, "consumption": 0}
 
 
@@ -361,7 +361,7 @@ def test_consumers_learn_of_collected_items_in_bounded_parts_and_of_all_before_t
     channel.configure(Policy(consumers=2, max_items=10, max_future_nanos=10**6), CLOCK)
     held, _ = channel.look(CLOCK)
     assert held.items == 10
-    assert held.report_gone(1), "there is more to tell"
+    assert held.report_gone(1), "the channel has more to report"
     assert held.index.has_below(held.floor), "items that consumers have not heard of are not freed"
     parts = 1 + sum(1 for _ in channel.catching_up(CLOCK))
     assert parts > 10
@@ -384,7 +384,9 @@ def test_seqs_consumed_out_of_order_count_as_memory_of_the_channel_as_long_as_it
     channel.collect(CLOCK + 1)
     assert channel.footprint_bytes == items + 2 * CONSUMER_BYTES + 99 * CONSUMED_RANGE_BYTES, "a lease has ended"
     channel.consume(ANN, range(1, 199, 2), CLOCK + 1)
-    assert channel.footprint_bytes == items + 2 * CONSUMER_BYTES, "one range from the first seq on"
+    assert channel.footprint_bytes == items + 2 * CONSUMER_BYTES, (
+        "the consumed seqs are one range from the first seq on"
+    )
 
 
 def test_only_seqs_that_are_next_to_no_consumed_or_collected_ones_need_memory() -> None:

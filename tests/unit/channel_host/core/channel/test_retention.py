@@ -180,7 +180,7 @@ def test_a_flow_of_runs_copies_no_rest_of_a_run_and_a_channel_at_rest_does() -> 
     for number in range(8):  # the limit is not a multiple of the run: from the third put on, one item of a run is left
         now = CLOCK + number
         channel.put(Offer(times=None, durations=None, lengths=(1000,) * 8), now, lambda *_: bytes(8000))
-    assert cuts == [(7, 8)], "only the third put has freed nothing else"
+    assert cuts == [(7, 8)], "only the third put has freed no whole run"
     full_bytes = channel.footprint_bytes
     channel.next_deadline(CLOCK + 8)
     assert cuts == [(7, 8)] * 2

@@ -159,7 +159,9 @@ def test_a_channel_of_a_lost_host_gets_a_new_owner_epoch_and_incarnation(log: Lo
     assert not after.created
     assert (after.channel.channel_id, after.channel.epoch) == (before.channel_id, before.epoch + 1)
     assert after.channel.incarnation == 78
-    assert id_of(1) not in log.directory.tables.hosts, "nothing remembers a host that owns nothing and is gone"
+    assert id_of(1) not in log.directory.tables.hosts, (
+        "the directory has no record of a host that owns nothing and is gone"
+    )
 
 
 def test_the_incarnation_changes_even_if_the_random_number_equals_the_old_one(log: Log) -> None:
@@ -190,7 +192,9 @@ def test_an_update_changes_only_the_stated_fields_and_checks_the_whole_policy(lo
 
 def test_whether_items_overlap_is_fixed_when_the_channel_is_created(log: Log) -> None:
     opened(log, "cam/left")
-    assert refused(log, "cam/left", overlap_nanos=5).reason == "CHANNEL_EXISTS", "not even while it is provisional"
+    assert refused(log, "cam/left", overlap_nanos=5).reason == "CHANNEL_EXISTS", (
+        "the overlap is fixed even while the channel is provisional"
+    )
     channel = opened(log, "scenes", overlap_nanos=5).channel
     assert (
         opened(log, "scenes").channel.policy == opened(log, "scenes", overlap_nanos=5).channel.policy == channel.policy

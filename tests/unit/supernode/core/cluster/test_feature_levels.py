@@ -158,7 +158,7 @@ async def test_the_leader_raises_the_feature_level_only_when_all_members_have_re
     assert newer.feature_level == NEW_LEVEL
     index = log.index
     await keeper.tick()
-    assert log.index == index, "it is raised once"
+    assert log.index == index, "the level is raised once"
 
 
 async def test_a_follower_does_not_raise_the_feature_level() -> None:

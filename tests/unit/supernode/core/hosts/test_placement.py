@@ -64,7 +64,7 @@ def test_a_new_channel_avoids_a_host_whose_memory_is_full() -> None:
     note(log, {1: HostLoad(held_bytes=990, bytes_max=1000), 2: HostLoad(busy_permille=2000)})
     assert opened_at(log, "new") == "host-2"
     note(log, {2: HostLoad(held_bytes=999, bytes_max=1000)})
-    assert opened_at(log, "another") in ("host-1", "host-2"), "if all are full, one of them gets it"
+    assert opened_at(log, "another") in ("host-1", "host-2"), "if all hosts are full, one of them gets the channel"
 
 
 def test_opens_between_two_reports_spread_over_the_hosts() -> None:
@@ -73,7 +73,7 @@ def test_opens_between_two_reports_spread_over_the_hosts() -> None:
     found = Counter(opened_at(log, f"cam/{number}") for number in range(40))
     assert found["host-2"] >= 8
     assert found["host-3"] >= 8
-    assert found["host-1"] > found["host-2"], "the idle host gets most"
+    assert found["host-1"] > found["host-2"], "the idle host gets most channels"
 
 
 @given(hosts=st.integers(1, 6), opens=st.integers(0, 60), busy=st.integers(0, 1000))
@@ -275,4 +275,4 @@ def test_a_host_without_reports_counts_with_its_own_channels() -> None:
     tables.hosts[id_of(1)] = replace(tables.hosts[id_of(1)], load=None)  # as of a host whose release makes no reports
     note(log, {2: HostLoad(busy_permille=100)})
     found = Counter(opened_at(log, f"c/{number}") for number in range(40))
-    assert min(found.values()) >= 15, "neither gets all"
+    assert min(found.values()) >= 15, "neither host gets all channels"

@@ -145,7 +145,7 @@ def test_a_lost_host_that_registers_or_leaves_is_no_longer_reported_as_lost(log:
     lost(log, 1)
     assert not registered(log, register(1)).is_lost
     lost(log, 2)
-    assert isinstance(log.apply(deregister(2, boot=9)), Refused), "another process may not say so"
+    assert isinstance(log.apply(deregister(2, boot=9)), Refused), "another process of the host may not deregister it"
     log.apply(deregister(2))
     assert set(log.directory.tables.hosts) == {id_of(1)}
     assert log.directory.tables.lost == set()
@@ -172,7 +172,7 @@ def test_the_number_of_lost_hosts_is_limited_and_all_replicas_forget_the_same_on
     log.time_unix_nano = 40
     lost(log, 4)
     assert log.directory.tables.lost == {id_of(1), id_of(4)}
-    assert channel.host_id in log.directory.tables.hosts, "it owns a channel still"
+    assert channel.host_id in log.directory.tables.hosts, "the host still owns a channel"
     restored = decode_snapshot(encode_snapshot(log.directory))
     assert restored.tables.lost == log.directory.tables.lost
     assert restored.tables.hosts == log.directory.tables.hosts

@@ -130,7 +130,9 @@ def test_a_peer_with_the_proof_takes_over_the_name_and_the_mailbox(log: Log) -> 
 def test_a_restarted_process_needs_the_proof_to_register_the_same_peer_id(log: Log) -> None:
     enter(log, 7, "planner")
     assert refusal(log, register_peer(7, "planner", boot=2)).reason == "PEER_EXISTS"
-    assert refusal(log, register_peer(7, boot=2)).reason == "PEER_EXISTS", "nor may it give the name up"
+    assert refusal(log, register_peer(7, boot=2)).reason == "PEER_EXISTS", (
+        "the process may not give the name up, either"
+    )
     assert enter(log, 7, "planner").mailbox_kept, "the same process may register again"
     enter(log, 8, proof=1)
     assert refusal(log, register_peer(8, boot=2)).reason == "PEER_EXISTS"
@@ -207,7 +209,9 @@ def test_the_directory_keeps_only_the_peers_that_died_last(log: Log, monkeypatch
         end_lease(log, number)
     assert sorted(log.directory.tables.peers.by_id) == [id_of(7), id_of(8)]
     restored = decode_snapshot(encode_snapshot(log.directory))
-    assert list(restored.tables.peers._dead) == [id_of(8), id_of(7)], "in the order in which their leases ended"
+    assert list(restored.tables.peers._dead) == [id_of(8), id_of(7)], (
+        "the dead peers are in the order in which their leases ended"
+    )
 
 
 def test_a_caller_can_change_a_mailbox_but_cannot_delete_it(log: Log) -> None:

@@ -194,7 +194,7 @@ def test_a_queue_waits_for_its_lost_host_and_gets_another_when_it_is_opened(log:
     assert log.directory.tables.queues.named("jobs") == before
     after = queue(log, "jobs", incarnation=5)
     assert (after.epoch, after.incarnation, after.host_id) == (2, 6, id_of(2))
-    assert id_of(1) not in log.directory.tables.hosts, "nothing belongs to it any more"
+    assert id_of(1) not in log.directory.tables.hosts, "nothing belongs to the host any more"
 
 
 def test_a_restarted_host_has_lost_the_messages_of_its_queues(log: Log) -> None:

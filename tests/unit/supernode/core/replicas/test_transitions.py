@@ -109,7 +109,7 @@ def test_the_copies_that_a_removed_proxy_fed_are_fed_by_the_owner(log: Log) -> N
     assert added(log, add_replica(channel_id, 3, source=2)).source_host_id == id_of(2)
     assert log.apply(remove_replica(channel_id, 2)) == ReplicaRemoved()
     assert [(one.host_id, one.source_host_id) for one in copies(log)] == [(id_of(3), id_of(1))]
-    assert log.apply(remove_replica(channel_id, 2)) == ReplicaRemoved(), "an absent one is not an error"
+    assert log.apply(remove_replica(channel_id, 2)) == ReplicaRemoved(), "an absent replica is not an error"
     assert cam(log).proxy_host_ids == (id_of(3),)
 
 

@@ -71,7 +71,7 @@ def test_refusals_by_the_leader_or_most_members_stop_an_old_release_and_leave_it
         links.hear(member_id, refused(knows=1, cluster=2))
     assert links.outdated.confirmed is RefusalGrounds.TOO_OLD
     assert "it knows feature level 1, and the cluster is at level 2 (says s1" in links.outdated.why
-    assert links.done == [], "its store is not disputed, and its folder has no mark"
+    assert links.done == [], "s2's store is not disputed, and its folder has no mark"
     assert not links.refusals.by
 
 

@@ -91,7 +91,7 @@ def test_a_digest_of_an_earlier_position_than_that_of_the_state_is_ignored() -> 
     follower.digests.compare(*leader_at(2).digest())
     assert follower.replica.digest() == (3, b"")
     follower.digests.compare(3, b"")
-    assert follower.replica.digest() == (3, b""), "so is the answer of a leader without a digest"
+    assert follower.replica.digest() == (3, b""), "the answer of a leader without a digest is ignored, too"
     follower.digests.compare(*leader_at(3).digest())
     assert follower.replica.digest() == leader_at(3).digest()
     assert follower.digests.diverged_at == 0

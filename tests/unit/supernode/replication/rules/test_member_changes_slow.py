@@ -66,7 +66,7 @@ def test_a_new_member_that_was_refused_as_too_slow_makes_room_for_another(
     leader.add(SLOW)
     leader.let_pass(2 * GIVES_WAY_SECONDS, progress_of=SLOW)
     [refused] = leader.add(OTHER)
-    assert "slow is joining" in str(refused), "it makes progress, and has time left"
+    assert "slow is joining" in str(refused), "the newcomer makes progress, and has time left"
     leader.let_pass(JOIN_SECONDS_MAX, progress_of=SLOW)
     again = leader.add(SLOW)
     leader.let_pass(3, progress_of=SLOW)

@@ -67,7 +67,7 @@ class Alone:
                 return
             self.now += 0.1
             self.replica.step()
-        raise AssertionError("it did not happen")
+        raise AssertionError("the awaited event did not happen")
 
     def propose(self, text: bytes) -> None:
         before = len(self.outcomes)
