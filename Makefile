@@ -77,8 +77,9 @@ fuzz-ports: setup  ## all RPCs of a host, its TCP port, a supernode and a front-
 race-rings: setup  ## readers and the writer of a ring in shared memory at the same time, for 5 minutes, each payload with a checksum
 	$(RUN)/python -m tests.robustness.rings.racing $${STAMPEDE_RACE_SECONDS:-300}
 
-kill-moves: setup  ## kill -9 and SIGSTOP of source, destination and leader at each step of moves of channels and queues: about an hour
-	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/moves/test_real_processes.py tests/robustness/moves/test_real_replicas.py
+kill-moves: setup  ## kill -9 and SIGSTOP of source, destination and leader at each step of moves, and cuts of streams at any byte: about an hour
+	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/moves/test_real_processes.py tests/robustness/moves/test_real_replicas.py \
+		tests/robustness/moves/test_cut_streams.py
 	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/takeovers/test_queue_moves_at_each_step.py
 
 kill-uploads: setup  ## kill -9 at each of the 34 steps in which a segment moves to an object store, or a host stops (needs Go): about 8 minutes

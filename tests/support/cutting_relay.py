@@ -8,10 +8,10 @@ import random
 import socket
 import struct
 import threading
-from collections.abc import Awaitable, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from contextlib import AsyncExitStack
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple
 
 CHUNK_BYTES = 64 * 1024
 Cut = Literal["reset", "close", "half"]
@@ -21,9 +21,9 @@ CUTS: tuple[Cut, ...] = ("reset", "close", "half")
 class CuttingRelay:
     """Forwards every connection from the ports to their targets, on a separate thread. A context manager.
 
-    `targets`: the host and port behind each port. Any thread may call `cut`. "reset" ends all connections with RST,
-    "close" with FIN. "half" forwards a part of the next chunk, so that a frame is incomplete, and then resets. While
-    `refuses` is True, the relay resets new connections at once.
+    `targets`: the host and port behind each port. Any thread may call `cut` and `stop_after`. "reset" ends all
+    connections with RST, "close" with FIN. "half" forwards a part of the next chunk, so that a frame is incomplete, and
+    then resets. While `refuses` is True, the relay resets new connections at once.
     """
 
     def __init__(self, targets: Mapping[int, tuple[str, int]], seed: int = 0) -> None:
@@ -35,6 +35,7 @@ class CuttingRelay:
         self._stopped = asyncio.Event()
         self._writers: set[asyncio.StreamWriter] = set()
         self._breaks_off = False  # whether the next chunk is forwarded in part, and then its connection is reset
+        self._stop: _Stop | None = None
         self.refuses = False
         self.cuts = 0  # the number of connections that the relay has ended
 
@@ -58,6 +59,13 @@ class CuttingRelay:
         for writer in tuple(self._writers):
             self._end(writer, reset=how == "reset")
 
+    def stop_after(self, byte_count: int, ports: Collection[int], then: Callable[[], bool]) -> None:
+        """Forward this many bytes to and from `ports`, and then call `then` once, in the thread of the relay.
+
+        If `then` returns True, the relay resets the connection that has the next byte.
+        """
+        self._loop.call_soon_threadsafe(setattr, self, "_stop", _Stop(byte_count, ports, then))
+
     def _end(self, writer: asyncio.StreamWriter, *, reset: bool) -> None:
         if writer in self._writers:
             self._writers.discard(writer)
@@ -75,13 +83,15 @@ class CuttingRelay:
     async def _serve(self) -> None:
         async with AsyncExitStack() as stack:
             for port, target in self._targets.items():
-                server = await asyncio.start_server(partial(self._pass, target), "localhost", port)
+                server = await asyncio.start_server(partial(self._pass, port, target), "localhost", port)
                 await stack.enter_async_context(server)
             self._ready.set()
             await self._stopped.wait()
             self._cut("close")
 
-    async def _pass(self, target: tuple[str, int], reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _pass(
+        self, port: int, target: tuple[str, int], reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         self._writers.add(writer)
         if self.refuses:
             self._end(writer, reset=True)
@@ -93,24 +103,48 @@ class CuttingRelay:
             return
         self._writers.add(far_writer)
         ends = (writer, far_writer)
-        await _first_to_end(self._flow(reader, far_writer, ends), self._flow(far_reader, writer, ends))
+        await _first_to_end(self._flow(port, reader, far_writer, ends), self._flow(port, far_reader, writer, ends))
         for end in ends:
             self._end(end, reset=False)
 
     async def _flow(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, ends: tuple[asyncio.StreamWriter, ...]
-    ) -> None:
+        self, port: int, reader: asyncio.StreamReader, writer: asyncio.StreamWriter,
+        ends: tuple[asyncio.StreamWriter, ...],
+    ) -> None:  # fmt: skip
         with contextlib.suppress(OSError):
             while chunk := await reader.read(CHUNK_BYTES):
-                if self._breaks_off:
-                    self._breaks_off = False
-                    writer.write(chunk[: self._random_source.randrange(len(chunk))])
+                position, then = self._place_of_fault(port, len(chunk))
+                writer.write(chunk[:position])
+                if then is not None:
                     await asyncio.sleep(0)  # the event loop sends the part first
-                    for end in ends:
-                        self._end(end, reset=True)
-                    return
-                writer.write(chunk)
+                    if then():
+                        for end in ends:
+                            self._end(end, reset=True)
+                        return
+                writer.write(chunk[position:])
                 await writer.drain()
+
+    def _place_of_fault(self, port: int, byte_count: int) -> tuple[int, Callable[[], bool] | None]:
+        """How many of the next bytes come before a fault, and the fault; all bytes and None if there is no fault."""
+        if self._breaks_off:
+            self._breaks_off = False
+            return self._random_source.randrange(byte_count), lambda: True
+        stop = self._stop
+        if stop is None or port not in stop.ports:
+            return byte_count, None
+        if stop.byte_count < byte_count:
+            self._stop = None
+            return stop.byte_count, stop.then
+        self._stop = stop._replace(byte_count=stop.byte_count - byte_count)
+        return byte_count, None
+
+
+class _Stop(NamedTuple):
+    """See `CuttingRelay.stop_after`."""
+
+    byte_count: int
+    ports: Collection[int]
+    then: Callable[[], bool]
 
 
 async def _first_to_end(*ways: Awaitable[None]) -> None:

@@ -93,12 +93,15 @@ class QueueLoad:
 
     def _takes(self) -> None:
         while not self._is_over.is_set():
-            try:
-                message = self._queue.get(timeout=0.5)
-            except st.StampedeError:
-                continue
+            message = self._taken()
             if message is not None:
                 self._ack(int(message.payload), message)
+
+    def _taken(self) -> Any:
+        try:
+            return self._queue.get(timeout=0.5)
+        except st.StampedeError:
+            return None
 
     def _ack(self, number: int, message: Any) -> None:
         if number in self.acked:
