@@ -5,15 +5,14 @@ from __future__ import annotations
 import random
 import time as clock
 from collections import deque
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import TracebackType
 from typing import Any
-from weakref import WeakMethod
 
 from stampede_rt._async.calls_here import end_of_call_s
 from stampede_rt._async.channel_state import ChannelState
-from stampede_rt._async.run_streams import RunStream, open_run_stream
+from stampede_rt._async.run_streams import RunStream, open_run_stream, weakly
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError, Unavailable
@@ -41,9 +40,8 @@ class Producer(BoundToProcess):
     """Puts items without waiting for their acks (see `Channel.producer`). The unacknowledged bytes have a bound.
 
     Use the producer as a context manager, from one thread or task. At the end of the block the producer flushes, unless
-    the block raised an error. `accepted` counts the items that the host has accepted. `rejections` counts the items
-    that the host has refused; `rejected` lists the errors of these items since the last flush, at most 1024. A program
-    may drop a producer without closing it. The producer's stream then ends after the last ack.
+    the block raised an error. `rejected` lists the errors of the refused items since the last flush, at most 1024. A
+    program may drop a producer without closing it. The producer's stream then ends after the last ack.
     """
 
     def __init__(self, session: Session, state: ChannelState, ack: Ack | None = None) -> None:
@@ -64,9 +62,18 @@ class Producer(BoundToProcess):
         self._failure: StampedeError | None = None
         self._backoff: Backoff | None = None  # set from a failure until the next ack
         self._finished = False
-        self.accepted = self.rejections = 0
         self.rejected: list[StampedeError] = []
         when_dropped(self, partial(_give_up, self._opened))
+
+    @property
+    def accepted(self) -> int:
+        """The number of items that the host has accepted."""
+        return self._unacked.answered.accepted
+
+    @property
+    def rejections(self) -> int:
+        """The number of items that the host has refused."""
+        return self._unacked.answered.refused
 
     def __repr__(self) -> str:
         state = self._session.state or ("closed" if self._finished else "")
@@ -267,7 +274,7 @@ class Producer(BoundToProcess):
 
         async def open_at(binding: Binding, _: float) -> None:  # awaits nothing, so no cancellation can interrupt it
             generation = self._generation
-            told = partial(_weakly(self._acked), generation), partial(_weakly(self._ended), generation)
+            told = partial(weakly(self._acked), generation), partial(weakly(self._ended), generation)
             stream = open_run_stream(self._session, binding, self._producer_id, self._tail, *told)
             self._do(partial(self._begin, stream, generation))
 
@@ -322,12 +329,11 @@ class Producer(BoundToProcess):
         if refusal is not None and refusal.retryable:  # the channel may have another host now: send the run again
             self._failure = refusal
             return
-        run = self._unacked.acknowledge()
         self._backoff = None
-        refusals = [refusal] * run.items if refusal else [from_error_message(one.error) for one in ack.rejections]
-        self.accepted += run.items - len(refusals)
-        self.rejections += len(refusals)
-        self.rejected += refusals[: REJECTIONS_KEPT_MAX - len(self.rejected)]
+        items = self._unacked.first.items
+        refusals = [refusal] * items if refusal else [from_error_message(one.error) for one in ack.rejections]
+        self.rejected += refusals[: REJECTIONS_KEPT_MAX - len(self.rejected)]  # first, so that a signal hides none
+        self._unacked.acknowledge(len(refusals))
 
 
 def _interrupting(doing: str) -> DeadlineExceeded:
@@ -335,18 +341,6 @@ def _interrupting(doing: str) -> DeadlineExceeded:
         f"this call interrupts another call of the same producer on its thread, so it cannot {doing}; a signal handler "
         "or __del__ should set a flag, and the program should put later"
     )
-
-
-def _weakly(method: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:
-    """Wrap `method` so that it does not keep its object alive. The wrapper does nothing when the object is gone."""
-    reference = WeakMethod(method)
-
-    async def call(*arguments: Any) -> None:
-        found = reference()
-        if found is not None:
-            await found(*arguments)
-
-    return call
 
 
 async def _give_up(streams: list[RunStream]) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
+from weakref import WeakMethod
 
 from stampede_rt._async.session import Session
 from stampede_rt.cluster.binding import Binding
@@ -66,3 +67,15 @@ def open_run_stream(
             return stream
     duplex = session.endpoints.to(binding.target).duplex(on_acks, on_end)
     return EncodedRuns(duplex, put_head(binding.subject_id, binding.epoch, producer_id), tail)
+
+
+def weakly(method: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:
+    """Wrap `method` so that it does not keep its object alive. The wrapper does nothing when the object is gone."""
+    reference = WeakMethod(method)
+
+    async def call(*arguments: Any) -> None:
+        found = reference()
+        if found is not None:
+            await found(*arguments)
+
+    return call

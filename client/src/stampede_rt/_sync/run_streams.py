@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
+from weakref import WeakMethod
 
 from stampede_rt._sync.session import Session
 from stampede_rt.cluster.binding import Binding
@@ -67,3 +68,15 @@ def open_run_stream(
             return stream
     duplex = session.endpoints.to(binding.target).duplex(on_acks, on_end)
     return EncodedRuns(duplex, put_head(binding.subject_id, binding.epoch, producer_id), tail)
+
+
+def weakly(method: Callable[..., None]) -> Callable[..., None]:
+    """Wrap `method` so that it does not keep its object alive. The wrapper does nothing when the object is gone."""
+    reference = WeakMethod(method)
+
+    def call(*arguments: Any) -> None:
+        found = reference()
+        if found is not None:
+            found(*arguments)
+
+    return call

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
-from typing import Any
+from typing import Any, NamedTuple
 
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
 from stampede_rt.values.answers import ABSENT
@@ -131,6 +131,14 @@ def _fitting(items: list[WaitingItem]) -> list[WaitingItem]:
     return items
 
 
+class Answered(NamedTuple):
+    """The items that the host has accepted and refused, up to and with the run `first_number`."""
+
+    first_number: int
+    accepted: int
+    refused: int
+
+
 class UnackedRuns:
     """The finished runs of a producer that the host has not acknowledged: first the sent ones, then the gathered ones.
 
@@ -141,6 +149,7 @@ class UnackedRuns:
     def __init__(self) -> None:
         self._runs: deque[NumberedRun] = deque()
         self._sent_before = 0  # the sent runs have lower numbers
+        self.answered = Answered(0, 0, 0)
 
     def __len__(self) -> int:
         return len(self._runs)
@@ -202,9 +211,20 @@ class UnackedRuns:
         """Whether the run with this number has been sent, and is the first one without an ack."""
         return not self.is_idle and self._runs[0].first_number == first_number
 
-    def acknowledge(self) -> NumberedRun:
-        """Remove and return the run that was sent first."""
-        return self._runs.popleft()
+    @property
+    def first(self) -> NumberedRun:
+        """The run that was sent first. There must be a run."""
+        return self._runs[0]
+
+    def acknowledge(self, refused: int) -> None:
+        """Count the host's answer to the run that was sent first, and remove the run. `refused`: items of this run.
+
+        A call that a signal has ended may be repeated, while this object `awaits` the run's ack.
+        """
+        run, (number, accepted, refused_before) = self._runs[0], self.answered
+        if run.first_number > number:
+            self.answered = Answered(run.first_number, accepted + run.items - refused, refused_before + refused)
+        self._runs.popleft()
 
 
 def in_requests(runs: Iterable[NumberedRun]) -> Iterator[list[NumberedRun]]:

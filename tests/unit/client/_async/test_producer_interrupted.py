@@ -188,6 +188,7 @@ def test_a_put_that_raises_at_any_bytecode_loses_and_repeats_no_other_item(
         assert without == [*expected, b"last"], count
         assert len(host.payloads) - len(without) <= 1, count
         assert (len(producer._unacked), len(producer._builder)) == (0, 0), count
+        assert producer.accepted == len(host.payloads), count
     assert 30 < count < 4999
 
 

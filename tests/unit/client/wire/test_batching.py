@@ -30,10 +30,10 @@ def test_the_bytes_without_an_ack_are_those_of_their_payloads_and_items() -> Non
         unacked.add(run)
     assert unacked.length_bytes == 60 + 3 * 64
     unacked.take_gathered()
-    unacked.acknowledge()
+    unacked.acknowledge(0)
     assert unacked.length_bytes == 50 + 2 * 64
-    unacked.acknowledge()
-    unacked.acknowledge()
+    unacked.acknowledge(0)
+    unacked.acknowledge(0)
     assert unacked.length_bytes == 0
 
 
