@@ -27,7 +27,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt.values.timeline import DurationLike
 
-_sessions: WeakValueDictionary[ClusterReference, Session] = WeakValueDictionary()  # of unpickled handles
+_sessions: WeakValueDictionary[ClusterReference, Session] = WeakValueDictionary()  # for unpickled handles
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
                 action="store_true",
                 help="encrypt all traffic; the roles have certificates, not tokens",
             )
-        add_output(demo, default=argparse.SUPPRESS)  # the default of the parser above stays
+        add_output(demo, default=argparse.SUPPRESS)  # so that the default of the outer parser counts
         demo.set_defaults(run=run)
     return parser
 

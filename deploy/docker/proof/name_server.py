@@ -12,7 +12,7 @@ TYPE_A, CLASS_IN = 1, 1
 _HEADER = struct.Struct("!6H")
 _RESPONSE, _RECURSION = 0x8400, 0x0080  # an authority's answer; recursion is available
 _NO_ERROR, _NO_SUCH_NAME = 0, 3
-_NAME_OF_QUESTION = 0xC00C  # a pointer to where every question has its name
+_NAME_OF_QUESTION = 0xC00C  # a pointer to the place at which every question has its name
 _TTL_SECONDS = 1
 
 

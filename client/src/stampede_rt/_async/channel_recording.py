@@ -20,7 +20,7 @@ from stampede_rt.values.timeline import NOW, OLDEST, Bound, format_instant
 
 
 class ChannelRecording:
-    """Records one channel, in the background, from its making until `finish`.
+    """Records one channel, in the background, from the making of this object until `finish`.
 
     `since_nanos`: how far before now the recording begins; None: now. `later`: the channel appeared while the recording
     of other channels ran, so its recording begins with its oldest item.
@@ -174,7 +174,7 @@ class ChannelRecording:
         if stream.read_to >= end_seq or not await self._done.wait(drain_s):
             stream.close()
         await self._done.wait(drain_s)
-        if self._stream is stream:  # not lost meanwhile
+        if self._stream is stream:  # the stream was not lost meanwhile
             await self._sink.seal(self.tallies[-1], end_seq, advance)
 
     def _give_up(self, stream: RecordingStream | None) -> None:

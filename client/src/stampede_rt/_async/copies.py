@@ -11,7 +11,7 @@ from stampede_rt.transports.machine import this_machine
 from stampede_rt.v1 import gatekeeper_service_pb2
 
 BIND_TIMEOUT_S = 6.0  # a host makes the caller wait 5 s for a new copy
-GET_TIMEOUT_S = 1.0  # for one request on the way to a copy for a get
+GET_TIMEOUT_S = 1.0  # for one request, while the client looks for a copy for a get
 FOUND_S = 10.0  # after this time the client asks the owner again, so that its gets use all copies in turn
 REFUSED_S = 0.25  # for this time no get asks a copy that was too old
 LOST_S = 2.0  # for this time no get asks a copy that could not be reached, or asks for copies of a channel without any

@@ -83,8 +83,8 @@ class Files(Moves):
 
         `shift`: "now" moves all times by the same amount, so that the items come as if they were new. Durations and
         distances stay. At a speed above 1 the first item is then in the past, by the time that the replay gains. A
-        duration such as "-1h" moves all times by this duration; None keeps the recorded times. A channel that
-        does not exist is created with its recorded policy; without a shift it gets no max_age.
+        duration such as "-1h" moves all times by this duration; None keeps the recorded times. If a channel does not
+        exist, the replay creates it with its recorded policy, but without a shift it gets no max_age.
 
         The call returns when all channels are open; with asyncio, await the handle for that. Raises InvalidArgument,
         before the first item, if a channel would refuse the items; FileError.

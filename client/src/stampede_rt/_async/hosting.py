@@ -1,4 +1,4 @@
-"""The channel host that lives in this process, as its connection sees it (paper, section 4.2)."""
+"""The channel host that runs in this process, as its connection sees it (paper, section 4.2)."""
 
 from __future__ import annotations
 

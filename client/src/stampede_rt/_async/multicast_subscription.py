@@ -34,7 +34,8 @@ from stampede_rt.wire.long_answers import LongRun
 
 _log = logging.getLogger("stampede_rt")
 
-AGAIN_S = 60.0  # if datagrams do not reach this reader, it stops using multicast for this time, which doubles each time
+# If datagrams do not reach this reader, it stops using multicast for this time. The time doubles with each failure.
+AGAIN_S = 60.0
 AGAIN_S_MAX = 3600.0
 REPAIR_BYTES_MAX = 2**18  # the most bytes of items that one repair asks for, without the last item
 COUNTS = ("datagrams", "items", "repairs", "repeated", "forged", "foreign", "other_key")
@@ -130,7 +131,7 @@ class MulticastSubscription(Subscription):
     async def _follow(self, receiving: Receiving, socket: GroupSocket) -> None:
         """Take the next datagrams, wait for some, or ask the host for the items that are missing."""
         now_s = monotonic_s()
-        if self._session.closed:  # only the stream raises this error, and no step reads the stream
+        if self._session.closed:  # a step must read the stream again, which raises this error
             self._reopen()
             return
         receiving.pace.looks(now_s)

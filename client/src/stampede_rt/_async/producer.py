@@ -282,7 +282,7 @@ class Producer(BoundToProcess):
 
     def _begin(self, stream: RunStream, generation: int) -> None:
         """Begin to use the stream, and send the unacknowledged runs again."""
-        if generation != self._generation or self._stream is not None:  # a signal handler has used the producer
+        if generation != self._generation or self._stream is not None:  # a signal handler used the producer meanwhile
             if stream is not self._stream:
                 stream.cancel()
             return

@@ -67,10 +67,10 @@ class Puts:
         """Put one item under its number, so that it is safe to repeat. Returns the ack.
 
         `wait` bounds the wait for room. The client splits a long wait into several requests, so that it notices a host
-        that hangs. The first request asks for a wait of at most `renew_s`, the others of at most RENEW_S.
+        that hangs. The first request asks for a wait of at most `renew_s`, a later request of at most RENEW_S.
 
         `may_fill` False: as far as the handle knows, the channel drops its oldest items and is never full. On asyncio
-        the put then uses a stream that all handles share, and asks for no wait, because a wait would block the others.
+        the put then uses a stream that all handles share, and asks for no wait: a wait would block the other handles.
         If the host says that the channel is full, another program has changed the policy. The client then repeats this
         put with its wait, and the handle uses streams of its own from then on.
         """
@@ -88,7 +88,7 @@ class Puts:
             part = left if left.seconds is not None and left.seconds <= renew_s else Wait(renew_s)
             try:
                 return await self._put(put, part, shares=PutExchange.one_at_a_time)
-            except NotReplicated:  # the host recognises the repetition
+            except NotReplicated:  # the next try repeats the put, and the host recognises it
                 if part is left:
                     raise
             except (Full, NotArchived):

@@ -36,7 +36,7 @@ _log = logging.getLogger("stampede_rt")
 
 
 class Recorder(BackgroundStart, BoundToProcess):
-    """Records channels to a file, from its making until `stop` (see `Connection.record`). A context manager.
+    """Records channels to a file, until `stop` (see `Connection.record`). A context manager.
 
     `summary` is None until the file is finished. `error` is the error that ended the recording, such as a full disk;
     the file then has everything written before.
@@ -59,7 +59,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         self._sink = RecordingSink(writer)
         self._since_nanos = since_nanos
         self._for_s = for_s
-        self._whole = whole  # each channel from its oldest item on
+        self._whole = whole  # whether to record each channel from its oldest item on
         self._drain_s = DRAIN_S
         self._channels: dict[bytes, ChannelRecording] = {}
         self._matched: set[str] = set()

@@ -26,7 +26,7 @@ WINDOW_BYTES = 1024 * 1024  # the bytes that the host may send ahead of the reco
 class RecordedBatch:
     """The events since the last batch: items in seq order, gaps, and the last advance with the seq that it follows.
 
-    `read_to`: this batch and earlier ones have all items up to this seq, or name them as missing. None: as before.
+    `read_to`: this batch and earlier ones have all items up to this seq, or name them as missing. None: unchanged.
     `next_live_seq`: the host was lost, and the items after this batch are of the next incarnation, from this seq on.
     """
 

@@ -73,7 +73,7 @@ async def read_newest(
 
 
 def newest_item(state: ChannelState, mapping: RingMapping, found: FoundNewest) -> Item:
-    """Return the item. Raises StampedeError for a damaged run."""
+    """Return the item that `find_newest` has found. Raises StampedeError for a damaged run."""
     slot, body = found.slot, found.body
     if not found.is_plain:
         piece = RunPiece(body, slot.items - 1, slot.items, slot.items == 1)

@@ -7,7 +7,7 @@ from stampede_rt.errors import InvalidArgument
 
 
 def kind_of_subscription(via: object) -> type[Subscription]:
-    """The class of a subscription `via` a way. Raises InvalidArgument, also if the library for it is not installed."""
+    """Return the class for the argument `via`. Raises InvalidArgument, also if the library for it is not installed."""
     if via is None:
         return Subscription
     if via != "multicast":

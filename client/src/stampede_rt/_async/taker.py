@@ -55,7 +55,7 @@ class Taker:
         self._waiting: deque[WaitingTake] = deque()
         self._ready = PrefetchBuffer(
             self._settler, self._give_back, f"{state.kind} {state.name!r}"
-        )  # at most `prefetch`
+        )  # at most `prefetch` messages
         self._stream: BidiStream[queue_pb.TakeResponse] | None = None
         self._credit = 0  # how many messages the host may still send
         self._draining = False  # whether the taker has asked the host to end the stream

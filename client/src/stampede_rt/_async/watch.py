@@ -118,8 +118,7 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
                 await sleep(delay_s)
 
     async def _look_around(self, deadline_s: float) -> None:
-        """Check that the supernodes have the same cluster id as at the beginning of the watch. Raises WatchRestart if
-        not."""
+        """Raise WatchRestart if the supernodes have another cluster id than at the beginning of the watch."""
         if await self._session.supernodes.present_cluster(deadline_s) != self._cluster_id:
             raise WatchRestart("the directory has begun anew, in another cluster; list again, then begin a new watch")
 

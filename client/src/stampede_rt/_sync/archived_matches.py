@@ -77,7 +77,7 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
                 if self._ready is None:
                     break
                 self._reach()
-                matched, self._ready = self._ready, None  # after the wait, which a caller may cancel
+                matched, self._ready = self._ready, None  # only after the wait, because a caller may cancel it
                 return matched
             raise StopIteration
 

@@ -32,7 +32,7 @@ def may_be_here(session: Session, state: ChannelState) -> bool:
 def end_of_call_s(session: Session, timeout_s: float | None) -> float:
     """Return the time at which a call that may wait for a host must end, by `monotonic_s`. None: it has no end.
 
-    A call that interrupts the host of this process must not wait at all: `__del__` may run on the host's thread.
+    A call that interrupts the host on its own thread, as `__del__` may, must not wait at all: the host would wait, too.
     """
     if session.here is not None and session.here.is_interrupted:
         return monotonic_s()
@@ -40,7 +40,7 @@ def end_of_call_s(session: Session, timeout_s: float | None) -> float:
 
 
 def newest_here(session: Session, state: ChannelState) -> Item | None:
-    """Return the newest item if a program of this process has put it. Waits for nothing."""
+    """Return the newest item if this process has put it. Waits for nothing."""
     here, binding = session.here, session.cache.binding(state.info.channel_id, thread_id())
     if here is None or binding is None or binding.target != here.target:
         return None

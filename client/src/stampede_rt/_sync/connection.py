@@ -292,9 +292,9 @@ class Connection(Mailboxes, RealClock, Reference):
         number of distinct takers get each message. `max_deliveries`: a message leaves the queue after this number of
         deliveries without an acknowledgement. `dead_letter`: the handle or name of the queue to which such a message
         goes, and each message that a taker gives up. `replicas` (0 to 4), with `ack="replica"`: copies at other hosts,
-        which get each put, delivery and acknowledgement before the caller's answer. One of them becomes the owner if
-        the owner is lost. With fewer than `min_replicas` (default 1) in sync the queue pauses. `host` names the host of
-        a new queue. If the queue does not exist and `create` is False, the call raises QueueNotFound.
+        which get each put, delivery and acknowledgement before the caller gets its answer. One of them becomes the
+        owner if the owner is lost. With fewer than `min_replicas` (default 1) in sync the queue pauses. `host`: the
+        host of a new queue. If the queue does not exist and `create` is False, the call raises QueueNotFound.
 
         `prefetch` belongs to the handle. With 1 the handle takes a message only when a caller waits for it. With a
         greater number the handle takes up to this number of messages ahead, and extends the leases of these messages

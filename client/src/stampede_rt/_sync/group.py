@@ -328,8 +328,7 @@ class Group(Reference):
         """Delete the group for everyone. Its channels stay.
 
         The directory forgets the group immediately. The hosts learn of the deletion a moment later, and may answer
-        reads until then.
-        Blocks for at most 10 s. Raises GroupNotFound, Unavailable.
+        reads until then. Blocks for at most 10 s. Raises GroupNotFound, Unavailable.
         """
         request = group_directory_pb.DeleteGroupRequest(request_id=request_id(), group_id=self.info.group_id)
         self._session.supernodes.call("DeleteGroup", request, CALL_TIMEOUT_S)

@@ -28,7 +28,7 @@ class PlayedChannel:
         self.name = channel.name
         self._channel = channel
         self._producer: Producer = channel.producer()
-        self._gap: RecordingGap | None = None  # the program learns of it with the next item
+        self._gap: RecordingGap | None = None  # the next item gets it as an attribute
         self.advances = self._refused_here = 0
         self.first_refusal = ""
 

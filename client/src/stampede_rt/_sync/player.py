@@ -42,7 +42,7 @@ class PlayRequest:
 
 
 class Player(BackgroundStart, BoundToProcess):
-    """Plays a file into channels, from its making until its end or `stop` (see `Connection.replay_file`).
+    """Plays a file into channels, until the end of the file or `stop` (see `Connection.replay_file`).
 
     A context manager. `summary` is None until the replay has ended. `error` is the error that ended it early.
     """

@@ -25,7 +25,7 @@ class RecordingSink:
     def __init__(self, writer: FileWriter) -> None:
         self.writer = writer
         self._turns = StepLock()
-        self._mutex = threading.Lock()  # a cancelled task leaves its write running
+        self._mutex = threading.Lock()  # because the write of a cancelled task continues
         self._topics: dict[tuple[str, int], dict[str, Topic]] = {}
         self.failed = Signal()
         self.error: FileError | None = None

@@ -92,7 +92,7 @@ class ReplayedSubscription(ReplayedSteps):
             if self._ready:
                 instant, item = self._ready[0]
                 self._clock.reach(instant)
-                self._ready.popleft()  # after the wait, which a caller may cancel
+                self._ready.popleft()  # only after the wait, because a caller may cancel it
                 return item
             if not self._fetch():
                 break

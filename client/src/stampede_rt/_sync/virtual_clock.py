@@ -11,8 +11,7 @@ class VirtualClock:
     """An instant that moves forward to the instants for which a program waits.
 
     `speed` 2.0: a wait of 1 s takes half a second of real time; 0: no real time. With `step` only `step` moves the
-    instant.
-    A connection ends its clocks when it closes (`SessionTask`).
+    instant. A connection ends its clocks when it closes (`SessionTask`).
     """
 
     def __init__(self, start: int, speed: float, step: bool) -> None:

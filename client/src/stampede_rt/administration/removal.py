@@ -55,7 +55,7 @@ def _leaderless(known: Sequence[SupernodeRecord]) -> Unavailable:
 def _may_have_removed(error: StampedeError) -> bool:
     """Whether a supernode may have put the removal into its log, although the call has failed."""
     if error.from_service:
-        return error.reason == "AMBIGUOUS"  # otherwise the supernode has answered that it did not
+        return error.reason == "AMBIGUOUS"  # for any other reason the supernode has refused the removal
     return "Connection refused" not in error.metadata.get(UNREACHED, "")
 
 

@@ -15,7 +15,7 @@ UNKNOWN = "unknown"  # the text for a clock with an unknown offset
 def clock_findings(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     """Yield one finding about the clocks of all parts, with advice about wrong clocks. Without services yields none.
 
-    The middle of the offsets of the services is the right time. A slow answer gives an inexact offset. A clock counts
+    The median of the offsets of the services is the right time. A slow answer gives an inexact offset. A clock counts
     as wrong only if it differs from the right time by more than CLOCK_OFFSET_NANOS_MAX and the greatest errors of both
     offsets together.
     """

@@ -45,8 +45,8 @@ class Examination:
     def look(self, frontends: Sequence[str], members: Sequence[str]) -> tuple[list[Observation], list[Inventory]]:
         """Ask the front-ends, the supernodes at `members`, and all parts that they name.
 
-        Returns an observation of each part, and the inventories of channels and queues. Each request
-        blocks for at most TIMEOUT_S. Up to ASKED_AT_ONCE_MAX parts are asked at the same time.
+        Returns an observation of each part, and the inventories of channels and queues. Each request blocks for at most
+        TIMEOUT_S. At most ASKED_AT_ONCE_MAX requests are under way at the same time.
         """
         with self._pool:
             bound = self._ask(map(frontend_part, frontends))

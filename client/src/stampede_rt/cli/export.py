@@ -32,10 +32,12 @@ def add_verbs(subparsers: Any) -> None:
     )
     export.add_argument("sources", nargs="+", metavar="SOURCE", help="channels or globs such as 'rig/*', or one file")
     export.add_argument(
-        "-o", "--file", required=True, metavar="OUT", help="the file to write; the folder, for several tables"
+        "-o", "--file", required=True, metavar="OUT", help="the file to write, or the folder for several tables"
     )
-    export.add_argument("--format", choices=FORMATS, help="default: by the end of OUT's name")
-    export.add_argument("--channel", action="append", metavar="GLOB", help="of a file: only these; may be repeated")
+    export.add_argument("--format", choices=FORMATS, help="default: the end of OUT's name decides")
+    export.add_argument(
+        "--channel", action="append", metavar="GLOB", help="only these topics of a file; may be repeated"
+    )
     export.add_argument("--from", dest="start", type=checked(parse_time), metavar="TIME", help="the first time")
     export.add_argument("--to", dest="end", type=checked(parse_time), metavar="TIME", help="the end, exclusive")
     export.add_argument("--overwrite", action="store_true", help="overwrite an existing file")

@@ -114,7 +114,7 @@ def formatted(form: Form, item: Item, channel: str) -> str:
 
 
 def _payload(item: Item) -> str:
-    """Return a payload as one line: a text as a whole, other bytes as on the screen."""
+    """Return a payload as one line: a text as a whole, other bytes as `preview` shows them."""
     text = None if item.payload is None else text_of(item.payload)
     if text is None or "\0" in text:
         return preview(item.payload, item.payload_length_bytes, item.content_type)

@@ -15,7 +15,7 @@ from stampede_rt.values.timeline import format_duration
 def add_verbs(subparsers: Any) -> None:
     """Add the verb of this module."""
     move = add_verb(subparsers, "move", "move a channel or queue to another host, while it is in use", run_move)
-    move.add_argument("channel", help="the channel's name, or with --queue the queue's")
+    move.add_argument("channel", help="the channel's name, or with --queue the queue's name")
     move.add_argument("--queue", action="store_true", help="move the queue of that name")
     move.add_argument("host", metavar="HOST", help="the host that becomes the owner")
     text = "show moves that would even out the loads of the hosts; with --apply perform them"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from stampede_rt._sync.recorder import Recorder
 
 AT_ONCE_MAX = 4  # recordings of `--on` at the same time
-STOP_DRAIN_S = 1.0  # how long the command waits, after Ctrl-C, for items that the hosts had accepted before
+STOP_DRAIN_S = 1.0  # how long the command waits, after Ctrl-C, for items that the hosts had accepted before Ctrl-C
 STOP_S = 15.0  # how long the command waits, after Ctrl-C, until the file is finished
 GAPS_SHOWN = 20  # the most gaps of each channel that the command prints
 
@@ -160,7 +160,7 @@ class _EventRecordings:
         self._rt = rt
         self._arguments = arguments
         self._channel = existing(rt, arguments.on)
-        self._since = self._channel.stats().host_time  # the time from which on events count, if their host is lost
+        self._since = self._channel.stats().host_time  # after a loss of the host, events from this time on count
         self._events = self._channel.subscribe()
         self._paths: set[Path] = set()
         self._running: dict[Recorder, threading.Thread] = {}

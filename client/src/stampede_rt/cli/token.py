@@ -101,7 +101,7 @@ def run_revoke(arguments: argparse.Namespace) -> int:
 
 
 def _serial_of(text: str) -> str:
-    """The serial number of a token, which `text` is or whose file it names. Raises StampedeError."""
+    """Return a token's serial number. `text`: this number, or the path of the token's file. Raises StampedeError."""
     try:
         return _serial_in(Path(text).read_text()) if Path(text).is_file() else _checked(text)
     except (OSError, ValueError, KeyError, TypeError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-CACHE_ENTRIES_MAX = 100_000  # owners, and also bindings
+CACHE_ENTRIES_MAX = 100_000  # the most owners, and the most bindings
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -89,7 +89,7 @@ class BindingCache:
             self._gatekeepers.pop(owner.host_id, None)
 
     def follow(self, subject_id: bytes, moved: Mapping[str, str]) -> None:
-        """Learn the new owner of a channel from the metadata of MOVED. Does nothing if it names none."""
+        """Learn the new owner of a channel from the metadata of MOVED. Does nothing if they name none."""
         if "target" in moved and "epoch" in moved:
             owner = Owner(
                 host_id=bytes.fromhex(moved["host_id"]),

@@ -19,7 +19,7 @@ from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import DurationLike, ResolvedInterval, parse_duration
 
 ENTRY_POINTS = "stampede_rt.embedded_hosts"
-START_TIMEOUT_S = 15.0  # the lease of a predecessor with the same name ends within 6 s
+START_TIMEOUT_S = 15.0  # enough to wait for the end of the lease of a predecessor with the same name, within 6 s
 DRAIN_MAX_NANOS = 3600 * 10**9
 NO_ATTRIBUTES: Mapping[str, str] = MappingProxyType({})
 
@@ -75,7 +75,7 @@ class PutHere(NamedTuple):
 
 
 class RunHere(NamedTuple):
-    """One item that a program of this process put, or, if `encoded` is set, a run that came over the wire.
+    """One item that this process put, or, if `encoded` is set, a run that came over the wire.
 
     `duration` is -1 for none. `payload` is the object that was put. `next_time`: the time of the bucket after the run;
     None: the next run begins that bucket, or the run has the newest bucket.

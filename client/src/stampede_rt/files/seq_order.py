@@ -13,7 +13,7 @@ from stampede_rt.files.seq_ranges import SeqRanges
 WAITING_BYTES_MAX = 64 * 1024 * 1024
 EVENT_BYTES = 512  # the memory of an event besides its payload
 Key = tuple[str, int]
-Waiting = tuple[int, int, int, Event]  # its seq, its rank at this seq, the number of its coming
+Waiting = tuple[int, int, int, Event]  # the event's seq, its rank at this seq, its number in the order of arrival
 
 
 class SeqOrder:

@@ -22,7 +22,7 @@ class ChannelTally:
         self._live_seq = live_seq
         self._end_seq = live_seq - 1  # the last seq of the recording
         self._recorded = self._live_recorded = self._payload_bytes = 0
-        self._told = 0  # missing items by the gaps
+        self._told = 0  # missing items that the gaps name
         self._gaps: list[RecordingGap] = []
         self._gap_count = 0
         self._first_seq: int | None = None

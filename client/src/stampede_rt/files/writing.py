@@ -22,7 +22,7 @@ except ImportError as missing:
 
 Compression = Literal["zstd", "lz4", "none"]
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
-CHUNK_BYTES = 1024 * 1024  # of messages before compression; a chunk with a larger message has only that one
+CHUNK_BYTES = 1024 * 1024  # of messages before compression; a larger message has a chunk of its own
 FACTS_BYTES_PER_ITEM = 16  # so that a chunk of many empty items ends, too
 TOPICS_MAX = 65_000  # MCAP numbers them with 16 bits
 _TYPES = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}

@@ -66,7 +66,7 @@ class SeqMerge(Generic[OneItem]):
     def add(self, first_seq: int, end_seq: int, items: Sequence[OneItem], size: int) -> bool:
         """Hold the items of a message with the seqs from `first_seq` up to `end_seq`. False if they are not new.
 
-        Beyond the bound the latest messages are dropped. The reader asks the host for them later.
+        Beyond the bound drops the latest messages. The reader asks the host for their items later.
         """
         self.announce(end_seq)
         if end_seq <= self.next_seq or any(one.first_seq == first_seq and one.end_seq >= end_seq for one in self._held):
@@ -107,7 +107,7 @@ class SeqMerge(Generic[OneItem]):
             self.held_bytes -= self._held.pop(0).bytes
 
     def take_up_to(self, end_seq: int) -> list[OneItem]:
-        """Return the held items below `end_seq`, and pass to it: the host has reported the others as missing."""
+        """Return the held items below `end_seq`, and continue there: the host has reported the others as missing."""
         taken: list[OneItem] = []
         while self._held and self._held[0].first_seq < end_seq:
             self.pass_to(self._held[0].first_seq)

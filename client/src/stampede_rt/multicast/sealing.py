@@ -54,7 +54,7 @@ class Sealer:
 
     def seal(self, part: bytes) -> bytes:
         """The encrypted datagram of an encoded part."""
-        self._number += 1  # the nonce: no two datagrams under one key have the same
+        self._number += 1  # the nonce: no two datagrams under one key have the same number
         head = HEAD.pack(MARK, self._stream_id, self._key_number, self._number)
         return head + self._cipher.encrypt(_nonce(self._number), part, head)
 

@@ -19,7 +19,7 @@ from stampede_rt.values.answers import ABSENT
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import Match, MetaTime, ResolvedInterval
 
-SLOTS_MAX = 256  # the most slots of one read; the host answers reads of more
+SLOTS_MAX = 256  # the most slots of one read; the host answers longer reads
 ITEMS_MAX = 8192  # the most items of these slots
 
 Columns = tuple[Sequence[int], Sequence[int] | None]
@@ -185,7 +185,7 @@ def _candidates(
     last = _last_slot(view, first, head, lambda time: time < end or (time == end and not within.end_exclusive))
     low = _last_slot(view, first, last + 1, lambda time: time < start)
     if low >= first and query.match is Match.SPAN:
-        # The bucket at or before `start` may begin with this slot or before: take a slot that begins earlier, too.
+        # The bucket at or before `start` may begin in this slot or in an earlier one. Take an earlier slot, too.
         earliest = view.first_time(low)
         low = _last_slot(view, first, low, lambda time: time < earliest)
     covers = low >= first

@@ -20,9 +20,9 @@ LOOK_EVERY_S = 1.0  # a connection that begins this long after a change of the f
 _PARTS = ("ca", "certificate", "key")
 CLIENT_VARIABLES = tuple(f"STAMPEDE_TLS_{part.upper()}" for part in _PARTS)
 """The names of a client's environment variables. Services have other names, so that one shell can hold both."""
-_READ_TRIES_MAX = 3  # if the files change during the reading
-_PATIENT_TRIES_MAX = 5  # at the start of the program, if the files do not work
-_PATIENCE_S = 0.05  # between two of these tries
+_READ_TRIES_MAX = 3  # tries, if the files change during the reading
+_PATIENT_TRIES_MAX = 5  # tries at the start of the program, if the files do not work
+_PATIENCE_S = 0.05  # the pause between two of the tries at the start
 
 _Stamp = tuple[tuple[int, int, int], ...]  # for each file its inode, size and time of change
 

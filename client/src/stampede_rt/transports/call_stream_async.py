@@ -1,6 +1,6 @@
 """An open bidirectional stream on asyncio. One task of the stream sends the requests, and another reads the responses.
 
-The callers wait for futures. `call_stream_sync` has the same stream for threads, which need neither.
+The callers wait for futures. `call_stream_sync` has the same stream for threads, which need no tasks and no futures.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ _CALLERS = frozenset((0,))  # all values of `thread_id`
 _inherited: list[object] = []  # keeps the parent's operations in a forked child, which must not run or delete them
 _running: set[asyncio.Future[None]] = set()  # keeps tasks alive until they are done
 
-StepLock = asyncio.Lock  # for one step of an iterator at a time; waits
+StepLock = asyncio.Lock  # lets one step of an iterator run at a time; other callers wait
 monotonic_s = time.monotonic
 monotonic_nanos = time.monotonic_ns
 

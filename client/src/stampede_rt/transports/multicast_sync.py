@@ -20,9 +20,8 @@ class GroupSocket:
         self._waiting = select.poll()  # `select` takes no more than 1024 files
         for one in (joined, self._woken):
             self._waiting.register(one, select.POLLIN)
-        self._mutex = (
-            threading.RLock()
-        )  # a signal handler may call `close`. Guards the flags, and the use of the sockets against their end
+        # Guards the flags, and keeps the sockets open while a thread uses them. A signal handler may call `close`.
+        self._mutex = threading.RLock()
         self._waits = self._closed = False
         self._end = weakref.finalize(self, _close_all, joined, self._woken, self._waker)
         self._end.atexit = False

@@ -81,9 +81,9 @@ class SingleThreadCall:
     gRPC takes one message at a time. `send` begins to send a message immediately if gRPC is sending no other. Otherwise
     the reading thread sends it, so a caller that sends twice must read in between, or have another thread that reads.
 
-    gRPC frees a call when the last event of the call is taken, and its queue of events must not be used after that. So
-    this class counts the events that have not come yet. After an interrupt at an unknown place it takes no event any
-    more, and the call stays in memory until its channel closes.
+    gRPC frees a call when a thread takes the last event of the call. After that no thread may use the call's queue of
+    events. So this class counts the events that have not come yet. After an interrupt at an unknown place it takes no
+    event any more, and the call stays in memory until its channel closes.
     """
 
     def __init__(self, call: Any, cygrpc: Any, method: BidiMethod, events: int) -> None:

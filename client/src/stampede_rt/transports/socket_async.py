@@ -113,7 +113,7 @@ class SocketCall(asyncio.BufferedProtocol):
             return self.at_once(self._decoded(body))
         except Exception as defect:  # noqa: BLE001  # the user gets it, as if the user had read the response
             news.set_exception(defect)
-            self._news = news = None  # the error refers to this frame
+            self._news = news = None  # the error references this frame, which must not reference the future
             return True
 
     def _opened(self, tls: TlsLayer, nbytes: int) -> Sequence[FrameInBuffer]:
@@ -254,7 +254,7 @@ class OpeningCall:
         self._call = opening.result()
         for callback in self._done:
             self._call.add_done_callback(callback)
-        if self._is_cancelled:  # in the turn of the event loop in which it opened
+        if self._is_cancelled:  # somebody called `cancel` in the turn of the loop in which the call opened
             self._call.cancel()
 
     async def write(self, request: Any) -> None:

@@ -76,7 +76,7 @@ def _reached(route: SocketRoute, port: int) -> SocketConnection:
     wait_s = CONNECT_S_MAX if route.is_forced else 0.0 if route.tcp.is_slow else HEAD_START_S
     try:
         return reaching.result(wait_s)
-    except OSError:  # the first error: the time is over
+    except OSError:  # also the TimeoutError after `wait_s`
         route.tcp.is_slow = True
         raise
     finally:

@@ -32,9 +32,9 @@ from stampede_rt.wire.stream_frames import FrameInBuffer, FrameKind, FrameReader
 NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)  # a send after the end of the connection must not end the process
 Buffers = Sequence[bytes | memoryview]
 _NOW = getattr(socket, "MSG_DONTWAIT", 0) | NO_SIGNAL
-PARTS_MAX = 512  # of a request that is sent without joining its parts; the system takes 1024 in one call
-SHORT_BYTES_MAX = 4096  # of a request whose copy takes less time than a second part of a system call
-PART_BYTES_MIN = 1024  # on average; to join shorter parts takes less time
+PARTS_MAX = 512  # the most parts of a request that this module sends unjoined; the system takes 1024 in one call
+SHORT_BYTES_MAX = 4096  # to copy a request of this length takes less time than a second part of a system call
+PART_BYTES_MIN = 1024  # the least average length of parts; to join shorter parts takes less time than to send them
 
 
 class SocketCall:

@@ -10,7 +10,7 @@ from stampede_rt.values.model import Item, Reason
 from stampede_rt.values.timeline import ResolvedInterval
 
 ABSENT = -1  # in a column of durations: the item has none
-COLUMN_TYPES = {"time": "q", "duration": "q", "seq": "Q"}  # of `array`: 8 bytes, signed and unsigned
+COLUMN_TYPES = {"time": "q", "duration": "q", "seq": "Q"}  # type codes of `array`: 8 bytes, signed and unsigned
 
 
 @runtime_checkable

@@ -21,7 +21,7 @@ class DecodedRun:
     """The columns of one run. Each has an entry for each item.
 
     `durations` has -1 for no duration; None: no item has one. `attributes` and `content_type` belong to all items.
-    `payloads` has the payloads one after the other; None: the items have none, or all of them are made. `next_time` is
+    `payloads` has the payloads one after the other; None: the items have none, or all items are made. `next_time` is
     the time of the bucket after the run; None: the next run begins that bucket, or the run has the newest bucket.
 
     If `payloads` is a view, make each payload immediately, because other data will overwrite the memory of the view.
@@ -67,7 +67,7 @@ class ItemColumns(Sequence[Item]):
         self._make = make
         self._backwards = backwards
         self._begins = [*accumulate((len(run.lengths) for run in runs), initial=0)]
-        self._whole: list[list[Item] | None] = [None] * len(runs)  # all items of a run
+        self._whole: list[list[Item] | None] = [None] * len(runs)  # for each run all its items; None: not made yet
         self._touched: dict[int, Item] = {}  # single items of other runs
         self._ends: list[int | None] | None = None
 
@@ -135,7 +135,7 @@ class ItemColumns(Sequence[Item]):
         for at in [at for at in [*self._touched] if self._begins[number] <= at < self._begins[number + 1]]:
             whole[at - self._begins[number]] = self._touched.pop(at)
         self._whole[number] = whole
-        self._runs[number].payloads = None  # each item has its own
+        self._runs[number].payloads = None  # each item has its own payload
         return whole
 
     def _make_all(self, number: int, payloads: bytes | memoryview | None) -> list[Item]:
@@ -177,7 +177,7 @@ def _made(
 
 
 def _split(payloads: bytes | memoryview, lengths: Sequence[int]) -> Iterable[bytes]:
-    """Yield each payload. Short ones are cut out of a copy, because bytes are cut faster than a view."""
+    """Yield each payload. Cuts short payloads out of a copy, because Python cuts bytes faster than a view."""
     ends = [*accumulate(lengths, initial=0)]
     places = map(slice, ends, ends[1:])
     if isinstance(payloads, bytes) or len(payloads) < SHORT_BYTES * len(lengths):

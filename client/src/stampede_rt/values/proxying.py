@@ -49,8 +49,8 @@ class MoveInfo:
 class DrainInfo:
     """A host whose channels were to move to other hosts.
 
-    `moved`: the number of channels that have moved. `left`: the others by name, with the reasons; at most 1000 of the
-    `left_count` channels.
+    `moved`: the number of channels that have moved. `left`: the channels that have not moved, by name, with the
+    reasons; at most 1000 of the `left_count` channels.
     """
 
     host: str

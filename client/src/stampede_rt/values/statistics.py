@@ -55,9 +55,9 @@ class MulticastStats:
     `following`: the items come from datagrams now; False: the host sends them only to this reader. `group`: the
     multicast group and port, "ADDRESS:PORT"; empty before the host has named it. `datagrams`: the opened datagrams.
     `items`: the items that came in them. `repairs`: the requests for items that no datagram brought. `repeated`: the
-    datagrams and messages that brought nothing new. The reader dropped the other datagrams: `forged` ones, which were
-    made without the key or not by the host; `foreign` ones, of other channels and programs; `other_key` ones, sealed
-    with a key that the reader does not have.
+    datagrams and messages that brought nothing new. The reader dropped the other datagrams. `forged`: datagrams whose
+    sender did not have the key, or was not the host. `foreign`: datagrams of other channels and programs. `other_key`:
+    datagrams that are sealed with a key that the reader does not have.
     """
 
     following: bool = False

@@ -42,7 +42,7 @@ class NumberedRun:
 
 
 class RunBuilder:
-    """Collects items, and cuts runs of them. Only one caller at a time may cut and drop, and any may `add` meanwhile.
+    """Collects items, and cuts runs of them. Only one caller at a time may cut and drop. Others may `add` meanwhile.
 
     Items fit together in one run if all or none of them have a time, if their attributes and content types are equal,
     and if the run stays within its limits. The builder numbers the items of all its runs.
@@ -87,7 +87,10 @@ class RunBuilder:
         self._waiting.append(item)
 
     def cut(self) -> NumberedRun:
-        """Return a run of the first items that fit together, encoded. They wait until `drop`. Some items must wait."""
+        """Return a run of the first waiting items that fit together, encoded. The items wait until `drop`.
+
+        Call this only if an item waits.
+        """
         number, *items = self._waiting[: RUN_ITEMS_MAX + 1]
         payloads, times, durations, attributes, content_types = zip(*_fitting(items), strict=True)
         has_durations = durations.count(None) < len(durations)
@@ -148,7 +151,7 @@ class UnackedRuns:
 
     def __init__(self) -> None:
         self._runs: deque[NumberedRun] = deque()
-        self._sent_before = 0  # the sent runs have lower numbers
+        self._sent_before = 0  # the runs with lower numbers are sent
         self.answered = Answered(0, 0, 0)
 
     def __len__(self) -> int:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from stampede_rt.wire.varints import decode_varint, encode_varint
 
 _COLUMN = struct.Struct("<BBq")  # the tag and the length of a packed column, and its only number
-_LENGTHS = struct.Struct("<BBIB")  # the same of the column of lengths, and the tag of the payloads
+_LENGTHS = struct.Struct("<BBIB")  # the same for the column of lengths, and then the tag of the payloads
 _TIMES_TAG = 1 << 3 | 2
 _DURATIONS_TAG = 2 << 3 | 2
 _LENGTHS_TAG = 3 << 3 | 2

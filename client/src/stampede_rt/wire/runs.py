@@ -36,8 +36,8 @@ _TAGS_BEFORE_PAYLOADS = frozenset(field << 3 | 2 for field in range(1, 6))
 _FIXED_FIELD_BYTES = {1 << 3 | 1: 9, 2 << 3 | 1: 9, 3 << 3 | 5: 5}  # one entry of a column that is not packed, by tag
 _PACKED_COLUMNS = ((1 << 3 | 2, "q"), (2 << 3 | 2, "q"), (3 << 3 | 2, "I"))  # times, durations and lengths
 _COLUMN_TAGS = frozenset(field << 3 | 2 for field in range(1, 4))
-_SEALS_OF_ONE = (_FIRST_SEQ.size, _FIRST_SEQ.size + 10)  # a host appends it to a run of one item, see `seal_run`
-_PIECE_BYTES_MIN = 1024  # of the payloads of a run, on average
+_SEALS_OF_ONE = (_FIRST_SEQ.size, _FIRST_SEQ.size + 10)  # bytes that a host appends to a run of one item
+_PIECE_BYTES_MIN = 1024  # shorter payloads, on average, become one piece
 _SHORT_BYTES = 4096  # shorter runs are parsed whole, which is faster than a look for their payloads
 _FIELDS_LOOKED_AT_MAX = 4096
 # The bytes of one item in three columns, if the encoder did not pack them and each entry has a tag.

@@ -34,7 +34,7 @@ class _Role:
     process: subprocess.Popen[str]
     last_lines: deque[str] = field(default_factory=lambda: deque(maxlen=LAST_LINES_MAX))
     readers: list[threading.Thread] = field(default_factory=list)
-    finished: bool = False  # the orchestrator has read its result
+    finished: bool = False  # whether the orchestrator has read the role's result
 
 
 class RoleProcesses:

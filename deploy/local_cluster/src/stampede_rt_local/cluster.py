@@ -20,7 +20,7 @@ from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.values import Address, parse_address
 
 _TITLES = {Role.SUPERNODE: "supernode", Role.FRONTEND: "front-end", Role.HOST: "host"}
-READY_SECONDS = 40.0  # an idle machine needs 1 to 2, a busy one may need 10
+READY_SECONDS = 40.0  # an idle machine needs 1 to 2 s, and a busy machine may need 10 s
 
 
 class LocalCluster:

@@ -19,7 +19,7 @@ from stampede_rt_local.namespaces import NetworkNamespace
 LAST_LINES_MAX = 50
 LINE_CHARS_MAX = 4096
 LOOK_SECONDS = 0.25
-STOP_SECONDS = 11.0  # longer than a host moves its channels away (5 s), and a service waits for calls (2 * 2 s)
+STOP_SECONDS = 11.0  # a host moves its channels away for 5 s, and a service waits for calls for 2 * 2 s
 _READY = re.compile(r"stampede \S+(?: \S+)? ready on (\S+)\s*")
 
 

@@ -574,9 +574,9 @@ _shtab_stampede_echo_defaults_added=0
 _shtab_stampede_export_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--file}"[the file to write\; the folder, for several tables]:OUT:_files"
-  "--format[default\: by the end of OUT\'s name]:format:(mcap parquet csv)"
-  "*--channel[of a file\: only these\; may be repeated]:GLOB:"
+  {-o,--file}"[the file to write, or the folder for several tables]:OUT:_files"
+  "--format[default\: the end of OUT\'s name decides]:format:(mcap parquet csv)"
+  "*--channel[only these topics of a file\; may be repeated]:GLOB:"
   "--from[the first time]:TIME:"
   "--to[the end, exclusive]:TIME:"
   "--overwrite[overwrite an existing file]"
@@ -1034,7 +1034,7 @@ _shtab_stampede_move_options=(
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--queue[move the queue of that name]"
-  ":the channel\'s name, or with --queue the queue\'s:"
+  ":the channel\'s name, or with --queue the queue\'s name:"
   ":the host that becomes the owner:"
 )
 
