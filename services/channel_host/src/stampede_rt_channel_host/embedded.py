@@ -78,7 +78,7 @@ class EmbeddedHost:
 
     @property
     def target(self) -> str:
-        """The address at which others reach the host."""
+        """The address at which callers reach the host."""
         return "" if self._served is None else self._served.advertise
 
     @property

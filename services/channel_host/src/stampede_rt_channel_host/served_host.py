@@ -1,4 +1,4 @@
-"""One channel host with its server: where it listens, and how others reach it.
+"""One channel host with its server: where it listens, and how callers reach it.
 
 `stampede host` runs it as a process, and `embedded` inside another program's process.
 """
@@ -200,7 +200,7 @@ def where_to_listen(settings: HostSettings, *, secured: bool) -> str:
 
 
 def where_to_call(address: str, frontends: Sequence[str], certified: Sequence[str]) -> str:
-    """The address at which others reach a host that listens at `address`.
+    """The address at which callers reach a host that listens at `address`.
 
     If the host listens at all addresses of its machine, the result has the machine's name if all front-ends are on this
     machine or if `certified` has that name; otherwise the machine's address towards the front-ends. `certified`: the

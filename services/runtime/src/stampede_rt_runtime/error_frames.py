@@ -15,8 +15,8 @@ from typing import Any
 def failure_of(task: asyncio.Task[Any]) -> BaseException | None:
     """The error of an ended task, which is not cancelled; None if there is none.
 
-    A task keeps the frames of its error or of its cancellation until somebody asks for its result, as this function
-    does. `Task.exception` does not remove them.
+    A task keeps the frames of its error or of its cancellation until code asks for its result, as this function does.
+    `Task.exception` does not remove them.
     """
     try:
         task.result()

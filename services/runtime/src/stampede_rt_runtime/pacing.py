@@ -3,7 +3,7 @@
 gRPC reports all completed operations of a turn of the event loop together. With 1000 subscriptions, 200 of them
 completed a write in one turn, and each then looked for its next message. The turn took 10 ms and more, and the service
 did nothing else meanwhile (decision 0123). A caller whose 3000 streams have all received a message delays the streams
-of others by one turn only (decision 0139).
+of other callers by one turn only (decision 0139).
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ class OwnPart(NamedTuple):
 
 
 def name_of_stop(stop: CleanStop) -> str:
-    """The name of an object that tells the next owner of the channel about a clean stop.
+    """The name of an object that notes a clean stop for the next owner of the channel.
 
     The name has no incarnation, no advance and no retries, because the directory gives a new incarnation to the channel
     if another host takes it over.

@@ -32,7 +32,7 @@ _REST_SECONDS = 0.0002  # a reader gives the other threads their turn after each
 
 
 class HostArchive:
-    """Writes with one thread, and reads with others, so that the event loop never waits for the disk.
+    """Writes with one thread, and reads with other threads, so that the event loop never waits for the disk.
 
     After new items have come, the archive waits WRITE_AFTER_SECONDS for more, unless a channel has enough for a write.
     Then it writes the items of all channels, one channel after the other. `decode` makes a run of its stored body.

@@ -80,7 +80,7 @@ class ChannelRecorder:
         self._channel = channel
         self._came = MovedItems(channel) if from_memory and files.is_shared else None
         self.archived_to = _lacks_from(channel, segments) if from_memory else channel.next_seq
-        """All seqs below this one are on stable storage, or lost to the archive."""
+        """All seqs below `archived_to` are on stable storage, or lost to the archive."""
         # For each put that is not archived: the seq after its items, the instant of their acceptance, and its bytes.
         self._ends: list[int] = []
         self._instants: list[int] = []
@@ -89,8 +89,8 @@ class ChannelRecorder:
         # Above these numbers the recorder joins the waiting puts whose items memory has lost.
         self._puts_max, self._bytes_max = PUTS_LEAST, BYTES_PER_WRITE
         self._advances: list[ArchivedAdvance] = []  # the advances that are not archived yet
-        self._advances_taken = 0  # how many of them, the first ones, a write has taken
-        self._advance: int | None = None  # the latest one
+        self._advances_taken = 0  # how many of them, from the first on, a write has taken
+        self._advance: int | None = None  # the latest advance
         self._lost_before: int | None = None  # see `note_loss`; None: it is on the disk
         self._has_told_loss = False
         channel.record(self.archived_to)

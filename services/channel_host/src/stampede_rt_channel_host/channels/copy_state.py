@@ -52,7 +52,7 @@ class CopyState:
         self.source_next_seq = 0
         self.heard_nanos: int | None = None
         self.caught_up = False
-        self.is_replica = False  # a replica has items that readers must not see yet, so it serves nobody
+        self.is_replica = False  # a replica has items that readers must not see yet, so it serves no reader
         self.reconnects = 0
         self.may_inherit: Inheritance | None = None  # set if the host may become the owner, with this copy's items
         self.floors: dict[bytes, CutFloor] = {}  # by group: the cut up to which the copy may show the group

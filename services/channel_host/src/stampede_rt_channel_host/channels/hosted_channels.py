@@ -132,7 +132,7 @@ class HostedChannel:
 
     @property
     def gets(self) -> WaitingGets:
-        """The blocked gets. Most channels have none, so the first one makes this object."""
+        """The blocked gets. Most channels have none, so the first blocked get makes this object."""
         if self._gets is None:
             source = self.channel
             self._gets = WaitingGets(source, ReachTracker(source), self._now, begin=self._begin, limits=self._limits)

@@ -1,8 +1,8 @@
 """Runs a host's registration on a thread and an event loop of its own (decision 0060).
 
 If something blocks the loop that serves channels, renewals still continue, and the fence still comes in time. A loop
-that has run no callback for LOOP_SILENCE_SECONDS_MAX serves nobody. Then the renewals stop, too, and the directory may
-give the channels to other hosts.
+that has run no callback for LOOP_SILENCE_SECONDS_MAX serves no caller. Then the renewals stop, too, and the directory
+may give the channels to other hosts.
 """
 
 from __future__ import annotations

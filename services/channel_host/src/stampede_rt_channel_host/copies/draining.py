@@ -202,7 +202,7 @@ class _Others:
     async def move(self, own: _Own, host: OtherHost) -> OtherHost:
         """Have a host take a channel or queue over, as soon as the limits allow another move.
 
-        Returns another host to try instead, if this one has turned out to be silent meanwhile; otherwise `host`. Raises
+        Returns another host to try instead, if `host` has turned out to be silent meanwhile; otherwise `host`. Raises
         the errors of MigrationService.MoveHere, Unavailable, and DeadlineExceeded if the host has not begun the move
         after BEGIN_SECONDS_MAX.
         """

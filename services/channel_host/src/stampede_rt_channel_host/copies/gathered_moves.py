@@ -58,7 +58,7 @@ class GatheredMoves(ABC):
         return await self._owners.ask(channel_id)
 
     async def commit(self, channel_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedChannel:
-        """Make this host the owner, if the epoch is still this one. Safe to repeat. Raises StaleBinding.
+        """Make this host the owner, if the channel's epoch is still `epoch`. Safe to repeat. Raises StaleBinding.
 
         `permit` is the present owner's permit; empty if this host is the owner.
         """

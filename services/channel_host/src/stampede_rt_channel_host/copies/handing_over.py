@@ -42,7 +42,7 @@ class HandingOver:
         return pb.FeedHandoff(host_time_unix_nano=now, permit=self._move.permit)
 
     def _is_idle(self, now: int) -> bool:
-        """Whether the channel may be held already while the last message is on its way, because nobody puts."""
+        """Whether the channel may be held already while the last message is on its way, because no caller puts."""
         if not self._when_idle or self._hosted.replication is not None:
             return False
         latest = self._hosted.puts.retries.latest_time

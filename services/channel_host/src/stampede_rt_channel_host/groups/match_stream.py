@@ -116,7 +116,7 @@ class MatchStream:
         matcher = _matcher(hosted, request, now)
         generation, incarnation = 0, group.record.incarnation
         # the counts `unmatched` and `dropped` that the reader has got; None: it has got no response yet
-        # the first response without a match tells the reader that the stream follows every member
+        # from the first response without a match the reader knows that the stream follows every member
         counted: tuple[int, int] | None = None
         while counted is None or not self._credit.is_over:
             await self._writer.turn()

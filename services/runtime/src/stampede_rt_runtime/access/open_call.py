@@ -189,7 +189,9 @@ class RequestRights:
                     del self._waiting[grant]
 
     def close(self) -> None:
-        """End no more requests: the stream has ended. `lose` usually refers to it, and it refers to this object."""
+        """End no requests from now on: the stream has ended. `lose` usually refers to it, and it refers to this
+        object.
+        """
         self._lose = lambda *_: None
 
     def judging_again(self, rules: AccessRules) -> Iterator[None]:

@@ -1,1 +1,1 @@
-"""The memory of a service process: what it takes from the system, and gives back."""
+"""Controls how much memory a service process takes from the system and gives back."""

@@ -24,7 +24,7 @@ def setting_from(message: pb.QuotaSetting) -> QuotaSetting:
 
 
 def known_settings(messages: Iterable[pb.QuotaSetting]) -> Iterator[QuotaSetting]:
-    """The settings of the quotas that this release knows. A newer supernode may send others, too."""
+    """The settings of the quotas that this release knows. A newer supernode may send other quotas, too."""
     return (setting_from(one) for one in messages if one.kind in _KINDS_FROM)
 
 

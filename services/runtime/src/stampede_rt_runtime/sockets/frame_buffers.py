@@ -67,8 +67,7 @@ class FrameBuffers:
         return bytearray(frame_bytes)
 
     def give_back(self, buffer: bytearray) -> None:
-        """Keep the buffer of a frame for later frames. `buffer` leaves a kept buffer out while somebody has a view of
-        it.
+        """Keep the buffer of a frame for later frames. `buffer` leaves a kept buffer out while a view of it exists.
 
         asyncio and uvloop have a view of it until they have returned from the call that completed the frame.
         """

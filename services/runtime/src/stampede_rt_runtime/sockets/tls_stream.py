@@ -153,7 +153,7 @@ class TlsStream(asyncio.BufferedProtocol):
             self._is_secured = self._tls.shake()
             self._transport.write(self._tls.to_send())
         except ssl.SSLError:
-            self._transport.write(self._tls.to_send())  # the alert tells the caller why
+            self._transport.write(self._tls.to_send())  # the alert gives the caller the reason
             self._transport.close()
             return
         self._transport.resume_reading()

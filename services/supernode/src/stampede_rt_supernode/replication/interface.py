@@ -231,7 +231,7 @@ class ReplicatedLog(Protocol):
         """
 
     async def hand_over(self, *, timeout: float) -> bool:
-        """Have another member lead, if this one leads.
+        """Have another member lead, if this member leads.
 
         Returns True if this member does not lead afterwards. A failure loses nothing. Raises LogUnavailable if this
         replica is closed, or too many changes wait.

@@ -1,4 +1,4 @@
-"""The segments of a channel whose closed ones move to an object store. Blocks, as `SegmentFiles` does."""
+"""The segments of a channel. The closed segments move to an object store. Blocks, as `SegmentFiles` does."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ class MovingFiles(SegmentFiles):
         self._stop = None if stop is None else stop.at_end(self._segments, self._epoch)
 
     def name_of_stop(self) -> str | None:
-        """The name of the object that tells the next owner about a clean stop; None unless the files are closed with a
+        """The name of the object that notes a clean stop for the next owner; None unless the files are closed with a
         clean stop, and the store has all segments.
         """
         is_whole = self._stop is not None and not self.is_left and not self._local()

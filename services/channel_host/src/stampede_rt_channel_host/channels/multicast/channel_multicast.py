@@ -29,7 +29,7 @@ from stampede_rt_channel_host.core.channel import AllCursor, DeliveredSlice
 
 ITEMS_BYTES = 8192
 """About the bytes of one message with several items. A message is lost with one of its datagrams, so it is short."""
-BEAT_S_MIN = 0.02  # after the last item; then readers know that it was the last one. Grows up to BEAT_S_MAX
+BEAT_S_MIN = 0.02  # after the last item; then readers know that it was the last item. Grows up to BEAT_S_MAX
 LATE_S_MAX = 1.0
 """A multicast that is behind its channel for longer leaves items out. Otherwise its lag would have no limit."""
 KEY_SECONDS_MIN = 10.0  # a reader that has left can open datagrams at most this long
@@ -76,7 +76,7 @@ class ChannelMulticast:
         self._news.set()
 
     def end(self, error: StampedeError) -> None:
-        """See `ChannelObserver`. A datagram tells readers that their streams have news."""
+        """See `ChannelObserver`. A last datagram makes the readers open streams, which give the reason."""
         self.has_ended = True
         self._news.set()
 

@@ -18,7 +18,7 @@ BlocksOf = Callable[[Segment], SegmentBlocks]
 class Hole(NamedTuple):
     """A hole: items that an archive lacks. Their times lie between `start` and `end`, unless they came late.
 
-    `items` is 0 if an owner was lost, and nobody knows which items it had.
+    `items` is 0 if an owner was lost, and no host knows which items it had.
     """
 
     start: int

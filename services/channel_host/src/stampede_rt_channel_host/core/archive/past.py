@@ -97,7 +97,7 @@ def _cut(before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, run
     if first is not None:
         kept = kept.followed_by([first])
     short = summary(segment.number, segment.length, kept)
-    # the archive lacks the items between the kept ones and the next ones, if there are any
+    # the archive lacks the items between the kept items and the next items, if there are any
     if short is not None:
         short = short._replace(first_seq=segment.first_seq, end_seq=max(short.end_seq, following.first_seq))
         return Past((*before, short), kept, following)

@@ -24,7 +24,7 @@ def has_start(epoch: int) -> bool:
 def given_between(first: int, end: int) -> int:
     """How many of the seqs from `first` up to `end`, exclusive, belong to items, as far as the archive can know.
 
-    If an owner has begun at the start of its epoch, nobody knows how many of the seqs before have been used.
+    If an owner has begun at the start of its epoch, no host knows how many of the seqs before have been used.
     """
     start = (end - 1) // SEQS_PER_EPOCH * SEQS_PER_EPOCH + 1
     return max(0, end - max(first, start))

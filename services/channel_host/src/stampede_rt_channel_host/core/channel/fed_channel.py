@@ -79,8 +79,9 @@ class FedChannel(ChannelCore):
     def as_owner(self, now: int, incarnation: int | None = None) -> tuple[ChannelCore, RetryWindow]:
         """The channel that this copy becomes, with the retry window. It has the items and runs that this copy has got.
 
-        `incarnation`: the new one, if the owner was lost with later items than this copy has; None: the incarnation
-        stays. From then on the items belong to that channel: the caller must not use this copy any more.
+        `incarnation`: the channel's new incarnation, if the owner was lost with later items than this copy has; None:
+        the incarnation stays. From then on the items belong to that channel: the caller must not use this copy any
+        more.
         """
         facts = self.owner_facts
         assert facts is not None, "the caller has asked the feed for the owner's facts"

@@ -179,7 +179,7 @@ class ChannelIndex:
         returns `high`.
 
         Looks at `entries_max` entries at most. If these hold no such item, returns the first seq of the next entry: no
-        item with a seq from `low` up to this one is left.
+        item with a seq from `low` up to that seq is left.
         """
         before = self._by_seq.last_below(low)
         entries = chain(() if before is None else (before,), self._by_seq.between(low, high - 1))

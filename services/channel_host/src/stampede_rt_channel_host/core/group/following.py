@@ -68,9 +68,9 @@ class CutFollower:
     ) -> None:
         """Begin at the cut. With `next_seq`, continue from the cut and `next_seq` that a reader kept.
 
-        `incarnation` is the incarnation in which the reader kept them. If it is another one than the channel's, the
-        first step reports a loss, and all present items count as late or new. If it is None, the follower
-        does not compare. `archived`: the caller finds collected items in an archive.
+        `incarnation` is the incarnation in which the reader kept them. If the channel has another incarnation now, the
+        first step reports a loss, and all present items count as late or new. If it is None, the follower does not
+        compare. `archived`: the caller finds collected items in an archive.
         """
         held, _ = channel.look(now)
         self._channel = channel

@@ -30,7 +30,9 @@ class LossCounter:
     __slots__ = ("_consumed", "_floor", "_held_from", "_low", "_owed", "lowest_seq", "next_seq")
 
     def __init__(self, held: Holdings, low: ItemKey, next_seq: int) -> None:
-        """At first the owed items are the held ones at or above `low`, and all items with `next_seq` or a later seq."""
+        """At first the owed items are the held items at or above `low`, and all items with `next_seq` or a later
+        seq.
+        """
         self._low = low
         # `_owed`: the number of held items at or above `_low` with a seq below `next_seq`
         self._owed, self.lowest_seq = _owed(held, low, next_seq)

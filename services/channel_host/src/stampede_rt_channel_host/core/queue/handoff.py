@@ -218,7 +218,7 @@ def enter(queue_items: QueueItems, leasing: Leasing, state: ItemState, now: int)
     queue_items.delays.disarm(item)
     for lease, number in zip(state.leases, state.deliveries, strict=False):
         taker = TakerState(lease.taker_id, name=lease.taker_name)
-        leased = former.get(lease.delivery_id)  # the deadlines tell leases apart by their ids, so one id is one object
+        leased = former.get(lease.delivery_id)  # the deadlines distinguish leases by their ids, so one id is one object
         leased = leased or Lease(lease.delivery_id, item, number, taker, now - lease.leased_ago_nanos)
         leasing.enter(leased, now + lease.lease_nanos)
     if state.delay_nanos > 0:

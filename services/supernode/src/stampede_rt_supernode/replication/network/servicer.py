@@ -91,7 +91,7 @@ class RaftServicer:
         await self._explain(reader, context)
 
     def refused(self) -> dict[str, str]:
-        """By id: the members whose stores this one refused at their latest hello, and why.
+        """By id: the members whose stores this member refused at their latest hello, and why.
 
         Leaves out a member that has a stream. Then the refused caller was another process, with a copy of its folder.
         """

@@ -21,7 +21,7 @@ class Following(Membership):
 
     def _on_append(self, node: MemberNode, message: FromLeader) -> None:
         if message.term < self.term:
-            # This reply tells a leader of an older term that its term is over. The library sends none.
+            # From this reply a leader of an older term learns that its term is over. The library sends none.
             self._reply(node, message, next_index=self.log.last_index + 1)
             return
         self._follow(node, message.term)

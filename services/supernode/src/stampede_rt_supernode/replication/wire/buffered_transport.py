@@ -30,7 +30,7 @@ class Disconnected:
 
 @dataclass(frozen=True, slots=True)
 class StreamOpened:
-    """A member has opened a new stream to this one. Messages of its former stream that did not arrive are lost.
+    """A member has opened a new stream to this member. Messages of its former stream that did not arrive are lost.
 
     `highest_level`: the highest feature level that the member's release knows.
     """
@@ -41,7 +41,7 @@ class StreamOpened:
 
 @dataclass(frozen=True, slots=True)
 class StreamEnded:
-    """A member's stream to this one has ended, and no newer stream has replaced it."""
+    """A member's stream to this member has ended, and no newer stream has replaced it."""
 
     member_id: str
 
