@@ -181,7 +181,7 @@ class DirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def DeleteChannel(self, request, context):
-        """Delete a channel. The channel's owner does not learn of this call at once, so callers should prefer
+        """Delete a channel. The channel's owner does not learn of this call immediately, so callers should prefer
         GatekeeperService.DropChannel of the owner. Its copies are deleted, too, and it leaves its groups; see
         GroupDirectoryService.
         """

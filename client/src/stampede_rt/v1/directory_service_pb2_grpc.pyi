@@ -67,7 +67,7 @@ class DirectoryServiceStub:
     UpdateChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.UpdateChannelRequest, _directory_service_pb2.UpdateChannelResponse]
     """Change the policy of a channel while it runs. A field that is left out stays as it is."""
     DeleteChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.DeleteChannelRequest, _directory_service_pb2.DeleteChannelResponse]
-    """Delete a channel. The channel's owner does not learn of this call at once, so callers should prefer
+    """Delete a channel. The channel's owner does not learn of this call immediately, so callers should prefer
     GatekeeperService.DropChannel of the owner. Its copies are deleted, too, and it leaves its groups; see
     GroupDirectoryService.
     """
@@ -134,7 +134,7 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     UpdateChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.UpdateChannelRequest, _directory_service_pb2.UpdateChannelResponse]  # type: ignore[assignment]
     """Change the policy of a channel while it runs. A field that is left out stays as it is."""
     DeleteChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.DeleteChannelRequest, _directory_service_pb2.DeleteChannelResponse]  # type: ignore[assignment]
-    """Delete a channel. The channel's owner does not learn of this call at once, so callers should prefer
+    """Delete a channel. The channel's owner does not learn of this call immediately, so callers should prefer
     GatekeeperService.DropChannel of the owner. Its copies are deleted, too, and it leaves its groups; see
     GroupDirectoryService.
     """
@@ -234,7 +234,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.DeleteChannelRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.DeleteChannelResponse, _abc.Awaitable[_directory_service_pb2.DeleteChannelResponse]]:
-        """Delete a channel. The channel's owner does not learn of this call at once, so callers should prefer
+        """Delete a channel. The channel's owner does not learn of this call immediately, so callers should prefer
         GatekeeperService.DropChannel of the owner. Its copies are deleted, too, and it leaves its groups; see
         GroupDirectoryService.
         """

@@ -82,9 +82,9 @@ class GatekeeperServiceServicer(object):
 
     def BindChannel(self, request, context):
         """Get the data endpoint of a channel. The host asks the directory about a channel, epoch or spec that is new to it.
-        If this host shall hold a copy of the channel by the directory's record, the host begins the copy and waits at most
-        5 s until the copy can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND, UNAVAILABLE (the copy cannot serve
-        readers yet).
+        If this host should hold a copy of the channel according to the directory's record, the host begins the copy and
+        waits at most 5 s until the copy can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND,
+        UNAVAILABLE (the copy cannot serve readers yet).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

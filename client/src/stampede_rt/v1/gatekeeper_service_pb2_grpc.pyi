@@ -39,9 +39,9 @@ class GatekeeperServiceStub:
     """Measure the round trip and the clock."""
     BindChannel: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.BindChannelRequest, _gatekeeper_service_pb2.BindChannelResponse]
     """Get the data endpoint of a channel. The host asks the directory about a channel, epoch or spec that is new to it.
-    If this host shall hold a copy of the channel by the directory's record, the host begins the copy and waits at most
-    5 s until the copy can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND, UNAVAILABLE (the copy cannot serve
-    readers yet).
+    If this host should hold a copy of the channel according to the directory's record, the host begins the copy and
+    waits at most 5 s until the copy can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND,
+    UNAVAILABLE (the copy cannot serve readers yet).
     """
     ListDataEndpoints: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ListDataEndpointsRequest, _gatekeeper_service_pb2.ListDataEndpointsResponse]
     """Get the addresses at which this host serves streams of data, for all its channels, queues and groups."""
@@ -65,9 +65,9 @@ class GatekeeperServiceAsyncStub(GatekeeperServiceStub):
     """Measure the round trip and the clock."""
     BindChannel: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.BindChannelRequest, _gatekeeper_service_pb2.BindChannelResponse]  # type: ignore[assignment]
     """Get the data endpoint of a channel. The host asks the directory about a channel, epoch or spec that is new to it.
-    If this host shall hold a copy of the channel by the directory's record, the host begins the copy and waits at most
-    5 s until the copy can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND, UNAVAILABLE (the copy cannot serve
-    readers yet).
+    If this host should hold a copy of the channel according to the directory's record, the host begins the copy and
+    waits at most 5 s until the copy can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND,
+    UNAVAILABLE (the copy cannot serve readers yet).
     """
     ListDataEndpoints: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ListDataEndpointsRequest, _gatekeeper_service_pb2.ListDataEndpointsResponse]  # type: ignore[assignment]
     """Get the addresses at which this host serves streams of data, for all its channels, queues and groups."""
@@ -100,9 +100,9 @@ class GatekeeperServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_gatekeeper_service_pb2.BindChannelResponse, _abc.Awaitable[_gatekeeper_service_pb2.BindChannelResponse]]:
         """Get the data endpoint of a channel. The host asks the directory about a channel, epoch or spec that is new to it.
-        If this host shall hold a copy of the channel by the directory's record, the host begins the copy and waits at most
-        5 s until the copy can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND, UNAVAILABLE (the copy cannot serve
-        readers yet).
+        If this host should hold a copy of the channel according to the directory's record, the host begins the copy and
+        waits at most 5 s until the copy can serve readers. Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND,
+        UNAVAILABLE (the copy cannot serve readers yet).
         """
 
     @_abc_1.abstractmethod

@@ -94,9 +94,9 @@ class GroupDirectoryServiceServicer(object):
 
     def UpdateGroup(self, request, context):
         """Add and remove members. The cut stays, unless no owner of a remaining member knows it; then the group gets a new
-        incarnation. The items of a new member before the cut are readable at once. Idempotent by request id. Errors:
-        GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request removes the
-        reference or the last member; more than 64 members).
+        incarnation. Readers can read the items of a new member before the cut immediately. Idempotent by request id.
+        Errors: GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request
+        removes the reference or the last member; more than 64 members).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -48,9 +48,9 @@ class GroupDirectoryServiceStub:
     """Find a group by id or name, with its members and their owners. Changes nothing. Errors: GROUP_NOT_FOUND."""
     UpdateGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.UpdateGroupRequest, _group_directory_service_pb2.UpdateGroupResponse]
     """Add and remove members. The cut stays, unless no owner of a remaining member knows it; then the group gets a new
-    incarnation. The items of a new member before the cut are readable at once. Idempotent by request id. Errors:
-    GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request removes the
-    reference or the last member; more than 64 members).
+    incarnation. Readers can read the items of a new member before the cut immediately. Idempotent by request id.
+    Errors: GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request
+    removes the reference or the last member; more than 64 members).
     """
     DeleteGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.DeleteGroupRequest, _group_directory_service_pb2.DeleteGroupResponse]
     """Delete a group. Its channels stay, and its readers get GROUP_NOT_FOUND. Idempotent by request id. Errors:
@@ -79,9 +79,9 @@ class GroupDirectoryServiceAsyncStub(GroupDirectoryServiceStub):
     """Find a group by id or name, with its members and their owners. Changes nothing. Errors: GROUP_NOT_FOUND."""
     UpdateGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.UpdateGroupRequest, _group_directory_service_pb2.UpdateGroupResponse]  # type: ignore[assignment]
     """Add and remove members. The cut stays, unless no owner of a remaining member knows it; then the group gets a new
-    incarnation. The items of a new member before the cut are readable at once. Idempotent by request id. Errors:
-    GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request removes the
-    reference or the last member; more than 64 members).
+    incarnation. Readers can read the items of a new member before the cut immediately. Idempotent by request id.
+    Errors: GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request
+    removes the reference or the last member; more than 64 members).
     """
     DeleteGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.DeleteGroupRequest, _group_directory_service_pb2.DeleteGroupResponse]  # type: ignore[assignment]
     """Delete a group. Its channels stay, and its readers get GROUP_NOT_FOUND. Idempotent by request id. Errors:
@@ -125,9 +125,9 @@ class GroupDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_group_directory_service_pb2.UpdateGroupResponse, _abc.Awaitable[_group_directory_service_pb2.UpdateGroupResponse]]:
         """Add and remove members. The cut stays, unless no owner of a remaining member knows it; then the group gets a new
-        incarnation. The items of a new member before the cut are readable at once. Idempotent by request id. Errors:
-        GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request removes the
-        reference or the last member; more than 64 members).
+        incarnation. Readers can read the items of a new member before the cut immediately. Idempotent by request id.
+        Errors: GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request
+        removes the reference or the last member; more than 64 members).
         """
 
     @_abc_1.abstractmethod

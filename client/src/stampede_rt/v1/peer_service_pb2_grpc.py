@@ -92,15 +92,15 @@ class PeerServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def DeregisterPeer(self, request, context):
-        """Deregister a peer. The name is free at once, and the mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
-        process of the same peer is registered).
+        """Deregister a peer. The name is free immediately, and the mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED
+        (another process of the same peer is registered).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ResolvePeer(self, request, context):
-        """Find a peer. By name, only a live peer is found; by id, also a peer whose lease ended lately. Changes nothing.
+        """Find a peer. By name, only a live peer is found; by id, also a peer whose lease ended a short time ago. Changes nothing.
         Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

@@ -44,11 +44,11 @@ class PeerServiceStub:
     RenewPeerLease: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.RenewPeerLeaseRequest, _peer_service_pb2.RenewPeerLeaseResponse]
     """Renew a lease. Only the leader can renew it. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
     DeregisterPeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.DeregisterPeerRequest, _peer_service_pb2.DeregisterPeerResponse]
-    """Deregister a peer. The name is free at once, and the mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
-    process of the same peer is registered).
+    """Deregister a peer. The name is free immediately, and the mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED
+    (another process of the same peer is registered).
     """
     ResolvePeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]
-    """Find a peer. By name, only a live peer is found; by id, also a peer whose lease ended lately. Changes nothing.
+    """Find a peer. By name, only a live peer is found; by id, also a peer whose lease ended a short time ago. Changes nothing.
     Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
     """
     ListPeers: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.ListPeersRequest, _peer_service_pb2.ListPeersResponse]
@@ -74,11 +74,11 @@ class PeerServiceAsyncStub(PeerServiceStub):
     RenewPeerLease: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.RenewPeerLeaseRequest, _peer_service_pb2.RenewPeerLeaseResponse]  # type: ignore[assignment]
     """Renew a lease. Only the leader can renew it. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
     DeregisterPeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.DeregisterPeerRequest, _peer_service_pb2.DeregisterPeerResponse]  # type: ignore[assignment]
-    """Deregister a peer. The name is free at once, and the mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
-    process of the same peer is registered).
+    """Deregister a peer. The name is free immediately, and the mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED
+    (another process of the same peer is registered).
     """
     ResolvePeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]  # type: ignore[assignment]
-    """Find a peer. By name, only a live peer is found; by id, also a peer whose lease ended lately. Changes nothing.
+    """Find a peer. By name, only a live peer is found; by id, also a peer whose lease ended a short time ago. Changes nothing.
     Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
     """
     ListPeers: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.ListPeersRequest, _peer_service_pb2.ListPeersResponse]  # type: ignore[assignment]
@@ -119,8 +119,8 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.DeregisterPeerRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.DeregisterPeerResponse, _abc.Awaitable[_peer_service_pb2.DeregisterPeerResponse]]:
-        """Deregister a peer. The name is free at once, and the mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
-        process of the same peer is registered).
+        """Deregister a peer. The name is free immediately, and the mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED
+        (another process of the same peer is registered).
         """
 
     @_abc_1.abstractmethod
@@ -129,7 +129,7 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.ResolvePeerRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.ResolvePeerResponse, _abc.Awaitable[_peer_service_pb2.ResolvePeerResponse]]:
-        """Find a peer. By name, only a live peer is found; by id, also a peer whose lease ended lately. Changes nothing.
+        """Find a peer. By name, only a live peer is found; by id, also a peer whose lease ended a short time ago. Changes nothing.
         Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
         """
 

@@ -26,7 +26,7 @@ if _version_not_supported:
 
 
 class QuotaUseServiceStub(object):
-    """Tells how much callers use of one service. Every host, supernode and front-end serves it, for operators.
+    """Lists the use of one service by each of its callers. Every host, supernode and front-end serves it, for operators.
     """
 
     def __init__(self, channel):
@@ -43,7 +43,7 @@ class QuotaUseServiceStub(object):
 
 
 class QuotaUseServiceServicer(object):
-    """Tells how much callers use of one service. Every host, supernode and front-end serves it, for operators.
+    """Lists the use of one service by each of its callers. Every host, supernode and front-end serves it, for operators.
     """
 
     def ListQuotaUse(self, request, context):
@@ -70,7 +70,7 @@ def add_QuotaUseServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class QuotaUseService(object):
-    """Tells how much callers use of one service. Every host, supernode and front-end serves it, for operators.
+    """Lists the use of one service by each of its callers. Every host, supernode and front-end serves it, for operators.
     """
 
     @staticmethod

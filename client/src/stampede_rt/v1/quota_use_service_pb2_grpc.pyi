@@ -27,7 +27,7 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class QuotaUseServiceStub:
-    """Tells how much callers use of one service. Every host, supernode and front-end serves it, for operators."""
+    """Lists the use of one service by each of its callers. Every host, supernode and front-end serves it, for operators."""
 
     @_typing.overload
     def __new__(cls, channel: _grpc.Channel) -> _Self: ...
@@ -38,14 +38,14 @@ class QuotaUseServiceStub:
 
 @_typing.type_check_only
 class QuotaUseServiceAsyncStub(QuotaUseServiceStub):
-    """Tells how much callers use of one service. Every host, supernode and front-end serves it, for operators."""
+    """Lists the use of one service by each of its callers. Every host, supernode and front-end serves it, for operators."""
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     ListQuotaUse: _aio.UnaryUnaryMultiCallable[_quota_use_service_pb2.ListQuotaUseRequest, _quota_use_service_pb2.ListQuotaUseResponse]  # type: ignore[assignment]
     """List the callers that use something now, or were refused something."""
 
 class QuotaUseServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Tells how much callers use of one service. Every host, supernode and front-end serves it, for operators."""
+    """Lists the use of one service by each of its callers. Every host, supernode and front-end serves it, for operators."""
 
     @_abc_1.abstractmethod
     def ListQuotaUse(

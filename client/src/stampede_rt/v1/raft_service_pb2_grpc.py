@@ -48,15 +48,16 @@ class RaftServiceServicer(object):
 
     def Exchange(self, request_iterator, context):
         """Carries one member's messages to another, in order and at most once, for as long as both live. The first request
-        has only `hello`, and the receiver answers it at once. Every later request has messages. While messages come, the
-        receiver answers about twice a second. If a caller gets no answer for 3 s, its messages do not arrive. Each member
-        opens one such stream to every other member. A second stream from the same member ends the first. After a break no
-        message is sent again, because the log itself catches up. Not idempotent. Errors: INVALID_ARGUMENT for a malformed
-        hello or message; PERMISSION_DENIED for a caller that is not a member, that was removed ("removed" in the message),
-        that comes with another store than before ("another store"), or that comes with an older term or fewer entries than
-        it has acknowledged ("older copy"); FAILED_PRECONDITION for another cluster, another addressee, another protocol
-        version, or a release that does not know the cluster's feature level ("too old"); RESOURCE_EXHAUSTED when the
-        receiver is too far behind; UNAVAILABLE when it closes or the stream was replaced by a newer one.
+        has only `hello`, and the receiver answers it immediately. Every later request has messages. While messages come,
+        the receiver answers about twice a second. If a caller gets no answer for 3 s, its messages do not arrive. Each
+        member opens one such stream to every other member. A second stream from the same member ends the first. After a
+        break no message is sent again, because the log itself catches up. Not idempotent. Errors: INVALID_ARGUMENT for a
+        malformed hello or message; PERMISSION_DENIED for a caller that is not a member, that was removed ("removed" in the
+        message), that comes with another store than before ("another store"), or that comes with an older term or fewer
+        entries than it has acknowledged ("older copy"); FAILED_PRECONDITION for another cluster, another addressee,
+        another protocol version, or a release that does not know the cluster's feature level ("too old");
+        RESOURCE_EXHAUSTED when the receiver is too far behind; UNAVAILABLE when it closes or the stream was replaced by a
+        newer one.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -37,15 +37,16 @@ class RaftServiceStub:
     def __new__(cls, channel: _aio.Channel) -> RaftServiceAsyncStub: ...
     Exchange: _grpc.StreamStreamMultiCallable[_raft_service_pb2.RaftServiceExchangeRequest, _raft_service_pb2.RaftServiceExchangeResponse]
     """Carries one member's messages to another, in order and at most once, for as long as both live. The first request
-    has only `hello`, and the receiver answers it at once. Every later request has messages. While messages come, the
-    receiver answers about twice a second. If a caller gets no answer for 3 s, its messages do not arrive. Each member
-    opens one such stream to every other member. A second stream from the same member ends the first. After a break no
-    message is sent again, because the log itself catches up. Not idempotent. Errors: INVALID_ARGUMENT for a malformed
-    hello or message; PERMISSION_DENIED for a caller that is not a member, that was removed ("removed" in the message),
-    that comes with another store than before ("another store"), or that comes with an older term or fewer entries than
-    it has acknowledged ("older copy"); FAILED_PRECONDITION for another cluster, another addressee, another protocol
-    version, or a release that does not know the cluster's feature level ("too old"); RESOURCE_EXHAUSTED when the
-    receiver is too far behind; UNAVAILABLE when it closes or the stream was replaced by a newer one.
+    has only `hello`, and the receiver answers it immediately. Every later request has messages. While messages come,
+    the receiver answers about twice a second. If a caller gets no answer for 3 s, its messages do not arrive. Each
+    member opens one such stream to every other member. A second stream from the same member ends the first. After a
+    break no message is sent again, because the log itself catches up. Not idempotent. Errors: INVALID_ARGUMENT for a
+    malformed hello or message; PERMISSION_DENIED for a caller that is not a member, that was removed ("removed" in the
+    message), that comes with another store than before ("another store"), or that comes with an older term or fewer
+    entries than it has acknowledged ("older copy"); FAILED_PRECONDITION for another cluster, another addressee,
+    another protocol version, or a release that does not know the cluster's feature level ("too old");
+    RESOURCE_EXHAUSTED when the receiver is too far behind; UNAVAILABLE when it closes or the stream was replaced by a
+    newer one.
     """
 
 @_typing.type_check_only
@@ -55,15 +56,16 @@ class RaftServiceAsyncStub(RaftServiceStub):
     def __init__(self, channel: _aio.Channel) -> None: ...
     Exchange: _aio.StreamStreamMultiCallable[_raft_service_pb2.RaftServiceExchangeRequest, _raft_service_pb2.RaftServiceExchangeResponse]  # type: ignore[assignment]
     """Carries one member's messages to another, in order and at most once, for as long as both live. The first request
-    has only `hello`, and the receiver answers it at once. Every later request has messages. While messages come, the
-    receiver answers about twice a second. If a caller gets no answer for 3 s, its messages do not arrive. Each member
-    opens one such stream to every other member. A second stream from the same member ends the first. After a break no
-    message is sent again, because the log itself catches up. Not idempotent. Errors: INVALID_ARGUMENT for a malformed
-    hello or message; PERMISSION_DENIED for a caller that is not a member, that was removed ("removed" in the message),
-    that comes with another store than before ("another store"), or that comes with an older term or fewer entries than
-    it has acknowledged ("older copy"); FAILED_PRECONDITION for another cluster, another addressee, another protocol
-    version, or a release that does not know the cluster's feature level ("too old"); RESOURCE_EXHAUSTED when the
-    receiver is too far behind; UNAVAILABLE when it closes or the stream was replaced by a newer one.
+    has only `hello`, and the receiver answers it immediately. Every later request has messages. While messages come,
+    the receiver answers about twice a second. If a caller gets no answer for 3 s, its messages do not arrive. Each
+    member opens one such stream to every other member. A second stream from the same member ends the first. After a
+    break no message is sent again, because the log itself catches up. Not idempotent. Errors: INVALID_ARGUMENT for a
+    malformed hello or message; PERMISSION_DENIED for a caller that is not a member, that was removed ("removed" in the
+    message), that comes with another store than before ("another store"), or that comes with an older term or fewer
+    entries than it has acknowledged ("older copy"); FAILED_PRECONDITION for another cluster, another addressee,
+    another protocol version, or a release that does not know the cluster's feature level ("too old");
+    RESOURCE_EXHAUSTED when the receiver is too far behind; UNAVAILABLE when it closes or the stream was replaced by a
+    newer one.
     """
 
 class RaftServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -76,15 +78,16 @@ class RaftServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_raft_service_pb2.RaftServiceExchangeResponse], _abc.AsyncIterator[_raft_service_pb2.RaftServiceExchangeResponse]]:
         """Carries one member's messages to another, in order and at most once, for as long as both live. The first request
-        has only `hello`, and the receiver answers it at once. Every later request has messages. While messages come, the
-        receiver answers about twice a second. If a caller gets no answer for 3 s, its messages do not arrive. Each member
-        opens one such stream to every other member. A second stream from the same member ends the first. After a break no
-        message is sent again, because the log itself catches up. Not idempotent. Errors: INVALID_ARGUMENT for a malformed
-        hello or message; PERMISSION_DENIED for a caller that is not a member, that was removed ("removed" in the message),
-        that comes with another store than before ("another store"), or that comes with an older term or fewer entries than
-        it has acknowledged ("older copy"); FAILED_PRECONDITION for another cluster, another addressee, another protocol
-        version, or a release that does not know the cluster's feature level ("too old"); RESOURCE_EXHAUSTED when the
-        receiver is too far behind; UNAVAILABLE when it closes or the stream was replaced by a newer one.
+        has only `hello`, and the receiver answers it immediately. Every later request has messages. While messages come,
+        the receiver answers about twice a second. If a caller gets no answer for 3 s, its messages do not arrive. Each
+        member opens one such stream to every other member. A second stream from the same member ends the first. After a
+        break no message is sent again, because the log itself catches up. Not idempotent. Errors: INVALID_ARGUMENT for a
+        malformed hello or message; PERMISSION_DENIED for a caller that is not a member, that was removed ("removed" in the
+        message), that comes with another store than before ("another store"), or that comes with an older term or fewer
+        entries than it has acknowledged ("older copy"); FAILED_PRECONDITION for another cluster, another addressee,
+        another protocol version, or a release that does not know the cluster's feature level ("too old");
+        RESOURCE_EXHAUSTED when the receiver is too far behind; UNAVAILABLE when it closes or the stream was replaced by a
+        newer one.
         """
 
 def add_RaftServiceServicer_to_server(servicer: RaftServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -32,10 +32,11 @@ class ReplicaDirectoryServiceStub(object):
     ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
-    that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
-    are in sync stay so, because they hold everything that was acknowledged or shown. If puts do not wait for the replicas
-    (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner then sends the items to
-    the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
+    that is in sync becomes the owner immediately, with the next epoch and the same incarnation. The other warm replicas
+    that are in sync stay in sync, because they hold everything that was acknowledged or shown. If puts do not wait for
+    the replicas (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner
+    then sends the items to the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas
+    asks for, and removes others.
     """
 
     def __init__(self, channel):
@@ -78,10 +79,11 @@ class ReplicaDirectoryServiceServicer(object):
     ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
-    that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
-    are in sync stay so, because they hold everything that was acknowledged or shown. If puts do not wait for the replicas
-    (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner then sends the items to
-    the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
+    that is in sync becomes the owner immediately, with the next epoch and the same incarnation. The other warm replicas
+    that are in sync stay in sync, because they hold everything that was acknowledged or shown. If puts do not wait for
+    the replicas (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner
+    then sends the items to the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas
+    asks for, and removes others.
     """
 
     def AddReplica(self, request, context):
@@ -172,10 +174,11 @@ class ReplicaDirectoryService(object):
     ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
-    that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
-    are in sync stay so, because they hold everything that was acknowledged or shown. If puts do not wait for the replicas
-    (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner then sends the items to
-    the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
+    that is in sync becomes the owner immediately, with the next epoch and the same incarnation. The other warm replicas
+    that are in sync stay in sync, because they hold everything that was acknowledged or shown. If puts do not wait for
+    the replicas (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner
+    then sends the items to the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas
+    asks for, and removes others.
     """
 
     @staticmethod

@@ -33,10 +33,11 @@ class ReplicaDirectoryServiceStub:
     ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
-    that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
-    are in sync stay so, because they hold everything that was acknowledged or shown. If puts do not wait for the replicas
-    (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner then sends the items to
-    the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
+    that is in sync becomes the owner immediately, with the next epoch and the same incarnation. The other warm replicas
+    that are in sync stay in sync, because they hold everything that was acknowledged or shown. If puts do not wait for
+    the replicas (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner
+    then sends the items to the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas
+    asks for, and removes others.
     """
 
     @_typing.overload
@@ -77,10 +78,11 @@ class ReplicaDirectoryServiceAsyncStub(ReplicaDirectoryServiceStub):
     ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
-    that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
-    are in sync stay so, because they hold everything that was acknowledged or shown. If puts do not wait for the replicas
-    (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner then sends the items to
-    the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
+    that is in sync becomes the owner immediately, with the next epoch and the same incarnation. The other warm replicas
+    that are in sync stay in sync, because they hold everything that was acknowledged or shown. If puts do not wait for
+    the replicas (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner
+    then sends the items to the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas
+    asks for, and removes others.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -117,10 +119,11 @@ class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
     with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
     registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
-    that is in sync becomes the owner at once, with the next epoch and the same incarnation. The other warm replicas that
-    are in sync stay so, because they hold everything that was acknowledged or shown. If puts do not wait for the replicas
-    (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner then sends the items to
-    the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas asks for, and removes others.
+    that is in sync becomes the owner immediately, with the next epoch and the same incarnation. The other warm replicas
+    that are in sync stay in sync, because they hold everything that was acknowledged or shown. If puts do not wait for
+    the replicas (AddReplicaRequest.acknowledged), the incarnation rises by one, and no replica is in sync. The new owner
+    then sends the items to the other copies. The owner of a channel adds the warm replicas that ChannelSpec.replicas
+    asks for, and removes others.
     """
 
     @_abc_1.abstractmethod
