@@ -26,15 +26,15 @@ def secret(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> N
         find_secret_of(request.getfixturevalue(name), monkeypatch)
 
 
-OVER_PUBLIC_STREAMS = ("puts", "reads", "resumed_streams", "subscriptions", "waiting")
+OVER_PUBLIC_STREAMS = ("batches", "puts", "reads", "resumed_streams", "subscriptions", "waiting")
 """The test modules that also run over the public streams of gRPC, which the blocking client uses with some versions of
 grpcio.
 """
 
 
 OVER_SHARED_MEMORY = (
-    "callbacks", "codecs", "puts", "reads", "resumed_streams", "shared_streams", "slow_readers", "stepped_clock",
-    "subscriptions", "time_rules", "waiting",
+    "batches", "callbacks", "codecs", "puts", "reads", "resumed_streams", "shared_streams", "slow_readers",
+    "stepped_clock", "subscriptions", "time_rules", "waiting",
 )  # fmt: skip
 """The test modules that also run over shared memory.
 
@@ -50,7 +50,7 @@ IN_THE_HOSTS_OWN_PROCESS = ("puts", "reads", "time_rules", "waiting")
 """The test modules that also run in a program that is the host of its channels: puts and gets by reference."""
 
 
-OVER_TCP = ("callbacks", "puts", "resumed_streams", "slow_readers", "subscriptions", "taking")
+OVER_TCP = ("batches", "callbacks", "puts", "resumed_streams", "slow_readers", "subscriptions", "taking")
 """The test modules that also run over TCP sockets. Their streams stop, break, or carry long messages."""
 
 

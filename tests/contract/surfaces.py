@@ -93,6 +93,12 @@ class BlockingIterator:
             raise StopAsyncIteration
         return item
 
+    def batches(self) -> BlockingIterator:
+        """See `Subscription.batches`."""
+        batches = BlockingIterator(None, self._pool)
+        batches._made = self._made.batches()
+        return batches
+
     def __getattr__(self, name: str) -> Any:
         return getattr(self._made, name)
 

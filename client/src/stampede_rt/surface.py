@@ -63,7 +63,7 @@ from stampede_rt.errors import (
 )
 from stampede_rt.pickling import ClusterReference
 from stampede_rt.security.tls import TlsFiles
-from stampede_rt.values.answers import Items
+from stampede_rt.values.answers import ItemBatch, Items
 from stampede_rt.values.balancing import PlannedMove
 from stampede_rt.values.codecs import Codec, CodecLike
 from stampede_rt.values.grouping import (
@@ -168,6 +168,7 @@ __all__ = [
     "InvalidInterval",
     "InvalidName",
     "Item",
+    "ItemBatch",
     "ItemTooLarge",
     "Items",
     "LeaseExpired",

@@ -63,17 +63,19 @@ async def reads(calling: Calling, channel: Any, over: asyncio.Event) -> None:
 
 
 async def subscribes(calling: Calling, channel: Any) -> list[st.Item]:
-    """Get all items up to LAST one after the other. Some steps are cancelled."""
+    """Get all items up to LAST, one by one or in batches. Some steps are cancelled."""
     subscription = await subscribed(calling, channel)
+    batches = subscription.batches()
     items: list[st.Item] = []
     while not items or items[-1].payload != LAST:
-        step = asyncio.ensure_future(calling.step(subscription))
+        in_batch = calling.rng.random() < 0.3
+        step = asyncio.ensure_future(calling.step(batches if in_batch else subscription))
         if calling.is_async and calling.rng.random() < 0.2:
             await calling.interrupt(step)
         item = await calling.ended("step of a subscription", step, STORY_S_MAX)
         assert item not in (FAILED, ENDED)
         if item is not INTERRUPTED:
-            items.append(item)
+            items += item if in_batch else [item]
     subscription.close()
     return items
 

@@ -75,10 +75,9 @@ class StampedeClient:
                 receiver.take(item.time, item.seq, item.payload or b"")
 
     def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """Call `get` from the oldest item on, with a limit, in each turn."""
+        """Call `get` from the oldest item on, with a limit, in each turn, and read the columns of the answer."""
         for items in turns:
-            for item in self._channel.get(st.OLDEST, st.NEWEST, limit=items):
-                receiver.take(item.time, item.seq, item.payload or b"")
+            take_columns(self._channel.get(st.OLDEST, st.NEWEST, limit=items), receiver)
 
     def publish(self, steps: Iterator[Step]) -> None:
         """Put with a producer, which bounds the unacknowledged bytes."""
@@ -109,8 +108,14 @@ def put_all(channel: st.Channel, steps: Iterator[Step]) -> None:
 def take_all(subscription: st.Subscription, receiver: Receiver) -> None:
     """Give the receiver every item until it has ended."""
     threading.Thread(target=_close_at_end, args=(subscription, receiver), daemon=True).start()
-    for item in subscription:
-        receiver.take(item.time, item.seq, item.payload or b"")
+    for batch in subscription.batches():
+        take_columns(batch, receiver)
+
+
+def take_columns(items: st.Items | st.ItemBatch, receiver: Receiver) -> None:
+    """Give the receiver the time, the seq and the payload of each item."""
+    for time_nanos, seq, payload in zip(items.times, items.seqs, items.payloads, strict=True):
+        receiver.take(time_nanos, seq, payload or b"")
 
 
 def _close_at_end(subscription: st.Subscription, receiver: Receiver) -> None:

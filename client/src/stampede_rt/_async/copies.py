@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
+
 from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.session import Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, StaleBinding, StampedeError
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.machine import this_machine
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import gatekeeper_service_pb2
 
 BIND_TIMEOUT_S = 6.0  # a host makes the caller wait 5 s for a new copy
@@ -86,3 +89,36 @@ async def _copy_of(session: Session, state: ChannelState, owner: Binding) -> str
     )
     response = await endpoint.call(endpoint.gatekeeper.BindChannel, request, GET_TIMEOUT_S)
     return str(response.copy_target)
+
+
+async def open_at_owner_or_copy(
+    session: Session,
+    state: ChannelState,
+    owner: Binding,
+    target: str,
+    begun: channel_pb.SubscribeOpen,
+    open_stream: Callable[[Binding], Awaitable[None]],
+) -> None:
+    """Open a subscription at the owner, or at the copy to which the owner sends the reader.
+
+    `target`: the gatekeeper of the copy, if the owner has named it before. If the copy cannot serve the reader, `begun`
+    asks the owner to serve it.
+    """
+    if not target:
+        try:
+            await open_stream(owner)
+            return
+        except StaleBinding as error:
+            target = copy_target_of(error)
+            if not target:
+                raise
+    try:
+        await open_stream(await bound_at(session, state, target, owner.epoch))
+    except StampedeError as error:
+        if not may_serve_elsewhere(error):
+            raise
+        begun.stay = True
+        try:
+            await open_stream(owner)
+        finally:
+            begun.stay = False

@@ -171,7 +171,7 @@ class MulticastSubscription(Subscription):
 
     def _add(self, items: Sequence[Item], receiving: Receiving) -> None:
         """Give the items to the reader next, and note the place after them."""
-        self._ready.extend(items)
+        self._ready.add((items,))
         self._note_size(items)
         if self._cursor is not None:
             incarnation, next_seq = self._cursor.incarnation, receiving.merge.next_seq
@@ -204,25 +204,25 @@ class MulticastSubscription(Subscription):
         held = merge.take_up_to(end_seq)
         had = sum(gap.first_seq <= item.seq < end_seq for item in held)  # items that came before retention took them
         gap.items = max(0, min(gap.items, new) - had)
-        self._ready.extend(held)
+        self._ready.add((held,))
 
     def _take_offer(self, offer: channel_pb.MulticastOffer) -> None:
         self._offer = offer
         if self._receiving is not None:
             self._receiving.opener = DatagramOpener(offer.stream_id, offer.key_number, offer.key)
 
-    def _unseen(self, items: list[Item]) -> Sequence[Item]:
+    def _unseen(self, runs: list[Sequence[Item]]) -> Sequence[Sequence[Item]]:
         if self._receiving is None or not self._is_following:
-            return super()._unseen(items)
-        new = self._receiving.merge.fill(items)
+            return super()._unseen(runs)
+        new = self._receiving.merge.fill([item for run in runs for item in run])
         self._note_size(new)
-        return new
+        return (new,)
 
-    def _took_all(self, last: Item) -> None:
+    def _took_all(self, last_bytes: int) -> None:
         if self._is_following:  # the host sends the items in datagrams, and needs no credit for them
             self._ready_bytes = 0
         else:
-            super()._took_all(last)
+            super()._took_all(last_bytes)
 
     def _resume(self) -> None:
         self._stop_receiving()
@@ -258,4 +258,5 @@ class MulticastSubscription(Subscription):
 def _decoded(decoder: ItemDecoder, body: bytes) -> Sequence[Item]:
     """The items of a message. This is no method, because the subscription would then reference itself, and would not
     end when the program drops it."""
-    return decoder.decode_each(channel_pb.SubscribeResponse.FromString(body).runs)
+    response = channel_pb.SubscribeResponse.FromString(body)
+    return [item for run in decoder.decode_each(response.runs) for item in run]

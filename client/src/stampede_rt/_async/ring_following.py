@@ -66,16 +66,16 @@ class RingFollower:
             return find_newest(self.mapping.view, facts, self._position) is not True
         return self._next(facts, self._cursor.next_seq, self._slot) is not True
 
-    async def step(self) -> Sequence[Item] | AskHost:
-        """Return the next items; none after a wait. Raises StampedeError for a damaged ring."""
+    async def step(self) -> Sequence[Sequence[Item]] | AskHost:
+        """Return the runs of the next items; none after a wait. Raises StampedeError for a damaged ring."""
         self._measure(monotonic_s())
         changes = self.mapping.view.words[CHANGES_WORD]
         facts = self.mapping.view.facts()
         if facts is None:
             return ASK_HOST
-        items = self._take_newest(facts) if self._newest_only else self._take_next(facts)
-        if isinstance(items, AskHost) or items:
-            return items
+        runs = self._take_newest(facts) if self._newest_only else self._take_next(facts)
+        if isinstance(runs, AskHost) or runs:
+            return runs
         if not await self._waits.wait(self.mapping, changes, WAIT_S_MAX):
             return ASK_HOST
         return ()
@@ -93,7 +93,7 @@ class RingFollower:
             return None
         return self._cursor.from_unix_nano, min(self._cursor.from_seq, _SEQ_MAX) - 1
 
-    def _take_newest(self, facts: list[int]) -> Sequence[Item] | AskHost:
+    def _take_newest(self, facts: list[int]) -> Sequence[Sequence[Item]] | AskHost:
         found = find_newest(self.mapping.view, facts, self._position)
         if found is True or not self.mapping.is_open(boottime_nanos()):
             return ASK_HOST
@@ -104,10 +104,10 @@ class RingFollower:
         self._cursor.next_seq = found.next_seq
         self._delivered += 1
         self.skipped = max(0, found.next_seq - self._begun_seq - self._delivered)
-        return (item,)
+        return ((item,),)
 
-    def _take_next(self, facts: list[int]) -> Sequence[Item] | AskHost:
-        """Return the items of the next slots, until they have STEP_BYTES_MAX."""
+    def _take_next(self, facts: list[int]) -> Sequence[Sequence[Item]] | AskHost:
+        """Return the items of each of the next slots, until they have STEP_BYTES_MAX."""
         found, slot, next_seq, taken_bytes = list[FoundNext](), self._slot, self._cursor.next_seq, 0
         while len(found) < self._slots_max and taken_bytes < STEP_BYTES_MAX:
             one = self._next(facts, next_seq, slot)
@@ -119,9 +119,9 @@ class RingFollower:
             slot, next_seq, taken_bytes = one.slot.number, one.end_seq, taken_bytes + len(one.piece.body)
         if not self.mapping.is_open(boottime_nanos()):
             return ASK_HOST
-        items = [item for one in found for item in self._items(one)]
+        runs = [self._items(one) for one in found]
         self._slot, self._cursor.next_seq = slot, next_seq
-        return items
+        return runs
 
     def _items(self, found: FoundNext) -> Sequence[Item]:
         if found.is_plain:
@@ -129,7 +129,7 @@ class RingFollower:
         if not found.piece.is_whole:
             return items_of(self._state, self.mapping, [found.piece], found.next_time, backwards=False)
         decoder = self._state.decoder(self.mapping.view.incarnation, payloads=True)
-        return decoder.decode_long([LongRun(memoryview(found.piece.body), found.next_time)])
+        return decoder.decode_long([LongRun(memoryview(found.piece.body), found.next_time)])[0]
 
     def _next(self, facts: list[int], seq: int, slot: int) -> FoundNext | bool:
         now = host_now(facts, boottime_nanos())

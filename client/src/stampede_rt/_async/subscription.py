@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 import logging
-from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from types import TracebackType
 from typing import Any
 
+from stampede_rt._async.batches import Batches
 from stampede_rt._async.channel_state import ChannelState
-from stampede_rt._async.copies import bound_at, copy_target_of, may_serve_elsewhere
-from stampede_rt._async.reconnecting import Reconnecting, may_heal
+from stampede_rt._async.copies import copy_target_of, open_at_owner_or_copy
+from stampede_rt._async.reconnecting import Reconnecting, loss_after, may_heal
 from stampede_rt._async.ring_following import RingFollower
 from stampede_rt._async.ring_reads import AskHost
 from stampede_rt._async.session import Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.tracing import span
-from stampede_rt.errors import IncarnationLost, StaleBinding, StampedeError, Unavailable
+from stampede_rt.errors import IncarnationLost, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ONE_ITEM, CreditWindow, cost_of
 from stampede_rt.transports.concurrency_async import StepLock, StepTask, begin_if_blocking, monotonic_s
 from stampede_rt.transports.streams_async import BidiStream
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import error_pb2
+from stampede_rt.values.answers import ItemBatch
 from stampede_rt.values.model import Item
 from stampede_rt.values.reading import SubscribeMode
+from stampede_rt.values.ready_items import ReadyItems, SeenSeqs
 from stampede_rt.values.statistics import MulticastStats
 from stampede_rt.values.timeline import Bound
 from stampede_rt.wire.decoding import ItemDecoder
@@ -61,15 +63,15 @@ class Subscription(BoundToProcess):
         self._stream: BidiStream[SubscribeAnswer] | None = None
         self._responses: Any = None
         self._decoder: ItemDecoder | None = None
-        self._ready: deque[Item] = deque()
+        self._ready = ReadyItems()
         self._ready_bytes = 0  # the credit that all items of the last response cost
         self._steps = StepLock()  # callers that step at the same time take turns
         self._step_task = StepTask()
         newest_only = begun.mode == channel_pb.SUBSCRIBE_MODE_NEWEST
         self._window = CreditWindow(ONE_ITEM) if newest_only else CreditWindow()
         self._cursor: channel_pb.SubscriptionCursor | None = None  # where the next stream begins after a break
-        # Seqs of items that came after the cursor. After a break the next stream sends these items again.
-        self._since_cursor: set[int] = set()
+        # The items that came after the cursor. After a break the next stream sends these items again.
+        self._since_cursor = SeenSeqs()
         self._skipped_before = 0  # sum of earlier streams; on each stream the host counts from 0
         self._sent_to = ""  # the gatekeeper of the copy at which the host wants the reader to continue
         self._closed = False
@@ -137,15 +139,38 @@ class Subscription(BoundToProcess):
 
     async def __anext__(self) -> Item:
         self._session.check_process()
+        ready = self._ready
+        async with self._steps:
+            while not self._closed:
+                if ready.items:
+                    item = ready.items.popleft()
+                    if not ready:
+                        self._took_all(cost_of((item,)))
+                    return item
+                if not ready.unpack():
+                    await self._step_task.run(self._advance)
+            raise StopAsyncIteration
+
+    def batches(self) -> Batches:
+        """Return an iterator over batches: each step blocks until the next item, and returns all items that have come.
+
+        A batch has at most about 2 MiB, and one item in mode "newest". Its columns `times`, `seqs` and `payloads` need
+        no Item, so a program that reads them takes about half the time for small items. Steps of the iterator and steps
+        of the subscription may take turns. They raise the same errors, and `close` ends both.
+        """
+        return Batches(self._next_batch)
+
+    async def _next_batch(self) -> ItemBatch | None:
+        """Wait for items and return them; None after `close`."""
+        self._session.check_process()
         async with self._steps:
             while not self._closed:
                 if self._ready:
-                    item = self._ready.popleft()
-                    if not self._ready:
-                        self._took_all(item)
-                    return item
+                    batch = self._ready.take_all()
+                    self._took_all(self._ready_bytes)
+                    return batch
                 await self._step_task.run(self._advance)
-            raise StopAsyncIteration
+            return None
 
     async def _advance(self) -> None:
         """Take the next items, or wait for some."""
@@ -159,10 +184,11 @@ class Subscription(BoundToProcess):
         if not self._ready:
             await self._receive()
 
-    def _took_all(self, last: Item) -> None:
-        """Note in the credit window that the program has taken all ready items. `last` is the last of them."""
+    def _took_all(self, last_bytes: int) -> None:
+        """Note in the credit window that the program has taken all ready items, of which the last step took
+        `last_bytes`."""
         if self._follower is None:
-            self._window.take_all(self._ready_bytes, cost_of((last,)), monotonic_s())
+            self._window.take_all(self._ready_bytes, last_bytes, monotonic_s())
             self._ready_bytes = 0
 
     async def _follow_ring(self) -> None:
@@ -186,14 +212,14 @@ class Subscription(BoundToProcess):
     async def _step_in_ring(self, follower: RingFollower) -> None:
         """Take the next items from the ring, or wait a moment for some. Goes back to the host if the ring has ended."""
         try:
-            items = await follower.step()
+            runs = await follower.step()
         except StampedeError:  # the ring is damaged
             self._leave_ring(follower)
             raise
-        if isinstance(items, AskHost):
+        if isinstance(runs, AskHost):
             self._leave_ring(follower)
         else:
-            self._ready.extend(items)
+            self._ready.add(runs)
             self.skipped = self._skipped_before + follower.skipped
 
     def _leave_ring(self, follower: RingFollower) -> None:
@@ -226,7 +252,9 @@ class Subscription(BoundToProcess):
                 await self._reconnecting.open(self._open_within)
         except IncarnationLost as error:
             self._closed = True
-            raise self._lost(error) from error
+            if self._cursor is None:  # the caller's start or item is of another incarnation
+                raise
+            raise loss_after(self._state.info.name, self._cursor.next_seq) from error
         except StampedeError as error:
             self._closed = not may_heal(error)
             raise
@@ -235,26 +263,8 @@ class Subscription(BoundToProcess):
         await self._session.perform(self._state, self._open_at, timeout_s)
 
     async def _open_at(self, owner: Binding, _: float) -> None:
-        """Open a stream to the owner, or to the copy to which the owner sends the reader."""
         target, self._sent_to = self._sent_to, ""
-        if not target:
-            try:
-                await self._open_stream(owner)
-                return
-            except StaleBinding as error:
-                target = copy_target_of(error)
-                if not target:
-                    raise
-        try:
-            await self._open_stream(await bound_at(self._session, self._state, target, owner.epoch))
-        except StampedeError as error:
-            if not may_serve_elsewhere(error):
-                raise
-            self._begun.stay = True
-            try:
-                await self._open_stream(owner)
-            finally:
-                self._begun.stay = False
+        await open_at_owner_or_copy(self._session, self._state, owner, target, self._begun, self._open_stream)
 
     async def _open_stream(self, binding: Binding) -> None:
         self._begun.channel_id, self._begun.epoch = binding.subject_id, binding.epoch
@@ -312,43 +322,32 @@ class Subscription(BoundToProcess):
         if self._cursor is not None:
             self._begun.cursor.CopyFrom(self._cursor)
 
-    def _lost(self, error: IncarnationLost) -> IncarnationLost:
-        """Return the error for the loss of the incarnation that this subscription reads."""
-        if self._cursor is None:  # the caller's start or item is of another incarnation
-            return error
-        lost = IncarnationLost(
-            f"channel {self._state.info.name!r} has begun anew: its host was lost with its items; items after "
-            f"seq {self._cursor.next_seq - 1} may be missing; subscribe again to read the new incarnation"
-        )
-        lost.concerning("channel", self._state.info.name)
-        return lost
-
     def _take(self, response: channel_pb.SubscribeResponse, runs: Sequence[LongRun]) -> None:
         """Take a response. `runs`: the runs of a long response, which are not in `response`."""
         if response.HasField("gap"):
-            self.dropped += response.gap.items
-            self._count_loss(response.gap)
+            self._count_gap(response.gap)
         if self._decoder is not None and (response.runs or runs):
-            items = self._decoder.decode_long(runs) if runs else self._decoder.decode_each(response.runs)
-            unseen = self._unseen(items)
-            self._ready.extend(unseen)
-            self._ready_bytes += cost_of(unseen)
+            came = self._decoder.decode_long(runs) if runs else self._decoder.decode_each(response.runs)
+            unseen = self._unseen(came)
+            self._ready.add(unseen)
+            self._ready_bytes += sum(map(cost_of, unseen))
         if response.HasField("cursor"):
             self._cursor = response.cursor
             if not response.HasField("opened"):  # an "opened" response only repeats the cursor of the request
-                self._since_cursor.clear()
+                self._since_cursor.seqs.clear()
         if response.HasField("progress"):
             self.skipped = self._skipped_before + response.progress.skipped
 
-    def _count_loss(self, gap: channel_pb.SubscriptionGap) -> None:
+    def _count_gap(self, gap: channel_pb.SubscriptionGap) -> None:
+        self.dropped += gap.items
         if gap.reason == error_pb2.ABSENCE_REASON_LOST:
             self.losses += 1
             _log.warning("a subscription to channel %r continues after a loss: %s", self._state.info.name, gap.detail)
 
-    def _unseen(self, items: list[Item]) -> Sequence[Item]:
+    def _unseen(self, runs: list[Sequence[Item]]) -> Sequence[Sequence[Item]]:
+        """Return the runs without the items that came before."""
         if not self._begun.HasField("group_id"):
-            return items  # without a group, each response with items has a cursor
-        unseen = [item for item in items if item.seq not in self._since_cursor]
-        self._since_cursor.update(item.seq for item in unseen)
-        self._window.drop(cost_of(items) - cost_of(unseen))
-        return unseen
+            return runs  # without a group, each response with items has a cursor
+        unseen = self._since_cursor.unseen(runs)
+        self._window.drop(sum(map(cost_of, runs)) - cost_of(unseen))
+        return [unseen]

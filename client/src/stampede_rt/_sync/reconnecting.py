@@ -8,7 +8,7 @@ import random
 from collections.abc import Callable
 
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
-from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
+from stampede_rt.errors import DeadlineExceeded, IncarnationLost, InvalidArgument, StampedeError
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.transports.concurrency_sync import monotonic_s, sleep
 from stampede_rt.values.timeline import DurationLike, format_duration, parse_duration
@@ -110,6 +110,16 @@ class Reconnecting:
 def may_heal(error: StampedeError) -> bool:
     """Whether another try may succeed after `error`."""
     return error.retryable or isinstance(error, DeadlineExceeded)
+
+
+def loss_after(channel: str, next_seq: int) -> IncarnationLost:
+    """Return the error for the loss of the incarnation that a subscription reads. `next_seq`: of its next item."""
+    lost = IncarnationLost(
+        f"channel {channel!r} has begun anew: its host was lost with its items; items after seq {next_seq - 1} may be "
+        "missing; subscribe again to read the new incarnation"
+    )
+    lost.concerning("channel", channel)
+    return lost
 
 
 def parse_reconnect(reconnect: DurationLike | None) -> float:

@@ -99,8 +99,7 @@ class RecordingStream(Subscription):
 
     def _take_batch(self) -> RecordedBatch:
         batch, self._batch = self._batch, RecordedBatch()
-        batch.items = [*self._ready]
-        self._ready.clear()
+        batch.items = [*self._ready.take_all()]
         if batch.items:
             length_bytes = sum(item.payload_length_bytes for item in batch.items)
             self._window.take(length_bytes + ITEM_OVERHEAD_BYTES * len(batch.items), monotonic_s())

@@ -8,13 +8,14 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Protocol, Self
 
+from stampede_rt._sync.batches import Batches
 from stampede_rt._sync.change_feed import NEWEST_QUERY, ChangeFeed, PastSource
 from stampede_rt._sync.earlier_pages import EarlierPages
 from stampede_rt._sync.virtual_clock import VirtualClock
 from stampede_rt.errors import DeadlineExceeded
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.transports.concurrency_sync import StepLock
-from stampede_rt.values.answers import Items, PastState
+from stampede_rt.values.answers import ItemBatch, Items, PastState
 from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery, Wait
 from stampede_rt.values.timeline import ALL_TIME, MAX_INSTANT, Bound, Interval, Match
@@ -56,6 +57,16 @@ class ReplayedSteps(BoundToProcess):
             if item is None:
                 raise StopIteration
             return item
+
+    def batches(self) -> Batches:
+        """Return an iterator over batches with one item each, because the program sees the items at their instants."""
+        return Batches(self._next_batch)
+
+    def _next_batch(self) -> ItemBatch | None:
+        try:
+            return ItemBatch([[self.__next__()]])
+        except StopIteration:
+            return None
 
     def close(self) -> None:
         """End the iteration."""

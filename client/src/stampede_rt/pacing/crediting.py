@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from operator import attrgetter
 
+from stampede_rt.values.columns import ItemColumns
 from stampede_rt.values.model import Item
 
 ITEM_OVERHEAD_BYTES = 64
@@ -19,8 +20,8 @@ ONE_ITEM = 1
 
 
 def cost_of(items: Collection[Item]) -> int:
-    """Return the bytes of credit that the items cost."""
-    payload_bytes: int = sum(map(_length_of, items))
+    """Return the bytes of credit that the items cost. Makes no Item of columns."""
+    payload_bytes: int = items.payload_bytes if isinstance(items, ItemColumns) else sum(map(_length_of, items))
     return payload_bytes + ITEM_OVERHEAD_BYTES * len(items)
 
 

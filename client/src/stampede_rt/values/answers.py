@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import NamedTuple, Protocol, overload, runtime_checkable
 
 from stampede_rt.values.model import Item, Reason
@@ -14,8 +15,46 @@ COLUMN_TYPES = {"time": "q", "duration": "q", "seq": "Q"}  # type codes of `arra
 
 
 @runtime_checkable
-class _Columnar(Protocol):
+class _Columns(Protocol):
     def column(self, name: str) -> memoryview: ...
+    def payload_list(self) -> list[bytes | None]: ...
+
+
+class Columnar(Sequence[Item]):
+    """A sequence of items that has columns, too. A column has an entry for each item, in the order of the items.
+
+    `numpy.asarray(items.times)` copies nothing. The same is true of `durations` and `seqs`.
+    """
+
+    __slots__ = ()
+
+    @property
+    def times(self) -> memoryview:
+        """The time of each item in nanoseconds since the epoch; read-only int64 values."""
+        return self._column("time")
+
+    @property
+    def durations(self) -> memoryview:
+        """The duration of each item in nanoseconds, -1 for none; read-only int64 values."""
+        return self._column("duration")
+
+    @property
+    def seqs(self) -> memoryview:
+        """The seq of each item; read-only uint64 values."""
+        return self._column("seq")
+
+    @property
+    def payloads(self) -> list[bytes | None]:
+        """The payload of each item; None for each in reads without payloads. Copies the payloads, and makes no Item."""
+        return [payload for part in self._parts for payload in _payloads_of(part)]
+
+    @property
+    def _parts(self) -> Sequence[Sequence[Item]]:
+        """The items, in one sequence or several."""
+        raise NotImplementedError
+
+    def _column(self, name: str) -> memoryview:
+        return read_only(array(COLUMN_TYPES[name], b"".join(_column_of(part, name) for part in self._parts)))
 
 
 class PastState(NamedTuple):
@@ -31,11 +70,48 @@ class PastState(NamedTuple):
     next_items: tuple[int, int, int] | None
 
 
-class Items(Sequence[Item]):
+class ItemBatch(Columnar):
+    """The items that one step of `Subscription.batches` returns, in the order in which the host sent them.
+
+    The batch keeps the items in columns, and makes an Item when the program touches it. `times`, `durations`, `seqs`
+    and `payloads` need no Item.
+    """
+
+    __slots__ = ("_items", "_runs")
+
+    def __init__(self, runs: Sequence[Sequence[Item]]) -> None:
+        """`runs`: the items of each run."""
+        self._runs = runs
+        self._items: list[Item] | None = None
+
+    @overload
+    def __getitem__(self, index: int) -> Item: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Item]: ...
+    def __getitem__(self, index: int | slice) -> Item | Sequence[Item]:
+        if self._items is None:
+            self._items = [*self]
+        return self._items[index]
+
+    def __len__(self) -> int:
+        return sum(map(len, self._runs))
+
+    def __iter__(self) -> Iterator[Item]:
+        return chain.from_iterable(self._runs)
+
+    @property
+    def _parts(self) -> Sequence[Sequence[Item]]:
+        return self._runs
+
+    def __repr__(self) -> str:
+        return f"<ItemBatch: {len(self)}>"
+
+
+class Items(Columnar):
     """The answer to a get: items in time order, or in reverse with `newest_first`, and facts about the answer.
 
-    The answer keeps the items in columns, and makes an Item when the program touches it. `times`, `durations` and
-    `seqs` need no Item.
+    The answer keeps the items in columns, and makes an Item when the program touches it. `times`, `durations`, `seqs`
+    and `payloads` need no Item.
 
     - `interval`: the interval as the host resolved it. None if a bound is NEWEST or OLDEST and the channel has no
       items.
@@ -101,28 +177,8 @@ class Items(Sequence[Item]):
         return iter(self._items)
 
     @property
-    def times(self) -> memoryview:
-        """The time of each item in nanoseconds since the epoch, in the order of the items; read-only int64 values.
-
-        `numpy.asarray(items.times)` copies nothing. The same is true of the other columns.
-        """
-        return self._column("time")
-
-    @property
-    def durations(self) -> memoryview:
-        """The duration of each item in nanoseconds, -1 for none; read-only int64 values."""
-        return self._column("duration")
-
-    @property
-    def seqs(self) -> memoryview:
-        """The seq of each item; read-only uint64 values."""
-        return self._column("seq")
-
-    def _column(self, name: str) -> memoryview:
-        if isinstance(self._items, _Columnar):
-            return self._items.column(name)
-        entries = (getattr(item, name) for item in self._items)
-        return read_only(array(COLUMN_TYPES[name], (ABSENT if entry is None else entry for entry in entries)))
+    def _parts(self) -> Sequence[Sequence[Item]]:
+        return (self._items,)
 
     def __repr__(self) -> str:
         reason = f", reason={self.reason}" if self.reason else ""
@@ -132,3 +188,14 @@ class Items(Sequence[Item]):
 def read_only(column: array[int]) -> memoryview:
     """Return a read-only view of a column."""
     return memoryview(column).toreadonly()
+
+
+def _column_of(items: Sequence[Item], name: str) -> memoryview:
+    if isinstance(items, _Columns):
+        return items.column(name)
+    entries = (getattr(item, name) for item in items)
+    return read_only(array(COLUMN_TYPES[name], (ABSENT if entry is None else entry for entry in entries)))
+
+
+def _payloads_of(items: Sequence[Item]) -> list[bytes | None]:
+    return items.payload_list() if isinstance(items, _Columns) else [item.payload for item in items]

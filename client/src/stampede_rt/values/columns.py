@@ -13,6 +13,7 @@ from typing import Any, overload
 from stampede_rt.values.answers import ABSENT, COLUMN_TYPES, read_only
 from stampede_rt.values.model import Item
 
+Payloads = bytes | memoryview | list[bytes] | None
 SHORT_BYTES = 1024  # payloads that are shorter on average are copied once more, all together
 
 
@@ -21,10 +22,11 @@ class DecodedRun:
     """The columns of one run. Each has an entry for each item.
 
     `durations` has -1 for no duration; None: no item has one. `attributes` and `content_type` belong to all items.
-    `payloads` has the payloads one after the other; None: the items have none, or all items are made. `next_time` is
-    the time of the bucket after the run; None: the next run begins that bucket, or the run has the newest bucket.
+    `payloads` has the payloads one after the other, or a list of them; None: the items have none, or all of them are
+    made. `next_time` is the time of the bucket after the run; None: the next run begins that bucket, or the run has the
+    newest bucket.
 
-    If `payloads` is a view, make each payload immediately, because other data will overwrite the memory of the view.
+    If `payloads` is a view, call `kept` immediately, because other data will overwrite the memory of the view.
     """
 
     times: Sequence[int]
@@ -34,7 +36,7 @@ class DecodedRun:
     attributes: dict[str, str]
     content_type: str
     incarnation: int
-    payloads: bytes | memoryview | None
+    payloads: Payloads
     next_time: int | None = None
 
     @property
@@ -102,6 +104,20 @@ class ItemColumns(Sequence[Item]):
             column.extend(_entries(run, name))
         return read_only(column[::-1] if self._backwards else column)
 
+    def payload_list(self) -> list[bytes | None]:
+        """Return the payload of each item, in the order of the items. Makes no items."""
+        found: list[bytes | None] = []
+        for number, run in enumerate(self._runs):
+            # In this order, because `_of_run` sets the columns in the opposite order.
+            payloads, whole = run.payloads, self._whole[number]
+            found += _each_payload(payloads, run.lengths) if whole is None else (item.payload for item in whole)
+        return found[::-1] if self._backwards else found
+
+    @property
+    def payload_bytes(self) -> int:
+        """The length of all payloads together, also in reads without payloads."""
+        return sum(sum(run.lengths) for run in self._runs)
+
     def _at(self, at: int) -> Item:
         number = bisect_right(self._begins, at) - 1
         place, run = at - self._begins[number], self._runs[number]
@@ -118,7 +134,7 @@ class ItemColumns(Sequence[Item]):
                 self._all_ends()[at],
                 None if duration < 0 else duration,
                 run.first_seq + place,
-                None if payloads is None else bytes(payloads[begin : begin + run.lengths[place]]),
+                _payload_at(payloads, place, begin, run.lengths[place]),
                 run.attributes,
                 run.content_type,
                 run.lengths[place],
@@ -138,7 +154,7 @@ class ItemColumns(Sequence[Item]):
         self._runs[number].payloads = None  # each item has its own payload
         return whole
 
-    def _make_all(self, number: int, payloads: bytes | memoryview | None) -> list[Item]:
+    def _make_all(self, number: int, payloads: Payloads) -> list[Item]:
         ends = self._all_ends()[self._begins[number] : self._begins[number + 1]]
         return _made(self._runs[number], payloads, ends, self._make)
 
@@ -154,18 +170,22 @@ class ItemColumns(Sequence[Item]):
         return self._ends
 
 
-def items_of(run: DecodedRun, overlap: int, make: Callable[[Iterable[Any]], Item] | None) -> list[Item]:
-    """Return the items of a run that no other run of its answer follows in time. See `ItemColumns`."""
-    return _made(run, run.payloads, _ends_of([run], overlap), make)
+def kept(run: DecodedRun) -> DecodedRun:
+    """Copy the payloads of a run, if they are a view. Short ones stay together, and are copied again when a program
+    touches them. Returns the run."""
+    if isinstance(run.payloads, memoryview):
+        is_short = len(run.payloads) < SHORT_BYTES * len(run.lengths)
+        run.payloads = bytes(run.payloads) if is_short else [*_split(run.payloads, run.lengths)]
+    return run
 
 
 def _made(
     run: DecodedRun,
-    payloads: bytes | memoryview | None,
+    payloads: Payloads,
     ends: Sequence[int | None],
     make: Callable[[Iterable[Any]], Item] | None,
 ) -> list[Item]:
-    split: Iterable[bytes | None] = repeat(None) if payloads is None else _split(payloads, run.lengths)
+    split = _each_payload(payloads, run.lengths)
     given: Iterable[int | None] = repeat(None)
     if run.durations is not None:
         given = [None if duration < 0 else duration for duration in run.durations]
@@ -174,6 +194,18 @@ def _made(
     if make is not None:
         return [*map(make, rows)]
     return [*map(tuple.__new__, repeat(Item), rows)]  # as Item._make does, but without a Python call for each item
+
+
+def _each_payload(payloads: Payloads, lengths: Sequence[int]) -> Iterable[bytes | None]:
+    if payloads is None:
+        return repeat(None, len(lengths))
+    return payloads if isinstance(payloads, list) else _split(payloads, lengths)
+
+
+def _payload_at(payloads: Payloads, place: int, begin: int, length: int) -> bytes | None:
+    if payloads is None:
+        return None
+    return payloads[place] if isinstance(payloads, list) else bytes(payloads[begin : begin + length])
 
 
 def _split(payloads: bytes | memoryview, lengths: Sequence[int]) -> Iterable[bytes]:

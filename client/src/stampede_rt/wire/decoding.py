@@ -11,7 +11,7 @@ from stampede_rt.cluster.embedding import RunHere
 from stampede_rt.v1 import item_pb2
 from stampede_rt.values.answers import ABSENT
 from stampede_rt.values.codecs import Coding
-from stampede_rt.values.columns import DecodedRun, ItemColumns, items_of, span_end
+from stampede_rt.values.columns import DecodedRun, ItemColumns, kept, span_end
 from stampede_rt.values.model import Item
 from stampede_rt.wire.delivered import ItemCount, check_columns, check_delivered, malformed
 from stampede_rt.wire.long_answers import LongRun
@@ -97,22 +97,19 @@ class ItemDecoder:
             next_time=run.next_time,
         )
 
-    def decode_each(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:
-        """Return the items of one response whose runs do not follow each other in time, as in a subscription.
+    def decode_each(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Sequence[Item]]:
+        """Return the items of each run of a response whose runs do not follow each other in time, as in a subscription.
 
         Raises StampedeError for a run whose columns disagree, and for more items than a response has.
         """
         ItemCount().add(one.run for one in delivered)
-        return [item for one in delivered for item in self.decode((one,))]
+        return [self.decode((one,)) for one in delivered]
 
-    def decode_long(self, runs: Sequence[LongRun]) -> list[Item]:
-        """Return the items of a long response, as `decode_each`. Each payload is copied once."""
+    def decode_long(self, runs: Sequence[LongRun]) -> list[Sequence[Item]]:
+        """Return the items of each run of a long response, as `decode_each`. Copies the payloads."""
         decoded = [self._long_columns(one) for one in runs]
         ItemCount().add_items(sum(len(run.lengths) for run in decoded))
-        items: list[Item] = []
-        for run in decoded:
-            items += items_of(run, self._overlap, self._make)
-        return items
+        return [ItemColumns([kept(run)], overlap=self._overlap, make=self._make) for run in decoded]
 
     def _long_columns(self, one: LongRun) -> DecodedRun:
         parts = sealed_parts(one.encoded)

@@ -44,6 +44,25 @@ async def test_an_impatient_reader_gets_each_item_once_and_in_order(cluster: Loc
             assert [item async for item in with_items] == []
 
 
+@pytest.mark.parametrize("transport", ["grpc", "socket", "shared"])
+async def test_an_impatient_reader_of_batches_gets_each_item_once_and_in_order(
+    cluster: LocalCluster, transport: str
+) -> None:
+    async with aio.connect(cluster.address, transport=transport) as rt:
+        channel = await rt.channel(f"impatient/batches/{transport}", max_age="60s")
+        put = [(await channel.put(b"%d" % number)).seq for number in range(20)]
+        subscription = channel.subscribe(start=st.OLDEST)
+        batches, seqs = subscription.batches(), list[int]()
+        while len(seqs) < len(put):
+            seqs += (await impatiently(batches)).seqs
+        assert seqs == put
+        later = await channel.put(b"later")
+        assert [*(await impatiently(batches)).seqs] == [later.seq]
+        subscription.close()
+        async with asyncio.timeout(LIMIT_S):
+            assert [batch async for batch in batches] == []
+
+
 async def test_an_impatient_reader_gets_cut_events_and_matches(cluster: LocalCluster) -> None:
     async with aio.connect(cluster.address) as rt:
         left, right = [await rt.channel(f"impatient/{side}", max_age="60s") for side in ("left", "right")]

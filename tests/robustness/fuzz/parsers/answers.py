@@ -50,8 +50,11 @@ READERS: tuple[tuple[Callable[[Any], Any], type[Message]], ...] = (
     (peers.peer_change, peer_pb2.PeerChange),
     (reads.summary_reason, channel_service_pb2.GetSummary),
     (lambda message: _DECODER.decode([message, message]), item_pb2.DeliveredRun),
-    (lambda message: _DECODER.decode_each([message]), item_pb2.DeliveredRun),
-    (lambda message: _DECODER.decode_long([LongRun(memoryview(message.SerializeToString()), 5)]), item_pb2.ItemRun),
+    (lambda message: [*map(list, _DECODER.decode_each([message]))], item_pb2.DeliveredRun),
+    (
+        lambda message: [*map(list, _DECODER.decode_long([LongRun(memoryview(message.SerializeToString()), 5)]))],
+        item_pb2.ItemRun,
+    ),
     (lambda message: list(queues.deliveries_of(message, "")), queue_pb2.LeasedRun),
 )
 

@@ -149,8 +149,7 @@ async def repaired(subscription: MulticastSubscription) -> list[int]:
     """Let the reader ask. Returns the seqs of the items that it has then."""
     assert subscription._receiving is not None
     await subscription._repair(subscription._receiving)
-    seqs = [item.seq for item in subscription._ready]
-    subscription._ready.clear()
+    seqs = [item.seq for item in subscription._ready.take_all()]
     return seqs
 
 

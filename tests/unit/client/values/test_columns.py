@@ -16,7 +16,7 @@ from hypothesis import strategies as some
 
 import stampede_rt as st
 from stampede_rt.values.answers import Items
-from stampede_rt.values.columns import DecodedRun, ItemColumns, items_of, span_end, span_ends
+from stampede_rt.values.columns import DecodedRun, ItemColumns, kept, span_end, span_ends
 from stampede_rt.values.model import Item
 
 RUN = some.lists(
@@ -200,12 +200,40 @@ def test_items_of_the_same_time_end_with_the_next_bucket() -> None:
     assert span_ends([5, 5, 5], [1, -1, 9], None, 0) == [6, None, 14]
 
 
+@given(
+    some.lists(RUN, min_size=1, max_size=3),
+    some.lists(some.integers(0, 14), max_size=3),
+    some.booleans(),
+    some.booleans(),
+)
+def test_the_column_of_payloads_has_the_payloads_of_the_items(
+    runs: list[list[tuple[int, int, bytes]]], touched: list[int], backwards: bool, as_lists: bool
+) -> None:
+    made = [decoded(run) for run in runs]
+    if as_lists:
+        for one, run in zip(made, runs, strict=True):
+            one.payloads = [payload for _, _, payload in run]
+    found = columns(made, backwards=backwards)
+    wanted = [payload for run in runs for _, _, payload in run]
+    wanted = wanted[::-1] if backwards else wanted
+    for at in touched:
+        assert found[at % len(found)].payload == wanted[at % len(found)]
+    assert found.payload_list() == wanted
+    assert [item.payload for item in found] == wanted
+    assert found.payload_list() == wanted
+    assert found.payload_bytes == sum(map(len, wanted))
+
+
+def test_items_that_were_read_without_payloads_have_none_in_the_column() -> None:
+    assert columns([decoded([(1, -1, b"a"), (2, -1, b"b")], payloads=False)]).payload_list() == [None, None]
+
+
 @pytest.mark.parametrize("length", [3, 2000])
 def test_payloads_of_a_view_are_copied(length: int) -> None:
     room = bytearray(b"a" * length + b"b" * length)
     run = decoded([(10, -1, b"a" * length), (20, -1, b"b" * length)], 3)
     run.payloads = memoryview(room)
-    items = items_of(run, 0, None)
+    items = columns([kept(run)])
     room[:] = bytes(2 * length)
     assert [item.payload for item in items] == [b"a" * length, b"b" * length]
     assert {type(item.payload) for item in items} == {bytes}

@@ -79,8 +79,8 @@ def test_a_slice_is_the_same_items(columns: list[tuple[int, int, bytes]], data: 
     sealed = seal_run(encoded(columns), 5)
     lo = data.draw(some.integers(0, len(columns) - 1))
     hi = data.draw(some.integers(lo + 1, len(columns)))
-    whole = decoder.decode_each([delivered(sealed)])
-    cut = decoder.decode_each([delivered(slice_run(sealed, lo, hi))])
+    (whole,) = decoder.decode_each([delivered(sealed)])
+    (cut,) = decoder.decode_each([delivered(slice_run(sealed, lo, hi))])
     assert [(item.time, item.seq, item.payload) for item in cut] == [
         (item.time, item.seq, item.payload) for item in whole[lo:hi]
     ]
@@ -119,7 +119,8 @@ def test_ends_hold_across_the_runs_of_one_answer() -> None:
 
 def test_the_next_run_of_a_subscription_does_not_end_the_spans_of_a_run() -> None:
     late, newer = seal_run(encoded([(5, -1, b"")]), 0), seal_run(encoded([(1, -1, b"")]), 1)
-    assert [item.end for item in decoder.decode_each([delivered(late), delivered(newer, 5)])] == [None, 5]
+    decoded = decoder.decode_each([delivered(late), delivered(newer, 5)])
+    assert [[item.end for item in run] for run in decoded] == [[None], [5]]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,87 @@
+"""The items of a subscription that have come, one by one and in batches."""
+
+from __future__ import annotations
+
+import pickle
+from array import array
+from collections.abc import Sequence
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as some
+
+from stampede_rt.values.answers import ItemBatch
+from stampede_rt.values.columns import DecodedRun, ItemColumns
+from stampede_rt.values.model import Item
+from stampede_rt.values.ready_items import ReadyItems, SeenSeqs
+
+LENGTHS = some.lists(some.integers(1, 4), max_size=4)
+
+
+def run(first_seq: int, length: int, *, durations: bool = False) -> ItemColumns:
+    seqs = range(first_seq, first_seq + length)
+    columns = DecodedRun(
+        times=array("q", [10 * seq for seq in seqs]),
+        durations=array("q", [5] * length) if durations else None,
+        lengths=array("I", [2] * length),
+        first_seq=first_seq,
+        attributes={},
+        content_type="",
+        incarnation=1,
+        payloads=b"".join(b"%02d" % seq for seq in seqs),
+    )
+    return ItemColumns([columns], overlap=0)
+
+
+def runs_of(lengths: Sequence[int], first_seq: int = 1) -> list[Sequence[Item]]:
+    """Runs of columns, and each third one as a list of items, as after a filter."""
+    runs = list[Sequence[Item]]()
+    for number, length in enumerate(lengths):
+        one = run(first_seq, length)
+        runs.append([*one] if number % 3 == 2 else one)
+        first_seq += length
+    return runs
+
+
+@given(some.lists(some.one_of(LENGTHS, some.just("one"), some.just("all")), max_size=12))
+def test_steps_and_batches_in_any_turn_give_each_item_once_and_in_order(turns: list[Any]) -> None:
+    ready, added, taken = ReadyItems(), 0, list[int]()
+    for turn in turns:
+        if turn == "one":
+            if ready.items or ready.unpack():
+                taken.append(ready.items.popleft().seq)
+        elif turn == "all":
+            taken += ready.take_all().seqs.tolist()
+            assert not ready
+        else:
+            ready.add(runs_of(turn, added + 1))
+            added += sum(turn)
+        assert bool(ready) == (len(taken) < added)
+    taken += [item.seq for item in ready.take_all()]
+    assert taken == [*range(1, added + 1)]
+
+
+@given(LENGTHS)
+def test_the_columns_of_a_batch_agree_with_its_items(lengths: list[int]) -> None:
+    batch = ItemBatch(runs_of(lengths))
+    columns = batch.times.tolist(), batch.durations.tolist(), batch.seqs.tolist(), batch.payloads
+    assert len(batch) == sum(lengths)
+    assert [*zip(*columns, strict=True)] == [(item.time, -1, item.seq, item.payload) for item in batch]
+    assert [batch[at] for at in range(len(batch))] == [*batch] == batch[:]
+    assert [*pickle.loads(pickle.dumps(batch))] == [*batch]
+
+
+def test_the_column_of_durations_has_the_durations() -> None:
+    assert ItemBatch([run(1, 2, durations=True), run(3, 1)]).durations.tolist() == [5, 5, -1]
+
+
+def test_a_run_without_items_is_not_ready() -> None:
+    ready = ReadyItems()
+    ready.add([[], []])
+    assert not ready
+
+
+def test_items_that_come_again_are_not_new() -> None:
+    seen = SeenSeqs()
+    assert [item.seq for item in seen.unseen(runs_of([2, 1]))] == [1, 2, 3]
+    assert [item.seq for item in seen.unseen([run(2, 3)])] == [4]
