@@ -26,10 +26,10 @@ from stampede_rt_channel_host.core.archive import (
     Segment,
     resolved,
 )
-from stampede_rt_channel_host.core.archive.seq_starts import start_of
 from stampede_rt_channel_host.core.archive.stored_segment import object_name, segment_named
 from stampede_rt_channel_host.core.channel import ChannelCore, Query, ReadAnswer, run_to_end
 from stampede_rt_channel_host.core.group import Horizon
+from stampede_rt_channel_host.core.seq_starts import start_of
 from tests.unit.channel_host.archive.test_archive_files import ALL, NO_LIMITS, decode, run_at, write
 from tests.unit.channel_host.archive.test_host_archive_writes import archive_in
 

@@ -9,11 +9,14 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.errors import InvalidArgument, Unavailable
+from stampede_rt.values.timeline import Bound, Interval
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.recordings import Recordings
-from stampede_rt_channel_host.core.channel import Offer, make_run
+from stampede_rt_channel_host.core.channel import Offer, Query, make_run
 from stampede_rt_channel_host.core.records import RecordedChannel
+from stampede_rt_channel_host.core.seq_starts import start_of
 from tests.support.channel_host.object_stores import FakeStore
 from tests.support.channel_host.recorded_hosts import Host, Owner, host, quick_looks, record  # noqa: F401
 
@@ -147,3 +150,53 @@ async def test_a_move_back_keeps_the_losses_and_the_advance_that_the_present_own
         assert (hosted.core.lost_from, hosted.core.lost_before, hosted.core.advanced_to) == (4, 5, 3)
         assert hosted.recording is not None
         former.recorder = hosted.recording.recorder
+
+
+async def lost(path: Path, store: FakeStore, epoch: int, *times: int) -> None:
+    """Own the channel in this epoch, accept items, and crash before the file with them has moved."""
+    one = Host(path, store)
+    owner = await Owner(one, epoch).serve()
+    await owner.put(*times)
+    assert owner.recording.recorder.files._file is not None
+    owner.recording.recorder.files._end_segment()
+    one.archive._writer.shutdown()
+    one.archive.folder.close()
+
+
+@pytest.mark.usefixtures("quick_looks")
+@pytest.mark.asyncio
+async def test_items_of_lost_owners_that_come_to_the_store_later_are_all_there(tmp_path: Path) -> None:
+    """In an earlier version each owner used the seqs of the items again that it did not find in the store. So the items
+    of one owner hid those of the other, and reads said COLLECTED for them."""
+    store = FakeStore()
+    await lost(tmp_path / "a", store, 1, 10, 11, 12)
+    await lost(tmp_path / "b", store, 2, 20, 21)
+    async with host(tmp_path / "a", store) as first, host(tmp_path / "b", store) as second:
+        second.clock = 100 * 10**9
+        assert not await second.mover.move_all()
+        assert not await second.mover.move_all()
+        owner = await Owner(first, 3).serve()
+        await owner.put(30)
+        everything = Query(interval=Interval(Bound(None, 0), Bound(None, 40)))
+        assert await owner.times(everything) == [10, 11, 12, 20, 21, 30]
+        times, dropped = await owner.subscribed(Bound(None, 0))
+        assert (sorted(times), dropped) == ([10, 11, 12, 20, 21, 30], 0)
+        assert owner.hosted.channel.next_seq == start_of(3) + 1
+
+
+@pytest.mark.usefixtures("quick_looks")
+@pytest.mark.asyncio
+async def test_an_owner_that_follows_a_lost_one_says_collected_for_what_the_limits_have_removed(tmp_path: Path) -> None:
+    store = FakeStore()
+    await left(tmp_path / "a", store, 1, 10)
+    store.delete([name for name in store.objects if name.endswith(".stopped")])
+    async with host(tmp_path / "b", store) as second:
+        second.clock = 200 * 10**9
+        owner = await Owner(second, 2).serve(max_items=1)
+        await owner.put(200 * 10**9)
+        assert not await second.mover.move_all()
+        found = owner.recording.recorder.files
+        assert [one.begin for one in found.drop_outdated(ArchiveLimits(10**9, None), second.clock)] == [start_of(2)]
+        owner.recording.recorder.keep(found.segments)
+        answer = await owner.read(Query(interval=Interval(Bound(None, 10), Bound(None, 10))))
+        assert answer.reason == "COLLECTED"

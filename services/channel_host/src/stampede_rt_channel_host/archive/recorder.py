@@ -21,8 +21,8 @@ from stampede_rt_channel_host.core.archive import (
     ArchiveSpan,
     Segment,
 )
-from stampede_rt_channel_host.core.archive.seq_starts import given_between
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
+from stampede_rt_channel_host.core.seq_starts import given_between
 
 RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
 BYTES_PER_WRITE = 16 * 2**20
@@ -92,6 +92,7 @@ class ChannelRecorder:
         self._advances_taken = 0  # how many of them, from the first on, a write has taken
         self._advance: int | None = None  # the latest advance
         self._lost_before: int | None = None  # see `note_loss`; None: it is on the disk
+        self._found_to: int | None = None  # see `note_loss`
         self._has_told_loss = False
         channel.record(self.archived_to)
         self.begin()
@@ -209,21 +210,25 @@ class ChannelRecorder:
             channel.incarnation, channel.advanced_to, channel.lost_from, channel.lost_before, self.encoded_retries()
         )
 
-    def note_loss(self, lost_before: int) -> None:
-        """Note that the former owner was lost with items before this instant. The next write says so."""
-        self._lost_before = lost_before
+    def note_loss(self, lost_before: int, found_to: int | None = None) -> None:
+        """Note that the former owner was lost with items before this instant. The next write says so.
+
+        `found_to`: the archive had its items below this seq; None: this owner continues with the next seq.
+        """
+        self._lost_before, self._found_to = lost_before, found_to
 
     def withdraw_loss(self) -> bool:
         """Note that the former owner stopped cleanly. Returns whether a file reports a loss until the next write."""
-        self._lost_before = NOTHING_LOST if self._has_told_loss else None
+        self._lost_before, self._found_to = NOTHING_LOST if self._has_told_loss else None, None
         return self._has_told_loss
 
     def take(self) -> WriteJob:
         """The next items to write, in seq order, with gaps where memory has lost items."""
         parts: list[Part] = []
         if self._lost_before is not None:
+            seq = self.archived_to if self._found_to is None else self._found_to
             self._has_told_loss = True
-            parts.append(SeqGap(self.archived_to, self.archived_to, self._lost_before))
+            parts.append(SeqGap(seq, seq, self._lost_before))
         if self._advances:  # before the items that the host accepted after them
             parts.append(Advances(self.archived_to, tuple(self._advances)))
             self._advances_taken = len(self._advances)

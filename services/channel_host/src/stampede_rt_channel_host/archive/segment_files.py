@@ -135,7 +135,7 @@ class SegmentFiles(SegmentReads):
             torn_bytes, damaged = torn_bytes + torn, damaged + bad
             if segment is not None:
                 found.append(segment)
-                following = segment.first_seq
+                following = segment.begin
         found.reverse()
         self._follows_damage = self._files.follows_damage(found[0].number if found else None)
         if found and self._follows_damage:

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
-from typing import Any, TypeGuard
+from typing import Any
 
 from stampede_rt.errors import Unavailable
 from stampede_rt.values.model import Policy
@@ -20,7 +20,7 @@ from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.channels.past_reads import RETRY_SECONDS, TRIES, PastReader, tried
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
-from stampede_rt_channel_host.channels.restored_channel import restore_channel
+from stampede_rt_channel_host.channels.restored_channel import lacks_loss, restore_channel
 from stampede_rt_channel_host.channels.unknown_past import UnknownPast
 from stampede_rt_channel_host.core.archive import (
     ArchivedPart,
@@ -46,6 +46,7 @@ from stampede_rt_channel_host.core.channel import (
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.group import Horizon, RecordedView, reaches_archive
 from stampede_rt_channel_host.core.records import RecordedChannel
+from stampede_rt_channel_host.core.seq_starts import has_start, start_of
 
 RESTORED_BYTES = 2**20
 ENTRIES_PER_LOOK = 1024
@@ -100,15 +101,6 @@ async def _newest(archive: HostArchive, files: SegmentFiles, segments: tuple[Seg
     return window._replace(edge=max(edges, default=None))
 
 
-def _lacks_loss(lost_before: int | None, found: OpenedArchive) -> TypeGuard[int]:
-    """Whether the archive does not say yet that items before `lost_before` were lost. A former owner that stopped
-    cleanly has written it with its first items.
-    """
-    if lost_before is None:
-        return False
-    return found.stop is None or all(one.last_accepted < lost_before for one in found.segments)
-
-
 def _latest_from(low: ItemKey) -> WantedWindow:
     """The newest items, from the key `low` on."""
     return WantedWindow(Wanted(low[0], LAST_KEY, 0, RESTORED_BYTES, down=True, bytes_limit=2**63), low, LAST_KEY)
@@ -136,15 +128,15 @@ class Recording:
         self._on_archived = on_archived
         # while the host does not know which items the object store has
         self._unknown = None if opened.files.is_known else UnknownPast(channel, opened.files.epoch, opened.found)
-        is_empty = channel.next_seq == 1 and not from_memory  # a move also brings the state without items
-        is_restored = is_empty and bool(opened.found.segments or opened.found.stop is not None)
-        if is_restored:
-            restore_channel(channel, opened.found, opened.newest, cut)
+        begin = start_of(opened.files.epoch) if opened.files.is_shared and has_start(opened.files.epoch) else 1
+        found_to: int | None = None
+        if channel.next_seq == 1 and not from_memory:  # a move also brings the state without items
+            found_to = restore_channel(channel, opened.found, opened.newest, cut, begin)
         self.recorder = ChannelRecorder(
             channel, opened.files, opened.found.segments, opened.disk, from_memory=from_memory
         )
-        if not from_memory and _lacks_loss(channel.lost_before, opened.found):
-            self.recorder.note_loss(channel.lost_before)
+        if not from_memory and lacks_loss(channel.lost_before, opened.found):
+            self.recorder.note_loss(channel.lost_before, found_to)
         self.recorder.on_listed = self._listed
         archive.record(self.recorder, has_moved=from_memory)
 

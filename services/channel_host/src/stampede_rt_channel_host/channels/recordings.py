@@ -11,10 +11,10 @@ from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.recording import OpenedChannelArchive, Recording, open_archive
-from stampede_rt_channel_host.core.archive.seq_starts import has_start
 from stampede_rt_channel_host.core.channel.limits import check_policy_change
 from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.records import RecordedChannel
+from stampede_rt_channel_host.core.seq_starts import has_start
 
 
 class ArchiveCounts(NamedTuple):

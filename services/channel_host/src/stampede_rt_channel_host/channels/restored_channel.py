@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TypeGuard
 
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.recorder import span_of
@@ -14,12 +15,20 @@ from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 
 
 def restore_channel(
-    channel: ChannelCore, found: OpenedArchive, newest: ArchiveWindow | None, cut: Callable[[bytes, int, int], bytes]
-) -> None:
-    """Take the newest archived items into memory, so that the channel continues where its archive ends.
+    channel: ChannelCore,
+    found: OpenedArchive,
+    newest: ArchiveWindow | None,
+    cut: Callable[[bytes, int, int], bytes],
+    begin: int = 1,
+) -> int:
+    """Take the newest archived items into memory, so that the channel continues where its archive ends. Returns the seq
+    after the archived items.
 
     Leaves all items up to the last hole to the archive: only reads of the archive say LOST for a hole. A channel that
     stopped before its first item has a note of the stop, and no items.
+
+    `begin`: the first seq of this owner if a former one was lost. The host of that one may bring more of its items to
+    the archive later.
     """
     window, segments = newest or ArchiveWindow(ChannelIndex(), None, None, None), found.segments
     after = _left_to_archive(window, span_of(segments).newest)
@@ -30,13 +39,21 @@ def restore_channel(
     if after is None and first > 1 and runs:
         after = min(min(run.times) for run in runs) - 1
     stop, end_seq = found.stop, max((one.end_seq for one in segments), default=1)
-    channel.restore(
-        runs,
-        after=after,
-        next_seq=end_seq if stop is None else max(end_seq, stop.end_seq),
-        loss=_loss(channel, found, window, end_seq),
-        advance=stop.advance if stop is not None and stop.incarnation == channel.incarnation else None,
-    )
+    loss = _loss(channel, found, window, end_seq)
+    advance = stop.advance if stop is not None and stop.incarnation == channel.incarnation else None
+    found_to = end_seq if stop is None else max(end_seq, stop.end_seq)
+    next_seq = max(found_to, begin) if lacks_loss(loss[1], found) else found_to
+    channel.restore(runs, after=after, next_seq=next_seq, loss=loss, advance=advance)
+    return found_to
+
+
+def lacks_loss(lost_before: int | None, found: OpenedArchive) -> TypeGuard[int]:
+    """Whether the archive does not say yet that items before `lost_before` were lost. A former owner that stopped
+    cleanly has written it with its first items.
+    """
+    if lost_before is None:
+        return False
+    return found.stop is None or all(one.last_accepted < lost_before for one in found.segments)
 
 
 def _loss(

@@ -12,11 +12,11 @@ from stampede_rt_channel_host.archive.segment_files import OpenedArchive
 from stampede_rt_channel_host.channels.restored_channel import loss_after, lost_since
 from stampede_rt_channel_host.core.archive import Segment, reaches, resolved_now
 from stampede_rt_channel_host.core.archive.recorded_items import earliest
-from stampede_rt_channel_host.core.archive.seq_starts import start_of
 from stampede_rt_channel_host.core.channel import ChannelCore, Query
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.group import Horizon
+from stampede_rt_channel_host.core.seq_starts import start_of
 
 
 class UnknownPast:

@@ -13,8 +13,8 @@ from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
 from stampede_rt_channel_host.archive.objects.stored_segments import Packed, StoredSegments
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.core.archive import CutRun, Segment
-from stampede_rt_channel_host.core.archive.seq_starts import given_between
 from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment, first_number
+from stampede_rt_channel_host.core.seq_starts import given_between
 
 
 class MovingFiles(SegmentFiles):
@@ -159,7 +159,7 @@ class MovingFiles(SegmentFiles):
             segment = self._below(kept[number], following)
             if segment is not None:
                 ordered.append(segment)
-                following = segment.first_seq
+                following = segment.begin
         self._segments = tuple(reversed(ordered))
         self._unplaced.clear()
         return self._segments

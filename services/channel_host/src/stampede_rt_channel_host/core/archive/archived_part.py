@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from itertools import takewhile
+from itertools import pairwise, takewhile
 from typing import NamedTuple
 
 from stampede_rt.values.model import Reason
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
-from stampede_rt_channel_host.core.archive.seq_starts import given_between
 from stampede_rt_channel_host.core.archive.window import BlocksOf, choose_by_seq
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import Run, Slice
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor, Range
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Gap, SubscriptionBatch
+from stampede_rt_channel_host.core.seq_starts import given_between
 
 REMOVED = Reason("COLLECTED", "the limits of the channel or of its archive have removed the items")
 LACKED = Reason(
@@ -30,13 +30,14 @@ class ChosenPart(NamedTuple):
     """The blocks of the next seqs, and other blocks with items whose times lie between the times of these blocks.
 
     `end_seq`: the blocks have all archived items below this seq. `following`: the time of the first bucket after all
-    these blocks, or None.
+    these blocks, or None. `ends`: the seqs after which later owners have not used the next ones.
     """
 
     blocks: Sequence[tuple[Segment, PlacedBlock]]
     among: Sequence[tuple[Segment, PlacedBlock]]
     end_seq: int
     following: int | None
+    ends: Sequence[int]
 
 
 class ArchivedPart(NamedTuple):
@@ -45,21 +46,23 @@ class ArchivedPart(NamedTuple):
     items: ChannelIndex
     end_seq: int
     following: int | None
+    ends: Sequence[int] = ()
 
 
 def choose_part(segments: Sequence[Segment], blocks_of: BlocksOf, missing: Range, bytes_max: int) -> ChosenPart:
     """The blocks for the seqs `missing`, of about `bytes_max`."""
     blocks = choose_by_seq(segments, blocks_of, missing[0], bytes_max)
     blocks = [one for one in blocks if one[1].head.first_seq < missing[1]]
+    ends = [before.end_seq for before, after in pairwise(segments) if after.begin > before.end_seq]
     if not blocks:
-        return ChosenPart((), (), missing[1], None)
+        return ChosenPart((), (), missing[1], None, ends)
     first = min(block.head.low for _, block in blocks)
     last = max(block.head.high for _, block in blocks)
     among, following = _among(segments, blocks_of, first, last)
     taken = {(segment.number, block.offset) for segment, block in blocks}
     among = [(segment, block) for segment, block in among if (segment.number, block.offset) not in taken]
     end_seq = min(missing[1], max(block.head.end_seq for _, block in blocks))
-    return ChosenPart(blocks, among[:STRADDLING_MAX], end_seq, following)
+    return ChosenPart(blocks, among[:STRADDLING_MAX], end_seq, following, ends)
 
 
 def _among(
@@ -88,7 +91,7 @@ def part_of(runs: Iterable[Run], chosen: ChosenPart) -> ArchivedPart:
     items = ChannelIndex()
     for run in sorted(runs, key=lambda one: one.first_seq):
         items.insert(run)
-    return ArchivedPart(items, chosen.end_seq, chosen.following)
+    return ArchivedPart(items, chosen.end_seq, chosen.following, chosen.ends)
 
 
 def deliver(
@@ -121,11 +124,12 @@ def deliver(
         cursor.mark_done(first)
         return SubscriptionBatch(slices=slices, more=not slices)
     found = next(part.items.slices_by_seq(first, end, FIRST_KEY), None)
-    return _gap(cursor, first, end if found is None else found.first_seq, kept_from)
+    return _gap(cursor, first, end if found is None else found.first_seq, kept_from, part.ends)
 
 
-def _gap(cursor: AllCursor, first: int, end: int, kept_from: int) -> SubscriptionBatch:
+def _gap(cursor: AllCursor, first: int, end: int, kept_from: int, ends: Sequence[int]) -> SubscriptionBatch:
     """The gap of seqs that the archive does not have. A later call gives the part from `kept_from` on."""
+    end = next((one for one in ends if first < one < end), end)
     reason = REMOVED if first < kept_from else LACKED
     end = min(end, kept_from) if first < kept_from else end
     cursor.mark_done(end)

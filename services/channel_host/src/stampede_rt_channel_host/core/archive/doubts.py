@@ -16,9 +16,9 @@ from stampede_rt_channel_host.core.archive.block import HEAD_BYTES, ROW_BYTES, B
 from stampede_rt_channel_host.core.archive.holes import WindowReach
 from stampede_rt_channel_host.core.archive.segment import Segment
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
-from stampede_rt_channel_host.core.archive.seq_starts import given_between
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
+from stampede_rt_channel_host.core.seq_starts import given_over
 
 FILE_BYTES_PER_ITEM = HEAD_BYTES + ROW_BYTES + 64
 """The most bytes that an item without attributes takes in a segment besides its payload: alone in its block and run."""
@@ -51,33 +51,32 @@ class _Search:
         away.
         """
         former: BlockHead | Segment | None = None
+        ends: list[int] = []  # of the segments that end after `former`
         for at, one in enumerate(self.segments):
-            if not one.items:
-                continue
-            if one.number not in self.near:
+            if one.number not in self.near and one.items:
                 if former is None or one.end_seq - former.end_seq != one.items:  # for the speed of long archives
-                    lacks = self._lacks(former, one.end_seq) - one.items
+                    lacks = self._lacks(former, one.end_seq, ends) - one.items
                     if lacks > 0:
                         yield self._doubt(at, former, self._end_after(at), lacks)
-                former = one
+                former, ends = one, []
                 continue
-            blocks = self.blocks_of(one)
+            blocks = self.blocks_of(one) if one.items else SegmentBlocks()
             first, last = blocks.items_at(0), blocks.items_at(-1)
-            if first is None or last is None:
-                continue  # no block can be read: all its items are missing
-            for earlier, later in ((former, first.head), *blocks.breaks()):
-                lacks = self._lacks(earlier, later.first_seq)
-                if lacks:
-                    end = max(later.low[0], self._latest(later.first_accepted))
-                    yield self._doubt(at, earlier, end, lacks)
-            former = last.head
-        lacks = self._lacks(former, self.segments[-1].end_seq)
+            if first is not None and last is not None:  # otherwise no block can be read: all its items are missing
+                for earlier, later in ((former, first.head), *blocks.breaks()):
+                    lacks = self._lacks(earlier, later.first_seq, ends)
+                    if lacks:
+                        end = max(later.low[0], self._latest(later.first_accepted))
+                        yield self._doubt(at, earlier, end, lacks)
+                former, ends = last.head, []
+            ends.append(one.end_seq)
+        lacks = self._lacks(former, self.segments[-1].end_seq, ends)
         if lacks:
             yield self._doubt(len(self.segments) - 1, former, self.last, lacks)
 
-    def _lacks(self, former: BlockHead | Segment | None, end_seq: int) -> int:
-        """How many items are missing before this seq."""
-        return given_between(self.segments[0].first_seq if former is None else former.end_seq, end_seq)
+    def _lacks(self, former: BlockHead | Segment | None, end_seq: int, ends: Sequence[int]) -> int:
+        """How many items are missing before this seq. `ends`: see `given_over`."""
+        return given_over(self.segments[0].first_seq if former is None else former.end_seq, end_seq, ends)
 
     def _latest(self, accepted: int) -> int:
         """The greatest time of an item that the host accepted by then."""

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from typing import NamedTuple
 
 from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
-from stampede_rt_channel_host.core.archive.seq_starts import given_between
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
+from stampede_rt_channel_host.core.seq_starts import given_between, given_over
 
 BlocksOf = Callable[[Segment], SegmentBlocks]
 
@@ -74,7 +74,8 @@ def _holes_between(
     last, following = blocks_of(earlier).items_at(-1), blocks_of(later).items_at(0)
     assert last is not None, "the segment has blocks"
     assert following is not None, "the segment has blocks"
-    yield from _between(last, following)
+    first, end = (bisect_left(segments, one.number, key=_number) for one in (earlier, later))
+    yield from _between(last, following, [one.end_seq for one in segments[first:end]])
     for lost_before in _losses(segments, earlier, later, blocks_of):
         # the last items before it may have times in the future
         yield _hole(min(last.head.high[0], earlier.last_accepted), lost_before, 0)
@@ -160,9 +161,10 @@ def _number(segment: Segment) -> int:
     return segment.number
 
 
-def _between(earlier: PlacedBlock, later: PlacedBlock) -> Iterator[Hole]:
+def _between(earlier: PlacedBlock, later: PlacedBlock, ends: Sequence[int] = ()) -> Iterator[Hole]:
+    """The hole between two blocks. `ends`: where the seqs of their segments and of those between them end."""
     before, after = earlier.head, later.head
-    lacks = given_between(before.end_seq, after.first_seq)
+    lacks = given_over(before.end_seq, after.first_seq, ends)
     if lacks:
         yield _hole(before.high[0], after.low[0], lacks)
 

@@ -20,13 +20,13 @@ from stampede_rt_channel_host.core.archive.block import (
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment, summary
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
-from stampede_rt_channel_host.core.archive.seq_starts import given_between
 from stampede_rt_channel_host.core.archive.window import BlocksOf
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.reading import Reading
 from stampede_rt_channel_host.core.channel.values import Query, ReadAnswer
+from stampede_rt_channel_host.core.seq_starts import given_between
 
 RunsOf = Callable[[Segment, PlacedBlock], Sequence[ArchivedRun]]
 """Returns the runs of a block; none if the block is damaged."""

@@ -17,6 +17,7 @@ from stampede_rt_channel_host.core.archive.block import (
     is_whole,
 )
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
+from stampede_rt_channel_host.core.seq_starts import begin_of
 
 ReadAt = Callable[[int, int], bytes]
 """Reads a file: takes an offset and a number of bytes. Returns the bytes, fewer at the end of the file."""
@@ -63,6 +64,14 @@ class Segment(NamedTuple):
     low: ItemKey | None
     high: ItemKey | None
     last_accepted: int
+
+    @property
+    def begin(self) -> int:
+        """The first seq of its owner in this segment.
+
+        If a former owner was lost, `first_seq` is the seq after the items that this owner found in the archive.
+        """
+        return begin_of(self.first_seq, self.end_seq)
 
 
 def scan(read_at: ReadAt, length: int, *, check_contents: bool, begin: int = 0, may_be_torn: bool = True) -> Scan:

@@ -16,6 +16,7 @@ from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 from stampede_rt_channel_host.core.channel.shared_batches import SharedBatches
 from stampede_rt_channel_host.core.channel.span_ends import latest_end
 from stampede_rt_channel_host.core.channel.values import Counters
+from stampede_rt_channel_host.core.seq_starts import given_between
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
 ARCHIVE = "archive"
@@ -106,8 +107,10 @@ class HeldItems:
 
         Items that it has counted, and that this host did not get, count as collected.
         """
-        self.accepted, self.missed = self.next_seq - 1, 0
-        more = self.accepted - self.items - sum(counters.collected.values())
+        next_seq, known = self.next_seq, self.items + sum(counters.collected.values())
+        self.accepted = max(known, given_between(1, next_seq))
+        self.missed = next_seq - 1 - self.accepted
+        more = self.accepted - known
         self.collected = {**counters.collected, self.last_cause: max(0, counters.collected[self.last_cause] + more)}
         self.accepted_bytes, self.late = max(self.accepted_bytes, counters.accepted_bytes), counters.late
 
