@@ -78,10 +78,17 @@ def verify(path: str | os.PathLike[str], on_bytes: Callable[[int], object] = lam
 def recover(path: str | os.PathLike[str], output: str | os.PathLike[str], *, overwrite: bool = False) -> FileReport:
     """Copy the readable part of a torn or damaged file to `output`, with an index, and name the lost items.
 
-    A file that was cut off at any byte loses at most its last chunk. Raises FileError.
+    A file that was cut off at any byte loses at most its last chunk. Raises FileError. If nothing can be read, it makes
+    no `output`, and a former one stays.
     """
     check_other(path, output)
     with FileReader(path) as reader:
+        if reader.index is None and all(isinstance(part, Damage) for part in reader.contents()):
+            raise FileError(
+                f"nothing can be recovered from the file {reader.path!r}: it is an MCAP file of {reader.size} bytes, "
+                "without a whole chunk; its writer ended before its first chunk, or the file is damaged from there on; "
+                "no file was written"
+            )
         writer = FileWriter(output, overwrite=overwrite)
         try:
             report = _walk(reader, writer_of(writer), lambda _: None)
