@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -115,9 +116,14 @@ def test_the_folder_of_a_channel_without_items_keeps_the_note_of_a_clean_stop(tm
     assert found.stop is not None
 
 
+def refused(*_: Any) -> None:
+    raise OSError(errno.EACCES, "the folder cannot be written")
+
+
 def test_a_refusal_makes_room_of_outdated_files_and_of_folders_that_an_operator_has_deleted(
     folder: ArchiveFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Although the files of another channel cannot be deleted. In an earlier version this failure ended the pass."""
     monkeypatch.setattr(host_archive, "RETRY_SECONDS", 0)
     recorded(folder, TWO, "")
     disk = DiskUse(1)
@@ -140,6 +146,9 @@ def test_a_refusal_makes_room_of_outdated_files_and_of_folders_that_an_operator_
         recorder = ChannelRecorder(ChannelCore(Policy(), incarnation=1), files, segments, disk.of_channel(ONE, ""))
         recorder.limit(ArchiveLimits(10, None))
         archive.record(recorder)
+        bad = ChannelRecorder(ChannelCore(Policy(), incarnation=1), SegmentFiles(folder.of_channel(THREE), {}), ())
+        monkeypatch.setattr(bad.files, "drop_outdated", refused)
+        monkeypatch.setattr(archive, "_recorders", [bad, recorder])
         with pytest.raises(Overloaded):
             recorder.check_room()
         await counted.wait()

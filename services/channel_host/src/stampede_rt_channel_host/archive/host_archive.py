@@ -264,18 +264,16 @@ class HostArchive:
 
     async def _delete_outdated(self) -> None:
         """Delete outdated files, and count the files again: an operator may have deleted some."""
-        recorders = [*self._recorders]
+        for recorder in [*self._recorders]:
+            with suppress(OSError):  # the other channels may have files to delete, too
+                recorder.keep(await self._in_writer(recorder.files.drop_outdated, recorder.limits, self.now()))
         with suppress(OSError):
-            kept, folders = await asyncio.get_running_loop().run_in_executor(self._writer, self._look, recorders)
-            for recorder, segments in zip(recorders, kept, strict=True):
-                recorder.keep(segments)
+            folders = await self._in_writer(self._folders)
             self.disk.update(folders, besides={one.disk.channel_id for one in self._recorders})
         await asyncio.sleep(RETRY_SECONDS)
 
-    def _look(self, recorders: list[ChannelRecorder]) -> tuple[list[tuple[Segment, ...]], list[FoundFolder]]:
-        """Delete outdated files. Returns the other files of the recorders, and all folders. Blocks. Raises OSError."""
-        kept = [one.files.drop_outdated(one.limits, self.now()) for one in recorders]
-        return kept, [*self.folder.of_channels()]
+    def _folders(self) -> list[FoundFolder]:
+        return [*self.folder.of_channels()]
 
     async def load(
         self, files: SegmentFiles, segments: tuple[Segment, ...], wanted: WantedWindow, past: Past | None = None

@@ -15,6 +15,7 @@ from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore, StoreError
 from stampede_rt_channel_host.archive.objects.stored_segments import Packed
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
 from stampede_rt_channel_host.core.archive import Segment
 
 logger = logging.getLogger(__name__)
@@ -194,7 +195,7 @@ class SegmentMover:
         await self._delete_outdated(files)
 
     def _leftovers_done(self, files: MovingFiles) -> bool:
-        return self._leaving.get(files, False) and (files.is_left or not (files.waiting or files.stored.outdated))
+        return self._leaving.get(files, False) and (files.is_left or not (files.waiting or files.stored.has_outdated))
 
     async def _tried(self, work: Awaitable[None]) -> str:
         try:
@@ -209,14 +210,14 @@ class SegmentMover:
         drops = self._looks % LOOKS_PER_DROP == 0
         recorders, leaving = [*self._recorders.items()], [*self._leaving]
 
-        def look() -> list[MovingFiles]:
-            for files, recorder in recorders:
-                files.look(self._now(), self._seal_nanos, recorder.limits if drops else None)
-            for files in leaving:
-                files.look(self._now(), 0, None)
-            return self._leftovers.open_next()
+        def look() -> list[OSError]:
+            failures = [
+                _failed(one, self._now(), self._seal_nanos, of.limits if drops else None) for one, of in recorders
+            ]
+            return [one for one in (*failures, *(_failed(files, self._now(), 0, None) for files in leaving)) if one]
 
-        opened = await self.in_writer(look)
+        failures = await self.in_writer(look)
+        opened = await self.in_writer(self._leftovers.open_next)
         for files, recorder in recorders if drops else ():
             recorder.keep(files.segments)
         for files in leaving:
@@ -226,6 +227,8 @@ class SegmentMover:
             if not self._leftovers.is_taken(files.stored.channel_id):  # else the channel was opened meanwhile
                 self._leaving[files] = True
                 self._wake.set()
+        for failure in failures:
+            raise failure
 
     async def _move(self, files: MovingFiles, segment: Segment) -> None:
         """Move one segment. Raises OSError."""
@@ -254,7 +257,7 @@ class SegmentMover:
     async def _find_again(self, files: MovingFiles) -> None:
         """Look for files of the former owner. Raises OSError."""
         epoch = files.epoch
-        local = (one.first_seq for one in files.segments if not files.stored.is_stored(one.number))
+        local = (one.begin for one in files.segments if not files.stored.is_stored(one.number))
         following = next(local, None)
         found = await self.in_thread(lambda: files.stored.find(epoch, following))
         recorder = self._recorders.get(files)
@@ -270,6 +273,8 @@ class SegmentMover:
         if names and not files.is_left:
             await self.in_thread(lambda: self.store.delete(names))
             del files.stored.outdated[: len(names)]
+        elif files.stored.has_more_outdated and not files.is_left:
+            await self.in_thread(files.stored.find_outdated)
 
     async def _note_stops(self) -> None:
         """Make an object for each channel that has stopped cleanly, unless the store fails. Raises OSError."""
@@ -317,6 +322,15 @@ class SegmentMover:
         if any(files.waiting and not files.is_left for files in (*self._recorders, *self._leaving)):
             logger.warning("closed files of the archive stay on the disk", extra={"event": "archive_store_unfinished"})
         self._threads.shutdown(wait=False)
+
+
+def _failed(files: MovingFiles, now: int, seal_nanos: int, limits: ArchiveLimits | None) -> OSError | None:
+    """Look at the files of a channel. Returns the error: the look at the other channels goes on."""
+    try:
+        files.look(now, seal_nanos, limits)
+    except OSError as error:
+        return error
+    return None
 
 
 def _nothing() -> None:

@@ -25,6 +25,8 @@ from stampede_rt_channel_host.core.archive.stored_segment import (
 )
 
 OBJECTS = "channels"
+OUTDATED_MAX = 1000
+"""The most names of outdated objects that the host keeps: about 256 KiB."""
 CHANGES_LEAST = 1000  # the list on the disk is written anew after this many changes, or twice as many as objects
 
 
@@ -46,7 +48,9 @@ class StoredSegments(SegmentFolder):
         super().__init__(path)
         self.prefix = f"{OBJECTS}/{path.name}/"
         self.outdated: list[str] = []
-        """The objects that have left the archive, but not the store."""
+        """Objects that have left the archive, but not the store."""
+        self.has_more_outdated = False
+        """Whether there are more of them, for `find_outdated`."""
         self.stops: dict[str, CleanStop] = {}
         """The clean stops of earlier owners, by the names of their objects, as of the last listing."""
         self._cache, self._store = cache, store
@@ -94,7 +98,7 @@ class StoredSegments(SegmentFolder):
         """Read the indexes of the segments whose last items the next segment has, too. Then the thread of writes, which
         leaves these items out, need not wait for the store. Raises StoreError.
         """
-        firsts = [*(one.segment.first_seq for one in found[1:]), following]
+        firsts = [*(one.segment.begin for one in found[1:]), following]
         for one, first in zip(found, firsts, strict=False):
             is_cut = first is not None and one.segment.end_seq > first
             if is_cut and one.segment.number not in self._indexes:
@@ -131,7 +135,7 @@ class StoredSegments(SegmentFolder):
         All stops in that listing leave the store: they do not describe this owner's items.
         """
         stops, self.stops = self.stops, {}
-        self.outdated += stops
+        self._note_outdated(stops)
         return next((one for one in stops.values() if one.epoch == epoch - 1), None)
 
     def name_of_stop(self, stop: CleanStop) -> str:
@@ -236,7 +240,29 @@ class StoredSegments(SegmentFolder):
         self._dropped_to = max(self._dropped_to, number)
         if stored is not None:
             self.stored_bytes -= stored.bytes
-            self.outdated.append(stored.name)
+            self._note_outdated([stored.name])
+
+    @property
+    def has_outdated(self) -> bool:
+        """Whether the store has objects that have left the archive."""
+        return bool(self.outdated) or self.has_more_outdated
+
+    def _note_outdated(self, names: Iterable[str]) -> None:
+        """Add names to `outdated`, up to OUTDATED_MAX: a store may refuse for long to delete objects."""
+        for name in names:
+            if len(self.outdated) >= OUTDATED_MAX:
+                self.has_more_outdated = True
+                return
+            self.outdated.append(name)
+
+    def find_outdated(self) -> None:
+        """List the store for objects of segments that have left the archive. Adds them to `outdated`. Any thread may
+        call it. Raises StoreError.
+        """
+        found, _ = self._listed()
+        self.has_more_outdated = False
+        gone = (one for number, one in found.items() if number <= self._dropped_to and number not in self._stored)
+        self._note_outdated(one.name for one in gone)
 
     @contextmanager
     def opened(self, number: int) -> Iterator[ReadAt]:
