@@ -66,7 +66,7 @@ def test_the_error_of_an_item_without_a_time_blames_the_clock_of_the_host() -> N
     error = channel.put(Offer(times=None, durations=None, lengths=[1]), CLOCK, seal).rejections[0].error
     assert isinstance(error, InFuture)
     assert "the newest item or the advance of channel 'cam/left' is 100 ns ahead of the host's clock" in error.message
-    assert "the clock of the host's machine" in error.message
+    assert "set the clock of the host's machine and start the host again" in error.message
 
 
 def test_an_item_before_the_newest_collected_bucket_is_too_old_but_one_in_it_is_not() -> None:

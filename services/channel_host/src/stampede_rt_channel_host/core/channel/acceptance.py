@@ -171,7 +171,7 @@ class Acceptance:
         if is_stamp:
             text = (
                 f"the newest item or the advance of {self._channel} is {ahead}, and an item without a time would "
-                f"be, too; it {most}: set the clock of the host's machine, or put with a time"
+                f"be, too; it {most}: set the clock of the host's machine and start the host again, or put with a time"
             )
         return InFuture(text, metadata=_offset(time, clock))
 
