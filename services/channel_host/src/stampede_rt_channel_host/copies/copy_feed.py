@@ -37,7 +37,7 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_runtime.sockets.dialing import HostStream
 
 WINDOW_BYTES = 4 * 2**20  # how far the source may be ahead of the copy, unless the copy states less
-GRANTS = 4  # the copy grants this part of its window at a time; each request costs the source a message
+GRANTS = 4  # the copy grants its window in this many parts; each request costs the source a message
 REQUEST_SECONDS = 0.5  # the copy sends a request at least this often, and the source answers it
 REPLICA_REQUEST_SECONDS = 0.2  # a replica that is silent for a second is out of sync
 BROKEN_AFTER_SECONDS = 3.0  # after this silence of its source, the copy opens the feed again
@@ -68,13 +68,13 @@ class CopyFeed:
         self._window_bytes, self._grant_bytes = window_bytes, window_bytes // GRANTS
         self._granted = 0
         self._sent_nanos = 0  # the copy's clock in the last request
-        self._reported_seq = 0  # the seq up to which the last request has said that this host holds everything
+        self._reported_seq = 0  # the last request has said that this host holds all items before this seq
         self._news = asyncio.Event()
         self._heard_s = 0.0  # when the last message of the source came
         self._owes_request = False  # after this message of the source, a request is due immediately
         self._turn = asyncio.Lock()  # taken while a request is written
         self._may_grant_s = 0.0  # the time at which the copy may grant more, because of `bytes_per_second`
-        self.is_opened = False  # the source has accepted the copy's place
+        self.is_opened = False  # whether the source has opened the feed
 
     async def run(self, source: FeedSource, channel: grpc.aio.Channel) -> None:
         """Feed the copy until the stream breaks. Raises the error that broke it."""
@@ -85,9 +85,10 @@ class CopyFeed:
             call.cancel()
 
     async def run_over(self, call: Any, source: FeedSource) -> None:
-        """Feed the copy over a stream that no other feed uses now. Returns when the move of this feed is over.
+        """Feed the copy over a stream that no other feed uses now.
 
-        Raises the error that broke the stream. The caller ends the stream.
+        If the feed belongs to a move of the channel, returns when the source says that this move is over. Raises the
+        error that broke the stream. The caller ends the stream.
         """
         self._state.source_host_id, self._granted = source.host_id, self._window_bytes
         try:
@@ -135,8 +136,8 @@ class CopyFeed:
         )
 
     def _clock_nanos(self, *, is_new: bool) -> int:
-        """The copy's clock for a request. The source answers each new reading, so reports of progress repeat the last
-        one for half a period.
+        """The copy's clock for a request. The source answers each request that has a new time. Therefore the reports of
+        progress repeat the last time for half a period.
         """
         now = self._state.steady_nanos()
         if is_new or now - self._sent_nanos >= self._period_s * 1e9 / 2:
@@ -149,7 +150,7 @@ class CopyFeed:
 
         Raises TimeoutError if the source is silent, or takes nothing: this task watches the task that reads, too.
         """
-        while True:  # until `run` cancels this task, or an error ends it
+        while True:  # until `run_over` cancels this task, or an error ends it
             wait_s = self._may_grant_s - asyncio.get_running_loop().time()
             with suppress(TimeoutError):
                 async with asyncio.timeout(min(self._period_s, wait_s) if wait_s > 0 else self._period_s):
@@ -163,7 +164,7 @@ class CopyFeed:
         await write(self._next_request())
 
     def _next_request(self, grant_bytes_min: int = 0) -> pb.FeedRequest:
-        """The request that is due. It grants no less than `grant_bytes_min`, because the source looks at each grant."""
+        """The request that is due. It grants at least `grant_bytes_min`, or nothing: a grant is work for the source."""
         now_s = asyncio.get_running_loop().time()
         grants = now_s >= self._may_grant_s and self._granted >= grant_bytes_min
         if grants and self._bytes_per_second:
@@ -309,7 +310,7 @@ class CopyFeed:
         copy.source_next_seq = state.source_next_seq
         copy.merge_floors(map(floor_from_message, state.floors))
         if not copy.caught_up and held is not None and held.channel.next_seq >= state.source_next_seq:
-            copy.caught_up = self._owes_request = True  # the source may send readers now
+            copy.caught_up = self._owes_request = True  # the source may now send readers to this copy
         copy.note_progress()
         if self._owner_facts and held is not None and held.channel.next_seq != self._reported_seq:
             self._owes_request = True  # puts wait until the replica reports this part

@@ -22,7 +22,10 @@ OTHERS_STORE = "the store with which s2 came before"
 
 
 def refused(*, knows: int = 2, cluster: int = 2, **changes: Any) -> HelloRefusal | None:
-    """The refusal of s1, of a cluster at level `cluster`, for s2, whose release knows level `knows`."""
+    """The refusal with which s1 answers the hello of s2; None if s1 accepts it.
+
+    The cluster of s1 is at level `cluster`, and the release of s2 knows level `knows`.
+    """
     of_s2, of_s1 = (ReplicationSettings(self_member=one, initial_members=[SELF, OTHER]) for one in (OTHER, SELF))
     hello = introduction(of_s2, "s1", store_id=OTHERS_STORE, durable_end=(3, 7), roster=ROSTER, highest_level=knows)
     for name, value in changes.items():
@@ -37,7 +40,7 @@ def test_a_member_whose_release_knows_the_clusters_level_is_accepted() -> None:
 
 
 class Links3(PeerLinks):
-    """The links of s2, one of three members. `done`: the arguments with which they called back."""
+    """The links of s2, one of three members. `done`: what the links told `on_refusal_confirmed` and `deliver`."""
 
     def __init__(self, leader_id: str | None = None) -> None:
         settings = ReplicationSettings(self_member=OTHER, initial_members=[SELF, OTHER])
@@ -82,7 +85,7 @@ def test_refusals_for_different_reasons_are_counted_separately() -> None:
     assert links.outdated.confirmed is links.refusals.confirmed is None
     links.hear("s1", refused(term=0))
     assert links.refusals.confirmed is RefusalGrounds.OLDER_STORE
-    assert not links.outdated.by, "s1 takes the release now"
+    assert not links.outdated.by, "s1 refuses s2 for its store now, and no longer for its release"
 
 
 @pytest.mark.parametrize("version", [PROTOCOL_VERSION - 1, PROTOCOL_VERSION + 1])

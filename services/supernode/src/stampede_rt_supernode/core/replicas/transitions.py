@@ -69,7 +69,10 @@ def check_epoch(channel: Copied, epoch: int) -> None:
 
 
 def check_has_host(tables: Tables, operation: AddReplica) -> None:
-    """Raises the errors of `add_replica` about the channel or queue, and about hosts. Changes nothing."""
+    """Check that a host can take the copy. Changes nothing.
+
+    Raises the errors of `add_replica` about the fields of `operation`, about the id and the epoch, and about hosts.
+    """
     check_add_replica(operation)
     thing = copied_by_id(tables, operation.channel_id, is_of_queue=operation.is_of_queue)
     check_epoch(thing, operation.epoch)
@@ -178,7 +181,8 @@ def drop_copy(tables: Tables, channel: Copied, host_id: bytes) -> None:
     held = tables.replicas.of(id_of(channel))
     left = tuple(one for one in held if one.host_id != host_id)
     if any(one.kind is ReplicaKind.MOVE for one in held if one not in left):
-        note_lost_cuts(tables, [id_of(channel)])  # the host of the copy is no longer a witness, unless it owns a member
+        # Without this copy its host is no longer a witness (see `GroupTable`), unless the host owns a member.
+        note_lost_cuts(tables, [id_of(channel)])
     if left != held:
         store(tables, channel, tuple(_fed(one, {host_id}, channel.host_id) for one in left))
 
@@ -192,8 +196,8 @@ def copies_after_owner_change(tables: Tables, before: Copied, after: Copied) -> 
     """The copies of a channel whose record becomes `after`, with another owner or a new incarnation.
 
     If the new owner held a copy, that copy is gone. The new owner feeds the copies that its copy or the former owner
-    fed. If the incarnation is new, no copy is in sync any more. Otherwise a copy that was in sync stays so: it holds
-    all items that were acknowledged or shown.
+    fed. If the incarnation is new, no copy is in sync any more. Otherwise a copy stays in sync if puts wait for it:
+    it holds all items that were acknowledged or shown. The copy of a fallback is gone.
     """
     held = tables.replicas.of(id_of(before))
     left = (one for one in held if one.host_id != after.host_id and one.kind is not ReplicaKind.MOVE)
@@ -248,7 +252,10 @@ def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet
 
 
 def end_replicas(tables: Tables, channel: Copied) -> None:
-    """Remove the replicas of a channel, because its owner did not wait for them, or no longer waits."""
+    """Remove the replicas of a channel whose policy has changed.
+
+    The new policy wants no replicas, or puts wait for replicas only since the change, or only until the change.
+    """
     held = tables.replicas.of(id_of(channel))
     gone = {one.host_id for one in held if one.kind is ReplicaKind.WARM}
     left = (one for one in held if one.host_id not in gone)
