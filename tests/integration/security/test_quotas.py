@@ -87,8 +87,8 @@ def test_a_client_above_its_quota_gets_an_error_with_advice_and_keeps_its_stream
             f"channel 'quotas/video': {CLIENT} has 0 bytes in flight at this port and wants "
         )
         assert caught.value.message.endswith(
-            "its quota bytes-in-flight is 0; put and read less at once, or have an operator raise the quota (stampede "
-            f"quota set {CLIENT} bytes-in-flight=LIMIT)"
+            "its quota bytes-in-flight is 0; put and read less at a time, or have an operator raise the quota "
+            f"(stampede quota set {CLIENT} bytes-in-flight=LIMIT)"
         )
         channel.put(b"next")
         assert next(subscription).payload == b"next"

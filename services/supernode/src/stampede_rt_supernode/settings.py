@@ -112,8 +112,8 @@ class SupernodeSettings(ServiceSettings):
             raise ValueError(f"--members names {len(ids)} members; {MEMBERS_MAX} at most")
         if self.members and self.id not in ids:
             raise ValueError(
-                f"--id is {self.id!r}, and --members names {', '.join(ids)}: say with --id which of them this one is, "
-                "or, if it is to enter a running cluster, use `stampede supernode join` instead"
+                f"--id is {self.id!r}, and --members names {', '.join(ids)}: say with --id which of them this "
+                "supernode is, or, if it is to enter a running cluster, use `stampede supernode join` instead"
             )
         here = [member for member in self.members if is_loopback(member.partition("=")[2])]
         if here and len(here) < len(self.members):
@@ -122,7 +122,9 @@ class SupernodeSettings(ServiceSettings):
                 "machines; give each the address at which the others reach it"
             )
         if self.members and parse_address(self.listen).port == 0:
-            raise ValueError(f"--listen is {self.listen}; with --members name the port that the list has for this one")
+            raise ValueError(
+                f"--listen is {self.listen}; with --members name the port that the list has for this supernode"
+            )
 
     def founding(self, listening_at: str) -> Founding:
         """Returns how this supernode begins: as its folder was prepared, by the list of members, or as the only one.
@@ -150,8 +152,8 @@ class SupernodeSettings(ServiceSettings):
         name, address = self.id or DEFAULT_ID, self.advertise or listening_at
         if self.data_dir is not None and not holds_store(self.data_dir):
             raise StampedeError(
-                f"{self.data_dir} holds no supernode yet: if this one was a member, name its own folder, or let it "
-                "join under a new id; to enter a cluster, use `stampede supernode join`; to found one, `stampede "
+                f"{self.data_dir} holds no supernode yet: if this supernode was a member, name its own folder, or let "
+                "it join under a new id; to enter a cluster, use `stampede supernode join`; to found one, `stampede "
                 "supernode init`, or --members for all its founders"
             )
         if self.data_dir is not None:

@@ -35,7 +35,7 @@ def test_a_refusal_names_the_quota_the_use_the_limit_and_a_remedy() -> None:
         one.check(Quota.BYTES_IN_FLIGHT, 4)
     assert caught.value.message == (
         "cam-1 has 7 bytes in flight at this port and wants 4 more; its quota bytes-in-flight is 10; put and read less "
-        "at once, or have an operator raise the quota (stampede quota set cam-1 bytes-in-flight=LIMIT)"
+        "at a time, or have an operator raise the quota (stampede quota set cam-1 bytes-in-flight=LIMIT)"
     )
     assert caught.value.metadata == {"quota": "bytes-in-flight", "subject": "cam-1", "used": "7", "limit": "10"}
 

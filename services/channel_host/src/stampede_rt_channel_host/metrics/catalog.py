@@ -60,7 +60,7 @@ ITEMS_UNARCHIVED = counter(
 )
 ARCHIVE_BACKLOG = gauge("stampede_archive_backlog_items", "Accepted items that are not archived yet.")
 ARCHIVE_BYTES = gauge(
-    "stampede_archive_bytes", "Bytes of the archive on its disk, with those that are still to be written."
+    "stampede_archive_bytes", "Bytes of the archive on its disk, with the bytes that are not written yet."
 )
 ARCHIVE_LIMIT = gauge("stampede_archive_limit_bytes", "The most bytes that the archive may use on its disk.")
 ARCHIVE_FAILING = gauge("stampede_archive_failing", "1 while the archive cannot be written, else 0.")

@@ -97,7 +97,8 @@ class EnqueueStream:
             raise InvalidArgument("the stream names no queue; set queue_id and epoch in its first request")
         if len(request.runs) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX:
             raise InvalidArgument(
-                f"the request is larger than {REQUEST_BYTES_MAX} bytes and holds several runs; send fewer at once"
+                f"the request is larger than {REQUEST_BYTES_MAX} bytes and holds several runs; send fewer "
+                "in one request"
             )
         return request.runs, received_s
 

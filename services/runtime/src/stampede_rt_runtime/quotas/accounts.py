@@ -21,7 +21,7 @@ _TEXTS: Mapping[Quota, tuple[str, str]] = {
     Quota.STREAMS: ("streams open at this port", "close some"),
     Quota.SUBSCRIPTIONS: ("subscriptions open at this port", "end some"),
     Quota.WAITING_CALLS: ("calls under way at this port", "wait for some of them"),
-    Quota.BYTES_IN_FLIGHT: ("bytes in flight at this port", "put and read less at once"),
+    Quota.BYTES_IN_FLIGHT: ("bytes in flight at this port", "put and read less at a time"),
     Quota.CHANNELS: ("channels", "delete some"),
     Quota.QUEUES: ("queues", "delete some"),
     Quota.GROUPS: ("groups", "delete some"),

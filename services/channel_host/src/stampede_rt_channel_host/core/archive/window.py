@@ -134,7 +134,7 @@ class _Growing:
             when = format_instant(block.head.low[0])
             raise Overloaded(
                 f"more than {self._wanted.bytes_limit} bytes of archived items around {when} have one time, so the "
-                "host cannot read them at once; subscribe with start= to read them in the order of their acceptance"
+                "host cannot read them together; subscribe with start= to read them in the order of their acceptance"
             )
 
     def may_end(self, following: BlockHead) -> bool:

@@ -104,7 +104,7 @@ def _check(policy: Policy) -> None:
         )
     if policy.is_recorded and (policy.consumers or policy.max_age_unconsumed_nanos):
         raise InvalidArgument(
-            "the policy has an archive and consumers; a recorded channel keeps its items, so nobody can use them up: "
+            "the policy has an archive and consumers; a recorded channel keeps its items, so no consumer uses them up: "
             "leave one of the two out"
         )
     _check_adaptive(policy)

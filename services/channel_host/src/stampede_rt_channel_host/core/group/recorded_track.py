@@ -140,8 +140,8 @@ class RecordedTrack:
         if len(self._keys) > KEYS_MAX:
             self._keys, self._low, self._end = [], LAST_KEY, FIRST_KEY
             raise Overloaded(
-                f"a match needs more than {KEYS_MAX} archived items of one member at once; use a smaller tolerance, or "
-                "leave unique=True out"
+                f"a match needs more than {KEYS_MAX} archived items of one member at a time; use a smaller tolerance, "
+                "or leave unique=True out"
             )
 
 

@@ -191,13 +191,13 @@ class Enqueuing:
         if len(self._line) >= WAITING_RUNS_MAX or (self._line and too_much):
             raise Overloaded(
                 f"{len(self._line)} runs with {self.waiting_bytes} bytes wait for room in {self._queue} already; put "
-                "less at once, let more takers take, or raise the queue's limits"
+                "less at a time, let more takers take, or raise the queue's limits"
             )
         own_bytes = self._waiting_of_owner[run.owner] if run.owner else 0
         if own_bytes and own_bytes + run.charged_bytes > WAITING_BYTES_OF_ONE_MAX:
             raise Overloaded(
                 f"runs of {run.owner} with {own_bytes} bytes wait for room in {self._queue} already, and one caller "
-                f"may have {WAITING_BYTES_OF_ONE_MAX} bytes there; put less at once, or let more takers take",
+                f"may have {WAITING_BYTES_OF_ONE_MAX} bytes there; put less at a time, or let more takers take",
                 metadata={"subject": run.owner, "used": str(own_bytes), "limit": str(WAITING_BYTES_OF_ONE_MAX)},
             )
         self._arrivals += 1

@@ -45,7 +45,7 @@ def _check_serial(operation: RevokeCredential) -> None:
     if re.fullmatch(r"[0-9a-f]{1,64}", operation.serial) is None:
         raise InvalidArgument(
             f"serial is {operation.serial[:80]!r}; it has 1 to 64 hexadecimal digits in lower case, as `stampede certs "
-            "show` and `stampede token issue` tell them"
+            "show` and `stampede token issue` show them"
         )
 
 

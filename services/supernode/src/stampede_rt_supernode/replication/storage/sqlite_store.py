@@ -185,7 +185,7 @@ class SqliteStore:
         if row[0] != FORMAT_VERSION:
             raise StoreRefused(
                 f"{self._path} has format {row[0]}, and this version reads format {FORMAT_VERSION}: run the version "
-                "that wrote it, or, if that is this one, the file is damaged; then " + REJOIN
+                "that wrote it, or, if this version wrote it, the file is damaged; then " + REJOIN
             )
         if row[1:] != (cluster_id, member_id):
             raise StoreRefused(
