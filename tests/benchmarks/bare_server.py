@@ -1,4 +1,4 @@
-"""Bare grpcio that moves the same bytes: the cost of any gRPC service, for comparison with the product."""
+"""A server of bare grpcio that moves as many bytes as the product. It shows the cost that any gRPC service has."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ OPTIONS = (
     ("grpc.max_receive_message_length", -1),
     ("grpc.max_send_message_length", -1),
     ("grpc.so_reuseport", 0),
-    # The benchmark's client of this server pings each 5 s, like our client. By default a third ping within 5 minutes
-    # without data ends the connection.
+    # The benchmark's client of this server pings each 5 s, like the client of the product. By default a gRPC server
+    # allows one ping in 5 minutes on an idle connection. It ends the connection after three pings that come too early.
     ("grpc.http2.min_ping_interval_without_data_ms", Limits().ping_interval_millis_min),
 )
 

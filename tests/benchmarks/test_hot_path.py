@@ -11,8 +11,8 @@ def test_items_on_their_way_to_a_subscriber_fit_into_the_channel() -> None:
 
 
 def test_the_bare_server_allows_the_pings_of_its_client() -> None:
-    """By default gRPC allows one ping in five minutes on an idle connection, and ends the connection at the third ping
-    too many.
+    """By default a gRPC server allows one ping in 5 minutes on an idle connection. It ends the connection after three
+    pings that come too early.
     """
     allowed = dict(bare_server.OPTIONS)["grpc.http2.min_ping_interval_without_data_ms"]
     assert dict(CHANNEL_OPTIONS)["grpc.keepalive_time_ms"] >= 2 * allowed

@@ -23,9 +23,9 @@ MODULES = {
     "host": "stampede_rt_channel_host",
 }
 SECOND = "On the second machine"
+# By the title of a chapter: for each part of the chapter, the number of its machine. A second part begins with SECOND.
 WITH_SECRET = {"The first machine": [0], "The second machine": [1], "Back at the first machine": [0]}
 WITH_CERTIFICATES = {"With certificates": [0, 1]}
-"""The machine of each part of a chapter. A second part begins with the text SECOND."""
 READY_SECONDS = 30.0
 
 pytestmark = pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
@@ -130,7 +130,7 @@ def start(machine: Machine, words: list[str], monkeypatch: pytest.MonkeyPatch) -
         (("--listen", "localhost:0", "--allow-insecure-anywhere"), "which only its own machine can call, and"),
     ],
 )
-def test_a_host_that_others_could_not_call_does_not_register(
+def test_a_host_that_others_cannot_call_or_only_without_certificates_does_not_register(
     network: NamespaceNetwork, words: tuple[str, ...], told: str
 ) -> None:
     front, own = network.namespaces

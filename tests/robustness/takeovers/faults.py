@@ -16,7 +16,10 @@ LEASE_ENDS_SECONDS = 7.0
 
 
 class Faults:
-    """The faults of one run. `owner_number`: a host that owns something. `move`: move something to that host."""
+    """The faults of one run. `owner_number` returns the number of a host that owns a channel or queue.
+
+    `move`: one more fault. It moves channels or queues to the host with the given number, or away from this host.
+    """
 
     def __init__(
         self, cluster: Cluster, rng: random.Random, owner_number: Callable[[], int], move: Fault
@@ -31,7 +34,7 @@ class Faults:
         return [*faults, self.kill_behind_slow_links, self.kill_alone, self.kill_twice]
 
     def begin(self, fault: Fault, number: int) -> None:
-        """Begin a fault at this host. It ends by itself, or with `disturb`."""
+        """Begin a fault at this host. The fault ends by itself, or `disturb` cancels it."""
         self._running.append(asyncio.create_task(fault(number)))
 
     async def disturb(self) -> None:
@@ -70,7 +73,7 @@ class Faults:
         self.cluster.slow_s.pop(number, None)
 
     async def kill_behind_slow_links(self, number: int) -> None:
-        """The replicas lack the latest items."""
+        """The owner dies while the replicas lack its latest items."""
         owner = self.owner_number()
         self.cluster.slow_s[owner] = self.rng.choice((0.2, 0.5, 0.9))
         await asyncio.sleep(self.rng.uniform(1.0, 2.0))

@@ -48,7 +48,7 @@ class ReplayedMatches(ArchivedMatches[ReplayedChannel]):
         return matching
 
     async def _go_on(self, matching: ArchivedMatching) -> bool:
-        """Take the next change of any member. Returns False at the end of the replay."""
+        """Take the earliest of the next changes of all members. Returns False at the end of the replay."""
         if not self._is_loaded:
             await matching.load_all()
             self._is_loaded = True

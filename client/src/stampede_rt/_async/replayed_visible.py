@@ -115,7 +115,7 @@ class ReplayedVisible(ReplayedSteps):
             self._cut = self._seen
 
     async def _go_on(self) -> bool:
-        """Take the next change of any member. Returns False at the end of the replay."""
+        """Take the earliest of the next changes of all members. Returns False at the end of the replay."""
         due = [(one.feed.next_change, at) for at, one in enumerate(self._followers) if one.feed.next_change is not None]
         if not due:
             return False

@@ -35,7 +35,7 @@ def timeout_seconds(text: str) -> float:
 def add_verb(
     subparsers: Any, name: str, text: str, run: Callable[[argparse.Namespace], int], *, output: bool = True
 ) -> argparse.ArgumentParser:
-    """Add a verb with the option --url, and with --output unless `output` is False."""
+    """Add a verb with the option --url, and with --output and --local unless `output` is False."""
     parser: argparse.ArgumentParser = subparsers.add_parser(name, help=text, description=text)
     parser.set_defaults(run=run)
     parser.add_argument(
@@ -48,7 +48,10 @@ def add_verb(
 
 
 def add_summary(parser: argparse.ArgumentParser, *flags: str) -> None:
-    """Add the option --output, also as `flags`. `--summary` is its former name. In some verbs -o names a file."""
+    """Add the options --output and --local. `--summary` is the former name of --output.
+
+    `flags`: further names of --output, such as "-o". In some verbs -o names a file, so they do not pass it here.
+    """
     names = (*flags, "--output", "--summary")
     parser.add_argument(*names, choices=FORMS, default="table", help="how to print; default table")
     _add_local(parser)
@@ -78,7 +81,7 @@ def existing(rt: Connection, name: str) -> Channel:
 
 
 def is_glob(word: str) -> bool:
-    """Whether a word is a glob. No name contains these characters."""
+    """Whether a word is a glob: whether it contains `*` or `?`. No name contains these characters."""
     return "*" in word or "?" in word
 
 

@@ -1,4 +1,4 @@
-"""The drain of a host: which host gets a channel if the first host has no room, or also stops."""
+"""The drain of a host: which other host gets a channel if the one that the drain asks first has no room, or stops."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
         self, *errors: StampedeError, always: StampedeError | None = None, is_frozen: bool = False,
         has_archive: bool = False, is_older: bool = False, breaks: int = 0,
     ) -> None:  # fmt: skip
-        """`is_older`: the host knows no streams of drains. `breaks`: this many streams break at their first request."""
+        """`is_older`: the host has no MoveEachHere. `breaks`: this many streams break at their first request."""
         self.is_older, self.breaks, self.streams = is_older, breaks, 0
         self.errors, self.always, self.is_frozen, self.has_archive = [*errors], always, is_frozen, has_archive
         self.taken: list[bytes] = []
@@ -141,14 +141,14 @@ async def test_a_drain_asks_a_host_with_too_many_moves_again_later() -> None:
         PermissionDenied("no caller has asked this host", metadata={"host_id": "00"}),
     ],
 )
-async def test_a_drain_asks_again_if_it_has_ended_a_move_itself_and_has_another_epoch(error: StampedeError) -> None:
-    """In an earlier version, a drain gave such a channel up after the link to the other host had broken."""
+async def test_a_drain_asks_again_if_its_host_has_ended_a_move_or_has_another_epoch(error: StampedeError) -> None:
+    """In an earlier version, the drain gave a channel up after the link to the other host had broken."""
     host = Host(error)
     assert await drained(1, host) == Drained(1, {})
     assert host.taken == [b"c0"]
 
 
-async def test_a_drain_to_silent_hosts_only_ends_and_lets_its_host_do_other_work(
+async def test_a_drain_ends_if_all_other_hosts_are_silent_and_lets_its_host_do_other_work(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """In an earlier version, the drain went from one host to the other for ever, without a pause."""
@@ -199,7 +199,7 @@ async def test_a_frozen_host_delays_no_channel(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(draining, "BEGIN_SECONDS_MAX", 1.0)  # on a busy machine a host that runs needs some time
     frozen, free = Host(is_frozen=True), Host()
     assert await drained(20, frozen, free) == Drained(20, {})
-    assert len({*free.taken}) == 20, "a call that was late on a busy machine is repeated"
+    assert len({*free.taken}) == 20  # the drain may repeat a call that was late on a busy machine
 
 
 async def test_a_drain_ends_at_once_if_all_hosts_stop() -> None:
@@ -209,14 +209,14 @@ async def test_a_drain_ends_at_once_if_all_hosts_stop() -> None:
     assert "shutting down" in left["cam/0"]
 
 
-async def test_the_log_names_a_channel_that_cannot_move_but_not_a_deleted_one() -> None:
+async def test_a_drain_reports_a_channel_that_cannot_move_but_not_a_deleted_one() -> None:
     host = Host(InvalidArgument("it is recorded"), ChannelNotFound("it is gone"))
     moved, left = await drained(2, host)
     assert (moved, len(left)) == (1, 1)
     assert "it is recorded" in next(iter(left.values()))
 
 
-async def test_things_of_one_name_are_drained_one_by_one() -> None:
+async def test_two_channels_with_the_same_name_are_both_drained() -> None:
     host = Host()
     assert await drained(2, host, name="cam") == Drained(2, {})
     assert sorted(host.taken) == [b"c0", b"c1"]

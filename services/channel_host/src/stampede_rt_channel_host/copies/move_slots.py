@@ -1,4 +1,7 @@
-"""The moves that a host may have under way, and each maker's share of them. Pure."""
+"""The moves that a host may have under way, and each maker's share of them. Pure.
+
+A maker is a client that has created channels or queues.
+"""
 
 from __future__ import annotations
 
@@ -27,13 +30,14 @@ class MoveSlots:
         return self._makers.total()
 
     def check(self, record: RecordedChannel | RecordedQueue) -> None:
-        """Raises Overloaded if too many channels move now, or too many channels that this maker has made."""
+        """Raises Overloaded if too many channels move now, or too many channels with the maker of this one."""
         if self.under_way >= self._most:
             raise Overloaded(f"{self._most} {self._what} move {self._direction} already; wait for one")
         maker = record.created_by
         if _has_name(maker) and self._makers[maker] >= self._most_of_one:
             raise Overloaded(
-                f"{self._most_of_one} {self._what} that {maker} has made move {self._direction} already; wait for one"
+                f"{maker} has made {self._most_of_one} of the {self._what} that move {self._direction} already; "
+                "wait for one"
             )
 
     def take(self, record: RecordedChannel | RecordedQueue) -> None:

@@ -29,7 +29,7 @@ def test_a_set_holds_the_added_seqs_and_returns_the_new_ones(ranges: list[tuple[
 
 
 @given(RANGES)
-def test_ranges_never_touch_and_seqs_in_order_make_no_range(ranges: list[tuple[int, int]]) -> None:
+def test_ranges_never_touch_and_seqs_in_order_from_1_need_no_range(ranges: list[tuple[int, int]]) -> None:
     seqs = SeqSet()
     for first, items in ranges:
         seqs.add(first, first + items)

@@ -1,6 +1,7 @@
 """Steps of a subscription through a group, with items that are only in an archive. Pure.
 
-The caller reads the pages of a step through the group, as of the step's cut, and gives them to the step.
+The caller reads the pages of a step through the group, with a `Horizon` at the step's `target`, and gives them to the
+step.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class RecordedStep:
     It brings the items between the two cuts, with seqs below `seq_end`, in the order (time, seq). Before these it
     brings the late items: items before `cut` with seqs from `next_seq` on. Order of use: while `late` is a range, load
     these seqs and call `take_late`. Then, while `is_read` is False, read `query` and call `take_page`. After each call
-    take `batch` until it is empty. `dropped` counts the items that no part brings.
+    take `batch` until it is empty. `dropped` counts the items that the archive lacks.
     """
 
     def __init__(
@@ -50,13 +51,17 @@ class RecordedStep:
 
     @property
     def query(self) -> Query:
-        """The read of the next page, whose horizon is `target`."""
+        """The query of the next page. Its interval ends before `target`."""
         start = MIN_INSTANT if self._begin is None else self._begin
         interval = Interval(Bound(None, start), Bound(None, self.target), end_exclusive=True)
         return Query(interval=interval, match=Match.START, after=self._after)
 
     def take_late(self, found: Iterable[Slice], next_time: Callable[[int], int | None], end_seq: int) -> None:
-        """Take the late items among `found`: all items with seqs of `late` below `end_seq`."""
+        """Take the late items, which are the items of `found` before `cut`.
+
+        `found` has all items whose seqs are in `late` and less than `end_seq`. `next_time` returns the time of the next
+        bucket after a time.
+        """
         assert self.late is not None, "there are late items to find"
         first, end = self.late[0], min(self.late[1], end_seq)
         low = FIRST_KEY if self._begin is None else (self._begin, 0)
@@ -68,9 +73,10 @@ class RecordedStep:
         self.late = (end, self.late[1]) if end < self.late[1] else None
 
     def take_page(self, answer: ReadAnswer, *, continues: bool, lacks: int) -> None:
-        """Take a page. `continues`: there is another page. `lacks`: the number of items that the archive lacks there.
+        """Take a page. `continues`: another page follows. `lacks`: how many items of this page the archive lacks.
 
-        If there is another page, this step ends before the last time of the page, so that the reader gets a cursor.
+        If another page follows, and this page has items of several times, the step ends before the last of these times.
+        So the reader gets a cursor before the next page.
         """
         self.dropped += lacks
         self.is_read = not continues
