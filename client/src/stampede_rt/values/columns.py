@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -209,11 +210,14 @@ def _payload_at(payloads: Payloads, place: int, begin: int, length: int) -> byte
 
 
 def _split(payloads: bytes | memoryview, lengths: Sequence[int]) -> Iterable[bytes]:
-    """Yield each payload. Cuts short payloads out of a copy, because Python cuts bytes faster than a view."""
+    """Return a copy of each payload."""
+    length = lengths[0]
+    if len(lengths) == lengths.count(length):  # the usual case, at a quarter of the time
+        return struct.unpack(f"{length}s" * len(lengths), payloads)
     ends = [*accumulate(lengths, initial=0)]
     places = map(slice, ends, ends[1:])
     if isinstance(payloads, bytes) or len(payloads) < SHORT_BYTES * len(lengths):
-        cut: Callable[[slice], bytes] = bytes(payloads).__getitem__
+        cut: Callable[[slice], bytes] = bytes(payloads).__getitem__  # Python cuts bytes faster than a view
         return map(cut, places)
     return map(bytes, map(payloads.__getitem__, places))
 
