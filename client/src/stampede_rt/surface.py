@@ -305,6 +305,9 @@ def host(
     drain: DurationLike = "5s",
     allow_insecure_anywhere: bool = False,
     private: bool = False,
+    archive: str | os.PathLike[str] | None = None,
+    archive_folder: str | os.PathLike[str] | None = None,
+    max_archive: int | str | None = None,
 ) -> Connection:
     """Connect to a cluster, and make this process a channel host of it (docs/embedding.md).
 
@@ -322,14 +325,23 @@ def host(
     - `allow_insecure_anywhere`: listen beyond this machine without certificates, on a network that you trust.
     - `private`: the directory places channels, queues and copies of other programs here only if they name this host.
     - `drain`: when the connection closes, the host moves its channels to other hosts for at most this time. "0s": it
-      moves none, and their items are lost.
+      moves none, and their items are lost, unless they are in an archive.
+    - `archive`: the folder in which the host keeps recorded channels and its identity, for this host alone; or the URL
+      of an object store, such as "s3://BUCKET/PREFIX" (extra [objects]). Default: the host records no channel.
+      `$STAMPEDE_ARCHIVE` is for `stampede host` only.
+    - `archive_folder`: with a URL in `archive`, the folder for files that have not moved to the object store. Default:
+      `~/.local/state/stampede/archive`.
+    - `max_archive`: the most bytes that the archive may use on its disk, in bytes or as "200GiB". Default: nine tenths
+      of the room that the disk has at the start.
 
     The other arguments are as in `connect`. The host needs the cluster's secret, or a certificate of the role host.
 
     Blocks for at most 20 s. `close` blocks for `drain` and some seconds more.
     Raises HostExists, the errors of `connect`, and InvalidArgument if the extra [server] is not installed.
     """
-    options = HostOptions.parse(listen, advertise, max_memory, drain, allow_insecure_anywhere, private)
+    options = HostOptions.parse(
+        listen, advertise, max_memory, drain, allow_insecure_anywhere, private, archive, archive_folder, max_archive
+    )
     target = parse_target(url, name=name, secret=secret, zone=zone, tls=tls, transport=transport)
     return _opened(target, secret, transport, proof, embedder()(target, options))
 

@@ -137,6 +137,7 @@ def test_a_program_that_forgets_to_close_ends_and_its_channels_move(cluster: Loc
     source = """
 rt = st.host(name="rig-6")
 rt.channel("embedded/6").put(b"kept", time=5)
+rt.queue("embedded/queue-6").put(b"kept, too")
 """
     with program(cluster, source) as started:
         assert started.wait(LIMIT_S) == 0
@@ -144,6 +145,9 @@ rt.channel("embedded/6").put(b"kept", time=5)
         item = rt.channel("embedded/6", create=False).newest()
         assert item is not None
         assert item.payload == b"kept"
+        message = rt.queue("embedded/queue-6", create=False).get(timeout=LIMIT_S)
+        assert message is not None
+        assert message.payload == b"kept, too"
         assert "rig-6" not in names_of_hosts(rt)
 
 

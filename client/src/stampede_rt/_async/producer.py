@@ -27,7 +27,6 @@ from stampede_rt.values.payloads import check_payload, copied_attributes
 from stampede_rt.values.policy import ack_of, content_type_of
 from stampede_rt.values.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
 from stampede_rt.wire.batching import NumberedRun, RunBuilder, UnackedRuns
-from stampede_rt.wire.put_frames import put_tail
 from stampede_rt.wire.records import ack_to_wire
 
 IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024  # the most bytes of unacknowledged runs
@@ -49,7 +48,7 @@ class Producer(BoundToProcess):
         self._session = session
         self._state = state
         self._producer_id = int.from_bytes(request_id()[:8], "little") | 1
-        self._tail = put_tail(ack_to_wire(ack_of(ack)))
+        self._ack = ack_to_wire(ack_of(ack))
         self._builder = RunBuilder()
         self._unacked = UnackedRuns()
         self._steps = Steps()  # guards the builder and the order of writes; the threads that bring acks do not wait
@@ -275,7 +274,7 @@ class Producer(BoundToProcess):
         async def open_at(binding: Binding, _: float) -> None:  # awaits nothing, so no cancellation can interrupt it
             generation = self._generation
             told = partial(weakly(self._acked), generation), partial(weakly(self._ended), generation)
-            stream = open_run_stream(self._session, binding, self._producer_id, self._tail, *told)
+            stream = open_run_stream(self._session, binding, self._producer_id, self._ack, *told)
             self._do(partial(self._begin, stream, generation))
 
         await self._session.perform(self._state, open_at, timeout_s)

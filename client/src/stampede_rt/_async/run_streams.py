@@ -11,9 +11,10 @@ from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import StampedeError
 from stampede_rt.transports.concurrency_async import from_any_thread
 from stampede_rt.transports.grpc_async import PutDuplex
+from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.wire.batching import NumberedRun
-from stampede_rt.wire.put_frames import put_head, put_pieces
+from stampede_rt.wire.put_frames import put_head, put_pieces, put_tail
 
 OnAcks = Callable[[channel_pb.PutResponse], Awaitable[None]]
 OnEnd = Callable[[StampedeError], Awaitable[None]]
@@ -52,21 +53,21 @@ class EncodedRuns:
 
 
 def open_run_stream(
-    session: Session, binding: Binding, producer_id: int, tail: bytes, on_acks: OnAcks, on_end: OnEnd
+    session: Session, binding: Binding, producer_id: int, ack: channel_pb2.Ack, on_acks: OnAcks, on_end: OnEnd
 ) -> RunStream:
     """Open a stream to the host of `binding`. The caller holds no lock that `on_acks` needs.
 
-    `tail`: the encoded conditions for the acks (`put_tail`). If the channel is at the host of this process, and takes
-    runs by reference, the runs do not go over the wire.
+    `ack`: the condition for the acks. If the channel is at the host of this process, and takes runs by reference, the
+    runs do not go over the wire.
     """
     here = session.here
-    if here is not None and binding.target == here.target and not tail:
+    if here is not None and binding.target == here.target:
         told = from_any_thread(on_acks), from_any_thread(on_end)
-        stream = here.puts(binding.subject_id, binding.epoch, producer_id, *told)
+        stream = here.puts(binding.subject_id, binding.epoch, producer_id, ack, *told)
         if stream is not None:
             return stream
     duplex = session.endpoints.to(binding.target).duplex(on_acks, on_end)
-    return EncodedRuns(duplex, put_head(binding.subject_id, binding.epoch, producer_id), tail)
+    return EncodedRuns(duplex, put_head(binding.subject_id, binding.epoch, producer_id), put_tail(ack))
 
 
 def weakly(method: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:

@@ -12,12 +12,13 @@ from stampede_rt._sync.puts import NumberedPut, accepted
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.embedding import AnswerHere, HostHere, PutHere
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import NotArchived, StampedeError
 from stampede_rt.transports.concurrency_sync import monotonic_s, result_of, thread_id
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.answers import Items
-from stampede_rt.values.model import Item
-from stampede_rt.values.reading import ReadQuery
+from stampede_rt.values.model import Ack, Item
+from stampede_rt.values.reading import RENEW_S, ReadQuery, Wait
+from stampede_rt.wire.records import ack_to_wire
 
 
 def may_be_here(session: Session, state: ChannelState) -> bool:
@@ -72,23 +73,34 @@ def _binding_here(session: Session, state: ChannelState, here: HostHere) -> Bind
     return binding if binding.target == here.target else None
 
 
-def put_here(session: Session, state: ChannelState, numbered: NumberedPut) -> channel_pb.PutAck | None:
-    """Put one item. Returns its ack. Raises TooOld, InFuture, ChannelFull."""
+def put_here(
+    session: Session, state: ChannelState, numbered: NumberedPut, ack: Ack | None, wait: Wait
+) -> channel_pb.PutAck | None:
+    """Put one item. Returns its ack. Raises TooOld, InFuture, ChannelFull, NotArchived.
+
+    `wait`: the longest wait for the disk. If it is longer than one request may wait, the call over the wire goes on.
+    """
     here = session.here
     binding = None if here is None else _binding_here(session, state, here)
     if here is None or binding is None:
         return None
     item = numbered.item
+    wait_s = RENEW_S if wait.seconds is None else min(wait.seconds, RENEW_S)
     put = PutHere(
         numbered.producer_id, numbered.number, item.payload, item.time, item.duration, dict(item.attributes),
-        item.content_type,
+        item.content_type, ack_to_wire(ack), Wait(wait_s).nanos,
     )  # fmt: skip
     try:
-        ack = result_of(here.put(binding.subject_id, binding.epoch, put), CALL_TIMEOUT_S)
+        found = result_of(here.put(binding.subject_id, binding.epoch, put), wait_s + CALL_TIMEOUT_S)
     except (StampedeError, TimeoutError):
         return None
     try:
-        return None if ack is None else accepted(ack)
+        return None if found is None else accepted(found)
+    except NotArchived as error:
+        if wait_s != wait.seconds:
+            return None
+        error.concerning("channel", state.info.name)
+        raise
     except StampedeError as error:
         error.concerning("channel", state.info.name)
         raise

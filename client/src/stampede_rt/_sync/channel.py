@@ -27,7 +27,7 @@ from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2
 from stampede_rt.values.model import Ack, Item, OnFull, Policy
 from stampede_rt.values.policy import parse_policy
-from stampede_rt.values.reading import RENEW_S, Wait
+from stampede_rt.values.reading import NO_WAIT, RENEW_S, Wait
 from stampede_rt.values.statistics import ChannelStats
 from stampede_rt.values.timeline import DurationLike, InstantLike, parse_duration, parse_instant
 from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec, with_users
@@ -78,11 +78,15 @@ class Channel(Reader):
         item = SingleItem.parse(self._state.coding, payload, time, duration, attributes, content_type, ack=ack)
         on_full = self.info.policy.on_full
         renew_s = RENEW_S if on_full == "block" else FIRST_WAIT_S
-        may_fill = on_full in ("block", "reject") or (ack or self.info.policy.ack or "host") != "host"
+        ack_of_put, fills = ack or self.info.policy.ack or "host", on_full in ("block", "reject")
+        may_fill = fills or ack_of_put != "host"
         with span("put", channel=self.name):
             wait, put, accepted = Wait.parse(timeout), self._numbers.put_of(item), None
-            if self._session.here is not None and not may_fill:
-                accepted = put_here(self._session, self._state, put)
+            if self._session.here is not None and not fills and ack_of_put != "replica":
+                began_s = monotonic_s()
+                of_disk = wait if ack_of_put == "disk" else NO_WAIT
+                accepted = put_here(self._session, self._state, put, ack, of_disk)
+                wait = wait.after(monotonic_s() - began_s)
             if accepted is None:  # if the host of this process has put the item after all, it recognises the number
                 accepted = self._puts.put(put, wait, renew_s, may_fill=may_fill)
         return item.accepted_as(self._state, accepted)

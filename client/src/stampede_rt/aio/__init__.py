@@ -118,8 +118,13 @@ def host(
     drain: DurationLike = "5s",
     allow_insecure_anywhere: bool = False,
     private: bool = False,
+    archive: str | _os.PathLike[str] | None = None,
+    archive_folder: str | _os.PathLike[str] | None = None,
+    max_archive: int | str | None = None,
 ) -> _Connecting:
     """As `stampede_rt.host`. Await it, or enter it with `async with`. The host has a thread of its own."""
-    options = _HostOptions.parse(listen, advertise, max_memory, drain, allow_insecure_anywhere, private)
+    options = _HostOptions.parse(
+        listen, advertise, max_memory, drain, allow_insecure_anywhere, private, archive, archive_folder, max_archive
+    )
     target = _parse_target(url, name=name, secret=secret, zone=zone, tls=tls, transport=transport)
     return _Connecting(target, proof, _embedder()(target, options))

@@ -5,6 +5,7 @@ The client imports no service. The package of the host registers a function as a
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from typing import Any, NamedTuple, Protocol
 from stampede_rt.cluster.connecting import Target
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.values.model import Reason
-from stampede_rt.values.policy import flag_of, memory_of
+from stampede_rt.values.policy import flag_of, memory_of, size_of
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import DurationLike, ResolvedInterval, parse_duration
 
@@ -28,7 +29,8 @@ NO_ATTRIBUTES: Mapping[str, str] = MappingProxyType({})
 class HostOptions:
     """The arguments of `stampede_rt.host` that concern the host.
 
-    `listen` and `advertise`: empty if not given; the host checks them.
+    `listen`, `advertise`, `archive` and `archive_folder`: empty if not given; the host checks them.
+    `archive_bytes_max`: 0 if not given.
     """
 
     listen: str
@@ -37,6 +39,9 @@ class HostOptions:
     drain_s: float
     allow_insecure_anywhere: bool
     private: bool
+    archive: str
+    archive_folder: str
+    archive_bytes_max: int
 
     @classmethod
     def parse(
@@ -47,6 +52,9 @@ class HostOptions:
         drain: DurationLike,
         allow_insecure_anywhere: bool,
         private: bool = False,
+        archive: str | os.PathLike[str] | None = None,
+        archive_folder: str | os.PathLike[str] | None = None,
+        max_archive: int | str | None = None,
     ) -> HostOptions:
         """Check the arguments. Raises InvalidArgument."""
         drain_nanos = parse_duration(drain, "drain")
@@ -59,11 +67,27 @@ class HostOptions:
             drain_s=drain_nanos / 1e9,
             allow_insecure_anywhere=flag_of("allow_insecure_anywhere", allow_insecure_anywhere),
             private=flag_of("private", private),
+            archive=_place_of("archive", archive),
+            archive_folder=_place_of("archive_folder", archive_folder),
+            archive_bytes_max=0 if max_archive is None else size_of("max_archive", max_archive),
         )
 
 
+def _place_of(what: str, value: str | os.PathLike[str] | None) -> str:
+    """Return `value` as text; empty for None. Raises InvalidArgument."""
+    if value is None:
+        return ""
+    place = os.fspath(value) if isinstance(value, str | os.PathLike) else value
+    if not isinstance(place, str) or not place.strip():
+        raise InvalidArgument(f"{what} is {value!r}; give a folder, or the URL of an object store, or leave it out")
+    return place
+
+
 class PutHere(NamedTuple):
-    """One item that a program puts at the host of its own process. If `time` is None, the host stamps the item."""
+    """One item that a program puts at the host of its own process. If `time` is None, the host stamps the item.
+
+    `ack` is a number of the enum Ack, for the wanted acknowledgement. `wait_nanos`: the longest wait for it.
+    """
 
     producer_id: int
     number: int
@@ -72,6 +96,8 @@ class PutHere(NamedTuple):
     duration: int | None
     attributes: dict[str, str]
     content_type: str
+    ack: int
+    wait_nanos: int
 
 
 class RunHere(NamedTuple):
@@ -159,7 +185,10 @@ class HostHere(Protocol):
         ...
 
     def put(self, channel_id: bytes, epoch: int, put: PutHere) -> Future[Any]:
-        """Put one item by reference. The future gets the PutAck, or None if the put must go over a stream."""
+        """Put one item by reference. The future gets the PutAck, or None if the put must go over a stream.
+
+        To cancel the future ends the wait for the disk. The channel may have the item nevertheless.
+        """
         ...
 
     def puts(
@@ -167,12 +196,14 @@ class HostHere(Protocol):
         channel_id: bytes,
         epoch: int,
         producer_id: int,
+        ack: int,
         on_acks: Callable[[Any], None],
         on_end: Callable[[StampedeError], None],
     ) -> RunsHere | None:
         """Open a stream of runs. Returns None if the runs must go over a stream of the transport. Does not wait.
 
-        The host's thread passes each PutResponse to `on_acks`, and the error that ends the stream to `on_end`.
+        `ack`: see `PutHere`. The host's thread passes each PutResponse to `on_acks`, and the error that ends the stream
+        to `on_end`.
         """
         ...
 

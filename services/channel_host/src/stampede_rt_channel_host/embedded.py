@@ -10,54 +10,46 @@ import asyncio
 import contextlib
 import logging
 import os
-import re
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
 from functools import partial
-from pathlib import Path
 from typing import Any, TypeVar
 from weakref import WeakSet
 
 from stampede_rt.cluster.connecting import Target
 from stampede_rt.cluster.embedding import AnswerHere, HostOptions, PutHere
-from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError, Unavailable
-from stampede_rt.security.credentials import Credentials, SecretReader
+from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt_channel_host.channels.calls_here import at_now, newest_now, put_here, read_here, read_now
 from stampede_rt_channel_host.channels.gets.waiting_get import WaitingGet
+from stampede_rt_channel_host.channels.puts.held_acks import HeldAck
 from stampede_rt_channel_host.channels.puts_here import PutsHere, takes_runs
 from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.embedded_settings import MISUSES, cannot_host, credentials_of, settings_of
 from stampede_rt_channel_host.forked_sockets import close_copies
 from stampede_rt_channel_host.served_host import ServedHost
-from stampede_rt_channel_host.settings import HostSettings
 from stampede_rt_channel_host.turns import Turns
-from stampede_rt_runtime.access.tokens import is_token
-from stampede_rt_runtime.auth import Secret, load_secret
-from stampede_rt_runtime.dial import Dialer
-from stampede_rt_runtime.identity import Role
-from stampede_rt_runtime.listen import CannotListen, NotAllowed
 from stampede_rt_runtime.settings import SettingsError
-from stampede_rt_runtime.tls import load_tls
-from stampede_rt_runtime.values import parse_address_text, parse_target
+from stampede_rt_runtime.working_threads import WorkingThreads
 
 logger = logging.getLogger(__name__)
 Found = TypeVar("Found")
 
 ANSWER_SECONDS = 2.0  # `start` waits this much longer than `enter` of the host, so that it gets the host's error
+THREADS_MAX = 8  # for calls that block, besides those of the archive
 LEAVE_SECONDS_MAX = 10.0  # the most that the end of a host takes, after its drain
-_MISUSES = (CannotListen, NotAllowed, SettingsError, ValueError)
 
 
 class EmbeddedHost:
     """A host on a thread of this process, from `start` to `leave`. It also leaves when the main thread has ended."""
 
     def __init__(self, target: Target, options: HostOptions) -> None:
-        self._credentials = _credentials(target.credentials)
+        self._credentials = credentials_of(target.credentials)
         self._drain_s = options.drain_s
         self._start_timeout_s = 0.0
-        self._settings = _settings(target, options)
+        self._settings = settings_of(target, options)
         self._process = os.getpid()
         self._served: ServedHost | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -94,7 +86,7 @@ class EmbeddedHost:
     def start(self, timeout_s: float) -> None:
         """Start the host, and wait until the directory knows it.
 
-        Raises InvalidArgument if the host cannot listen, HostExists, PermissionDenied, Unavailable.
+        Raises InvalidArgument if the host cannot listen or use its archive, HostExists, PermissionDenied, Unavailable.
         """
         _here.add(self)
         self._start_timeout_s = timeout_s
@@ -104,8 +96,8 @@ class EmbeddedHost:
         except TimeoutError:
             self.leave()
             raise Unavailable(f"this process did not become a host within {timeout_s:.0f} s; try again") from None
-        except _MISUSES as error:
-            raise _cannot_host(error) from error
+        except MISUSES as error:
+            raise cannot_host(error) from error
 
     def leave(self) -> None:
         """Move the channels to other hosts, deregister the host, and end its thread. Idempotent.
@@ -122,8 +114,12 @@ class EmbeddedHost:
         """Put one item by reference. None: it may have to wait for room. The future may have the errors of a put."""
 
         def perform(store: ChannelStore, told: Future[pb.PutAck | None]) -> None:
-            if told.set_running_or_notify_cancel():
-                told.set_result(put_here(store, channel_id, epoch, put))
+            ack = put_here(store, channel_id, epoch, put)
+            if ack is None or isinstance(ack, pb.PutAck):
+                _tell(told, ack)
+            elif self._loop is not None:
+                waiting = self._loop.create_task(_tell_when_due(told, ack))
+                told.add_done_callback(partial(_cancel, self._loop, waiting))
 
         return self._on_loop(perform)
 
@@ -132,6 +128,7 @@ class EmbeddedHost:
         channel_id: bytes,
         epoch: int,
         producer_id: int,
+        ack: int,
         on_acks: Callable[[Any], None],
         on_end: Callable[[StampedeError], None],
     ) -> PutsHere | None:
@@ -143,7 +140,7 @@ class EmbeddedHost:
             return None
         if not takes or loop is None or served is None:
             return None
-        opened = PutsHere(loop, served.host.store, (channel_id, epoch), producer_id, on_acks, on_end)
+        opened = PutsHere(loop, served.host.store, (channel_id, epoch), (producer_id, ack), on_acks, on_end)
         self._puts.add(opened)
         opened.on_over = partial(self._puts.discard, opened)
         return opened
@@ -212,13 +209,15 @@ class EmbeddedHost:
                 loop.call_soon_threadsafe(self._stop.set)
 
     def close_in_child(self) -> None:
-        """Close the copies of the host's sockets that a forked child has.
+        """Close the copies of the host's sockets, and of the lock of its archive, that a forked child has.
 
-        Otherwise the port would stay open after the end of the parent, and its callers would wait for an answer.
+        Otherwise the port would stay open after the end of the parent, and its callers would wait for an answer. And no
+        host could use the archive.
         """
         served = self._served
         if served is not None:
             close_copies(served.address, served.local.removeprefix("unix:"))
+            served.close_archive_in_child()
 
     def _run(self) -> None:
         try:
@@ -240,9 +239,15 @@ class EmbeddedHost:
 
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
+        self._loop.set_default_executor(WorkingThreads(THREADS_MAX, "stampede-host-worker"))
         if self._is_leaving:
             self._stop.set()
-        served = self._served = ServedHost(self._settings, self._credentials, lambda failure: self._stop.set())
+        try:
+            served = self._served = ServedHost(self._settings, self._credentials, lambda failure: self._stop.set())
+        except OSError as error:
+            if isinstance(error, StampedeError):
+                raise
+            raise SettingsError(f"--archive: {error.filename} cannot be used: {error.strerror}") from error
         try:
             await served.listen()
             await self._enter(served)
@@ -273,49 +278,16 @@ def _tell(told: Future[Any], found: object) -> None:
             told.set_result(found)
 
 
-def _cancel(loop: asyncio.AbstractEventLoop, waiting: WaitingGet, told: Future[Any]) -> None:
-    """End the wait of a get whose caller has given up."""
+async def _tell_when_due(told: Future[pb.PutAck | None], ack: HeldAck) -> None:
+    """Set the result of a put that waits for the disk."""
+    _tell(told, await ack.due())
+
+
+def _cancel(loop: asyncio.AbstractEventLoop, waiting: WaitingGet | asyncio.Task[None], told: Future[Any]) -> None:
+    """End the wait of a call whose caller has given up. The done callback of its future keeps the wait."""
     if told.cancelled():
         with contextlib.suppress(RuntimeError):  # the loop has closed
             loop.call_soon_threadsafe(waiting.cancel)
-
-
-def _settings(target: Target, options: HostOptions) -> HostSettings:
-    """The settings of the host. Raises InvalidArgument."""
-    try:
-        return HostSettings(
-            listen=parse_address_text(options.listen) if options.listen else "",
-            advertise=parse_target(options.advertise) if options.advertise else "",
-            name=target.name,
-            frontend=target.frontends,
-            zone=target.zone,
-            memory_bytes_max=options.memory_bytes_max,
-            allow_insecure_anywhere=options.allow_insecure_anywhere,
-            private=options.private,
-        )
-    except ValueError as error:
-        raise _cannot_host(error) from error
-
-
-def _cannot_host(error: Exception) -> InvalidArgument:
-    """The error for the caller of `stampede_rt.host`, whose arguments have the names of the flags."""
-    text = re.sub(r"--([a-z][a-z-]*)", lambda found: found[1].replace("-", "_"), str(error))
-    return InvalidArgument(f"this process cannot host channels: {text}")
-
-
-def _credentials(given: Credentials) -> Dialer:
-    """The credentials of a host, from the credentials of the program. Raises PermissionDenied."""
-    secret = given.secret
-    if isinstance(secret, SecretReader):
-        found = load_secret(secret.path) if secret.current() else None
-    else:
-        found = Secret(text=secret, path=Path("the argument `secret`")) if secret else None
-    if found is not None and is_token(found.text):
-        raise PermissionDenied(
-            "a process with a client token cannot host channels, because hosts check callers; give it the "
-            "cluster's secret, or a certificate of the role host"
-        )
-    return Dialer(secret=found, tls=load_tls(given.tls.files, Role.HOST) if given.tls else None)
 
 
 _here: WeakSet[EmbeddedHost] = WeakSet()  # the hosts of this process

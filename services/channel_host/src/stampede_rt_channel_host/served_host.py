@@ -63,8 +63,19 @@ class ServedHost:
         # kept here, because the loop keeps only weak references to its tasks
         self._health: asyncio.Task[None] | None = None
         self._objects = _objects_of(settings)
-        self.host = self._make_host()
+        self._archive: ArchiveFolder | None = None
+        try:
+            self.host = self._make_host()
+        except BaseException:
+            if self._archive is not None:
+                self._archive.close()
+            raise
         self.address = self.advertise = self.local = self.tcp = ""
+
+    def close_archive_in_child(self) -> None:
+        """Close the copy of the archive's lock that a forked child has. The lock of its parent stays."""
+        if self._archive is not None:
+            self._archive.close_copy()
 
     async def listen(self) -> None:
         """Listen, at a Unix socket and the TCP port for data, too.
@@ -123,6 +134,7 @@ class ServedHost:
         archive = None if folder is None else ArchiveFolder(folder, settings.archive_bytes_max)
         if archive is not None:
             archive.open(host_id)
+            self._archive = archive
         identity = HostIdentity(
             host_id=host_id,
             name=self._name(),

@@ -208,7 +208,7 @@ def test_a_file_lists_the_seqs_that_were_never_archived(tmp_path: Path) -> None:
 def test_a_folder_belongs_to_one_host_and_one_process(tmp_path: Path) -> None:
     first = ArchiveFolder(tmp_path / "a")
     first.open(HOST)
-    with pytest.raises(SettingsError, match="another host process uses the folder"):
+    with pytest.raises(SettingsError, match="another host uses the folder"):
         ArchiveFolder(tmp_path / "a").open(HOST)
     first.close()
     with pytest.raises(SettingsError, match="is the archive of host"):

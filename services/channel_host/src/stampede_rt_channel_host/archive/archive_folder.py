@@ -45,8 +45,8 @@ class ArchiveFolder:
         except OSError as error:
             self.close()
             raise SettingsError(
-                f"--archive: another host process uses the folder {self.path} now; stop that process, or give this "
-                "host a folder of its own"
+                f"--archive: another host uses the folder {self.path} now; stop that host, or give this one its own "
+                "folder"
             ) from error
         try:
             self._check_owner(host_id.hex())
@@ -111,6 +111,16 @@ class ArchiveFolder:
         if self._lock is not None:
             self._lock.close()
             self._lock = None
+
+    def close_copy(self) -> None:
+        """Close the copy of the lock in a forked child. The folder still belongs to the parent.
+
+        The descriptor stays in use: the object that owns it may close it later.
+        """
+        lock = self._lock
+        if lock is not None and not lock.closed:
+            with open(os.devnull, "rb") as nothing:
+                os.dup2(nothing.fileno(), lock.fileno(), inheritable=False)
 
 
 def _write(path: Path, text: str) -> None:

@@ -6,7 +6,6 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import TypeVar
 
@@ -20,6 +19,7 @@ from stampede_rt_channel_host.archive.segment_files import OpenedArchive, Segmen
 from stampede_rt_channel_host.core.archive import ArchivedPart, ArchiveWindow, Past, Segment, WantedWindow
 from stampede_rt_channel_host.core.channel import Run
 from stampede_rt_channel_host.core.records import RecordedChannel
+from stampede_rt_runtime.working_threads import WorkingThreads
 
 Result = TypeVar("Result")
 logger = logging.getLogger(__name__)
@@ -57,10 +57,8 @@ class HostArchive:
         self._kept = KeptBlocks()
         self._recorders: set[ChannelRecorder] = set()
         self._making_room: asyncio.Task[None] | None = None
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix="archive-writer")
-        self._readers = ThreadPoolExecutor(
-            READERS if objects is None else READERS_OF_STORE, thread_name_prefix="archive-reader"
-        )
+        self._writer = WorkingThreads(1, "archive-writer")
+        self._readers = WorkingThreads(READERS if objects is None else READERS_OF_STORE, "archive-reader")
         if objects is not None:
             objects.mover.writer = self._writer
         self._due: dict[ChannelRecorder, Callable[[], None]] = {}  # each with the function to call after its write

@@ -1,10 +1,12 @@
 """Puts and gets of programs in the host's own process: by reference, without the wire (paper, section 4.1).
 
-The objects that a program puts stay in the channel as they are, and gets return them. Other readers get them encoded.
+The objects that a program puts stay in the channel as they are, and gets return them. Other readers get them encoded,
+and so does the archive of a recorded channel.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from stampede_rt.cluster.embedding import AnswerHere, PutHere, RunHere
@@ -13,13 +15,16 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.answers import ABSENT
 from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery
+from stampede_rt.values.timeline import Bound, Interval
 from stampede_rt.wire.reads import check_item
 from stampede_rt.wire.runs import RunColumns, run_parts
 from stampede_rt_channel_host.channels.frames import run_bytes
 from stampede_rt_channel_host.channels.gets.waiting_get import WaitingGet
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.puts.held_acks import HeldAck
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.puts.puts import check_number
+from stampede_rt_channel_host.channels.puts.wanted_acks import check_disk, check_wanted, held_ack
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.core.channel import (
     DeliveredSlice,
@@ -37,17 +42,18 @@ Told = Callable[[AnswerHere | StampedeError | None], None]
 
 
 def find_here(store: ChannelStore, channel_id: bytes, epoch: int) -> HostedChannel | None:
-    """The channel, if this module serves it; None: it has an archive or replicas. Raises the errors of `find`."""
+    """The channel, if this module serves it; None: it has replicas. Raises the errors of `find`."""
     hosted = store.find(channel_id, epoch)
-    return None if hosted.recording is not None or hosted.replication is not None else hosted
+    return None if hosted.replication is not None else hosted
 
 
-def put_here(store: ChannelStore, channel_id: bytes, epoch: int, put: PutHere) -> pb.PutAck | None:
+def put_here(store: ChannelStore, channel_id: bytes, epoch: int, put: PutHere) -> pb.PutAck | HeldAck | None:
     """Put one item. None: it may have to wait for room, so it goes over a stream. Raises the errors of a put."""
-    hosted = find_here(store, channel_id, epoch)
+    hosted, received_s = find_here(store, channel_id, epoch), time.monotonic()
     if hosted is None or hosted.puts.may_wait:
         return None
     check_number(put.producer_id, put.number)
+    check_wanted(hosted, put.ack)
     times = None if put.time is None else (put.time,)
     durations = None if put.duration is None else (put.duration,)
     parts = run_parts(
@@ -60,7 +66,14 @@ def put_here(store: ChannelStore, channel_id: bytes, epoch: int, put: PutHere) -
         first_number=put.number,
         wait_nanos=0,
     )
-    ack = hosted.puts.put(run, store.now())
+    return held_ack(put_now(hosted, run, put.ack, store.now()), hosted, put, received_s)
+
+
+def put_now(hosted: HostedChannel, run: IncomingRun, wanted: int, now: int) -> pb.PutAck:
+    """Put a run that surely need not wait for room. `wanted`: a number of the enum Ack. Raises the errors of a put."""
+    if hosted.recording is not None:
+        check_disk(hosted, wanted, is_repeated=hosted.puts.repeats(run, now))
+    ack = hosted.puts.put(run, now)
     assert ack is not None, "the channel lets no put wait"
     return ack
 
@@ -73,11 +86,14 @@ def read_now(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuer
     hosted, now = find_here(store, channel_id, epoch), store.now()
     if hosted is None or (hosted.due is not None and hosted.due <= now):
         return None
-    found = first_of(hosted.channel.reading(query_of(query), now))
+    asked = query_of(query)
+    if _reads_archive(hosted, query, asked, now):
+        return None
+    found = first_of(hosted.channel.reading(asked, now))
     return None if isinstance(found, Unfinished) else _told(hosted, found, payloads=query.payloads)
 
 
-def at_now(store: ChannelStore, channel_id: bytes, epoch: int, time: int) -> AnswerHere | None:
+def at_now(store: ChannelStore, channel_id: bytes, epoch: int, instant: int) -> AnswerHere | None:
     """The answer to a read at an instant, if one item is all of it. Changes nothing.
 
     None: take `read_now`. The caller holds the turn of the loop. Raises the errors of a get.
@@ -85,7 +101,10 @@ def at_now(store: ChannelStore, channel_id: bytes, epoch: int, time: int) -> Ans
     hosted, now = find_here(store, channel_id, epoch), store.now()
     if hosted is None or (hosted.due is not None and hosted.due <= now):
         return None
-    found = hosted.channel.at(time, now)
+    bound = Bound(None, instant)
+    if hosted.recording is not None and hosted.recording.reaches(Query(interval=Interval(bound, bound)), now):
+        return None
+    found = hosted.channel.at(instant, now)
     return None if found is None else _one_told(hosted, found)
 
 
@@ -99,6 +118,8 @@ def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> AnswerHere
     except StampedeError:
         return None
     is_due = hosted is None or (hosted.due is not None and hosted.due <= store.now())
+    if hosted is not None and hosted.recording is not None and not hosted.recording.is_past_known:
+        return None
     part = None if hosted is None or is_due else next(iter(hosted.channel.newest_slices()), None)
     if hosted is None or part is None:
         return None
@@ -111,13 +132,14 @@ def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> AnswerHere
 def read_here(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuery, tell: Told) -> WaitingGet | None:
     """Perform a get on the loop, and call `tell` with its answer. Returns the get if it waits.
 
-    `tell` gets None if the answer is long: such a get goes over a stream. Raises the errors of a get.
+    `tell` gets None if the answer is long, or may be in the archive: such a get goes over a stream. Raises the errors
+    of a get.
     """
     hosted, now = find_here(store, channel_id, epoch), store.now()
-    if hosted is None:
+    asked = query_of(query)
+    if hosted is None or _reads_archive(hosted, query, asked, now):
         tell(None)
         return None
-    asked = query_of(query)
     if query.wait.seconds == 0:
         found = first_of(hosted.channel.reading(asked, now))
         tell(None if isinstance(found, Unfinished) else _told(hosted, found, payloads=query.payloads))
@@ -137,6 +159,12 @@ def read_here(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQue
         return hosted.gets.add(pending, polled, query.wait.nanos, now, outcome)
     outcome(polled)
     return None
+
+
+def _reads_archive(hosted: HostedChannel, query: ReadQuery, asked: Query, now: int) -> bool:
+    """Whether the answer may have items that only the archive has. Such a read goes over a stream."""
+    recording = hosted.recording
+    return recording is not None and not query.within_memory and recording.reaches(asked, now)
 
 
 def query_of(query: ReadQuery) -> Query:

@@ -5,18 +5,21 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Coroutine, Iterator, Sequence
+from contextlib import nullcontext, suppress
+from typing import Any, NamedTuple
 
 from stampede_rt.cluster.embedding import NO_ATTRIBUTES, RunToPut
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.plain_runs import PlainRun, read_plain_run
 from stampede_rt.wire.runs import RunColumns
-from stampede_rt_channel_host.channels.calls_here import find_here
+from stampede_rt_channel_host.channels.calls_here import find_here, put_now
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.puts.acks import refused
+from stampede_rt_channel_host.channels.puts.held_acks import HELD_ACKS_MAX, HeldAck, HeldAcks
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
-from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
+from stampede_rt_channel_host.channels.puts.wanted_acks import check_wanted, held_ack
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.core.channel import ReferencedBody
 
@@ -27,17 +30,24 @@ Tell = Callable[[Any], None]
 
 
 def takes_runs(store: ChannelStore, channel_id: bytes, epoch: int) -> bool:
-    """Whether `PutsHere` can put into the channel: no put may have to wait. Raises the errors of `find`."""
+    """Whether `PutsHere` can put into the channel: no put may have to wait for room. Raises the errors of `find`."""
     hosted = find_here(store, channel_id, epoch)
     return hosted is not None and not hosted.puts.may_wait
 
 
-def _puts_of(store: ChannelStore, channel_id: bytes, epoch: int) -> ChannelPuts:
-    """The puts of a channel in which no put waits. Raises Unavailable, and the errors of `find`."""
+def _find(store: ChannelStore, channel_id: bytes, epoch: int) -> HostedChannel:
+    """A channel in which no put waits for room. Raises Unavailable, and the errors of `find`."""
     hosted = find_here(store, channel_id, epoch)
     if hosted is None or hosted.puts.may_wait:
         raise Unavailable("the channel takes puts only over a stream now; the client opens one")
-    return hosted.puts
+    return hosted
+
+
+class _Stated(NamedTuple):
+    """The acknowledgement that a producer wants for each run (`WantedAck`)."""
+
+    ack: int
+    wait_nanos: int | None = None
 
 
 class PutsHere:
@@ -51,14 +61,20 @@ class PutsHere:
         loop: asyncio.AbstractEventLoop,
         store: ChannelStore,
         channel: tuple[bytes, int],
-        producer_id: int,
+        producer: tuple[int, int],
         on_acks: Tell,
         on_end: Tell,
     ) -> None:
-        """`channel`: its id and epoch. `on_acks` gets each PutResponse, and `on_end` the error that ends the stream."""
-        self._loop, self._store, self._channel, self._producer_id = loop, store, channel, producer_id
+        """`channel`: its id and epoch. `producer`: its id, and the number of the `Ack` that it wants.
+
+        `on_acks` gets each PutResponse, and `on_end` the error that ends the stream.
+        """
+        self._loop, self._store, self._channel = loop, store, channel
+        self._producer_id, self._stated = producer[0], _Stated(producer[1])
         self._on_acks, self._on_end = on_acks, on_end
         self._sent: deque[RunToPut] = deque()  # the producer bounds the unacknowledged bytes
+        self._held = HeldAcks(self._on_due, self._spawn)  # the acks that wait for the disk, and the acks after them
+        self._tasks: set[asyncio.Task[None]] = set()
         self._is_called = False  # whether the loop is to look at the sent runs
         self._refusal: StampedeError | None = None  # the refusal of a run that the producer sends again
         self.is_over = False
@@ -82,6 +98,8 @@ class PutsHere:
         on_over, self.on_over = self.on_over, None
         if on_over is not None:
             on_over()
+        with suppress(RuntimeError):  # the loop has closed
+            self._loop.call_soon_threadsafe(self._drop_held)
 
     def end(self, error: StampedeError) -> None:
         """End the stream with an error. The host's thread calls this."""
@@ -97,38 +115,69 @@ class PutsHere:
             self.end(StampedeError(f"a defect in the host of this process: {defect!r}"))
             return
         self._is_called = False
-        if self._sent:  # `send` may have seen that the loop was called
+        self._tell(acks)
+        self._go_on()  # `send` may have seen that the loop was called
+
+    def _go_on(self) -> None:
+        """Put the sent runs that are left, unless too many acks wait for the disk."""
+        if self._sent and not self._is_called and len(self._held) < HELD_ACKS_MAX:
             self._is_called = True
             self._loop.call_soon(self._put_sent)
+
+    def _tell(self, acks: Sequence[pb.PutAck | HeldAck]) -> None:
+        """Tell the acks in order, as soon as they are due."""
+        now, later = ([], acks) if self._held else _split(acks)
+        for ack in later:
+            self._held.add(ack)
+        if now and not self.is_over:
+            self._on_acks(pb.PutResponse(acks=now))
+
+    def _on_due(self, _at_once: bool) -> None:
+        """Tell the acks that have become due, and go on with the runs that have waited for room."""
+        acks = self._held.take(HELD_ACKS_MAX)
         if acks and not self.is_over:
             self._on_acks(pb.PutResponse(acks=acks))
+        self._go_on()
 
-    def _put_all(self) -> list[pb.PutAck]:
-        until_s, left_bytes, acks = time.monotonic() + STEP_SECONDS_MAX, STEP_BYTES_MAX, list[pb.PutAck]()
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        task = self._loop.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    def _drop_held(self) -> None:
+        self._held.close()
+
+    def _put_all(self) -> list[pb.PutAck | HeldAck]:
+        until_s, left_bytes, acks = time.monotonic() + STEP_SECONDS_MAX, STEP_BYTES_MAX, list[pb.PutAck | HeldAck]()
+        most = HELD_ACKS_MAX - len(self._held)
         try:
-            puts = _puts_of(self._store, *self._channel)
+            hosted = _find(self._store, *self._channel)
         except StampedeError as error:
             return [self._refused(run, error) for run in self._taken()]
-        with puts.announced_together():
-            while self._sent and not self.is_over and (not acks or (left_bytes > 0 and time.monotonic() < until_s)):
+        # the archive notes the instant at which the host accepted each run
+        with nullcontext() if hosted.recording is not None else hosted.puts.announced_together():
+            while self._sent and not self.is_over and len(acks) < most:
+                if acks and (left_bytes <= 0 or time.monotonic() >= until_s):
+                    break
                 run = self._sent.popleft()
                 left_bytes -= sum(map(len, run.encoded))
-                acks.append(self._put(puts, run))
+                acks.append(self._put(hosted, run))
         return acks
 
     def _taken(self) -> Iterator[RunToPut]:
         while self._sent:
             yield self._sent.popleft()
 
-    def _put(self, puts: ChannelPuts, run: RunToPut) -> pb.PutAck:
+    def _put(self, hosted: HostedChannel, run: RunToPut) -> pb.PutAck | HeldAck:
         if self._refusal is not None:
             return self._refused(run, self._refusal)
         try:
-            ack = puts.put(self._incoming(run), self._store.now())
+            check_wanted(hosted, self._stated.ack)
+            ack = put_now(hosted, self._incoming(run), self._stated.ack, self._store.now())
         except StampedeError as error:
             return self._refused(run, error)
-        assert ack is not None, "the channel lets no put wait"
-        return ack
+        return held_ack(ack, hosted, self._stated, time.monotonic())
 
     def _refused(self, run: RunToPut, error: StampedeError) -> pb.PutAck:
         """The ack of a refused run. If the producer sends the run again, the stream accepts no later run before it."""
@@ -143,6 +192,16 @@ class PutsHere:
         return IncomingRun(
             body, columns=columns, producer_id=self._producer_id, first_number=run.first_number, wait_nanos=0
         )
+
+
+def _split(acks: Sequence[pb.PutAck | HeldAck]) -> tuple[list[pb.PutAck], Sequence[pb.PutAck | HeldAck]]:
+    """The first acks that wait for nothing, and the rest."""
+    now: list[pb.PutAck] = []
+    for ack in acks:
+        if not isinstance(ack, pb.PutAck):
+            break
+        now.append(ack)
+    return now, acks[len(now) :]
 
 
 def _joined(encoded: Sequence[bytes]) -> tuple[bytes, None]:

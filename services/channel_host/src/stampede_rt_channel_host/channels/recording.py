@@ -191,6 +191,11 @@ class Recording:
         within = resolved_now(held, self.recorder.span, query, now)
         return within is not None and reaches(held, within.start)
 
+    @property
+    def is_past_known(self) -> bool:
+        """Whether the host knows which items the archive has."""
+        return self._unknown is None
+
     async def read(
         self, query: Query, within: ResolvedInterval | None, scheduler: PieceScheduler, now: Callable[[], int]
     ) -> ArchivedRead:

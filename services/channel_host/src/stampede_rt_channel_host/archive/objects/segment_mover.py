@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Mapping
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from typing import NamedTuple, TypeVar
 
 from stampede_rt_channel_host.archive.objects.chunk_cache import ChunkCache
@@ -17,6 +17,7 @@ from stampede_rt_channel_host.archive.objects.stored_segments import Packed
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
 from stampede_rt_channel_host.core.archive import Segment
+from stampede_rt_runtime.working_threads import WorkingThreads
 
 logger = logging.getLogger(__name__)
 Result = TypeVar("Result")
@@ -67,7 +68,7 @@ class SegmentMover:
         self._former = FormerOwners()
         self._store_fails = False
         self._moved_bytes = self._failures = self._looks = 0
-        self._threads = ThreadPoolExecutor(1, thread_name_prefix="archive-mover")
+        self._threads = WorkingThreads(1, "archive-mover")
         self.writer: Executor = self._threads
         """The thread of the archive's writes, the only thread that changes files."""
         self._task: asyncio.Task[None] | None = None

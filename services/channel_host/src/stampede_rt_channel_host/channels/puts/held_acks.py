@@ -40,6 +40,9 @@ class HeldAck(Protocol):
         `spawn` makes a task that ends with the stream.
         """
 
+    async def due(self) -> pb.PutAck:
+        """Wait until the ack is due, and return it. Call this instead of `watch` and `take`."""
+
 
 class AckOfDisk:
     """An ack that is due as soon as the archive has its items on stable storage."""

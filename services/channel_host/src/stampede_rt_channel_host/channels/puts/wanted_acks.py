@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Protocol
 
 from stampede_rt.errors import InvalidArgument, NotReplicated
 from stampede_rt.v1 import channel_pb2
@@ -15,7 +16,6 @@ from stampede_rt_channel_host.channels.puts.held_acks import (
     HeldAck,
     not_archived,
 )
-from stampede_rt_channel_host.channels.puts.put_requests import Put
 from stampede_rt_channel_host.channels.puts.read_ahead import left_nanos
 from stampede_rt_channel_host.channels.replication import Kind, Replication
 
@@ -49,7 +49,19 @@ def check_disk(hosted: HostedChannel, stated: int, *, is_repeated: bool) -> None
         raise not_archived(hosted.record.name, recording.recorder.failure)
 
 
-def held_ack(ack: pb.PutAck, hosted: HostedChannel, put: Put, received_s: float) -> pb.PutAck | HeldAck:
+class WantedAck(Protocol):
+    """The acknowledgement that a put wants."""
+
+    @property
+    def ack(self) -> int:
+        """A number of the enum Ack."""
+
+    @property
+    def wait_nanos(self) -> int | None:
+        """The longest wait for it; None: without a limit."""
+
+
+def held_ack(ack: pb.PutAck, hosted: HostedChannel, put: WantedAck, received_s: float) -> pb.PutAck | HeldAck:
     """The ack, or the write or replica that holds it back. `received_s`: when the put came, monotonic."""
     if not ack.HasField("first_seq"):
         return ack
@@ -81,7 +93,7 @@ def _waits_for_disk(hosted: HostedChannel, stated: int) -> bool:
     return stated == channel_pb2.ACK_DISK or (not stated and hosted.record.policy.ack == "disk")
 
 
-def _left_nanos(put: Put, received_s: float) -> int | None:
+def _left_nanos(put: WantedAck, received_s: float) -> int | None:
     wait_nanos = put.wait_nanos
     if wait_nanos is None:
         return None
