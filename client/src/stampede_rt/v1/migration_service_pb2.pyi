@@ -124,14 +124,16 @@ class FedQueuePart(_message.Message):
     def __init__(self, content: _Optional[_Union[HandOverQueueResponse, _Mapping]] = ..., next_step: _Optional[int] = ..., removed: _Optional[_Iterable[_Union[_subject_pb2.SeqRange, _Mapping]]] = ..., ago_nanos: _Optional[int] = ...) -> None: ...
 
 class FeedQueueResponse(_message.Message):
-    __slots__ = ("next_step", "incarnation", "owner_epoch")
+    __slots__ = ("next_step", "incarnation", "owner_epoch", "takes_changes")
     NEXT_STEP_FIELD_NUMBER: _ClassVar[int]
     INCARNATION_FIELD_NUMBER: _ClassVar[int]
     OWNER_EPOCH_FIELD_NUMBER: _ClassVar[int]
+    TAKES_CHANGES_FIELD_NUMBER: _ClassVar[int]
     next_step: int
     incarnation: int
     owner_epoch: int
-    def __init__(self, next_step: _Optional[int] = ..., incarnation: _Optional[int] = ..., owner_epoch: _Optional[int] = ...) -> None: ...
+    takes_changes: bool
+    def __init__(self, next_step: _Optional[int] = ..., incarnation: _Optional[int] = ..., owner_epoch: _Optional[int] = ..., takes_changes: bool = ...) -> None: ...
 
 class HandOverQueueOpen(_message.Message):
     __slots__ = ("queue_id", "epoch", "host_id")
@@ -192,7 +194,7 @@ class HandedRun(_message.Message):
     def __init__(self, first_seq: _Optional[int] = ..., length_bytes: _Optional[_Iterable[int]] = ..., accepted_ago_nanos: _Optional[int] = ..., body: _Optional[bytes] = ...) -> None: ...
 
 class HandedMessage(_message.Message):
-    __slots__ = ("seq", "deliveries", "acknowledged", "leases", "delay_nanos", "is_leaving", "last")
+    __slots__ = ("seq", "deliveries", "acknowledged", "leases", "delay_nanos", "is_leaving", "last", "is_change", "ended")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     DELIVERIES_FIELD_NUMBER: _ClassVar[int]
     ACKNOWLEDGED_FIELD_NUMBER: _ClassVar[int]
@@ -200,6 +202,8 @@ class HandedMessage(_message.Message):
     DELAY_NANOS_FIELD_NUMBER: _ClassVar[int]
     IS_LEAVING_FIELD_NUMBER: _ClassVar[int]
     LAST_FIELD_NUMBER: _ClassVar[int]
+    IS_CHANGE_FIELD_NUMBER: _ClassVar[int]
+    ENDED_FIELD_NUMBER: _ClassVar[int]
     seq: int
     deliveries: _containers.RepeatedScalarFieldContainer[int]
     acknowledged: _containers.RepeatedScalarFieldContainer[int]
@@ -207,7 +211,9 @@ class HandedMessage(_message.Message):
     delay_nanos: int
     is_leaving: bool
     last: HandedFailure
-    def __init__(self, seq: _Optional[int] = ..., deliveries: _Optional[_Iterable[int]] = ..., acknowledged: _Optional[_Iterable[int]] = ..., leases: _Optional[_Iterable[_Union[HandedLease, _Mapping]]] = ..., delay_nanos: _Optional[int] = ..., is_leaving: bool = ..., last: _Optional[_Union[HandedFailure, _Mapping]] = ...) -> None: ...
+    is_change: bool
+    ended: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, seq: _Optional[int] = ..., deliveries: _Optional[_Iterable[int]] = ..., acknowledged: _Optional[_Iterable[int]] = ..., leases: _Optional[_Iterable[_Union[HandedLease, _Mapping]]] = ..., delay_nanos: _Optional[int] = ..., is_leaving: bool = ..., last: _Optional[_Union[HandedFailure, _Mapping]] = ..., is_change: bool = ..., ended: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class HandedLease(_message.Message):
     __slots__ = ("delivery_id", "taker_id", "taker_name", "lease_nanos", "leased_ago_nanos")

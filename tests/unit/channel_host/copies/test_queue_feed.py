@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import AsyncMock
 
 import pytest
 
+from stampede_rt.errors import Unavailable
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.copies import queue_feed
 from stampede_rt_channel_host.copies.queue_feed import QueueFeedStream
@@ -80,6 +83,26 @@ def test_a_copy_continues_only_if_its_owner_has_all_steps_of_the_copy(
     feed = QueueFeedStream(hosted, replication, lambda: 0, b"owner", b"replica", "replica:1")
     place = pb.FeedQueueResponse(next_step=next_step, incarnation=incarnation, owner_epoch=owner_epoch)
     assert feed._continues(place) is continues
+
+
+@pytest.mark.parametrize(("has_changes", "takes_changes", "continues"), [(1, 1, 1), (1, 0, 0), (0, 0, 1)])
+async def test_a_replica_of_an_earlier_release_begins_anew_instead_of_steps_that_it_does_not_understand(
+    has_changes: bool, takes_changes: bool, continues: bool
+) -> None:
+    steps = [SimpleNamespace(has_changes=False), SimpleNamespace(has_changes=has_changes)]
+    journal = SimpleNamespace(next_step=12, steps_from=lambda first, most: steps, takes_changes=True)
+    reports: list[int] = []
+    replication: Any = SimpleNamespace(
+        journal=journal, since_epoch=4, start=10, report=lambda host, feed, step: reports.append(step),
+        begin_anew=AsyncMock(return_value=False),
+    )  # fmt: skip
+    hosted: Any = SimpleNamespace(queue=SimpleNamespace(incarnation=5))
+    feed = QueueFeedStream(hosted, replication, lambda: 0, b"owner", b"replica", "replica:1")
+    place = pb.FeedQueueResponse(next_step=10, incarnation=5, owner_epoch=4, takes_changes=takes_changes)
+    with nullcontext() if continues else pytest.raises(Unavailable, match="begins anew"):
+        await feed._begin(None, place)
+    assert reports == ([10] if continues else [])
+    assert journal.takes_changes == takes_changes
 
 
 class AtOnceStream(HostStream):

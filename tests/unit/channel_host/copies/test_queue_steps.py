@@ -146,3 +146,51 @@ def test_parts_that_are_no_whole_queue_are_refused() -> None:
     arriving.begin_anew()
     with pytest.raises(InvalidArgument, match="no facts"):
         [*arriving.add([pb.FedQueuePart(content=pb.HandOverQueueResponse(ends=True), next_step=3)])]
+
+
+LEASES = 300
+
+
+class WithManyLeases:
+    """A queue with one message, which has LEASES leases, and a copy of the queue after the same steps."""
+
+    def __init__(self) -> None:
+        self.core = Core(copies=2 * LEASES)
+        self.journal = self.core.queue.journal()
+        self.copy = QueueCore(QueueLimits(copies=2 * LEASES), incarnation=1)
+        self.copy_journal, self.arriving = self.copy.journal(), ArrivingParts()
+        self.core.put(1)
+        for taker_id in range(1, LEASES + 1):
+            self.core.taker(taker_id, credit=1)
+        self.fed()
+
+    def fed(self) -> int:
+        """Feed a step to the copy. Returns its bytes."""
+        assert self.journal.note(self.core.now)
+        (step,) = self.journal.steps_from(self.journal.next_step - 1, 10**9) or ()
+        parts = sent([*step_parts(step, self.core.now)])
+        for arrived in self.arriving.add(parts):
+            assert not isinstance(arrived, WholeQueue)
+            self.copy_journal.apply(arrived[0], self.core.now)
+        pending = self.core.queue.pending(0, 10**6, self.core.now)
+        assert self.copy.pending(0, 10**6, self.core.now) == pending
+        return sum(part.ByteSize() for part in parts)
+
+
+def test_a_step_of_a_message_with_many_leases_has_only_the_changed_leases() -> None:
+    rig = WithManyLeases()
+    rig.core.ack(1, 1)
+    assert rig.fed() < 200
+    rig.core.extend(2, 2, 10**9)
+    assert rig.fed() < 200
+    rig.core.nack(3, 3)
+    assert rig.fed() < 200
+    rig.core.taker(LEASES + 1, credit=1)
+    assert rig.fed() < 200
+
+
+def test_a_replica_of_an_earlier_release_gets_all_leases_of_a_message() -> None:
+    rig = WithManyLeases()
+    rig.journal.takes_changes = False
+    rig.core.ack(1, 1)
+    assert rig.fed() > 10 * LEASES

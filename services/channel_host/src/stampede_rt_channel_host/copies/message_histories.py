@@ -44,12 +44,15 @@ def _entries_of(item: ItemState) -> Iterator[pb.HandedMessage]:
         delay_nanos=item.delay_nanos,
         is_leaving=item.is_leaving,
         last=None if item.last is None else pb.HandedFailure(**item.last._asdict()),
+        is_change=item.ended is not None,
     )
-    copies = max(1, len(item.deliveries), len(item.acknowledged), len(item.leases))
+    ended = item.ended or ()
+    copies = max(1, len(item.deliveries), len(item.acknowledged), len(item.leases), len(ended))
     for at in range(0, copies, COPIES_PER_ENTRY):
         some = slice(at, at + COPIES_PER_ENTRY)
         entry.deliveries.extend(item.deliveries[some])
         entry.acknowledged.extend(item.acknowledged[some])
+        entry.ended.extend(ended[some])
         entry.leases.extend(pb.HandedLease(**lease._asdict()) for lease in item.leases[some])
         yield entry
         entry = pb.HandedMessage(seq=_CONTINUED)
@@ -64,6 +67,7 @@ def _item_of(entry: pb.HandedMessage) -> ItemState:
         delay_nanos=entry.delay_nanos,
         is_leaving=entry.is_leaving,
         last=_failure_of(entry.last) if entry.HasField("last") else None,
+        ended=tuple(entry.ended) if entry.is_change else None,
     )
 
 
@@ -72,6 +76,7 @@ def _continued(item: ItemState, entry: pb.HandedMessage) -> ItemState:
         deliveries=(*item.deliveries, *entry.deliveries),
         acknowledged=(*item.acknowledged, *entry.acknowledged),
         leases=[*item.leases, *map(_lease_of, entry.leases)],
+        ended=None if item.ended is None else (*item.ended, *entry.ended),
     )
 
 

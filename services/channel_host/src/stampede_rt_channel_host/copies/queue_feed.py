@@ -18,6 +18,7 @@ from stampede_rt_channel_host.cluster.records import queue_message
 from stampede_rt_channel_host.cluster.task_failures import first_failure
 from stampede_rt_channel_host.copies.queue_messages import PART_BYTES
 from stampede_rt_channel_host.copies.queue_steps import STEPS_PER_REQUEST, step_parts, whole_parts
+from stampede_rt_channel_host.core.queue import JOURNAL_BYTES_MAX
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_replication import QueueReplication
 from stampede_rt_channel_host.queues.refusals import display_name
@@ -104,6 +105,7 @@ class QueueFeedStream:
     async def _begin(self, call: Any, place: pb.FeedQueueResponse) -> None:
         """Continue at the place of the copy, or send the whole queue."""
         replication = self._replication
+        replication.journal.takes_changes &= place.takes_changes
         if self._continues(place):
             self.next_step = self._held_step = place.next_step
             replication.report(self._host_id, self, place.next_step)
@@ -125,7 +127,8 @@ class QueueFeedStream:
         is_later = place.owner_epoch + 1 < since or place.next_step > replication.start
         if place.owner_epoch < since and is_later:
             return False
-        return replication.journal.steps_from(place.next_step, 1) is not None
+        steps = replication.journal.steps_from(place.next_step, JOURNAL_BYTES_MAX)
+        return steps is not None and (place.takes_changes or not any(one.has_changes for one in steps))
 
     async def _send_steps(self, call: Any) -> None:
         owes_sign = True  # after REQUEST_SECONDS without a step the owner owes the replica a sign of life

@@ -106,9 +106,12 @@ class _Feed:
         """The place of the copy."""
         copy = self._copies.of(self.record.queue_id)
         if copy is None:
-            return pb.FeedQueueResponse()
+            return pb.FeedQueueResponse(takes_changes=True)
         return pb.FeedQueueResponse(
-            next_step=copy.journal.next_step, incarnation=copy.record.incarnation, owner_epoch=copy.owner_epoch
+            next_step=copy.journal.next_step,
+            incarnation=copy.record.incarnation,
+            owner_epoch=copy.owner_epoch,
+            takes_changes=True,
         )
 
     async def take(self, request: pb.FeedQueueRequest, is_latest: Callable[[], bool]) -> None:

@@ -7,15 +7,31 @@ from stampede_rt_channel_host.core.queue.acknowledged import Acknowledged
 from stampede_rt_channel_host.core.queue.items import QueuedRun, TrackedItem
 from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
 
+WHOLE_LEASES_MAX = 32
+"""A message with more leases than this is copied by its changes. Otherwise each change would cost all its leases."""
+
+
+class ItemChange:
+    """The changes of one message. `acknowledged_before`: its acknowledgements before. `deliveries`: their leases have
+    begun, changed or ended.
+    """
+
+    __slots__ = ("acknowledged_before", "deliveries")
+
+    def __init__(self, acknowledged_before: int) -> None:
+        self.acknowledged_before = acknowledged_before
+        self.deliveries: dict[int, None] = {}
+
 
 class QueueChanges:
     """The changes since the last `clear`. Times are instants of the host's clock.
 
     `runs`: the accepted runs. `items`: the tracked messages that have changed and that the queue still holds, by seq.
+    `of_items`: their changes; None for a message that is copied whole.
     `removed`: the seqs of the messages that have left. The other lists have what the queue has noted, in order.
     """
 
-    __slots__ = ("acknowledged", "items", "message_ids", "producers", "removed", "runs")
+    __slots__ = ("acknowledged", "items", "message_ids", "of_items", "producers", "removed", "runs")
 
     def __init__(self) -> None:
         self.clear()
@@ -24,14 +40,27 @@ class QueueChanges:
         """Forget all changes."""
         self.runs: list[QueuedRun] = []
         self.items: dict[int, TrackedItem] = {}
+        self.of_items: dict[int, ItemChange | None] = {}
         self.removed: list[int] = []
         self.acknowledged: list[Acknowledged] = []
         self.producers: list[KeptRun] = []
         self.message_ids: list[KnownMessage] = []
 
+    def note(self, item: TrackedItem, delivery_id: int | None) -> None:
+        """Note a change of a message, and the delivery whose lease has begun, changed or ended."""
+        seq = item.seq
+        if seq not in self.items:
+            self.items[seq] = item
+            is_whole = len(item.leases) <= WHOLE_LEASES_MAX
+            self.of_items[seq] = None if is_whole else ItemChange(len(item.acknowledged))
+        change = self.of_items[seq]
+        if change is not None and delivery_id is not None:
+            change.deliveries[delivery_id] = None
+
     def remove(self, seq: int) -> None:
         """Note that a message has left the queue."""
         self.items.pop(seq, None)
+        self.of_items.pop(seq, None)
         self.removed.append(seq)
 
     def __bool__(self) -> bool:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from stampede_rt_channel_host.core.dedup import KeptRun
 from stampede_rt_channel_host.core.queue.acknowledged import Acknowledged
+from stampede_rt_channel_host.core.queue.changes import ItemChange
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueuing
 from stampede_rt_channel_host.core.queue.items import FailedDelivery, QueuedRun, TrackedItem
 from stampede_rt_channel_host.core.queue.leasing import Lease, Leasing
@@ -39,6 +40,9 @@ class ItemState(NamedTuple):
     leased copies come first, in the order of `leases`. The queue holds the message back for `delay_nanos`.
     `is_leaving`: it waits for its move to the dead-letter queue. `last` is its last failed delivery. `acknowledged` has
     the ids of the takers that acknowledged a copy.
+
+    `ended` is None, or else this is a change: `leases` and `acknowledged` have only what is new or has changed, and the
+    leases of the deliveries `ended` are over.
     """
 
     seq: int
@@ -48,6 +52,7 @@ class ItemState(NamedTuple):
     delay_nanos: int
     is_leaving: bool
     last: FailedDelivery | None
+    ended: Sequence[int] | None = None
 
 
 class SeqRange(NamedTuple):
@@ -202,23 +207,43 @@ def state_of(item: TrackedItem, leasing: Leasing, now: int) -> ItemState:
     )
 
 
+def change_of(item: TrackedItem, change: ItemChange, leasing: Leasing, now: int) -> ItemState:
+    """The change of a tracked message as a value."""
+    found = {delivery_id: leasing.leases.get(delivery_id) for delivery_id in change.deliveries}
+    leases = [lease for lease in found.values() if lease is not None]
+    return ItemState(
+        seq=item.seq,
+        deliveries=[*(lease.number for lease in leases), *item.returned],
+        acknowledged=item.acknowledged[change.acknowledged_before :],
+        leases=[_lease_state(lease, now) for lease in leases],
+        delay_nanos=0 if item.due is None else item.due - now,
+        is_leaving=item.is_leaving,
+        last=item.last,
+        ended=[delivery_id for delivery_id, lease in found.items() if lease is None],
+    )
+
+
 def _lease_state(lease: Lease, now: int) -> LeaseState:
     taker = lease.taker
     return LeaseState(lease.order, taker.taker_id, taker.name, (lease.due or now) - now, now - lease.leased_at)
 
 
 def enter(queue_items: QueueItems, leasing: Leasing, state: ItemState, now: int) -> None:
-    """Give a tracked message the history that another host knows, in place of its own."""
+    """Give a tracked message the history that another host knows, in place of its own. Or change its history."""
     item = queue_items.tracked[state.seq]
-    former = {delivery_id: leasing.leases[delivery_id] for delivery_id in item.leases.values()}
-    leasing.void(item)
-    item.acknowledged = tuple(state.acknowledged)
+    former = {one.delivery_id: leasing.leases.get(one.delivery_id) for one in state.leases}
+    if state.ended is None:
+        leasing.void(item)
+        item.acknowledged = tuple(state.acknowledged)
+    else:
+        leasing.end(state.ended)
+        item.acknowledged += tuple(state.acknowledged)
     item.last = state.last
     item.returned = sorted(state.deliveries[len(state.leases) :])
     queue_items.delays.disarm(item)
     for lease, number in zip(state.leases, state.deliveries, strict=False):
         taker = TakerState(lease.taker_id, name=lease.taker_name)
-        leased = former.get(lease.delivery_id)  # the deadlines distinguish leases by their ids, so one id is one object
+        leased = former[lease.delivery_id]  # the deadlines distinguish leases by their ids, so one id is one object
         leased = leased or Lease(lease.delivery_id, item, number, taker, now - lease.leased_ago_nanos)
         leasing.enter(leased, now + lease.lease_nanos)
     if state.delay_nanos > 0:

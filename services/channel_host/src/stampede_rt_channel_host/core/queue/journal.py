@@ -9,13 +9,22 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
-from itertools import islice
+from itertools import chain, islice
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt_channel_host.core.queue.changes import QueueChanges
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueuing
-from stampede_rt_channel_host.core.queue.handoff import QueueHandoff, aged, enter, fresh_run_of, run_with_age, state_of
+from stampede_rt_channel_host.core.queue.handoff import (
+    ItemState,
+    QueueHandoff,
+    aged,
+    change_of,
+    enter,
+    fresh_run_of,
+    run_with_age,
+    state_of,
+)
 from stampede_rt_channel_host.core.queue.items import TrackedItem
 from stampede_rt_channel_host.core.queue.leasing import Leasing
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
@@ -40,17 +49,23 @@ class QueueStep(NamedTuple):
     def size_bytes(self) -> int:
         """About its memory."""
         changes = self.changes
-        copies = sum(len(item.deliveries) + len(item.acknowledged) + len(item.leases) for item in changes.items)
+        lists = ((one.deliveries, one.acknowledged, one.leases, one.ended or ()) for one in changes.items)
+        copies = sum(map(len, chain.from_iterable(lists)))
         noted = len(changes.acknowledged) + len(changes.producers) + len(changes.message_ids)
         bodies = sum(len(run.body) for run in changes.runs)
         return _STEP_BYTES + bodies + _ENTRY_BYTES * (copies + len(changes.items) + noted) + 8 * len(self.removed)
+
+    @property
+    def has_changes(self) -> bool:
+        """Whether it has a message as a change, which earlier releases do not understand."""
+        return any(item.ended is not None for item in self.changes.items)
 
 
 class QueueJournal:
     """The latest steps of a queue. At the owner, `note` makes the steps. At a copy, `apply` repeats the steps of the
     owner.
 
-    The queue has made all steps before `next_step`.
+    The queue has made all steps before `next_step`. `takes_changes`: all replicas understand changes of messages.
     """
 
     def __init__(
@@ -65,6 +80,7 @@ class QueueJournal:
         self._changes = queue_items.changes = QueueChanges()
         self._tally = replace(queue_items.tally)
         self._clock = 0
+        self.takes_changes = True
         self.next_step = next_step
         self.size_bytes = 0
 
@@ -86,11 +102,17 @@ class QueueJournal:
             tally=replace(self._queue_items.tally),
             runs=[run_with_age(run, now) for run in changes.runs],
             held=(),
-            items=[state_of(item, self._leasing, now) for item in items],
+            items=[self._state_of(item, now) for item in items],
             acknowledged=[one._replace(time=now - one.time) for one in changes.acknowledged],
             producers=[aged(kept, now) for kept in changes.producers],
             message_ids=[known._replace(time=now - known.time) for known in changes.message_ids],
         )
+
+    def _state_of(self, item: TrackedItem, now: int) -> ItemState:
+        change = self._changes.of_items[item.seq] if self.takes_changes else None
+        if change is None:
+            return state_of(item, self._leasing, now)
+        return change_of(item, change, self._leasing, now)
 
     def steps_from(self, number: int, bytes_max: int) -> list[QueueStep] | None:
         """The steps from `number` on, of about `bytes_max` bytes, but at least one. None if the journal lacks some."""

@@ -89,7 +89,7 @@ class Leasing:
         lease.item.leases[lease.taker.taker_id] = lease.order
         self.leases[lease.order] = lease
         self._deadlines.arm(lease, expires)
-        self._queue_items.note_change(lease.item)
+        self._queue_items.note_change(lease.item, lease.order)
 
     def settle(self, taker_id: int, settlement: Settlement, now: int) -> SettlementResult:
         """Perform a taker's settlement of a delivery.
@@ -201,7 +201,7 @@ class Leasing:
 
     def _extend(self, lease: Lease, verdict: Extend, now: int) -> SettlementResult:
         self._deadlines.arm(lease, now + verdict.lease_nanos)
-        self._queue_items.note_change(lease.item)
+        self._queue_items.note_change(lease.item, lease.order)
         return SettlementResult(lease.order, None, verdict.lease_nanos)
 
     def _terminate(self, lease: Lease, reason: str) -> None:
@@ -239,19 +239,26 @@ class Leasing:
         """Let all leases last `nanos` longer, because no host has served the queue for this time."""
         for lease in self.leases.values():
             self._deadlines.arm(lease, (lease.due or 0) + nanos)
-            self._queue_items.note_change(lease.item)
+            self._queue_items.note_change(lease.item, lease.order)
 
     def void(self, item: TrackedItem) -> None:
         """End all leases of the message."""
         for delivery_id in list(item.leases.values()):
             self._end(self.leases[delivery_id])
 
+    def end(self, delivery_ids: Iterable[int]) -> None:
+        """End the leases of these deliveries, if there are any."""
+        for delivery_id in delivery_ids:
+            lease = self.leases.get(delivery_id)
+            if lease is not None:
+                self._end(lease)
+
     def _end(self, lease: Lease) -> None:
         """Remove a lease."""
         del self.leases[lease.order], lease.item.leases[lease.taker.taker_id]
         self._queue_items.leased -= not lease.item.leases
         self._deadlines.disarm(lease)
-        self._queue_items.note_change(lease.item)
+        self._queue_items.note_change(lease.item, lease.order)
 
     def _stale(self, delivery_id: int) -> LeaseExpired:
         """The error of a settlement of a delivery that the taker does not have any more."""

@@ -164,10 +164,10 @@ class QueueItems:
         self.note_change(item)
         return item
 
-    def note_change(self, item: TrackedItem) -> None:
-        """Note that a tracked message has changed."""
+    def note_change(self, item: TrackedItem, delivery_id: int | None = None) -> None:
+        """Note that a tracked message has changed. `delivery_id`: the lease of this delivery has changed, too."""
         if self.changes is not None:
-            self.changes.items[item.seq] = item
+            self.changes.note(item, delivery_id)
 
     def fresh(self) -> Iterator[tuple[QueuedRun, int]]:
         """The runs with fresh messages, each with the position of its first fresh message."""
