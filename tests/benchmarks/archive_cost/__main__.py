@@ -42,7 +42,8 @@ def main() -> None:
             st.connect(cluster.address) as rt,
         ):
             if "writing" in parts:
-                writing(rt, place, wanted.rounds)
+                with st.host(cluster.address, archive=place / "here", drain="0s", private=True) as here:
+                    writing(rt, here, place, wanted.rounds)
             if "live" in parts:
                 living(rt, cluster.address, wanted.rounds)
             if "reading" in parts:

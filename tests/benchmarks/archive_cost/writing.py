@@ -160,7 +160,7 @@ def redis_server(folder: Path) -> Iterator[Any]:
     shutil.rmtree(files)
 
 
-def writers_of(rt: st.Connection, folder: Path) -> dict[str, Writer]:
+def writers_of(rt: st.Connection, here: st.Connection, folder: Path) -> dict[str, Writer]:
     """All writers, by the names of their rows. The others are compared with the first one."""
     return {
         "plain file": lambda work: plain(folder, work, 1 if work is FRAMES else RUN_ITEMS),
@@ -170,14 +170,18 @@ def writers_of(rt: st.Connection, folder: Path) -> dict[str, Writer]:
         "archive alone, without a host": lambda work: archive_alone(folder, work),
         "channel in memory": lambda work: ours(rt, f"cost/{work.name}/memory", work),
         "recorded channel": lambda work: ours(rt, f"cost/{work.name}/recorded", work, archive="forever"),
+        "channel in memory of an embedded host": lambda work: ours(here, f"cost/{work.name}/here", work),
+        "recorded channel of an embedded host": lambda work: ours(
+            here, f"cost/{work.name}/recorded-here", work, archive="forever"
+        ),
         "JetStream, file storage": lambda work: jetstream(folder, work),
         "Redis, append-only file": lambda work: redis_file(folder, work),
     }
 
 
-def writing(rt: st.Connection, folder: Path, rounds: int) -> None:
-    """Print the speeds of all writers."""
-    writers = writers_of(rt, folder)
+def writing(rt: st.Connection, here: st.Connection, folder: Path, rounds: int) -> None:
+    """Print the speeds of all writers. `here`: a connection whose program is a host with an archive in this folder."""
+    writers = writers_of(rt, here, folder)
     rates: dict[tuple[str, str], list[float]] = {}
     for _ in range(rounds):
         for name, write in writers.items():

@@ -13,7 +13,7 @@ from zlib import crc32
 
 from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, ItemKey
-from stampede_rt_channel_host.core.channel.run import Run, make_run
+from stampede_rt_channel_host.core.channel.run import Body, ReferencedBody, Run, make_run
 
 MAGIC = b"SRTA"
 ITEMS, GAP, OPENING, ADVANCES = 1, 2, 3, 4
@@ -26,6 +26,8 @@ _ROW = struct.Struct("<qIqq")  # for each run: when it was accepted, the length 
 _ADVANCE = struct.Struct("<qq")  # for each advance: when the host accepted it, and its instant
 HEAD_BYTES, ROW_BYTES, ADVANCE_BYTES = _SUM.size + _HEAD.size, _ROW.size, _ADVANCE.size
 PACKED_HEAD_BYTES = _HEAD.size
+
+JOINED_BELOW_BYTES = 4096  # shorter bodies are joined, because each piece costs a checksum and a buffer
 
 
 CutRun = Callable[[bytes, int, int], bytes]
@@ -87,7 +89,7 @@ def encode_items(runs: Sequence[ArchivedRun]) -> tuple[BlockHead, list[bytes]]:
     lows, highs = [lowest(one.run) for one in runs], [highest(one.run) for one in runs]
     rows = zip(runs, lows, highs, strict=True)
     table = b"".join(_ROW.pack(one.accepted, len(one.run.body), low[0], high[0]) for one, low, high in rows)
-    parts = [table, *(bytes(one.run.body) for one in runs)]
+    parts = [table, *(piece for one in runs for piece in pieces_of(one.run.body))]
     head = BlockHead(
         kind=ITEMS,
         content_crc=_crc(parts),
@@ -102,6 +104,12 @@ def encode_items(runs: Sequence[ArchivedRun]) -> tuple[BlockHead, list[bytes]]:
         last_accepted=max(one.accepted for one in runs),
     )
     return head, [encode_head(head), *parts]
+
+
+def pieces_of(body: Body) -> Sequence[bytes]:
+    """The bytes of a body, in pieces. A long payload that a program of this process put is not copied."""
+    is_long = isinstance(body, ReferencedBody) and len(body) >= JOINED_BELOW_BYTES
+    return body.parts if isinstance(body, ReferencedBody) and is_long else (bytes(body),)
 
 
 NOTHING_LOST = MIN_INSTANT
