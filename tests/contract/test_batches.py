@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 import stampede_rt as st
+from stampede_rt.pacing import crediting
 from stampede_rt.pacing.crediting import WINDOW_BYTES_MAX
 from tests.contract.surfaces import Surface, take
 from tests.contract.test_resumed_streams import cut_off
@@ -127,6 +128,41 @@ async def test_a_reader_that_stops_between_batches_has_a_bounded_number_of_unrea
         assert found == sorted({*found})
         assert len(found[:-4]) * size <= WINDOW_BYTES_MAX
         assert items.dropped == count - len(found)
+
+
+async def test_a_reader_that_works_long_on_a_batch_gets_all_items_that_came_meanwhile(
+    surface: Surface, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(crediting, "QUICK_S", 0.0)  # every reader counts as slow
+    channel, count = await surface.channel(max_age="60s"), 50
+    async with channel.subscribe() as items:
+        batches = items.batches()
+        await channel.put(b"first")
+        await taken(batches, 1)
+        for _ in range(3):
+            for number in range(count):
+                await channel.put(b"%d" % number)
+            (batch,) = await take(batches, 1)
+            assert batch.payloads == [b"%d" % number for number in range(count)]
+
+
+async def test_single_steps_after_batches_of_a_slow_reader_miss_nothing(
+    surface: Surface, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(crediting, "QUICK_S", 0.0)
+    channel, rng, seqs = await surface.channel(max_age="60s"), random.Random(2), list[int]()
+    async with channel.subscribe() as items:
+        batches = items.batches()
+        for number in range(200):
+            await channel.put(b"%d" % number)
+            turn = rng.randrange(4)
+            if turn == 0 and len(seqs) <= number:
+                seqs.append((await take(items, 1))[0].seq)
+            elif turn == 1 and len(seqs) <= number:
+                seqs += (await take(batches, 1))[0].seqs
+        while len(seqs) < 200:
+            seqs.append((await take(items, 1))[0].seq)
+    assert seqs == [*range(seqs[0], seqs[0] + 200)]
 
 
 async def test_batches_through_a_group_have_the_visible_items(surface: Surface) -> None:

@@ -111,6 +111,38 @@ def test_credit_is_limited_however_much_a_reader_grants() -> None:
     assert (credit.left, credit.is_over) == (-5, True)
 
 
+def test_credit_for_one_response_replaces_the_rest_and_ends_with_the_response() -> None:
+    credit = Credit(lambda: None)
+    credit.grant(500)
+    credit.grant(1000, one_response=True)
+    credit.grant(1000, one_response=True)
+    assert credit.left == 1000
+    credit.spend(0)  # a response without items
+    assert credit.left == 1000
+    credit.spend(70)
+    assert credit.left == 0
+    credit.grant(1000, one_response=True)
+    credit.grant(10)
+    assert credit.left == 10
+    credit.grant(10)
+    credit.spend(5)
+    assert credit.left == 15
+
+
+async def test_a_response_uses_up_the_credit_that_is_for_one_response(rig: Rig) -> None:
+    channel = await rig.open()
+    call = await begun(channel)
+    for name in (b"a", b"b"):
+        await channel.put(run_of(name + b"1", name + b"2"))
+        await call.write(pb.SubscribeRequest(credit_bytes=2**20, one_response=True))
+        assert payloads(await read(call)) == [name + b"1", name + b"2"]
+    await channel.put(run_of(b"c1"))
+    await channel.put(run_of(b"c2"))
+    await grant(call, 1)
+    assert payloads(await read(call)) == [b"c1"]  # with the rest of the credit, both would have come
+    call.cancel()
+
+
 async def test_a_reader_that_half_closes_its_stream_gets_the_items_of_its_credit_and_then_the_end(rig: Rig) -> None:
     channel = await rig.open()
     call = await begun(channel)

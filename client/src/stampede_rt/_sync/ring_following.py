@@ -22,6 +22,7 @@ from stampede_rt.wire.long_answers import LongRun
 STEP_BYTES_MAX = 2**20
 """A subscription takes slots until it has this many bytes. The program then takes the items from memory of its own."""
 SLOTS_MAX = 64
+BATCH_SLOTS_MAX = 512  # the program takes these items immediately, so they do not become old
 _SEQ_MAX = 2**63 - 1
 
 
@@ -67,9 +68,14 @@ class RingFollower:
             return find_newest(self.mapping.view, facts, self._position) is not True
         return self._next(facts, self._cursor.next_seq, self._slot) is not True
 
-    def step(self) -> Sequence[Sequence[Item]] | AskHost:
-        """Return the runs of the next items; none after a wait. Raises StampedeError for a damaged ring."""
+    def step(self, *, for_batch: bool = False) -> Sequence[Sequence[Item]] | AskHost:
+        """Return the runs of the next items; none after a wait. Raises StampedeError for a damaged ring.
+
+        `for_batch`: the program takes all items of the runs together.
+        """
         self._measure(monotonic_s())
+        if for_batch:
+            self._slots_max = BATCH_SLOTS_MAX
         changes = self.mapping.view.words[CHANGES_WORD]
         facts = self.mapping.view.facts()
         if facts is None:

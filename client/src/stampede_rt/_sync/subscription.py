@@ -66,6 +66,7 @@ class Subscription(BoundToProcess):
         self._decoder: ItemDecoder | None = None
         self._ready = ReadyItems()
         self._ready_bytes = 0  # the credit that all items of the last response cost
+        self._for_batch = False  # whether the present step returns a batch
         self._steps = StepLock()  # callers that step at the same time take turns
         self._step_task = StepTask()
         newest_only = begun.mode == channel_pb.SUBSCRIBE_MODE_NEWEST
@@ -149,16 +150,12 @@ class Subscription(BoundToProcess):
                         self._took_all(cost_of((item,)))
                     return item
                 if not ready.unpack():
+                    self._for_batch = False
                     self._step_task.run(self._advance)
             raise StopIteration
 
     def batches(self) -> Batches:
-        """Return an iterator over batches: each step blocks until the next item, and returns all items that have come.
-
-        A batch has at most about 2 MiB, and one item in mode "newest". Its columns `times`, `seqs` and `payloads` need
-        no Item, so a program that reads them takes about half the time for small items. Steps of the iterator and steps
-        of the subscription may take turns. They raise the same errors, and `close` ends both.
-        """
+        """Return an iterator over batches (see `Batches`): each step waits for the next item, and returns a batch."""
         return Batches(self._next_batch)
 
     def _next_batch(self) -> ItemBatch | None:
@@ -170,6 +167,7 @@ class Subscription(BoundToProcess):
                     batch = self._ready.take_all()
                     self._took_all(self._ready_bytes)
                     return batch
+                self._for_batch = True
                 self._step_task.run(self._advance)
             return None
 
@@ -213,7 +211,7 @@ class Subscription(BoundToProcess):
     def _step_in_ring(self, follower: RingFollower) -> None:
         """Take the next items from the ring, or wait a moment for some. Goes back to the host if the ring has ended."""
         try:
-            runs = follower.step()
+            runs = follower.step(for_batch=self._for_batch)
         except StampedeError:  # the ring is damaged
             self._leave_ring(follower)
             raise
@@ -289,11 +287,12 @@ class Subscription(BoundToProcess):
     def _grant(self) -> None:
         """Let the host send as many bytes as the reader has room for."""
         stream = self._stream
-        if stream is None or not (credit := self._window.ask(monotonic_s())):
+        if stream is None or not (credit := self._window.ask(monotonic_s(), for_batch=self._for_batch)):
             return
+        request = channel_pb.SubscribeRequest(credit_bytes=credit, one_response=self._window.is_for_one)
         try:
             with suppress(Unavailable):  # the iteration raises the reason of a broken stream
-                stream.send(channel_pb.SubscribeRequest(credit_bytes=credit))
+                stream.send(request)
         except BaseException:  # an interrupt: the credit at the host is unknown
             stream.cancel()
             self._resume()

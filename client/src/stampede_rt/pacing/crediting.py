@@ -14,6 +14,7 @@ ITEM_OVERHEAD_BYTES = 64
 
 WINDOW_BYTES_MAX = 2**21  # while the reader takes one message of 1 MiB, the host can send the next one
 WINDOW_AGE_S = 0.1
+QUICK_S = 0.001  # a reader that works longer on each batch asks for one response at a time
 _length_of = attrgetter("payload_length_bytes")
 ONE_ITEM = 1
 """The window of one byte. With it the host may send one item of any size."""
@@ -33,6 +34,9 @@ class CreditWindow:
     reader takes them, even if the reader is slow. If `bytes_max` is ONE_ITEM, the host sends one item for each step,
     and only after the reader asks for the item.
 
+    A reader that takes batches, and works long on each, asks for one response. Then the host sends all items that it
+    has, and nothing ahead. The time that such a reader takes for a batch says little about its speed.
+
     At each step the reader calls `ask`, grants the host the result, and calls `take` with the item's size. If several
     items have come together, it may call `take_all` once, after the last of them.
     """
@@ -43,13 +47,26 @@ class CreditWindow:
         self._open = 0  # bytes that are granted and not yet taken; negative if an item was larger than the grant
         self._last_bytes = 1  # the size of the last item that the reader took
         self._taken_s: float | None = None  # when the reader took it; None when `ask` has used this time
+        self.is_for_one = False
+        """Whether the last grant was for one response. The host drops what the response leaves of it."""
+        self._is_quick = True  # whether the reader worked shortly on its last batch
 
     def begin(self) -> None:
         """Begin a new stream. The reader has granted nothing on it yet."""
         self._open = 0
 
-    def ask(self, now_s: float) -> int:
-        """Return the bytes to grant the host; 0 if it needs no grant yet. The reader calls this before each item."""
+    def ask(self, now_s: float, *, for_batch: bool = False) -> int:
+        """Return the bytes to grant the host; 0 if it needs no grant yet. The reader calls this before each item.
+
+        `for_batch`: the reader will take all items that come together.
+        """
+        if self.is_for_one:
+            self._open = 0
+        if for_batch and self._taken_s is not None:
+            self._is_quick = now_s - self._taken_s < QUICK_S
+        self.is_for_one = for_batch and not self._is_quick and self._bytes_max > ONE_ITEM
+        if self.is_for_one:
+            return self._bytes_max
         self._measure(now_s)
         wanted = self._window - self._open
         if self._open > 0 and wanted * 2 < self._window:

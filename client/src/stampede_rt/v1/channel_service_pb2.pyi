@@ -203,14 +203,16 @@ class PastSummary(_message.Message):
     def __init__(self, advance_unix_nano: _Optional[int] = ..., next_change_unix_nano: _Optional[int] = ..., next_seq: _Optional[int] = ..., next_start_unix_nano: _Optional[int] = ..., next_end_unix_nano: _Optional[int] = ...) -> None: ...
 
 class SubscribeRequest(_message.Message):
-    __slots__ = ("open", "credit_bytes", "repair_next_seq")
+    __slots__ = ("open", "credit_bytes", "repair_next_seq", "one_response")
     OPEN_FIELD_NUMBER: _ClassVar[int]
     CREDIT_BYTES_FIELD_NUMBER: _ClassVar[int]
     REPAIR_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    ONE_RESPONSE_FIELD_NUMBER: _ClassVar[int]
     open: SubscribeOpen
     credit_bytes: int
     repair_next_seq: int
-    def __init__(self, open: _Optional[_Union[SubscribeOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., repair_next_seq: _Optional[int] = ...) -> None: ...
+    one_response: bool
+    def __init__(self, open: _Optional[_Union[SubscribeOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., repair_next_seq: _Optional[int] = ..., one_response: bool = ...) -> None: ...
 
 class SubscribeOpen(_message.Message):
     __slots__ = ("channel_id", "epoch", "mode", "start", "after", "cursor", "without_payloads", "group_id", "stale_ok", "stay", "multicast")

@@ -28,7 +28,9 @@ class ReadyItems:
         """Make the items of the first run. Return False if there is no run."""
         if not self._runs:
             return False
-        self.items.extend(self._runs.popleft())
+        made = deque(self._runs[0])  # an exception of a signal handler meanwhile loses no item
+        self.items = made
+        self._runs.popleft()
         return True
 
     def take_all(self) -> ItemBatch:

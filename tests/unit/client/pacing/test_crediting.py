@@ -5,6 +5,7 @@ from __future__ import annotations
 from stampede_rt.pacing.crediting import (
     ITEM_OVERHEAD_BYTES,
     ONE_ITEM,
+    QUICK_S,
     WINDOW_AGE_S,
     WINDOW_BYTES_MAX,
     CreditWindow,
@@ -108,6 +109,25 @@ def test_items_that_were_taken_together_leave_the_same_credit_as_one_after_the_o
         apart.take(FRAME + at, 1.0 + at / 1000)
     together.take_all(3 * FRAME + 3, FRAME + 2, 1.002)
     assert together.ask(1.01) == apart.ask(1.01) > 0
+
+
+def test_a_reader_that_works_long_on_batches_asks_for_one_response_at_a_time() -> None:
+    window = CreditWindow()
+    assert (window.ask(0.0, for_batch=True), window.is_for_one) == (1, False)
+    window.take_all(FRAME, FRAME, 1.0)
+    assert (window.ask(1.0 + QUICK_S / 2, for_batch=True), window.is_for_one) == (2 * FRAME + FRAME - 1, False)
+    for now_s in (2.0, 3.0):
+        window.take_all(FRAME, FRAME, now_s)
+        assert (window.ask(now_s + 2 * QUICK_S, for_batch=True), window.is_for_one) == (WINDOW_BYTES_MAX, True)
+    window.take_all(FRAME, FRAME, 4.0)
+    assert (window.ask(4.0), window.is_for_one) == (2 * 2 * FRAME, False)  # the host has dropped the rest
+
+
+def test_a_reader_of_the_newest_item_asks_for_one_item_also_in_batches() -> None:
+    window = CreditWindow(ONE_ITEM)
+    window.ask(0.0)
+    window.take(FRAME, 0.0)
+    assert (window.ask(1.0, for_batch=True), window.is_for_one) == (FRAME, False)
 
 
 def test_an_item_costs_its_payload_and_64_bytes_also_without_the_payload() -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pickle
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
@@ -79,6 +80,24 @@ def test_a_run_without_items_is_not_ready() -> None:
     ready = ReadyItems()
     ready.add([[], []])
     assert not ready
+
+
+def test_a_signal_handler_that_raises_while_items_are_made_loses_none() -> None:
+    class Interrupted(list[Item]):
+        was_interrupted = False
+
+        def __iter__(self) -> Iterator[Item]:
+            for item in [self[at] for at in range(len(self))]:
+                yield item
+                if not self.was_interrupted:
+                    self.was_interrupted = True
+                    raise KeyboardInterrupt
+
+    ready = ReadyItems()
+    ready.add([Interrupted(run(1, 3)), run(4, 1)])
+    with pytest.raises(KeyboardInterrupt):
+        ready.unpack()
+    assert [item.seq for item in ready.take_all()] == [1, 2, 3, 4]
 
 
 def test_items_that_come_again_are_not_new() -> None:

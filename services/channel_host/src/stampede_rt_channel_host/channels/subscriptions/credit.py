@@ -25,21 +25,26 @@ class Credit:
         self._on_news = on_news
         self.left = 0
         self.is_final = False
+        self._is_for_one = False  # whether the credit is for one response
 
     @property
     def is_over(self) -> bool:
         """Whether the host must not send any more."""
         return self.is_final and self.left <= 0
 
-    def grant(self, amount: int) -> None:
-        """Add the credit that the reader granted."""
+    def grant(self, amount: int, *, one_response: bool = False) -> None:
+        """Add the credit that the reader granted.
+
+        `one_response`: the credit replaces the rest, and the next response with items takes all of it.
+        """
         if amount:
-            self.left = min(self.left + amount, CREDIT_MAX)
+            rest = 0 if one_response or self._is_for_one else self.left
+            self.left, self._is_for_one = min(rest + amount, CREDIT_MAX), one_response
             self._on_news()
 
     def spend(self, amount: int) -> None:
         """Take off the credit that a sent message costs."""
-        self.left -= amount
+        self.left = 0 if self._is_for_one and amount else self.left - amount
 
     def close(self) -> None:
         """Never call `on_news` again. It usually refers to the owner of this object."""

@@ -101,7 +101,7 @@ class Subscription(ChangeObserver):
         if self._hosted.copy is not None:
             channel, wanted = self._hosted.channel, wanted_next_seq(opening)
             await self._hosted.copy.reach(self._hosted.record.name, lambda: channel.next_seq, wanted)
-        self._credit.grant(request.credit_bytes)
+        self._credit.grant(request.credit_bytes, one_response=request.one_response)
         reading = self._stream.spawn(self._read())
         try:
             if opening.HasField("group_id"):
@@ -144,7 +144,7 @@ class Subscription(ChangeObserver):
                 self._multicast.ask(request)
                 self._look()
             else:
-                self._credit.grant(request.credit_bytes)
+                self._credit.grant(request.credit_bytes, one_response=request.one_response)
         self._credit.end()
 
     async def _serve(self, cursor: Cursor, opening: pb.SubscribeOpen) -> None:
