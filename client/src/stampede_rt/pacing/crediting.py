@@ -14,7 +14,8 @@ ITEM_OVERHEAD_BYTES = 64
 
 WINDOW_BYTES_MAX = 2**21  # while the reader takes one message of 1 MiB, the host can send the next one
 WINDOW_AGE_S = 0.1
-QUICK_S = 0.001  # a reader that works longer on each batch asks for one response at a time
+QUICK_S = 0.001
+"""A reader that works longer on a batch asks for one response, unless it takes a full window within WINDOW_AGE_S."""
 _length_of = attrgetter("payload_length_bytes")
 ONE_ITEM = 1
 """The window of one byte. With it the host may send one item of any size."""
@@ -63,7 +64,8 @@ class CreditWindow:
         if self.is_for_one:
             self._open = 0
         if for_batch and self._taken_s is not None:
-            self._is_quick = now_s - self._taken_s < QUICK_S
+            busy_s = now_s - self._taken_s
+            self._is_quick = busy_s < QUICK_S or busy_s * self._bytes_max < self._last_bytes * WINDOW_AGE_S
         self.is_for_one = for_batch and not self._is_quick and self._bytes_max > ONE_ITEM
         if self.is_for_one:
             return self._bytes_max

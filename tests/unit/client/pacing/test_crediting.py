@@ -123,6 +123,14 @@ def test_a_reader_that_works_long_on_batches_asks_for_one_response_at_a_time() -
     assert (window.ask(4.0), window.is_for_one) == (2 * 2 * FRAME, False)  # the host has dropped the rest
 
 
+def test_a_reader_of_large_batches_that_takes_a_full_window_in_time_reads_ahead() -> None:
+    window = CreditWindow()
+    window.ask(0.0)
+    window.take_all(WINDOW_BYTES_MAX, WINDOW_BYTES_MAX, 1.0)
+    assert window.ask(1.0 + WINDOW_AGE_S / 2, for_batch=True) > 0
+    assert not window.is_for_one
+
+
 def test_a_reader_of_the_newest_item_asks_for_one_item_also_in_batches() -> None:
     window = CreditWindow(ONE_ITEM)
     window.ask(0.0)
