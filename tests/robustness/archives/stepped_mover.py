@@ -27,7 +27,8 @@ MOVING = {
     "has settled the move": Step(MovingFiles, "settle", is_after=True),
 }
 DROPPING = {
-    "drops an object": Step(StoredSegments, "remove"),
+    "drops an object": Step(StoredSegments, "remove_all"),
+    "drops the object of a segment that has left": Step(StoredSegments, "remove"),
     "has noted that an object is dropped": Step(KnownObjects, "remove", is_after=True),
     "deletes objects": Step(OpenedStore, "delete"),
     "has deleted objects": Step(OpenedStore, "delete", is_after=True),

@@ -21,6 +21,10 @@ def test_a_list_of_objects_shows_the_additions_and_removals(tmp_path: Path) -> N
     known.add({"c d": 3, "b": 4})
     known.remove(["a"])
     assert KnownObjects(tmp_path, URL).read() == Known(3, {"b": 4, "c d": 3})
+    known.drop(["b"], 7)
+    assert known.read() == Known(3, {"c d": 3}, 7)
+    known.replace(Known(3, {"c d": 3}, 7))
+    assert known.read() == Known(3, {"c d": 3}, 7)
     known.replace(Known(4, {}))
     assert known.read() == Known(4, {})
     assert KnownObjects(tmp_path, "s3://another/bucket").read() is None

@@ -39,6 +39,24 @@ def local(tmp_path: Path, name: str) -> list[str]:
     return sorted(path.name for path in (tmp_path / name / "channels").rglob("*.segment"))
 
 
+@pytest.mark.asyncio
+async def test_a_segment_that_left_the_archive_while_it_moved_does_not_come_back_after_a_crash(tmp_path: Path) -> None:
+    store = FakeStore()
+    files = host(tmp_path, "a", store, 1)
+    files.stored.note(1)  # as at each opening
+    for first in (1, 5, 9):
+        write_closed(files, first)
+    packed = files.stored.pack(files.waiting[0])
+    await store.create(packed.name, packed.content)
+    files.drop_outdated(ArchiveLimits(None, files.segments[-1].length), 0)
+    assert found_by(files) == [9, 10, 11, 12]
+    again = host(tmp_path, "a", store, 2)  # the process was killed and starts again
+    assert found_by(again) == [9, 10, 11, 12]
+    assert again.stored.outdated == [packed.name]
+    write_closed(again, 13)
+    assert found_by(host(tmp_path, "a", store, 3)) == [*range(9, 17)]
+
+
 @pytest.mark.parametrize("steps", range(4))
 @pytest.mark.asyncio
 async def test_a_host_killed_between_any_two_steps_of_a_move_neither_loses_nor_repeats_items(

@@ -11,16 +11,19 @@ from zlib import crc32
 from stampede_rt_channel_host.archive.stable_writes import sync_folder, write_all
 
 _FILE = "objects"
+_DROPPED = "dropped"  # stands in place of a name, before the number of the last segment that has left the archive
 
 
 class Known(NamedTuple):
     """The objects of a channel, by their names, with their bytes. `epoch`: of the channel at the host that noted them.
 
-    These are all objects of the channel if no other host has owned the channel since.
+    These are all objects of the channel if no other host has owned the channel since. `dropped_to`: all segments up to
+    this number have left the archive, also those whose objects are still in the store.
     """
 
     epoch: int
     objects: dict[str, int]
+    dropped_to: int = 0
 
 
 class KnownObjects:
@@ -35,6 +38,11 @@ class KnownObjects:
         self.changes = 0
         """The number of changes since `replace`. The list has at most this many lines more than it has objects."""
 
+    @property
+    def exists(self) -> bool:
+        """Whether there is a list. A new channel has none."""
+        return self._path.exists()
+
     def read(self) -> Known | None:
         """The list, or None if there is none, it is damaged, or it is of another store. Raises OSError."""
         try:
@@ -47,18 +55,21 @@ class KnownObjects:
         (epoch, url), *others = (one for one in rows if one is not None)
         if url != self._url:
             return None
-        known = Known(epoch, {})
-        for size, name in others:
-            if size:
-                known.objects[name] = size
+        objects, dropped_to = dict[str, int](), 0
+        for number, name in others:
+            if name == _DROPPED:
+                dropped_to = number
+            elif number:
+                objects[name] = number
             else:
-                known.objects.pop(name, None)
-        return known
+                objects.pop(name, None)
+        return Known(epoch, objects, dropped_to)
 
     def replace(self, known: Known) -> None:
         """Write the list, unless the file has it in this form. Raises OSError if it cannot be deleted either."""
         self.changes = 0
-        content = "".join([_encoded(known.epoch, self._url), *_lines(known.objects)]).encode()
+        dropped = {_DROPPED: known.dropped_to} if known.dropped_to else {}
+        content = "".join([_encoded(known.epoch, self._url), *_lines(dropped | known.objects)]).encode()
         if self._path.exists() and self._path.read_bytes() == content:
             return
         draft = self._path.with_suffix(".draft")
@@ -88,6 +99,10 @@ class KnownObjects:
     def remove(self, names: Iterable[str]) -> None:
         """Remove objects from the list, because they leave the archive. Raises OSError as `replace`."""
         self.add(dict.fromkeys(names, 0))
+
+    def drop(self, names: Iterable[str], to: int) -> None:
+        """As `remove`, because all segments up to the number `to` leave the archive."""
+        self.add({_DROPPED: to} | dict.fromkeys(names, 0))
 
 
 def _lines(objects: Mapping[str, int]) -> Iterable[str]:

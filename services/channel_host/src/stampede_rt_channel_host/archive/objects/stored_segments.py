@@ -60,7 +60,8 @@ class StoredSegments(SegmentFolder):
         self._stored: dict[int, StoredSegment] = {}
         self._indexes: dict[int, Sequence[PlacedBlock]] = {}  # of the few segments that overlap with the next one
         self._epoch = 0
-        self._dropped_to = 0  # all segments up to this number have left the archive
+        self._dropped_to = 0  # this process has removed this segment; no listing brings earlier ones back
+        self._limited_to = 0  # the limits have removed all segments up to this number, as the list on the disk says
 
     @property
     def channel_id(self) -> bytes:
@@ -145,7 +146,7 @@ class StoredSegments(SegmentFolder):
     def note(self, epoch: int) -> None:
         """Note on the disk which segments the store has. `epoch`: of the channel now. Raises OSError."""
         self._epoch = epoch
-        self._known.replace(Known(epoch, {one.name: one.bytes for one in self._stored.values()}))
+        self._known.replace(Known(epoch, {one.name: one.bytes for one in self._stored.values()}, self._limited_to))
 
     def note_epoch(self, epoch: int) -> None:
         """Note the epoch of the channel on the disk, if the list there is of an earlier one. Raises OSError."""
@@ -159,17 +160,29 @@ class StoredSegments(SegmentFolder):
 
     def forget_known(self) -> None:
         """Delete the list on the disk. Raises OSError."""
+        self._read_dropped()
         self._known.delete()
+
+    def _read_dropped(self) -> None:
+        known = self._known.read()
+        self._limited_to = max(self._limited_to, known.dropped_to if known is not None else 0)
 
     def adopt(self, found: Mapping[int, StoredSegment]) -> list[Segment]:
         """Take over the segments of a listing that are new. Returns them.
 
+        The objects of segments that have left the archive must leave the store: a crash can come before that.
+
         If a segment is in the folder, too, its file was not deleted after the move: this method deletes it. If the
         object is too short, the file counts. Raises OSError.
         """
+        self._read_dropped()
         new = []
         for number, one in found.items():
-            if number in self._stored or number <= self._dropped_to:
+            if number in self._stored:
+                continue
+            if number <= self._limited_to:
+                self._note_outdated({one.name} - {*self.outdated})
+            if number <= max(self._limited_to, self._dropped_to):
                 continue
             if self.file_of(number).exists():
                 if one.bytes <= one.segment.length:
@@ -213,13 +226,14 @@ class StoredSegments(SegmentFolder):
     def remove(self, number: int) -> None:
         """Delete the file of a segment, and add its object to `outdated`. Raises OSError."""
         super().remove(number)
-        self._note_gone([number])
+        if number in self._stored:
+            self._known.remove([self._stored[number].name])
         self._leave(number)
 
     def remove_all(self, numbers: Sequence[int]) -> int:
         """As `SegmentFolder.remove_all`. The list on the disk takes one write for all of them."""
         try:
-            self._note_gone(numbers)
+            self._note_limits(numbers)
         except OSError:
             return 0
         removed = super().remove_all(numbers)
@@ -230,9 +244,12 @@ class StoredSegments(SegmentFolder):
                 self.note(self._epoch)
         return removed
 
-    def _note_gone(self, numbers: Sequence[int]) -> None:
-        """Note on the disk that objects leave the archive, before anybody deletes them. Raises OSError."""
-        self._known.remove([self._stored[one].name for one in numbers if one in self._stored])
+    def _note_limits(self, numbers: Sequence[int]) -> None:
+        """Note on the disk that the oldest segments leave the archive, before anybody deletes them. Raises OSError."""
+        if self._epoch and not self._known.exists:
+            self.note(self._epoch)
+        self._known.drop([self._stored[one].name for one in numbers if one in self._stored], max(numbers))
+        self._limited_to = max(self._limited_to, *numbers)
 
     def _leave(self, number: int) -> None:
         stored = self._stored.pop(number, None)
@@ -261,7 +278,7 @@ class StoredSegments(SegmentFolder):
         """
         found, _ = self._listed()
         self.has_more_outdated = False
-        gone = (one for number, one in found.items() if number <= self._dropped_to and number not in self._stored)
+        gone = (one for number, one in found.items() if number <= self._limited_to and number not in self._stored)
         self._note_outdated(one.name for one in gone)
 
     @contextmanager
