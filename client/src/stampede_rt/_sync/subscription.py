@@ -146,7 +146,7 @@ class Subscription(BoundToProcess):
             while not self._closed:
                 if ready.items:
                     item = ready.items.popleft()
-                    if not ready:
+                    if not ready.items and not ready:
                         self._took_all(cost_of((item,)))
                     return item
                 if not ready.unpack():

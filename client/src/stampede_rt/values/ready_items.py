@@ -9,32 +9,49 @@ from stampede_rt.values.answers import ItemBatch
 from stampede_rt.values.model import Item
 
 
+class _Unpacked(deque[Item]):
+    """The items of a run. `run`: this run. It is known until the program has taken all of them."""
+
+    run: Sequence[Item] | None = None
+
+
 class ReadyItems:
-    """Keeps runs as they came, until the program takes their first item or takes all items together."""
+    """Keeps runs as they came, until the program takes their first item or takes all items together.
+
+    An exception of a signal handler during `add` or `unpack` neither loses nor repeats an item.
+    """
 
     def __init__(self) -> None:
-        self.items = deque[Item]()
+        self.items = _Unpacked()
         """The items before those of the kept runs. A step of the subscription takes the first one."""
         self._runs = deque[Sequence[Item]]()
 
     def __bool__(self) -> bool:
+        self._drop_unpacked()
         return bool(self.items or self._runs)
 
     def add(self, runs: Iterable[Sequence[Item]]) -> None:
         """Add the items of each run."""
-        self._runs.extend(run for run in runs if run)
+        self._runs.extend([run for run in runs if run])
 
     def unpack(self) -> bool:
         """Make the items of the first run. Return False if there is no run."""
+        self._drop_unpacked()
         if not self._runs:
             return False
-        made = deque(self._runs[0])  # an exception of a signal handler meanwhile loses no item
+        made = _Unpacked(self._runs[0])
+        made.run = self._runs[0]
         self.items = made
-        self._runs.popleft()
+        self._drop_unpacked()
         return True
+
+    def _drop_unpacked(self) -> None:
+        if self._runs and self._runs[0] is self.items.run:
+            self._runs.popleft()
 
     def take_all(self) -> ItemBatch:
         """Take all items."""
+        self._drop_unpacked()
         runs = [[*self.items], *self._runs] if self.items else [*self._runs]
         self.items.clear()
         self._runs.clear()

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import pickle
+import sys
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from types import FrameType
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
+from stampede_rt.values import ready_items
 from stampede_rt.values.answers import ItemBatch
 from stampede_rt.values.columns import DecodedRun, ItemColumns
 from stampede_rt.values.model import Item
@@ -98,6 +101,45 @@ def test_a_signal_handler_that_raises_while_items_are_made_loses_none() -> None:
     with pytest.raises(KeyboardInterrupt):
         ready.unpack()
     assert [item.seq for item in ready.take_all()] == [1, 2, 3, 4]
+
+
+def test_an_interrupt_at_any_bytecode_of_an_unpacking_neither_loses_nor_repeats_an_item() -> None:
+    count, was_reached = 0, True
+    while was_reached:
+        count += 1
+        ready, taken = ReadyItems(), list[int]()
+        ready.add([run(1, 3), run(4, 1)])
+        was_reached = interrupted_at(count, ready.unpack)
+        while ready.items or ready.unpack():
+            taken.append(ready.items.popleft().seq)
+        assert (taken, bool(ready)) == ([1, 2, 3, 4], False), count
+    assert count > 20
+
+
+def interrupted_at(count: int, call: Callable[[], object]) -> bool:
+    """Call `call`, and raise before its bytecode number `count`. Returns whether `call` has this many bytecodes."""
+    left = count
+
+    def trace(frame: FrameType, event: str, _: Any) -> Any:
+        nonlocal left
+        if frame.f_code.co_filename != ready_items.__file__:
+            return None
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            left -= 1
+            if not left:
+                raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        call()
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+    return False
 
 
 def test_items_that_come_again_are_not_new() -> None:
