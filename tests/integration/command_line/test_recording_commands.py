@@ -119,8 +119,9 @@ def test_a_recording_that_is_killed_can_be_recovered(
     assert f"killed: an unknown number of items, seq {len(seqs) + 1} to ?: DAMAGED" in out
     assert "the file ends without its end mark" in told
     (tmp_path / "begun.mcap").write_bytes(path.read_bytes()[:40])
-    status, out, _ = run("file", "recover", tmp_path / "begun.mcap", "-o", tmp_path / "c.mcap", "--output", "json")
-    assert (status, json.loads(out)["complete"]) == (3, False)
+    status, out, told = run("file", "recover", tmp_path / "begun.mcap", "-o", tmp_path / "c.mcap", "--output", "json")
+    assert (status, out, (tmp_path / "c.mcap").exists()) == (1, "", False)
+    assert "begun.mcap" in told
     held = {one.seq: one.payload for one in channel.get(st.OLDEST, st.NOW)}
     assert all(held[one.seq or 0] == one.data for one in read(saved)[0] if getattr(one, "seq", None))
     assert run("file", "verify", saved)[0] == 3

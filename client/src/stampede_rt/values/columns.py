@@ -211,6 +211,8 @@ def _payload_at(payloads: Payloads, place: int, begin: int, length: int) -> byte
 
 def _split(payloads: bytes | memoryview, lengths: Sequence[int]) -> Iterable[bytes]:
     """Return a copy of each payload."""
+    if len(lengths) == 1:
+        return (bytes(payloads),)  # bytes stay the same object
     length = lengths[0]
     if len(lengths) == lengths.count(length):  # the usual case, at a quarter of the time
         return struct.unpack(f"{length}s" * len(lengths), payloads)
