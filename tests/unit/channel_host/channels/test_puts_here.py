@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -46,6 +47,7 @@ class Store:
     """A host with one channel, or with an error instead."""
 
     recording = replication = None
+    record = SimpleNamespace(name="c", policy=SimpleNamespace(ack=None))
 
     def __init__(self) -> None:
         self.puts = Puts()
@@ -69,7 +71,7 @@ class Stream:
         self.acked: Callable[[], None] = lambda: None
         loop = asyncio.get_running_loop()
         told = self._on_acks, self.ends.append
-        self.puts = PutsHere(loop, cast(Any, self.store), (b"c", 3), 11, *told)
+        self.puts = PutsHere(loop, cast(Any, self.store), (b"c", 3), (11, 0), *told)
 
     def _on_acks(self, response: pb.PutResponse) -> None:
         self.acks += response.acks
@@ -193,6 +195,6 @@ async def test_a_cancelled_stream_puts_no_further_run_and_sends_no_ack() -> None
 def test_a_stopped_host_accepts_no_runs() -> None:
     loop = asyncio.new_event_loop()
     loop.close()
-    puts = PutsHere(loop, cast(Any, Store()), (b"c", 3), 11, lambda acks: None, lambda error: None)
+    puts = PutsHere(loop, cast(Any, Store()), (b"c", 3), (11, 0), lambda acks: None, lambda error: None)
     with pytest.raises(Unavailable):
         puts.send(runs_of([b"x"]))
