@@ -224,7 +224,7 @@ def _no_host(channel: str, *, is_new: bool, recorded: bool) -> StampedeError:
     if not recorded:
         text = f"there is no live host for channel {channel}; start one with `stampede host`, or wait for one"
         return Unavailable(text, reason="NO_HOST", metadata=metadata)
-    how = "start one with `stampede host --archive FOLDER`"
+    how = "start one with `stampede host --archive FOLDER` or `st.host(archive=...)`"
     text = f"channel {channel} is to be recorded (archive), and no live host has an archive; {how}"
     if is_new:
         return InvalidArgument(text, metadata=metadata)
