@@ -1,7 +1,7 @@
-"""Prove that no docstring and no name of a test begins with a clause without its noun, such as "What was collected".
+"""Prove that no docstring and no name of a test has a clause without its noun, such as "What was collected".
 
-The rule is under "Plain prose" in CONTRIBUTING. Of the rules there it is the only one that a program can check exactly.
-A docstring may be a question ("Who leads?").
+The rule is under "Plain prose" in CONTRIBUTING. A docstring may be a question ("Who leads?"). The check also refuses
+the words of AT_ONCE there, which may mean "immediately" or "at the same time". A program cannot check the other rules.
 """
 
 from __future__ import annotations
@@ -18,18 +18,21 @@ GENERATED = {"v1", "_sync"}  # the stubs, and the client that is derived from _a
 
 FIRST_WORDS = re.compile(r"(What|Whatever|Who|Whoever|Whose|Those|Of|Earlier(?=,))\b(?![^.:]*\?)")
 PHRASES = re.compile(r"\b([Ww]hoever|by the book)\b")
+AT_ONCE = re.compile(r"\b[Aa]t once\b|^test_(?:\w*_)?at_once(?:_|$)")
 TEST_NAMES = re.compile(
     r"test_(what|whatever|who|whose|why|that|those_who|there|(?:one|all|nothing)_(?:that|who|of|else|but))_"
-    r"|test_\w*_(whoever|whatever|whom)(?:_|$)"
+    r"|test_\w*_(whoever|whatever|whom|what|those)(?:_|$)"
 )
 
 
 def complaints(path: str, source: str) -> Iterator[str]:
     """Yield a line for each docstring and each name of a test that breaks the rule."""
     for node in _statements(ast.parse(source)):
+        text, line = _text_of(node), getattr(node, "lineno", 1)
         if found := _headless_words(node):
-            line = getattr(node, "lineno", 1)
             yield f'{path}:{line}: name the noun instead of "{found}", see "Plain prose" in CONTRIBUTING.md'
+        if AT_ONCE.search(text):
+            yield f'{path}:{line}: say "immediately" or "at the same time" instead of "at once"'
 
 
 def _statements(parent: ast.AST) -> Iterator[ast.AST]:
@@ -39,6 +42,16 @@ def _statements(parent: ast.AST) -> Iterator[ast.AST]:
         for node in below if isinstance(below, list) else ():
             yield node
             yield from _statements(node)
+
+
+def _text_of(node: ast.AST) -> str:
+    """Return a docstring or the name of a function; empty for other statements."""
+    match node:
+        case ast.Expr(value=ast.Constant(value=str(text))):
+            return text
+        case ast.FunctionDef(name=text) | ast.AsyncFunctionDef(name=text):
+            return text
+    return ""
 
 
 def _headless_words(node: ast.AST) -> str | None:

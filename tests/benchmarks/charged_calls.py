@@ -117,7 +117,7 @@ async def cpu_us(work: Callable[[], None], number: int) -> float:
 
 
 async def measure(method: str, number: int, rounds: int) -> Measured:
-    """The rounds, counted and not counted in turn."""
+    """Measure the rounds. The host counts the calls of every second round."""
     found = Measured()
     with callers() as all_callers:
         async with running_host() as rig:

@@ -89,7 +89,7 @@ async def writes(stubs: list[Stub], prefix: str, *, workers: int) -> list[Row]:
         seconds=SAMPLE_SECONDS,
     )
     text = f"{rate:,.0f}/s, p50 {percentile(took, 0.5)}, p99 {percentile(took, 0.99)}"
-    return [(f"durable writes, {workers} at once", text)]
+    return [(f"durable writes, {workers} at the same time", text)]
 
 
 async def lookups(stub: Stub) -> list[Row]:
@@ -164,7 +164,7 @@ async def reconnect(cluster: Cluster, clients: int) -> list[Row]:
     took, of_supernodes, of_clients = zip(*runs[1:], strict=True)  # without the first run, which imports the modules
     halves = [statistics.median(run) for run in took]
     return [
-        (f"{len(took[0]):,} clients connect at once and look up", f"half of them {spread(halves)}"),
+        (f"{len(took[0]):,} clients connect at the same time and look up", f"half of them {spread(halves)}"),
         ("... the last of them", spread([max(run) for run in took])),
         ("... CPU of the supernodes", spread(of_supernodes)),
         ("... CPU of the clients", spread(of_clients)),
@@ -193,7 +193,9 @@ def cpu_seconds(cluster: Cluster) -> float:
 
 
 def come(addresses: list[str], clients: int, at: float) -> tuple[list[float], float]:
-    """The time from `at` (this machine's monotonic clock) to the answer of each of `count` clients, and their CPU."""
+    """The time from `at` (this machine's monotonic clock) to the answer of each of `count` clients, and the CPU time of
+    the clients.
+    """
 
     async def one(channel: grpc.aio.Channel) -> float:
         stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)

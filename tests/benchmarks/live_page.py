@@ -1,7 +1,7 @@
 """The load of a host with open tabs of the live page: `python -m tests.benchmarks.live_page`.
 
 A producer puts 20 channels of 30 items a second of 18 KB. The benchmark prints the share of one core that the host uses
-in turns without tabs and with ten tabs. A tab sends the requests of the page, at the pace of the page.
+alternately without tabs and with ten tabs. A tab sends the requests of the page, at the pace of the page.
 """
 
 from __future__ import annotations

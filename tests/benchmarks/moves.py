@@ -3,8 +3,8 @@
 `python -m tests.benchmarks.moves`, or `make bench-moves`. The load: a producer of 30 frames of 18 KB a second, with
 subscriptions, gets that wait for the next frame, and a stream of cut events of a group with another channel; a queue
 with a producer, and a taker that holds leases all the time. Prints a Markdown table of the pauses of each producer and
-reader, and the names of those that saw an item twice or not at all. A pause of a reader is the longest time between two
-items around a move, less the time between two puts.
+reader, and the names of the producers and readers that saw an item twice or not at all. A pause of a reader is the
+longest time between two items around a move, less the time between two puts.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ def produce(channels: list[Any], until_s: float) -> None:
 
 
 def read(taken: Iterator[int], rest_s: float, until_s: float, ages_s: list[float]) -> None:
-    """Take a thing, note the age of its time, and rest."""
+    """Take an item or a cut, note its age, and rest."""
     for stamp in taken:
         ages_s.append((st.now() - stamp) / 1e9)
         time.sleep(rest_s)
@@ -42,7 +42,9 @@ def read(taken: Iterator[int], rest_s: float, until_s: float, ages_s: list[float
 
 
 def readers(channel: Any, group: Any) -> dict[str, tuple[Any, Callable[[Any], int]]]:
-    """The kinds of readers. Each kind comes with a function that returns the time of a thing that the reader got."""
+    """The kinds of readers. Each kind comes with a function that returns the time of an item, cut or match that the
+    reader got.
+    """
     return {
         'subscribe(mode="newest")': (channel.subscribe(mode="newest"), lambda item: item.time),
         "subscribe()": (channel.subscribe(), lambda item: item.time),

@@ -15,7 +15,7 @@ import pytest
 from tests.benchmarks.attacks import __main__ as command
 from tests.benchmarks.attacks.catalogue import CASES
 from tests.benchmarks.attacks.own_process import Unfinished, in_own_process
-from tests.benchmarks.attacks.trial import Found, Good
+from tests.benchmarks.attacks.trial import AttackResult, Good
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -61,10 +61,10 @@ def test_work_that_hangs_or_fails_is_reported(work: Any, why: str) -> None:
 def test_attacks_that_were_not_measured_are_named_and_the_others_are_in_the_table(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def measured(work: Any, name: str, *_: Any, seconds: float) -> Found:
+    def measured(work: Any, name: str, *_: Any, seconds: float) -> AttackResult:
         if name == "resets":
             raise Unfinished("it was killed after 192 s")
-        return Found(name, Good([1.0]), Good([2.0, 3.0]))
+        return AttackResult(name, Good([1.0]), Good([2.0, 3.0]))
 
     monkeypatch.setattr(command, "in_own_process", measured)
     monkeypatch.setattr(sys, "argv", ["attacks", "--markdown"])

@@ -100,7 +100,7 @@ async def test_a_put_on_a_full_channel_waits_until_the_oldest_item_is_old_enough
     assert (await adds_up(channel)).collected["age"] == 1
 
 
-async def test_a_put_with_no_time_to_wait_is_refused_by_a_full_channel_at_once(surface: Surface) -> None:
+async def test_a_put_with_no_time_to_wait_is_refused_by_a_full_channel_immediately(surface: Surface) -> None:
     channel = await surface.channel(max_items=1, max_age="1h", on_full="block")
     await channel.put(b"first")
     with pytest.raises(st.ChannelFull):

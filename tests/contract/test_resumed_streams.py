@@ -126,7 +126,7 @@ async def test_a_resumed_newest_subscription_of_a_descriptor_does_not_repeat_an_
     assert (await group[left].newest(timeout=10)).payload == b"held"
     async with group[left].subscribe(mode="newest") as items:
         cut_off(items)
-        await left.put(b"late", time=base + 5 * MS)  # visible at once, and later than the earlier item
+        await left.put(b"late", time=base + 5 * MS)  # visible immediately, and later than the earlier item
         assert (await take(items, 1))[0].payload == b"late"
         cut_off(items)
         await left.put(b"later", time=base + 8 * MS)

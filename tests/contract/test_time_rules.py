@@ -15,7 +15,7 @@ from tests.support.waiting import pause
 
 MS = 1_000_000
 SECOND = 1_000 * MS
-SOON_S = 20  # the limit for an answer "at once" on any machine; the timeout of the call is much longer
+SOON_S = 20  # the limit for an answer "immediately" on any machine; the timeout of the call is much longer
 LONG_S = 3_600
 
 
@@ -179,7 +179,7 @@ async def test_an_interval_with_an_inclusive_end_is_complete_only_after_a_strict
     assert shown(await get) == ["0", "at"]
 
 
-async def test_a_get_of_a_collected_interval_is_answered_at_once_however_long_the_timeout(surface: Surface) -> None:
+async def test_a_get_of_a_collected_interval_is_answered_immediately_however_long_the_timeout(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10, 20, 30, max_items=2, max_age=None)
     get = channel.get(base, base + 5 * MS, match="start", complete=True, timeout=LONG_S)
     items = await run_to_end(get)
@@ -297,7 +297,7 @@ async def test_a_handle_opened_before_on_full_became_reject_refuses_puts(surface
         await run_to_end(channel.put(b"second"))
 
 
-async def test_changed_limits_apply_at_once(surface: Surface) -> None:
+async def test_changed_limits_apply_immediately(surface: Surface) -> None:
     channel, _ = await filled(surface, 0, 10, 20, 30)
     await channel.configure(max_items=2)
     assert shown(await channel.get(st.OLDEST, st.NEWEST)) == ["20", "30"]

@@ -62,8 +62,13 @@ def shown(answer: ReadAnswer, overlap: int) -> tuple[object, ...]:
     return facts(items), ends, answer.interval, answer.complete, answer.truncated, answer.more, reason
 
 
-def tell(draw: random.Random, *, advances: bool = False) -> tuple[ChannelCore, ArchivedChannel, list[Position], int]:
-    """Put the same items into a channel in memory and into a recorded one. Returns both, the positions and the time."""
+def put_in_both(
+    draw: random.Random, *, advances: bool = False
+) -> tuple[ChannelCore, ArchivedChannel, list[Position], int]:
+    """Put the same items into a channel in memory and into a recorded channel.
+
+    Returns both channels, the positions of the items, and the time.
+    """
     overlap = draw.choice([None, None, 3, 8])
     large = ChannelCore(Policy(max_items=10**6, overlap_nanos=overlap), incarnation=7)
     limits = draw.choice([{"max_items": draw.randrange(1, 5)}, {"max_age_nanos": draw.randrange(1, 9)}])
@@ -100,7 +105,7 @@ def tell(draw: random.Random, *, advances: bool = False) -> tuple[ChannelCore, A
 @pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_a_read_over_an_archive_and_a_small_memory_equals_one_over_a_large_memory(seed: int) -> None:
     draw = random.Random(seed)
-    large, small, positions, now = tell(draw)
+    large, small, positions, now = put_in_both(draw)
     overlap = large.policy.overlap_nanos
     for _ in range(READS):
         query = query_of(draw, now, positions)
@@ -116,7 +121,7 @@ def test_a_read_over_an_archive_and_a_small_memory_equals_one_over_a_large_memor
 @pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_a_read_as_of_an_instant_equals_the_read_at_that_instant(seed: int) -> None:
     draw = random.Random(seed)
-    large, small, positions, now = tell(draw, advances=True)
+    large, small, positions, now = put_in_both(draw, advances=True)
     small.archive()
     overlap = large.policy.overlap_nanos
     for _ in range(READS):
@@ -140,7 +145,7 @@ def test_a_read_as_of_an_instant_equals_the_read_at_that_instant(seed: int) -> N
 @pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_a_subscription_that_starts_in_the_archive_yields_the_same_items_as_one_over_memory(seed: int) -> None:
     draw = random.Random(seed)
-    large, small, _, now = tell(draw)
+    large, small, _, now = put_in_both(draw)
     start = draw.randrange(-1, now + 2)
     expected = large.subscribe_all(now, start=Bound(None, start))
     cursor, limit = small.subscribe(start), draw.choice([1, 100, 300, 10**6])

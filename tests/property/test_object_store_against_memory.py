@@ -17,7 +17,7 @@ from stampede_rt_channel_host.core import archive
 from stampede_rt_channel_host.core.archive import PlacedBlock, Segment, SegmentBlocks, archived_read
 from stampede_rt_channel_host.core.archive.stored_segment import first_number
 from tests.property.archived_channel import ArchivedChannel
-from tests.property.test_archive_against_memory import query_of, shown, tell
+from tests.property.test_archive_against_memory import put_in_both, query_of, shown
 from tests.support.channel_host.object_stores import CHANNEL, FakeStore
 
 SCENARIOS, READS = 60, 12
@@ -26,7 +26,7 @@ CACHE_BYTES = 600
 
 @pytest.fixture(autouse=True)
 def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Chunks shorter than a block, a cache of a few of them, and windows of a block or a few."""
+    """Chunks shorter than a block, a cache of a few chunks, and windows of one block or a few blocks."""
     monkeypatch.setattr(chunk_cache, "CHUNK_BYTES", 64)
     monkeypatch.setattr(archived_read, "FIRST_WINDOW_BYTES", 1)
     monkeypatch.setattr(archived_read, "WINDOW_BYTES", 300)
@@ -34,7 +34,7 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @dataclass
 class Stored:
-    """The files of a channel of the property tests, in a folder, and all but some of them in a store."""
+    """The files of a channel of the property tests. Most of them are in a store, the others only in a folder."""
 
     channel: ArchivedChannel
     place: StoredSegments
@@ -62,7 +62,7 @@ class Stored:
 @pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_a_read_over_an_object_store_equals_one_over_memory(seed: int, tmp_path: Path) -> None:
     draw = random.Random(seed)
-    large, small, positions, now = tell(draw)
+    large, small, positions, now = put_in_both(draw)
     store = FakeStore()
     folder = tmp_path / CHANNEL.hex()
     folder.mkdir()

@@ -208,7 +208,7 @@ def test_an_abandoned_answer_in_pieces_keeps_no_item_from_collection() -> None:
         assert not held._snapshots
 
 
-def test_a_get_with_a_wrong_position_is_refused_at_once() -> None:
+def test_a_get_with_a_wrong_position_is_refused_immediately() -> None:
     busy = Busy(POLICIES["all is kept"], 1)
     query = Query(interval=parse_interval(0, 2 * NOW), after=Position(NOW, 1, incarnation=2))
     with pytest.raises(StampedeError, match="incarnation 2"):

@@ -23,7 +23,7 @@ class CuttingRelay:
 
     `targets`: the host and port behind each port. Any thread may call `cut` and `stop_after`. "reset" ends all
     connections with RST, "close" with FIN. "half" forwards a part of the next chunk, so that a frame is incomplete, and
-    then resets. While `refuses` is True, the relay resets new connections at once.
+    then resets. While `refuses` is True, the relay resets new connections immediately.
     """
 
     def __init__(self, targets: Mapping[int, tuple[str, int]], seed: int = 0) -> None:

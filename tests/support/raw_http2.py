@@ -19,7 +19,7 @@ class RawConnection:
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.allowed_bytes: dict[int, int] = {}
-        self.sent_bytes: dict[int, int] = {}  # of each stream, by the methods that send as allowed
+        self.sent_bytes: dict[int, int] = {}  # by stream: the bytes that the methods `send_..._as_allowed` have sent
         self.ended: dict[int, asyncio.Event] = {}
         self.greeted = asyncio.Event()  # the server has sent its settings
         self.streams_max = 0

@@ -61,7 +61,7 @@ class Streams:
             await context.write((message[:10], b"", message[10:]) if is_long else message)
 
     async def at_once(self, _requests: Any, context: Any) -> None:
-        """Answer short messages at once, the others later, and fail at "defect"."""
+        """Answer short messages immediately, the others later, and fail at "defect"."""
 
         def take(message: bytes, write: Callable[[bytes], None]) -> bool:
             if message == b"defect":

@@ -33,7 +33,7 @@ FRAMES_MIN, FRAMES_MAX = 10, 100_000
 READERS_MAX = 256
 CHANNELS_MAX = 100_000
 SUBSCRIPTIONS_MAX = 4096
-GROUPS_MAX = 750  # of one channel, for one client
+GROUPS_MAX = 750  # the most groups with the same channel that one client may make
 SECONDS_MIN, SECONDS_MAX = 0.1, 600.0
 
 Figure = Callable[[Effort, Path], Table]

@@ -24,7 +24,7 @@ from stampede_rt_bench.tables import Table
 from tests.benchmarks.attacks.attacked_cluster import TRANSPORT
 from tests.benchmarks.attacks.catalogue import CASES
 from tests.benchmarks.attacks.own_process import Unfinished, in_own_process
-from tests.benchmarks.attacks.trial import Found, Setup, run_trial
+from tests.benchmarks.attacks.trial import AttackResult, Setup, run_trial
 
 COLUMNS = (
     "attack", "before", "RSS, MiB", "good calls, failed", "good put alone, p50 / p99, ms", "beside the attack",
@@ -40,8 +40,8 @@ LOG_BYTES_USUAL = 3000  # the log of a cluster that does not report the attack
 class Measured:
     """Both trials of one attack."""
 
-    apart: Found
-    same_cores: Found
+    apart: AttackResult
+    same_cores: AttackResult
 
 
 def row(measured: Measured, attack: str) -> list[str]:
@@ -64,7 +64,7 @@ def row(measured: Measured, attack: str) -> list[str]:
         *(f"{one.quantile_ms(50):,.1f} / {one.quantile_ms(99):,.1f}" for one in (found.alone, found.beside)),
         f"{found.p99_ratio:.1f} x",
         f"{same_cores.p99_ratio:.1f} x",
-        f"{same_cores.longer(same_cores.competing):.1f} x",
+        f"{same_cores.slowdown(same_cores.competing):.1f} x",
         " / ".join(f"{one.attacker_percent:.0f}" for one in trials),
     ]
 

@@ -105,7 +105,7 @@ Attack = Callable[[AttackedCluster, Callable[[], None]], Awaitable[None]]
 
 
 class Uploads:
-    """Large encoded requests on streams of their own, in pieces."""
+    """Sends large encoded requests in pieces. Each request has its own stream and connection."""
 
     def __init__(self, attacked: AttackedCluster, method: str) -> None:
         self._attacked, self._method = attacked, method

@@ -24,7 +24,7 @@ from stampede_rt_runtime import open_files
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.main import run_loop
 from tests.benchmarks.attacks.own_process import in_own_process
-from tests.benchmarks.attacks.trial import Found, Setup, run_trial
+from tests.benchmarks.attacks.trial import AttackResult, Setup, run_trial
 from tests.support.processes import started
 
 FLOODS = ("unknown-fields", "repeated-fields", "resets", "health-watches", "many-streams", "single-calls")
@@ -67,7 +67,7 @@ async def serve() -> None:
     await server.stop(None)
 
 
-def measure(name: str, seconds: float, kind: str) -> Found:
+def measure(name: str, seconds: float, kind: str) -> AttackResult:
     """Run one trial in a process of its own."""
     limit_s = RUN_SECONDS_MAX + 4 * seconds
     apart = Setup(apart=True, transport=TRANSPORT)
@@ -80,7 +80,7 @@ def measure(name: str, seconds: float, kind: str) -> Found:
         return in_own_process(run_trial, name, seconds, setup, seconds=limit_s)
 
 
-def row(name: str, kind: str, runs: list[Found]) -> list[str]:
+def row(name: str, kind: str, runs: list[AttackResult]) -> list[str]:
     """The medians of the runs."""
 
     def median(values: list[float]) -> str:
@@ -97,7 +97,7 @@ def row(name: str, kind: str, runs: list[Found]) -> list[str]:
 
 
 def main() -> None:
-    """Measure in turn, and print."""
+    """Measure the three trials of each flood, one after the other, and print the table."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.attacks.bare", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(FLOODS)}; none: all")
     parser.add_argument("--seconds", type=float, default=3.0, help="how long each attack lasts (default: 3)")
@@ -110,7 +110,7 @@ def main() -> None:
         parser.error(f"there is no flood {', '.join(sorted(unknown))}; there are {', '.join(FLOODS)}")
     table = Table(("flood", "goes to", "p99 alone, ms", "beside it", "times", "of each run"))
     for name in options.names or FLOODS:
-        found: dict[str, list[Found]] = {"host": [], "bare": [], "elsewhere": []}
+        found: dict[str, list[AttackResult]] = {"host": [], "bare": [], "elsewhere": []}
         for _ in range(options.runs):
             for kind, runs in found.items():
                 runs.append(measure(name, options.seconds, kind))

@@ -91,7 +91,7 @@ async def tls_unfinished(attacked: AttackedCluster, under_way: Callable[[], None
 
 
 async def tls_hellos(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
-    """64 callers without a certificate begin handshakes and leave at once, as fast as they can."""
+    """64 callers without a certificate begin handshakes and leave immediately, as fast as they can."""
 
     async def begin(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.write(hello())

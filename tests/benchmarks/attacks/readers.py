@@ -62,7 +62,7 @@ async def _read_many(attacked: AttackedCluster, method: str, request: Any, under
 
 
 async def _put_items(attacked: AttackedCluster) -> None:
-    """Items of the group's other channel, so that its cut goes on."""
+    """Put items into the other channel of the group, so that the cut of the group advances."""
     async with attacked.connect() as rt:
         channel = await rt.channel(NAME)
         while True:

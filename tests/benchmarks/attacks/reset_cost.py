@@ -3,7 +3,7 @@
     python -m tests.benchmarks.attacks.reset_cost [--seconds 4] [--rounds 3]
 
 Another process makes calls on ten connections, and resets each as soon as it is made (the attack `resets`). The rounds
-go to the host and to the server of `bare.py` in turn. The figures are processor time, so other work on the machine
+go alternately to the host and to the server of `bare.py`. The figures are processor time, so other work on the machine
 counts for little. "Loop" is the thread of the event loop; the other threads are gRPC's own.
 """
 
@@ -72,7 +72,7 @@ async def _flood(target: str, seconds: float) -> int:
 
 
 def main() -> None:
-    """Measure in turn, and print the medians."""
+    """Measure the host and the bare server alternately, and print the medians."""
     if sys.argv[1:2] == [AS_ATTACKER]:
         print(asyncio.run(_flood(sys.argv[2], float(sys.argv[3]))))
         return

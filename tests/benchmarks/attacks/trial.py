@@ -57,13 +57,13 @@ class Good:
         return statistics.quantiles(self.puts_ms, n=100, method="inclusive")[percent - 1]
 
     def note(self, put_ms: float) -> None:
-        """Count the time of a put that did not succeed, if the time is longer than that of all other puts."""
+        """Count the time of a put that did not succeed, if it took longer than all other puts."""
         if put_ms > max(self.puts_ms, default=0.0):
             self.puts_ms.append(put_ms)
 
 
 @dataclass
-class Found:
+class AttackResult:
     """The effects of one attack. Memory is the resident set of the watched process, in MiB.
 
     `competing`: the good clients during a program that takes as much processor time as the attacker took, and makes no
@@ -84,9 +84,9 @@ class Found:
     @property
     def p99_ratio(self) -> float:
         """The time of a put during the attack divided by the time without it, at the 99th percentile."""
-        return self.longer(self.beside)
+        return self.slowdown(self.beside)
 
-    def longer(self, beside: Good) -> float:
+    def slowdown(self, beside: Good) -> float:
         """The time of a put during the attack, as a multiple of the time alone, at the 99th percentile."""
         return beside.quantile_ms(99) / max(0.1, self.alone.quantile_ms(99))
 
@@ -114,11 +114,11 @@ class Setup:
     compares: bool = True
 
 
-class Field:
+class TrialCluster:
     """A cluster with one host and one supernode, whose host has a small budget of memory and few open files."""
 
     def __init__(self, name: str, setup: Setup) -> None:
-        self.found = Found(name)
+        self.found = AttackResult(name)
         self.setup = setup
         self.case = CASES[name]
         self.cluster = LocalCluster(hosts=1, supernodes=1, tls=self.case.secured, on_line=self._hear)
@@ -147,7 +147,7 @@ class Field:
         )
 
     def token(self, name: str) -> str:
-        """Proves a name, by which quotas distinguish callers of one machine. Empty in a cluster with certificates."""
+        """A token that proves a name: quotas distinguish callers by name. Empty in a cluster with certificates."""
         if self.case.secured:
             return ""
         bearer = (("authorization", f"Bearer {self.cluster.secret.text}"),)
@@ -159,7 +159,7 @@ class Field:
             return str(create(request, metadata=bearer, timeout=CALL_SECONDS).token)
 
     async def good(self) -> Any:
-        """Opens the connection of a good client."""
+        """Open the connection of a good client."""
         transport, address = self.case.transport or self.setup.transport, self.cluster.address
         if (files := self.cluster.tls_files("good")) is not None:
             return st.aio.connect(address, tls=files, transport=transport)
@@ -174,12 +174,12 @@ class Field:
 
 
 @asynccontextmanager
-async def field_for(name: str, setup: Setup) -> AsyncIterator[Field]:
+async def trial_cluster(name: str, setup: Setup) -> AsyncIterator[TrialCluster]:
     """Yield the cluster once it is ready."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (FILES_SOFT, hard))  # the cluster's processes inherit this limit
     try:
-        one = Field(name, setup)
+        one = TrialCluster(name, setup)
         await asyncio.to_thread(one.cluster.__enter__)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
@@ -189,24 +189,26 @@ async def field_for(name: str, setup: Setup) -> AsyncIterator[Field]:
         await asyncio.to_thread(one.cluster.__exit__, None, None, None)
 
 
-def run_trial(name: str, seconds: float, setup: Setup) -> Found:
+def run_trial(name: str, seconds: float, setup: Setup) -> AttackResult:
     """A trial in a loop of its own."""
     return asyncio.run(trial(name, seconds, setup))
 
 
-async def trial(name: str, seconds: float, setup: Setup) -> Found:
-    """Measure the good clients alone, then for the same time during the attack, and then the memory that stays.
+async def trial(name: str, seconds: float, setup: Setup) -> AttackResult:
+    """Measure the good clients alone, then during the attack, and then the memory that stays afterwards.
 
-    Then measure the good clients alone again, so that other load of the machine counts for both. See `Setup.compares`.
+    Then measure the good clients alone again. So other load of the machine affects the figures with the attack and the
+    figures without it. See `Setup.compares`.
     """
-    async with field_for(name, setup) as one:
+    async with trial_cluster(name, setup) as one:
         found = one.found
         async with await one.good() as rt:
             await rt.channel(GOOD_CHANNEL, max_age="10s")
-            await _good_clients(one, found.alone, asyncio.sleep(seconds / 2))  # the memory of a host that serves
+            # before `before_mib`, so that it includes the memory that a serving host needs
+            await _good_clients(one, found.alone, asyncio.sleep(seconds / 2))
             found.before_mib, found.log_bytes = one.memory_mib(), 0
             await _good_clients(one, found.beside, _attacked(one, seconds))
-            await _still(one)
+            await _memory_settled(one)
             found.after_mib = one.memory_mib()
             if not setup.compares:
                 return found
@@ -218,7 +220,7 @@ async def trial(name: str, seconds: float, setup: Setup) -> Found:
     return found
 
 
-async def _attacked(one: Field, seconds: float) -> None:
+async def _attacked(one: TrialCluster, seconds: float) -> None:
     line = (await asyncio.to_thread(lambda: one.attacked)).to_line()
     words = ("tests.benchmarks.attacks.attacker", one.found.name, *(["apart"] if one.setup.apart else []))
     async with _program(words, line, one.found.beside) as process:
@@ -230,7 +232,7 @@ async def _attacked(one: Field, seconds: float) -> None:
             watching.cancel()
 
 
-async def _competing(one: Field, seconds: float) -> None:
+async def _competing(one: TrialCluster, seconds: float) -> None:
     words, line = ("tests.benchmarks.attacks.competitor",), json.dumps(one.found.attacker_slots)
     async with _program(words, line, one.found.competing):
         await asyncio.sleep(seconds)
@@ -238,7 +240,7 @@ async def _competing(one: Field, seconds: float) -> None:
 
 @asynccontextmanager
 async def _program(words: tuple[str, ...], line: str, good: Good) -> AsyncIterator[asyncio.subprocess.Process]:
-    """A program that is under way. `good` counts from now on."""
+    """Yield a program once it is under way. `good` then has only the calls from this moment on."""
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", *words), stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE
     )
@@ -262,9 +264,9 @@ async def _program(words: tuple[str, ...], line: str, good: Good) -> AsyncIterat
             await process.wait()
 
 
-async def _watch(one: Field, attacker: int) -> None:
+async def _watch(one: TrialCluster, attacker: int) -> None:
     """Note the memory of the watched process, and the processor time of the attacker."""
-    clock = ~attacker << 3 | 2  # of all threads of the process, see clock_getcpuclockid(3)
+    clock = ~attacker << 3 | 2  # the CPU time of all threads of the process, see clock_getcpuclockid(3)
     used_s = time.clock_gettime(clock)
     while True:
         one.found.most_mib = max(one.found.most_mib, one.memory_mib())
@@ -273,7 +275,7 @@ async def _watch(one: Field, attacker: int) -> None:
         one.found.attacker_slots.append(used_s - before_s)
 
 
-async def _still(one: Field) -> None:
+async def _memory_settled(one: TrialCluster) -> None:
     """Wait until the memory of the process has changed by less than a MiB for 3 s, 15 s at most.
 
     Services give memory back each second.
@@ -285,8 +287,8 @@ async def _still(one: Field) -> None:
             last, since_s = one.memory_mib(), time.monotonic()
 
 
-async def _good_clients(one: Field, good: Good, meanwhile: Any) -> None:
-    """Put and read as long as `meanwhile` lasts, each on a connection of its own."""
+async def _good_clients(one: TrialCluster, good: Good, meanwhile: Any) -> None:
+    """Run the good clients until `meanwhile` has ended. Each client puts and reads on its own connection."""
     tasks = [asyncio.create_task(_good_client(one, good)) for _ in range(GOOD_CLIENTS)]
     try:
         await meanwhile
@@ -296,7 +298,7 @@ async def _good_clients(one: Field, good: Good, meanwhile: Any) -> None:
         await asyncio.wait(tasks)
 
 
-async def _good_client(one: Field, good: Good) -> None:
+async def _good_client(one: TrialCluster, good: Good) -> None:
     if one.setup.good_go_there:
         await _bare_client(one.setup.bare, good)
         return
@@ -326,7 +328,7 @@ async def _bare_client(target: str, good: Good) -> None:
 
 
 async def _make_and_delete(rt: Any, good: Good) -> None:
-    """Make a channel and delete it, if the attack is on a supernode."""
+    """Make a channel and delete it, as a call to the supernode."""
     good.calls += 2
     try:
         await (await rt.channel(f"{GOOD_CHANNEL}/{secrets.token_hex(8)}")).delete()

@@ -94,7 +94,7 @@ def _cpu_us(owner: ServiceProcess, channel: Any, payload: bytes, rate: float) ->
 
 
 def paced(put: Callable[[], Any], rate: float, seconds: float) -> int:
-    """Put at this rate, and return the number of puts. A late put is not followed by faster ones."""
+    """Put at this rate, and return the number of puts. After a late put the next puts keep the period."""
     due_s, puts = time.monotonic(), 0
     end_s = due_s + seconds
     while time.monotonic() < end_s:

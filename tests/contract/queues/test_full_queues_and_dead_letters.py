@@ -23,7 +23,7 @@ async def test_a_full_queue_makes_a_put_wait_or_refuses_it(rig: Rig) -> None:
     assert (await queue.get(timeout=10)).payload == b"2"
 
 
-async def test_a_full_queue_that_rejects_refuses_a_put_at_once(rig: Rig) -> None:
+async def test_a_full_queue_that_rejects_refuses_a_put_immediately(rig: Rig) -> None:
     queue = await rig.queue(max_items=1, on_full="reject")
     await queue.put(b"1")
     with pytest.raises(st.QueueFull):
@@ -51,7 +51,7 @@ async def test_a_queue_whose_items_are_all_leased_drops_none_and_is_full(rig: Ri
     await queue.put(b"2")
 
 
-async def test_a_lowered_max_deliveries_applies_at_once(rig: Rig) -> None:
+async def test_a_lowered_max_deliveries_applies_immediately(rig: Rig) -> None:
     dead = await rig.queue()
     queue = await rig.queue(max_deliveries=9, dead_letter=dead.name)
     await queue.put(b"poison")

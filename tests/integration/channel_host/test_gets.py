@@ -273,7 +273,7 @@ async def test_a_get_of_a_future_instant_is_answered_at_that_instant(rig: Rig) -
     assert rig.now() >= soon
 
 
-async def test_a_get_below_the_frontier_is_answered_at_once_despite_its_timeout(rig: Rig) -> None:
+async def test_a_get_below_the_frontier_is_answered_immediately_despite_its_timeout(rig: Rig) -> None:
     retention = channel_pb2.RetentionPolicy(max_items=1)
     channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=retention))
     t = rig.now() - S

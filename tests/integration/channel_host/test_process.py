@@ -111,7 +111,7 @@ async def test_a_host_without_a_directory_stops_on_a_signal() -> None:
 
 
 @pytest.mark.parametrize("arguments", [("--name", "No Name"), ("--frontend", ""), ("--memory-bytes-max", "1KiB")])
-async def test_a_host_exits_at_once_if_its_settings_are_wrong(arguments: tuple[str, str]) -> None:
+async def test_a_host_exits_immediately_if_its_settings_are_wrong(arguments: tuple[str, str]) -> None:
     async with host(*arguments) as process:
         out, err = await asyncio.wait_for(process.communicate(), 20)
         assert (process.returncode, out) == (2, b"")

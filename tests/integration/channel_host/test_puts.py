@@ -240,7 +240,7 @@ async def test_a_blocked_put_fails_at_its_timeout(rig: Rig) -> None:
     assert (status.waiting_puts, status.counters.rejected_full) == (0, 1)
 
 
-async def test_a_put_without_a_timeout_fails_at_once_and_a_later_one_waits(rig: Rig) -> None:
+async def test_a_put_without_a_timeout_fails_immediately_and_a_later_one_waits(rig: Rig) -> None:
     channel = await rig.open(spec=blocking(600 * S))
     await channel.put(run_of(b"x"))
     waiting = rig.channels.Put()

@@ -117,7 +117,7 @@ async def test_a_broken_stream_of_gets_gives_back_the_quota_of_its_waiting_gets(
     await channel.until(lambda status: not rig.accounts.uses())
 
 
-async def test_a_put_above_the_quota_of_waiting_puts_is_refused_unless_it_finds_room_at_once(rig: Rig) -> None:
+async def test_a_put_above_the_quota_of_waiting_puts_is_refused_unless_it_finds_room_immediately(rig: Rig) -> None:
     channel, other = await rig.open(spec=full_channel()), await rig.open("other")
     await channel.put(run_of(b"x"))
     rig.accounts.set_default(Quota.BYTES_IN_FLIGHT, 10_000)

@@ -199,7 +199,7 @@ def test_a_host_that_starts_while_the_store_is_away_serves_its_own_items_and_cat
     assert numbers(channel.get(began, began + (ITEMS + 29) * MS)) == list(range(ITEMS + 30))
 
 
-def test_a_host_that_takes_a_channel_over_while_the_store_is_away_serves_it_at_once_and_catches_up(
+def test_a_host_that_takes_a_channel_over_while_the_store_is_away_serves_it_immediately_and_catches_up(
     server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection
 ) -> None:
     channel, began = filled(rt, "rig/taken", "h1")

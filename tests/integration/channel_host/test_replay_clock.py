@@ -251,7 +251,7 @@ def test_a_program_reads_through_a_replayed_group_as_through_a_live_one(rt: st.C
     pair = Paired(rt, "replayed-group")
     with pair.group[pair.right].subscribe(start=st.OLDEST) as items:
         live = [next(items).payload for _ in range(8)]
-    with rt.replay(pair.end, speed=0) as replay:  # the replay shows all items at once
+    with rt.replay(pair.end, speed=0) as replay:  # the replay shows all items immediately
         group = replay.group("replayed-group")
         assert [item.payload for item in group["replayed-group/r"].subscribe(start=st.OLDEST)] == live
         assert len(group) == 2

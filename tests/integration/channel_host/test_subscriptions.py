@@ -249,7 +249,7 @@ async def test_an_impossible_subscription_is_refused(rig: Rig, fields: dict[str,
     assert words in (error.details() or "")
 
 
-async def test_an_advance_is_reported_at_once_though_there_is_no_item_to_send(
+async def test_an_advance_is_reported_immediately_though_there_is_no_item_to_send(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(

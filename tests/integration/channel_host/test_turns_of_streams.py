@@ -164,7 +164,7 @@ async def test_an_enqueue_waits_for_its_turn_before_the_host_checks_it(rig: Queu
     await heavy.connection.close()
 
 
-async def test_a_get_that_is_too_long_is_refused_at_once_and_does_not_wait_for_its_turn(host: Host) -> None:
+async def test_a_get_that_is_too_long_is_refused_immediately_and_does_not_wait_for_its_turn(host: Host) -> None:
     left = await host.open("left")
     heavy = Heavy(host.target, host.accounts)
     call: Any = heavy.connection.stream_stream("/stampede_rt.v1.ChannelService/Get")()

@@ -129,10 +129,12 @@ def test_a_lost_group_is_opened_again_with_its_members_and_its_events_report_the
     group.delete()
     for gone in (group.refresh, group.newest, group[left].newest):
         with pytest.raises(st.GroupNotFound, match="anew/pair"):
-            for_ever(gone)  # the directory knows of the deletion at once, and hosts a moment later
+            for_ever(gone)  # the directory knows of the deletion immediately, and hosts a moment later
 
 
-def test_matches_report_the_loss_at_once_and_continue_with_new_items(cluster: LocalCluster, rt: st.Connection) -> None:
+def test_matches_report_the_loss_immediately_and_continue_with_new_items(
+    cluster: LocalCluster, rt: st.Connection
+) -> None:
     left, right = rt.channel("anew/one", max_age="1h"), rt.channel("anew/two", max_age="1h")
     group = rt.group("anew/matched", [left, right])
     matches = group.match(per=left, tolerance="10ms")

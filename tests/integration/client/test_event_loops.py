@@ -1,4 +1,4 @@
-"""An awaited connection that a program uses on another event loop: each use raises an error about this at once."""
+"""An awaited connection that a program uses on another event loop: each use raises an error about this immediately."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Forked children: every entry point refuses an inherited connection at once. A connection of their own works."""
+"""Forked children: every entry point refuses an inherited connection immediately. A connection of their own works."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def entry_points(rt: Any, made: dict[str, Any]) -> dict[str, Callable[[], Any]]:
     }
 
 
-def test_each_call_in_a_forked_child_fails_at_once_and_the_parent_continues(cluster: LocalCluster) -> None:
+def test_each_call_in_a_forked_child_fails_immediately_and_the_parent_continues(cluster: LocalCluster) -> None:
     taken = threading.Event()
     with st.connect(cluster.address, name="forks-parent") as rt:
         camera = rt.channel("forks/camera", max_age="100s")
@@ -125,7 +125,7 @@ def test_each_call_in_a_forked_child_fails_at_once_and_the_parent_continues(clus
         assert rt.peer("forks-parent").alive
 
 
-async def test_each_call_in_a_forked_child_of_an_asyncio_program_fails_at_once(cluster: LocalCluster) -> None:
+async def test_each_call_in_a_forked_child_of_an_asyncio_program_fails_immediately(cluster: LocalCluster) -> None:
     async with aio.connect(cluster.address, name="forks-aio") as rt:
         camera = await rt.channel("forks/aio", max_age="100s")
         first = await camera.put(b"before")

@@ -135,7 +135,7 @@ def test_a_host_on_another_machine_shares_no_memory_and_the_error_gives_advice(
             channel.newest()
 
 
-def test_a_changed_policy_applies_at_once_to_readers_of_shared_memory(cluster: LocalCluster) -> None:
+def test_a_changed_policy_applies_immediately_to_readers_of_shared_memory(cluster: LocalCluster) -> None:
     with channel_of(cluster, "ring/policy") as channel:
         for number in range(5):
             channel.put(b"%d" % number)

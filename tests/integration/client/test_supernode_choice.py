@@ -125,7 +125,7 @@ def called(made: dict[str, Place]) -> list[str]:
     return [name for name, place in made.items() if place.calls]
 
 
-async def test_a_client_asks_all_supernodes_at_once_and_chooses_the_nearest(ask: Ask) -> None:
+async def test_a_client_asks_all_supernodes_at_the_same_time_and_chooses_the_nearest(ask: Ask) -> None:
     async with places(a1=LATER_SECONDS, b1=0.0, c1=2 * LATER_SECONDS) as (frontend, made):
         await ask(frontend, "")
     assert called(made) == ["b1"]

@@ -38,7 +38,9 @@ def run(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
     return command
 
 
-def test_a_replay_ignores_later_items_when_it_checks_what_the_channel_takes(run: Command, rt: st.Connection) -> None:
+def test_a_replay_ignores_later_items_when_it_checks_which_items_the_channel_takes(
+    run: Command, rt: st.Connection
+) -> None:
     channel, began = rt.channel("until/cam", max_age="60s"), st.now() - 30 * 10**9
     for number in range(10):
         channel.put(b"%d" % number, time=began + number * 10**9)

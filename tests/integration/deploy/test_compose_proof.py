@@ -104,7 +104,7 @@ def query(name: str, kind: int) -> bytes:
     ("name", "kind", "code", "answers"),
     [("supernode-1", 1, 0, 1), ("SUPERNODE-1", 1, 0, 1), ("supernode-1", 28, 0, 0), ("elsewhere", 1, 3, 0)],
 )
-def test_the_name_server_knows_the_services_and_rejects_other_names_at_once(
+def test_the_name_server_knows_the_services_and_rejects_other_names_immediately(
     name: str, kind: int, code: int, answers: int
 ) -> None:
     response = name_server.answer(query(name, kind), {"supernode-1": "10.0.0.3"})

@@ -135,7 +135,7 @@ def test_every_variable_is_a_setting_that_the_service_takes(overlay: list[Manife
 
 
 @pytest.mark.parametrize("name", SETTINGS)
-def test_ports_and_images_are_those_of_the_services(overlay: list[Manifest], name: str) -> None:
+def test_ports_and_images_agree_with_the_services(overlay: list[Manifest], name: str) -> None:
     one = container(workloads(overlay)[name])
     image = IMAGES.get(name, name.removeprefix("stampede-"))
     assert one["image"].partition(":")[0] == f"stampede-rt/{image}"

@@ -195,7 +195,7 @@ def test_a_signal_to_stop_ends_stampede_dev_with_code_0(home: Path, number: sign
         assert dev.all_ended()
 
 
-def test_a_second_ctrl_c_ends_stampede_dev_at_once_and_no_process_remains(home: Path) -> None:
+def test_a_second_ctrl_c_ends_stampede_dev_immediately_and_no_process_remains(home: Path) -> None:
     with running() as dev:
         while dev.process.poll() is None:  # the system may deliver two signals as one
             dev.process.send_signal(signal.SIGINT)

@@ -67,7 +67,7 @@ def shown(matches: Any, count: int | None = None) -> list[object]:
 
 
 @pytest.mark.parametrize("unique", [False, True])
-def test_matches_as_of_an_instant_are_those_that_a_subscription_got_at_once_then(
+def test_matches_as_of_an_instant_equal_the_matches_that_a_subscription_got_then(
     rt: st.Connection, unique: bool
 ) -> None:
     rig = Rig(rt, f"matches-{unique}")

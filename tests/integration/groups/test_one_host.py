@@ -54,7 +54,7 @@ async def test_a_member_that_is_silent_for_long_is_left_out_until_its_next_item(
     status = await host.status(group)
     assert status.cut_unix_nano == t + 2 * S
     assert {one.times.channel_id for one in status.members if one.idle} == {right.channel_id}
-    await right.put(t + 1)  # this item is late, and visible at once
+    await right.put(t + 1)  # this item is late, and visible immediately
     assert (await right.get(group))[0] == [t + 1, t + 1]
 
 

@@ -301,7 +301,7 @@ def test_a_refused_host_exits_with_one_sentence(
     assert not any("Traceback" in line for line in host.last_lines)
 
 
-def test_a_host_in_a_shell_with_a_clients_certificates_uses_those_of_its_own_file(
+def test_a_host_in_a_shell_with_a_clients_certificates_uses_the_certificates_of_its_own_file(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     clients, own = cluster.tls_files("shell"), cluster.tls_files("h7", Role.HOST)

@@ -1,4 +1,4 @@
-"""Ctrl-C before a service is ready ends it at once, without a traceback from an import."""
+"""Ctrl-C before a service is ready ends it immediately, without a traceback from an import."""
 
 from __future__ import annotations
 

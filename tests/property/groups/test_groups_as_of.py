@@ -21,7 +21,7 @@ from stampede_rt_channel_host.core.group import (
     VisibleChannel,
 )
 from tests.property.archived_channel import ArchivedChannel
-from tests.property.test_archive_against_memory import query_of, shown, tell
+from tests.property.test_archive_against_memory import put_in_both, query_of, shown
 
 SCENARIOS = 60
 READS = 15
@@ -80,7 +80,7 @@ def cut_of(small: dict[bytes, ArchivedChannel], as_of: int) -> int | None:
 @pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_a_past_cut_from_archives_that_have_dropped_items_is_right_or_names_the_missing_items(seed: int) -> None:
     draw = random.Random(seed)
-    told = {name: tell(draw, advances=True) for name in NAMES}
+    told = {name: put_in_both(draw, advances=True) for name in NAMES}
     large, small = {name: one[0] for name, one in told.items()}, {name: one[1] for name, one in told.items()}
     for channel in small.values():
         channel.archive()
@@ -107,7 +107,7 @@ def has_lost_its_newest(channel: ArchivedChannel, as_of: int) -> bool:
 @pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_a_group_read_as_of_an_instant_equals_the_read_at_that_instant(seed: int) -> None:
     draw = random.Random(seed)
-    told = {name: tell(draw, advances=True) for name in NAMES}
+    told = {name: put_in_both(draw, advances=True) for name in NAMES}
     large, small = {name: one[0] for name, one in told.items()}, {name: one[1] for name, one in told.items()}
     for channel in small.values():
         channel.archive()

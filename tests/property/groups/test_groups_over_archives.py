@@ -12,7 +12,7 @@ from stampede_rt.values.timeline import Match
 from stampede_rt_channel_host.core.archive import archived_read
 from stampede_rt_channel_host.core.channel import ReadAnswer
 from stampede_rt_channel_host.core.group import Horizon, VisibleChannel
-from tests.property.test_archive_against_memory import query_of, shown, tell
+from tests.property.test_archive_against_memory import put_in_both, query_of, shown
 
 SCENARIOS = 60
 READS = 20
@@ -37,7 +37,7 @@ def drawn_cut(draw: random.Random, now: int) -> int | None:
 @pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_a_group_read_over_an_archive_equals_one_over_memory(seed: int) -> None:
     draw = random.Random(seed)
-    large, small, positions, now = tell(draw, advances=draw.random() < 0.5)
+    large, small, positions, now = put_in_both(draw, advances=draw.random() < 0.5)
     overlap = large.policy.overlap_nanos or 0
     for _ in range(READS):
         query, horizon = query_of(draw, now, positions), horizon_at(drawn_cut(draw, now))
@@ -53,7 +53,7 @@ def test_a_group_read_over_an_archive_equals_one_over_memory(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_a_waiting_read_names_the_cut_that_releases_it_in_the_archive(seed: int) -> None:
     draw = random.Random(seed)
-    large, small, positions, now = tell(draw, advances=draw.random() < 0.5)
+    large, small, positions, now = put_in_both(draw, advances=draw.random() < 0.5)
     memory = VisibleChannel(large)
     for _ in range(READS):
         query = replace(query_of(draw, now, positions), complete=draw.random() < 0.4)

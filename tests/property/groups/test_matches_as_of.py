@@ -24,7 +24,7 @@ from stampede_rt_channel_host.core.group import LocalTrack, Matcher, OwnTimes
 from tests.property.archived_channel import ArchivedChannel
 from tests.property.channel_pair import items_of
 from tests.property.groups.test_groups_as_of import NAMES, Then
-from tests.property.test_archive_against_memory import tell
+from tests.property.test_archive_against_memory import put_in_both
 
 SCENARIOS = 120
 GROUP = GroupInfo(
@@ -86,9 +86,9 @@ def decided(then: Then, rule: MatchRule, start: int, as_of: int) -> tuple[list[o
 
 
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_matches_as_of_an_instant_are_those_that_a_host_decides_then(seed: int) -> None:
+def test_matches_as_of_an_instant_equal_the_matches_that_a_host_decides_then(seed: int) -> None:
     draw = random.Random(seed)
-    told = {name: tell(draw, advances=True) for name in NAMES}
+    told = {name: put_in_both(draw, advances=True) for name in NAMES}
     large, small = {name: one[0] for name, one in told.items()}, {name: one[1] for name, one in told.items()}
     for channel in small.values():
         channel.archive()
@@ -118,7 +118,7 @@ def test_matches_whose_archive_has_dropped_items_say_so() -> None:
     told = 0
     for seed in range(20):
         draw = random.Random(seed)
-        small = {name: tell(draw, advances=True) for name in NAMES}
+        small = {name: put_in_both(draw, advances=True) for name in NAMES}
         channels = {name: one[1] for name, one in small.items()}
         for channel in channels.values():
             channel.archive()

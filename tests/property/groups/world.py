@@ -289,8 +289,8 @@ class World:
     def lose(self, host: int, successor: int) -> list[bytes]:
         """Lose a host with all its channels. Another host begins the channels again. Returns these channels.
 
-        One of several hosts always stays. A single host is back at once. A group whose cut floor no host knows begins
-        anew.
+        One of several hosts always stays. A single host is back immediately. A group whose cut floor no host knows
+        begins anew.
         """
         lost = [one for one in CHANNELS if self.placed[one].owner == host]
         self.hosts[host] = Host(self.definitions)

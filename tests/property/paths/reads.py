@@ -33,7 +33,7 @@ class PathReads(PathAndOracle):
         self.settle()
 
     def get(self, query: Query, *, payloads: bool = True, waits_s: float = 0) -> st.Items:
-        """A get that is answered at once, or, with `waits_s`, at the end of its time."""
+        """A get that is answered immediately, or, with `waits_s`, at the end of its time."""
         reader = self.reader()
         book = OracleGet(query)
         at_once = None if waits_s else reader.read(query, reader.resolve(query))

@@ -1,4 +1,4 @@
-"""Rings in shared memory for these tests. Their readers use the host's steered clock, and open them again at once."""
+"""Rings in shared memory for these tests. Readers use the host's steered clock, and open rings again without pauses."""
 
 from __future__ import annotations
 

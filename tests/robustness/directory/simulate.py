@@ -283,7 +283,7 @@ class DirectoryTrial:
         world.after(random_source.uniform(0.3, 5.0), lambda: world.unblock(pairs))
 
 
-def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> DirectoryTrial:
+def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, lost_commits: int = 0) -> DirectoryTrial:
     """Run one seed: faults, healing, checks. Raises PromiseBroken or NotLinearizable. The arguments plant faults."""
     random_source = random.Random(f"directory-{seed}")
     size, fault_rates = random_source.choice([3, 3, 3, 5]), draw_fault_rates(random_source)
@@ -299,7 +299,7 @@ def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> 
         mock.patch("secrets.token_hex", lambda count: world.random_source.randbytes(count).hex()),
     ):
         for member in world.members.values():
-            member.disk.forgets = forgets
+            member.disk.lost_commits = lost_commits
             member.start()
         _revive(world)
         trial = DirectoryTrial(world)

@@ -27,8 +27,8 @@ def drive(
 ) -> None:
     """Make the coroutine, and run it to its end.
 
-    Once `alive` is False, it is not resumed any more, because its process was killed. `gate` calls a function at once,
-    or later if the process is frozen.
+    Once `alive` is False, it is not resumed any more, because its process was killed. `gate` calls a function
+    immediately, or later if the process is frozen.
     """
 
     coroutine: Coroutine[Start, Any, None] | None = None

@@ -129,4 +129,4 @@ def test_a_host_that_does_not_fence_itself_is_found(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_disk_that_forgets_acknowledged_writes_is_found() -> None:
-    assert found_within(40, forgets=1)
+    assert found_within(40, lost_commits=1)

@@ -130,7 +130,7 @@ class Upgrade:
     def _volunteer(self) -> None:
         """Start a process of either release that wants to join.
 
-        One of the older release is upgraded like the others.
+        A process of the older release is upgraded later, like the others.
         """
         if len(self._newcomers) == NEWCOMERS_MAX:
             return

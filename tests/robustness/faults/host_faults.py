@@ -70,7 +70,7 @@ async def restart_host(scene: Scene) -> None:
 
 
 async def kill_all_hosts(scene: Scene) -> None:
-    """Kill all hosts together, and start them again at once."""
+    """Kill all hosts together, and start them again immediately."""
     pinned = await pin(scene)
     began = time.monotonic()
     for host in scene.cluster.hosts:
@@ -105,7 +105,7 @@ async def kill_frontend(scene: Scene) -> None:
 
 
 async def kill_everything(scene: Scene) -> None:
-    """Kill supernodes, front-end and hosts together, and start them at once, as after a power failure."""
+    """Kill supernodes, front-end and hosts together, and start them immediately, as after a power failure."""
     pinned = await pin(scene)
     began = time.monotonic()
     for one in scene.cluster.processes():

@@ -48,7 +48,7 @@ async def kill_follower(scene: Scene) -> None:
 
 
 async def kill_all(scene: Scene) -> None:
-    """Kill all supernodes together, and start them at once.
+    """Kill all supernodes together, and start them immediately.
 
     The recovery includes their start. The report also gives the time of the start alone.
     """

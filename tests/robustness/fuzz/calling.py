@@ -12,9 +12,9 @@ from typing import Any
 
 import stampede_rt as st
 
-BOUND_S = (
-    30.0  # beyond its own time: the client tries for 10 s, and its last try may take as long, and a connection 3 s
-)
+BOUND_S = 30.0
+"""A call may exceed its own time by this much. The client tries for 10 s, its last try may take another 10 s, and a
+connection takes up to 3 s."""
 INTERRUPTED = object()
 FAILED = object()
 ENDED = object()

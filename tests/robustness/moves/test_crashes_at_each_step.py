@@ -375,7 +375,7 @@ async def test_a_second_move_is_refused_while_one_is_under_way() -> None:
         scenario.source.outgoing.begin(hosted, id_of(THIRD), "third:1")
 
 
-async def test_a_host_gives_a_limited_number_of_channels_away_at_once() -> None:
+async def test_a_host_gives_away_a_limited_number_of_channels_at_the_same_time() -> None:
     scenario = Scenario()
     hosted = await scenario.source.store.bind(scenario.world.channel_id, 1)
     scenario.world.allow(DESTINATION)

@@ -224,7 +224,7 @@ async def test_an_owner_that_renews_its_lease_late_finds_another_replica_and_ack
 
 
 @pytest.mark.parametrize("replica_at", PLACES)
-async def test_the_new_owner_dies_at_once_and_the_channel_comes_back_to_the_former_one(
+async def test_the_new_owner_dies_immediately_and_the_channel_comes_back_to_the_former_one(
     scenarios: list[ReplicatedScenario], replica_at: int
 ) -> None:
     """The former owner has the items of the new owner, whose place it may have taken as a replica."""

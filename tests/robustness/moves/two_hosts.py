@@ -106,7 +106,7 @@ class World:
                 self.happens(self)
 
     def kill(self, number: int) -> None:
-        """End a host at once. Its lease ends when `expire` is called."""
+        """End a host immediately. Its lease ends when `expire` is called."""
         host = self.hosts[number]
         host.alive = False
         for link in self.links:

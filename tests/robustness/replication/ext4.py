@@ -11,9 +11,9 @@ import subprocess
 import time
 from pathlib import Path
 
-# fs/ext4/ext4.h: stop at once, and do not even flush the journal. From then on every write and sync gives EIO. Unsynced
-# data is gone after the next mount, as after a power cut, because only the kernel had it: in its page cache and
-# journal.
+# fs/ext4/ext4.h: stop immediately, and do not even flush the journal. From then on every write and sync gives EIO.
+# Unsynced data is gone after the next mount, as after a power cut, because only the kernel had it: in its page cache
+# and journal.
 EXT4_IOC_SHUTDOWN = 0x8004587D
 NO_LOG_FLUSH = 2
 IMAGE_BYTES = 64 << 20

@@ -234,8 +234,8 @@ def _revive(world: World) -> None:
     world.after(0.4, lambda: _revive(world))
 
 
-def run(seed: int, *, rules: type = PreVoteElections, forgets: int = 0) -> World:
-    """Run one seed: faults, healing, checks. Raises PromiseBroken. `rules` and `forgets` plant faults."""
+def run(seed: int, *, rules: type = PreVoteElections, lost_commits: int = 0) -> World:
+    """Run one seed: faults, healing, checks. Raises PromiseBroken. `rules` and `lost_commits` plant faults."""
     random_source = random.Random(f"weather-{seed}")
     size, fault_rates, every = random_source.choice([1, 2, 3, 3, 3, 5]), draw_fault_rates(random_source), OFTEN
     if seed % 5 == 4:  # as in production: the snapshot is old, and many entries came after it
@@ -250,7 +250,7 @@ def run(seed: int, *, rules: type = PreVoteElections, forgets: int = 0) -> World
         seed, size=size, fault_rates=fault_rates, rules=rules, snapshot_every=every, kept_log_bytes=kept_log_bytes
     )
     for member in world.members.values():
-        member.disk.forgets = forgets
+        member.disk.lost_commits = lost_commits
         member.start()
     _revive(world)
     trial = Trial(world)

@@ -30,7 +30,7 @@ SECONDS_MAX = 30.0
 EXCHANGE = "/stampede_rt.v1.RaftService/Exchange"
 
 
-async def test_one_member_alone_commits_at_once(tmp_path: Path) -> None:
+async def test_one_member_alone_commits_immediately(tmp_path: Path) -> None:
     async with LiveCluster(1, tmp_path, timing=RaftTiming()) as cluster:
         [member] = cluster.all
         assert await running(member).propose(b"hello", timeout=SECONDS_MAX) == b"3"
@@ -122,7 +122,7 @@ async def test_a_command_over_the_limit_is_refused_by_name_and_size(tmp_path: Pa
             await log.propose(b"x" * (COMMAND_BYTES_MAX + 1), timeout=SECONDS_MAX)
 
 
-async def test_closing_ends_all_waiting_calls_at_once(tmp_path: Path) -> None:
+async def test_closing_ends_all_waiting_calls_immediately(tmp_path: Path) -> None:
     async with LiveCluster(3, tmp_path) as cluster:
         first, second, third = cluster.all
         await second.stop()
@@ -245,7 +245,7 @@ async def test_pickles_and_random_bytes_at_the_port_execute_nothing(tmp_path: Pa
         ({"protocol_version": 1}, grpc.StatusCode.FAILED_PRECONDITION),
     ],
 )
-async def test_a_caller_that_is_not_a_member_is_refused(
+async def test_a_stream_with_a_wrong_hello_is_refused(
     tmp_path: Path, changes: dict[str, Any], code: grpc.StatusCode
 ) -> None:
     async with LiveCluster(3, tmp_path) as cluster:

@@ -214,7 +214,7 @@ async def test_a_leader_that_the_majority_needs_is_not_removed_by_its_successor_
         assert len(running(await cluster.leader()).status().members) == 3
 
 
-async def test_a_leader_hands_over_at_once(tmp_path: Path) -> None:
+async def test_a_leader_hands_over_immediately(tmp_path: Path) -> None:
     async with LiveCluster(3, tmp_path, timing=STEADY) as cluster:
         leader = await cluster.leader()
         assert await running(leader).hand_over(timeout=30.0)

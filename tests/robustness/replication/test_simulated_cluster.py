@@ -121,7 +121,7 @@ def test_a_member_with_an_older_copy_of_its_disk_is_refused_and_nothing_is_lost(
     world, name, _ = cluster_without_faults()
     leader = world.members[name]
     victim, away = (member for member in world.members.values() if member is not leader)
-    former = victim.disk.survive()
+    former = victim.disk.copied()
     away.crash()
     for number in range(20):
         outcomes = world.propose(leader, b"%d" % number, timeout=5.0)
@@ -391,12 +391,12 @@ def test_a_planted_fault_in_the_rules_is_found(fault: type, first_seed: int) -> 
 
 
 def test_a_disk_that_forgets_acknowledged_writes_is_found() -> None:
-    assert any(is_caught(seed, forgets=1) for seed in range(60))
+    assert any(is_caught(seed, lost_commits=1) for seed in range(60))
 
 
-def is_caught(seed: int, *, rules: type = PreVoteElections, forgets: int = 0) -> bool:
+def is_caught(seed: int, *, rules: type = PreVoteElections, lost_commits: int = 0) -> bool:
     try:
-        run(seed, rules=rules, forgets=forgets)
+        run(seed, rules=rules, lost_commits=lost_commits)
     except (PromiseBroken, InvariantViolation):
         return True
     return False

@@ -86,7 +86,7 @@ class World:
         """Start a new process that asks to become a member, and knows the addresses of `seeds`."""
         name = f"m{len(self.members)}"
         newcomer = self._newcomer(Member(member_id=name, address=f"{name}:1"), seeds)
-        newcomer.disk.forgets = next(iter(self.members.values())).disk.forgets
+        newcomer.disk.lost_commits = next(iter(self.members.values())).disk.lost_commits
         self._place(newcomer)
         newcomer.start()
         return newcomer
@@ -161,7 +161,7 @@ class World:
         self._plan_connect(ends)
 
     def _stream_ends(self, ends: tuple[str, str]) -> None:
-        """Let the receiver notice the end at once or later, unless a new connection comes first."""
+        """Let the receiver notice the end immediately or later, unless a new connection comes first."""
         generation = self.wires[ends].generation
 
         def notice() -> None:

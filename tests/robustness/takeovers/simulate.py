@@ -25,7 +25,7 @@ PRODUCERS, PAUSE_SECONDS = 2, 0.15
 WITH_CLOCKS = (CopyState.__init__, Replication.__init__, AllowedMoves.__init__)
 
 
-class Found(NamedTuple):
+class RunFigures(NamedTuple):
     """The figures of one run."""
 
     acknowledged: int
@@ -76,7 +76,7 @@ class Trial:
         return f"stuck: {puts} puts since the faults were over; the owner has {states}, {self.policy}"
 
 
-async def _main(clock: VirtualClock, seed: int) -> Found:
+async def _main(clock: VirtualClock, seed: int) -> RunFigures:
     trial = Trial(clock, seed)
     callers = trial.callers
     producers = [asyncio.create_task(callers.produce(one + 1)) for one in range(PRODUCERS)]
@@ -93,9 +93,9 @@ async def _main(clock: VirtualClock, seed: int) -> Found:
             task.cancel()
         await trial.cluster.aclose()
     takeovers = len(trial.cluster.incarnations[trial.cluster.channel_id]) - 1
-    return Found(len(callers.acknowledged), takeovers, trial.moves, lost)
+    return RunFigures(len(callers.acknowledged), takeovers, trial.moves, lost)
 
 
-def run(seed: int) -> Found:
+def run(seed: int) -> RunFigures:
     """Play one seed. Raises AssertionError if a promise was broken."""
     return run_virtually(lambda clock: _main(clock, seed), seed, *WITH_CLOCKS)

@@ -33,7 +33,7 @@ DRAINS_AT_END = 3
 WITH_CLOCKS = (CopyState.__init__, AllowedMoves.__init__)
 
 
-class Found(NamedTuple):
+class RunFigures(NamedTuple):
     """The figures of one run."""
 
     acknowledged: int
@@ -141,7 +141,7 @@ class DrainTrial:
             await asyncio.sleep(0.1)
 
 
-async def _main(clock: VirtualClock, seed: int) -> Found:
+async def _main(clock: VirtualClock, seed: int) -> RunFigures:
     trial = DrainTrial(clock, seed)
     running = [asyncio.create_task(work) for one in trial.callers for work in (one.produce(1), one.read())]
     try:
@@ -162,12 +162,12 @@ async def _main(clock: VirtualClock, seed: int) -> Found:
             task.cancel()
         await trial.cluster.aclose()
     incarnations = trial.cluster.incarnations.values()
-    return Found(
+    return RunFigures(
         sum(len(one.acknowledged) for one in trial.callers), sum(len(one) - 1 for one in incarnations), trial.moved,
         trial.cluster.early_holds, trial.faults.breaks,
     )  # fmt: skip
 
 
-def run(seed: int) -> Found:
+def run(seed: int) -> RunFigures:
     """Play one seed. Raises AssertionError if a promise was broken."""
     return run_virtually(lambda clock: _main(clock, seed), seed, *WITH_CLOCKS)

@@ -31,7 +31,7 @@ LOOK_SECONDS = 0.2
 WITH_CLOCKS = (QueueReplication.__init__, MemoryBudget.__init__, AllowedMoves.__init__)
 
 
-class Found(NamedTuple):
+class RunFigures(NamedTuple):
     """The figures of one run."""
 
     acknowledged: int
@@ -152,7 +152,7 @@ class QueueTrial:
         return sum(len(one.lost() - dead) for one in self.jobs.incarnations.values())
 
 
-async def play(trial: QueueTrial, disturb: Callable[[], Awaitable[None]]) -> Found:
+async def play(trial: QueueTrial, disturb: Callable[[], Awaitable[None]]) -> RunFigures:
     """Play one run. `disturb` makes the faults, which `heal` ends. Raises AssertionError if a promise was broken."""
     producers = [asyncio.create_task(trial.produce(one + 1)) for one in range(PRODUCERS)]
     works = [trial.look(), *(taker.run() for taker in trial.takers)]
@@ -169,14 +169,14 @@ async def play(trial: QueueTrial, disturb: Callable[[], Awaitable[None]]) -> Fou
         await trial.cluster.aclose()
     epochs = trial.cluster.queue(trial.cluster.jobs_id).epoch
     acked = sum(len(one.acked) for one in trial.jobs.incarnations.values())
-    return Found(trial.jobs.put(), acked, len(trial.dead.messages()), epochs, trial.moves, lost)
+    return RunFigures(trial.jobs.put(), acked, len(trial.dead.messages()), epochs, trial.moves, lost)
 
 
-async def _main(clock: VirtualClock, seed: int) -> Found:
+async def _main(clock: VirtualClock, seed: int) -> RunFigures:
     trial = QueueTrial(clock, seed)
     return await play(trial, trial.faults.disturb)
 
 
-def run(seed: int) -> Found:
+def run(seed: int) -> RunFigures:
     """Play one seed. Raises AssertionError if a promise was broken."""
     return run_virtually(lambda clock: _main(clock, seed), seed, *WITH_CLOCKS)

@@ -41,7 +41,7 @@ class Stage:
         return f"{self.prefix}-taker"
 
     def name(self, last: str) -> str:
-        """The whole name of a thing."""
+        """The whole name of a channel, group or queue: `prefix` and `last`."""
         return f"{self.prefix}/{last}"
 
     def path(self, name: str) -> str:
@@ -55,9 +55,9 @@ class Stage:
 
     @contextmanager
     def busy(self) -> Iterator[None]:
-        """While the block runs, items, channels and messages come, for commands that wait for news."""
+        """Put items, make channels and send messages until the block ends, for commands that wait for a change."""
         over = threading.Event()
-        thread = threading.Thread(target=self._make_news, args=(over,), daemon=True)
+        thread = threading.Thread(target=self._make_changes, args=(over,), daemon=True)
         thread.start()
         try:
             yield
@@ -65,7 +65,7 @@ class Stage:
             over.set()
             thread.join(20)
 
-    def _make_news(self, over: threading.Event) -> None:
+    def _make_changes(self, over: threading.Event) -> None:
         left, right = (self.rt.channel(self.name(side)) for side in ("left", "right"))
         for number in count():
             if over.wait(0.02):
@@ -221,9 +221,9 @@ EVERY: dict[str, Words] = {
     "demo": lambda s: ["demo"],
     "bench": lambda s: ["bench", "--help"],
 }
-"""The words of a command, by the verb and its variant. They work in any order."""
+"""The words of a command, by the verb and its variant. The commands may run in any order."""
 WAITS_FOR_NEWS = ("watch", "group watch", "group match", "mailbox get")
-"""The commands that end with the next news. `Stage.busy` makes some."""
+"""The commands that wait until something changes, and then end. `Stage.busy` makes changes."""
 WITHOUT_JSON = ("completion", "bench")
 """The commands that print no data."""
 NOT_RUN = (
@@ -231,4 +231,4 @@ NOT_RUN = (
     *("demo tv-watcher", "demo stereo", "demo rover"),
     *("bench paper", "bench matching", "bench growth", "bench capacity", "bench limits", "bench peers"),
 )
-"""The commands that need another supernode or a long time. The tests of their subjects compare their fields."""
+"""The commands that need another supernode or a long time. Other tests compare the fields that these commands print."""

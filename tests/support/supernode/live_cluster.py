@@ -43,7 +43,7 @@ def dial(address: str) -> grpc.aio.Channel:
 
 
 class LiveMember:
-    """One member: its folder and address stay, its log and server come and go."""
+    """One member. Its folder and address stay. Each start makes another log and server."""
 
     def __init__(self, member_id: str, folder: Path | None, on_fatal: Callable[[BaseException], None]) -> None:
         self.folder = folder

@@ -1,4 +1,4 @@
-"""A ReplicatedLog of one replica that applies at once. A test controls its failures and its leadership."""
+"""A ReplicatedLog of one replica that applies immediately. A test controls its failures and its leadership."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.store import SnapshotTrailer, StoreChanges, StoredSnapshot, StoredState
 
-# The most commits under way. A step's writes begin with the step.
+# The most commits that may be under way together. All writes of one step of the replica begin with the step.
 COMMITS_PER_STEP_MAX = 4
 
 
@@ -23,12 +23,12 @@ class Commit(NamedTuple):
 
 @dataclass
 class Disk:
-    """Outlives its replica. A commit that has begun and not ended may survive a crash, or not."""
+    """A disk that stays when its replica crashes. A crash keeps or loses a commit whose sync has not ended."""
 
-    # A planted fault: commits are acknowledged but kept only from the next but `forgets`-th on.
-    forgets: int = 0
+    # A planted fault: a loss of power also deletes this number of commits that the disk has acknowledged as synced.
+    lost_commits: int = 0
     commits: list[Commit] = field(default_factory=lambda: [Commit(0.0, 0.0, StoredState())])
-    # All pieces of snapshots, by last log index and number. Without a trailer they count for nothing.
+    # All pieces of snapshots, by last log index and number. No reader sees them before the trailer is stored.
     pieces: dict[tuple[int, int], bytes] = field(default_factory=dict)
 
     @property
@@ -46,26 +46,28 @@ class Disk:
         while kept + 1 < len(self.commits) and self.commits[kept + 1].began <= now and lucky():
             kept += 1
         del self.commits[kept + 1 :]
-        del self.commits[len(self.commits) - min(self.forgets, len(self.commits) - 1) :]
+        del self.commits[len(self.commits) - min(self.lost_commits, len(self.commits) - 1) :]
 
     def put_back(self, state: StoredState) -> None:
         """Restore a backup of the disk."""
         self.commits = [Commit(0.0, 0.0, state)]
 
-    def survive(self) -> StoredState:
-        """A copy of the stored data."""
+    def copied(self) -> StoredState:
+        """A copy of the data that the running process reads."""
         return replace(self.newest, entries=list(self.newest.entries))
 
 
 class DiskStore:
-    """A Store over a Disk, with the meaning of SqliteStore. `write` spends the time of a commit: (begin, end)."""
+    """A Store over a Disk, with the meaning of SqliteStore. `write` returns when a commit begins, and when its sync
+    ends.
+    """
 
     def __init__(self, disk: Disk, write: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0)) -> None:
         self._disk = disk
         self._write = write
 
     def load(self) -> StoredState:
-        return self._disk.survive()
+        return self._disk.copied()
 
     def commit(self, changes: StoreChanges) -> None:
         began, durable = self._write()
@@ -73,7 +75,7 @@ class DiskStore:
             self._disk.pieces[piece.last_log_index, piece.number] = piece.data
         state = _applied(self._disk.newest, changes, self._disk.pieces)
         self._disk.commits.append(Commit(began, durable, state))
-        del self._disk.commits[: -COMMITS_PER_STEP_MAX - 1 - self._disk.forgets]
+        del self._disk.commits[: -COMMITS_PER_STEP_MAX - 1 - self._disk.lost_commits]
 
     def close(self) -> None:
         pass

@@ -82,7 +82,7 @@ def test_the_error_for_a_url_with_credentials_does_not_repeat_them(url: str) -> 
     assert "//" in str(caught.value)
 
 
-def test_the_processes_share_an_object_store_and_have_folders_and_parts_of_the_cache_of_their_own() -> None:
+def test_the_processes_share_an_object_store_and_each_has_its_own_folder_and_part_of_the_cache() -> None:
     words = ["--processes", "2", "--archive", "s3://b/rig", "--archive-cache-bytes", "2 GiB"]
     found = each(*words, "--data-dir", "/data")
     assert [one.archive for one in found] == ["s3://b/rig"] * 2

@@ -12,7 +12,7 @@ from stampede_rt_channel_host.supervisor import (
 )
 
 
-def test_the_pauses_of_a_process_that_fails_at_once_grow_up_to_a_bound() -> None:
+def test_the_pauses_of_a_process_that_fails_immediately_grow_up_to_a_bound() -> None:
     pauses = RestartPauses()
     found = [pauses.after(0.1) for _ in range(10)]
     assert found[:3] == [PAUSE_SECONDS_MIN, 2 * PAUSE_SECONDS_MIN, 4 * PAUSE_SECONDS_MIN]

@@ -42,7 +42,7 @@ def test_an_interruption_is_reported_and_has_the_shells_exit_code(monkeypatch, c
     assert "nothing is left running" in capsys.readouterr().err
 
 
-def test_a_picture_that_cannot_be_written_is_found_out_at_once(tmp_path, capsys):
+def test_a_picture_that_cannot_be_written_is_found_out_immediately(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert app.main(["tv-watcher", "--picture", str(tmp_path / "file" / "picture.png")]) == 1
     assert "picture" in capsys.readouterr().err

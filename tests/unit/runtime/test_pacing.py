@@ -99,7 +99,7 @@ async def test_a_cancelled_caller_uses_up_no_turn() -> None:
 
 
 class Stream:
-    """A context whose reads and writes are done at once."""
+    """A context whose reads and writes are done immediately."""
 
     def __init__(self) -> None:
         self.written: list[bytes] = []
@@ -289,7 +289,7 @@ async def test_streams_that_yield_their_responses_continue_and_end_a_few_in_each
     await asyncio.wait(calls)
 
 
-async def test_messages_are_answered_at_once_for_a_bounded_time_in_each_turn() -> None:
+async def test_messages_are_answered_immediately_for_a_bounded_time_in_each_turn() -> None:
     now, turns, step = 0, LoopTurns(), pacing.AT_ONCE_NANOS // 4
     budget = AtOnceBudget(lambda: now)
 
@@ -309,7 +309,7 @@ async def test_messages_are_answered_at_once_for_a_bounded_time_in_each_turn() -
     assert sorted(turns.went_on.values()) == [4, 4, 4]
 
 
-async def test_a_loop_with_pauses_answers_every_message_at_once() -> None:
+async def test_a_loop_with_pauses_answers_every_message_immediately() -> None:
     now = 0
     budget = AtOnceBudget(lambda: now)
     for _ in range(100):
@@ -319,7 +319,7 @@ async def test_a_loop_with_pauses_answers_every_message_at_once() -> None:
         now += pacing.AT_ONCE_NANOS // 2  # the pause
 
 
-async def test_a_caller_beyond_its_share_is_not_answered_at_once_and_answers_count_for_it(
+async def test_a_caller_beyond_its_share_is_not_answered_immediately_and_answers_count_for_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Socket:

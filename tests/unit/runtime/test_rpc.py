@@ -74,7 +74,7 @@ async def test_an_unexpected_error_passes_unchanged(method: Any) -> None:
     assert call.status is None
 
 
-async def test_the_stream_of_a_disconnected_caller_is_closed_at_once() -> None:
+async def test_the_stream_of_a_disconnected_caller_is_closed_immediately() -> None:
     servicer, call = Servicer(), Call()
     stream: Any = servicer.stream("hello", call)  # type: ignore[arg-type]
     assert await anext(stream) == "first"
@@ -82,7 +82,7 @@ async def test_the_stream_of_a_disconnected_caller_is_closed_at_once() -> None:
     assert servicer.closed
 
 
-async def test_the_first_step_runs_at_once_and_the_rest_when_it_is_awaited() -> None:
+async def test_the_first_step_runs_immediately_and_the_rest_when_it_is_awaited() -> None:
     steps: list[str] = []
     waits = asyncio.get_running_loop().create_future()
 

@@ -136,7 +136,7 @@ async def test_a_stop_signal_ends_the_run_of_a_server(number: signal.Signals) ->
     assert server.stopping.is_set()
 
 
-async def test_a_second_signal_ends_a_stopping_server_at_once() -> None:
+async def test_a_second_signal_ends_a_stopping_server_immediately() -> None:
     probe = Probe()
     server = ServiceServer(secret=None)
     probe.register(server.grpc)

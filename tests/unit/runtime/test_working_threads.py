@@ -26,7 +26,7 @@ def test_calls_have_results_and_errors() -> None:
         threads.submit(divmod, 7, 2)
 
 
-def test_as_many_calls_run_at_once_as_there_are_threads() -> None:
+def test_as_many_calls_run_at_the_same_time_as_there_are_threads() -> None:
     threads, met = WorkingThreads(3, "test"), threading.Barrier(3)
     assert sorted(one.result(LIMIT_S) for one in [threads.submit(met.wait, LIMIT_S) for _ in range(3)]) == [0, 1, 2]
     threads.shutdown()

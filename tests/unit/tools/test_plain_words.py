@@ -37,6 +37,8 @@ def test_other_docstrings_pass(text: str) -> None:
         ("test_one_that_is_missing_is_replaced", "one_that"),
         ("test_messages_come_to_whoever_asks", "whoever"),
         ("test_a_read_passes_whatever_the_rules", "whatever"),
+        ("test_a_host_serves_its_own_items_and_those_of_others", "those"),
+        ("test_a_check_says_what_failed", "what"),
     ],
 )
 def test_a_name_of_a_test_without_its_noun_is_found(name: str, words: str) -> None:
@@ -47,3 +49,16 @@ def test_a_name_of_a_test_without_its_noun_is_found(name: str, words: str) -> No
 @pytest.mark.parametrize("name", ["test_an_item_that_goes_is_counted", "test_one_owner_keeps_it", "what_goes"])
 def test_other_names_pass(name: str) -> None:
     assert list(complaints("a.py", f"def {name}(): ...\n")) == []
+
+
+@pytest.mark.parametrize(
+    "source", ['"""It ends at once."""', "def test_it_ends_at_once(): ...", "def test_at_once(): ..."]
+)
+def test_words_with_two_meanings_are_found(source: str) -> None:
+    (line,) = complaints("a.py", source)
+    assert line.startswith('a.py:1: say "immediately" or "at the same time"')
+
+
+@pytest.mark.parametrize("source", ["def take_at_once(): ...", '"""Look at `take_at_once`."""'])
+def test_other_names_with_these_words_pass(source: str) -> None:
+    assert list(complaints("a.py", source)) == []

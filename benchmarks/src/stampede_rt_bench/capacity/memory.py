@@ -22,7 +22,8 @@ Fill = Callable[[aio.Connection, str, int], Awaitable[None]]
 
 
 def measure_memory(items: int, rounds: int) -> dict[str, Spread]:
-    """Return the growth of a host's resident memory, in bytes for one thing of each kind, and EMPTY in bytes.
+    """Return the growth of a host's resident memory in bytes for one thing of each kind. EMPTY: the memory of the host
+    alone.
 
     In each round the host gets `items` items of 64 B one by one, and other things in numbers that take similar memory.
     It keeps all of them. A first small round does not count, because the host then loads code and fills its caches.

@@ -43,7 +43,7 @@ def measure_groups(counts: Sequence[int], operations: int, runs: int) -> dict[in
 
 
 def _in_turn(one: st.Channel, other: st.Channel, payload: bytes) -> Callable[[], object]:
-    """A put into each of both channels in turn: every put moves the cuts of their groups."""
+    """Put into the two channels alternately, so that every put moves the cuts of their groups."""
     turns = itertools.cycle((one, other))
     return lambda: next(turns).put(payload)
 

@@ -1,7 +1,7 @@
 """The interface of a measured system: a server that the benchmark starts, and a client with five kinds of work.
 
-A client's methods take iterators, and the client iterates. So the event loop of a client on asyncio runs from one
-operation to the next, as in a user's program.
+A client's methods take iterators, and the client itself loops over them. The event loop of an asyncio client therefore
+keeps running between two operations, as in a user's program.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Receiver(Protocol):
         """Take one item. A system without times or seqs gives 0."""
 
     def take_block(self, items: int, payload: Block) -> None:
-        """Take `items` items in one payload. Only the limits call this, because they know no items."""
+        """Take `items` items in one payload. Only the systems in `limits` call this: they have no items."""
 
     def ended(self) -> bool:
         """Whether the client must stop. The client asks at least ten times a second."""

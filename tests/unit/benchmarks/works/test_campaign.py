@@ -33,7 +33,7 @@ def test_a_system_with_half_the_time_or_twice_the_rate_is_twice_as_fast() -> Non
     assert found.speed(PUT, "a", "b") == found.speed(STREAM, "a", "b") == 2
 
 
-def test_the_most_readers_are_those_of_the_largest_run_with_little_lost_in_the_median() -> None:
+def test_most_readers_is_the_largest_number_of_readers_with_a_small_median_loss() -> None:
     few, many = frames(64, 8), frames(64, 16)
     found = results({few: {"a": [measured()]}, many: {"a": [measured(lost=0.5), measured(), measured(lost=0.02)]}})
     assert found.most_readers([few, many], "a", 0.01) == 8

@@ -32,7 +32,7 @@ def decode(body: bytes) -> Run:
     return run_at(int(body))
 
 
-def test_the_cache_of_blocks_keeps_those_used_last_within_its_limit(tmp_path: Path) -> None:
+def test_the_cache_of_blocks_keeps_the_blocks_used_last_within_its_limit(tmp_path: Path) -> None:
     kept = KeptBlocks(bytes_max=20_000)
     files = SegmentFiles(tmp_path, {}, kept)
     files.open(1)

@@ -35,7 +35,7 @@ def success_of(recorder: ChannelRecorder, monkeypatch: pytest.MonkeyPatch) -> as
     return succeeded
 
 
-def test_a_wait_for_stable_storage_makes_the_archive_write_at_once(
+def test_a_wait_for_stable_storage_makes_the_archive_write_immediately(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def scenario() -> str:

@@ -80,7 +80,7 @@ async def test_a_wait_for_a_state_before_a_break_ends_even_if_it_begins_after_th
     assert await replicas.replicated(NEXT, None, period)
 
 
-async def test_a_wait_that_begins_after_the_host_has_given_the_thing_up_ends_at_once() -> None:
+async def test_a_wait_that_begins_after_the_host_has_given_the_thing_up_ends_immediately() -> None:
     replicas = Replicas()
     replicas.know([KnownReplica(REPLICA, 1, False)])
     replicas.close()

@@ -186,7 +186,9 @@ async def test_items_of_lost_owners_that_come_to_the_store_later_are_all_there(t
 
 @pytest.mark.usefixtures("quick_looks")
 @pytest.mark.asyncio
-async def test_an_owner_that_follows_a_lost_one_says_collected_for_what_the_limits_have_removed(tmp_path: Path) -> None:
+async def test_an_owner_that_follows_a_lost_one_says_collected_for_items_that_the_limits_have_removed(
+    tmp_path: Path,
+) -> None:
     store = FakeStore()
     await left(tmp_path / "a", store, 1, 10)
     store.delete([name for name in store.objects if name.endswith(".stopped")])

@@ -284,7 +284,7 @@ async def test_an_older_process_of_a_host_does_not_register_again_while_the_newe
         await newer.supernodes.aclose()
 
 
-async def test_a_permanent_error_ends_the_start_at_once() -> None:
+async def test_a_permanent_error_ends_the_start_immediately() -> None:
     async with directory() as fake:
         fake.refuse["RegisterHost"] = PermissionDenied("not this one")
         host = Host(fake.target)

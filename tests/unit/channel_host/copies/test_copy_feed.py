@@ -1,4 +1,4 @@
-"""The requests of a copy to its source: a replica reports progress at once, and a silent feed costs few messages."""
+"""The requests of a copy to its source. A replica reports progress immediately. A silent feed costs few messages."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Rig:
         return self.feed._owes_request
 
 
-def test_a_replica_reports_new_items_at_once_and_a_sign_of_life_needs_no_report() -> None:
+def test_a_replica_reports_new_items_immediately_and_a_sign_of_life_needs_no_report() -> None:
     rig = Rig()
     rig.hears()  # the copy has caught up
     assert not rig.hears()

@@ -16,7 +16,7 @@ CHANNELS = [b"c%d" % at for at in range(2 * NAMED_MAX)]
 
 
 class Channel:
-    """A connection and its stream. `is_open` set: the host takes messages, and answers each at once."""
+    """A connection and its stream. `is_open` set: the host takes messages, and answers each immediately."""
 
     def __init__(self) -> None:
         self.is_open = asyncio.Event()

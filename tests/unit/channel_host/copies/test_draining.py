@@ -202,7 +202,7 @@ async def test_a_frozen_host_delays_no_channel(monkeypatch: pytest.MonkeyPatch) 
     assert len({*free.taken}) == 20  # the drain may repeat a call that was late on a busy machine
 
 
-async def test_a_drain_ends_at_once_if_all_hosts_stop() -> None:
+async def test_a_drain_ends_immediately_if_all_hosts_stop() -> None:
     moved, left = await drained(2, Host(always=SHUTTING_DOWN), Host(always=SHUTTING_DOWN))
     assert moved == 0
     assert set(left) == {"cam/0", "cam/1"}

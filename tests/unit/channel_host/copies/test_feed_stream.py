@@ -195,7 +195,7 @@ async def test_an_error_while_a_part_is_sent_ends_the_feed_and_not_the_put(monke
         assert replication._feeds == {}, "the feed is over"
 
 
-async def test_a_replica_without_credit_gets_nothing_at_once() -> None:
+async def test_a_replica_without_credit_gets_nothing_in_the_turn_of_the_put() -> None:
     async with fed() as one:
         one.feed.connection.at_once = None  # so that the stream takes no request meanwhile
         stream = one.hosted.replication

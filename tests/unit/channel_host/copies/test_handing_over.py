@@ -42,7 +42,7 @@ class Source:
         self.puts.put(run, self.now)
 
 
-def test_an_idle_channel_is_held_and_handed_over_at_once() -> None:
+def test_an_idle_channel_is_held_and_handed_over_immediately() -> None:
     source = Source()
     source.put(2)
     source.now += IDLE_NANOS

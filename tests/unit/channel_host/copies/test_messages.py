@@ -1,4 +1,4 @@
-"""The parts of feeds, there and back."""
+"""Each part of a feed is the same after encoding and decoding."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def test_channels_whose_maker_has_no_name_of_its_own_may_use_all_moves(maker: st
         slots.take(one)
 
 
-def test_fewer_queues_than_channels_move_at_once() -> None:
+def test_fewer_queues_than_channels_move_at_the_same_time() -> None:
     slots = MoveSlots("to host h1", of_queues=True)
     for _ in range(QUEUE_MOVES_MAX):
         slots.take(MADE)

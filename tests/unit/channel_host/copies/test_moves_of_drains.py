@@ -73,7 +73,7 @@ async def turns() -> None:
 
 
 async def nothing(channel_id: bytes) -> None:
-    """Succeed at once."""
+    """Succeed immediately."""
 
 
 async def test_each_move_has_its_own_outcome() -> None:

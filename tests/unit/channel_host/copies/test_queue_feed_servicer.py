@@ -51,7 +51,7 @@ async def test_a_feed_that_another_owner_has_replaced_begins_no_copy_when_its_qu
     assert not begun
 
 
-def test_a_feed_takes_only_steps_at_once() -> None:
+def test_a_feed_takes_only_steps_in_the_turn_of_their_arrival() -> None:
     """The other host may need a thread for a whole queue."""
     room = SimpleNamespace(claim=lambda size: None, set=lambda size: None)
     copies = SimpleNamespace(drop=lambda queue_id: None, of=lambda queue_id: None)

@@ -5,7 +5,7 @@ import pytest
 from stampede_rt_channel_host.core.token_bucket import TokenBucket
 
 
-def test_a_burst_is_allowed_at_once_and_the_rest_at_the_rate() -> None:
+def test_a_burst_is_allowed_immediately_and_the_rest_at_the_rate() -> None:
     bucket = TokenBucket(rate=100, burst=50, now_s=0)
     assert bucket.spend(50, 0) == 0
     assert bucket.spend(10, 0) == pytest.approx(0.1)

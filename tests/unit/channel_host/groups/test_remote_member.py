@@ -72,7 +72,7 @@ async def test_a_match_does_not_wait_long_for_an_idle_member_whose_host_does_not
 
 
 class EndingOnce(channel_service_pb2_grpc.ChannelServiceServicer):
-    """A host that ends the first subscription at once. It keeps the requests of each subscription."""
+    """A host that ends the first subscription immediately. It keeps the requests of each subscription."""
 
     def __init__(self) -> None:
         self.calls: list[list[pb.SubscribeRequest]] = []

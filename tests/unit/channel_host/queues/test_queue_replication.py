@@ -100,7 +100,7 @@ def test_an_owner_without_a_minimum_continues_without_replicas() -> None:
     assert owner.done == ["one"]
 
 
-def test_an_owner_deletes_the_steps_that_every_replica_has_and_keeps_those_that_a_slow_feed_lacks() -> None:
+def test_an_owner_deletes_the_steps_that_every_replica_has_and_keeps_the_steps_that_a_slow_feed_lacks() -> None:
     owner = Owner()
     owner.put("one")
     owner.feed.next_step = 2

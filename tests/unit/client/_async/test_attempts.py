@@ -114,7 +114,7 @@ async def test_no_try_may_take_longer_than_the_call(taken_s: float, clock: Clock
 
 
 @pytest.mark.parametrize("error", [st.ChannelNotFound("none"), st.InvalidArgument("wrong")])
-async def test_a_permanent_error_is_raised_at_once(clock: Clock, error: Any) -> None:
+async def test_a_permanent_error_is_raised_immediately(clock: Clock, error: Any) -> None:
     place = Place()
     with pytest.raises(type(error)):
         await attempt(place, Operation(error), 10)
@@ -146,7 +146,7 @@ async def test_a_call_beyond_a_quota_that_time_frees_is_repeated_until_its_deadl
     assert (await tries("changes-per-second", clock))[1] == pytest.approx(10)
 
 
-async def test_an_operation_follows_the_first_move_of_its_channel_at_once_and_later_ones_after_pauses(
+async def test_an_operation_follows_the_first_move_of_its_channel_immediately_and_later_ones_after_pauses(
     clock: Clock,
 ) -> None:
     place, moved = Place(), error_for("MOVED", "the channel has moved", {})

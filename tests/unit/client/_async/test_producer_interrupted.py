@@ -31,7 +31,7 @@ class Interrupted(BaseException):
 
 
 class Host:
-    """A session with one channel, and the host's side of its streams. It acknowledges at once, unless `holds_acks`."""
+    """A session with one channel, and the host's side of its streams, which acknowledges puts unless `holds_acks`."""
 
     closed = inherited = False
     here = None

@@ -56,7 +56,7 @@ def made(reconnect: Any = None, **settings: Any) -> Reconnecting:
     return Reconnecting(Session(), "the subscription to channel 'cam'", reconnect, **settings)  # type: ignore[arg-type]
 
 
-async def test_the_error_of_a_stream_that_never_opened_is_raised_at_once(clock: Clock) -> None:
+async def test_the_error_of_a_stream_that_never_opened_is_raised_immediately(clock: Clock) -> None:
     one = made()
     with pytest.raises(st.Unavailable):
         await one.open(Opening(st.Unavailable("no")))
@@ -107,7 +107,7 @@ async def test_reconnecting_with_a_time_limit_of_zero_tries_once(clock: Clock) -
 
 
 @pytest.mark.parametrize("error", [st.IncarnationLost("gone"), st.ChannelNotFound("gone"), st.PermissionDenied("no")])
-async def test_an_error_that_a_retry_cannot_mend_is_raised_at_once(clock: Clock, error: st.StampedeError) -> None:
+async def test_an_error_that_a_retry_cannot_mend_is_raised_immediately(clock: Clock, error: st.StampedeError) -> None:
     with pytest.raises(type(error)):
         await made(held=True).open(Opening(error))
     assert clock.slept == []

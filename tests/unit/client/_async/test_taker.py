@@ -268,7 +268,7 @@ async def test_a_getter_that_is_cancelled_in_its_first_step_takes_nothing() -> N
     assert not taker._waiting
 
 
-async def test_a_poll_returns_a_message_at_once_that_another_caller_had_asked_for() -> None:
+async def test_a_poll_returns_a_message_immediately_that_another_caller_had_asked_for() -> None:
     """In an earlier version, the poll already had its message, but waited 12 s for a stream on which to ask for another
     one.
     """

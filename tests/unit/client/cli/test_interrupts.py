@@ -85,7 +85,7 @@ def test_ctrl_c_closes_the_connections_and_waits_for_the_work() -> None:
     assert ended(program) == (130, "unwound\n")
 
 
-def test_a_second_ctrl_c_ends_the_work_at_once() -> None:
+def test_a_second_ctrl_c_ends_the_work_immediately() -> None:
     program = f"""
     def work():
         interrupts.interruption.closes(ctrl_c)
@@ -164,7 +164,7 @@ def test_an_interrupt_that_a_weakref_callback_swallows_ends_the_process_all_the_
     assert "Traceback" not in said or "Exception ignored" in said
 
 
-def test_a_second_ctrl_c_ends_the_cleanup_at_once() -> None:
+def test_a_second_ctrl_c_ends_the_cleanup_immediately() -> None:
     program = f"""
     with interrupts.unwinding(signal.SIGINT, limit_s={FOREVER}):
         try:
@@ -176,7 +176,7 @@ def test_a_second_ctrl_c_ends_the_cleanup_at_once() -> None:
     assert ended(program) == (130, "")
 
 
-def test_a_service_that_is_still_loaded_ends_at_once() -> None:
+def test_a_service_that_is_still_loaded_ends_immediately() -> None:
     program = """
     with interrupts.ended_at_once():
         ctrl_c()

@@ -45,7 +45,7 @@ def test_a_quiet_channel_does_not_delay_the_others() -> None:
     assert [one.item.time for one in all_of(merge, 1.5)] == list(range(10))
 
 
-def test_an_item_with_an_earlier_time_than_a_printed_one_is_late_and_printed_at_once() -> None:
+def test_an_item_with_an_earlier_time_than_a_printed_one_is_late_and_printed_immediately() -> None:
     merge = merge_of("a", "b")
     merge.offer("a", item(5))
     assert [one.late for one in all_of(merge, 1.0)] == [False]

@@ -186,7 +186,7 @@ def test_a_record_is_not_read_beyond_the_end_of_its_file(tmp_path: Path) -> None
     assert damages[0].offset == 8
 
 
-def test_the_classes_of_the_mcap_library_are_those_that_this_code_expects() -> None:
+def test_the_classes_of_the_mcap_library_are_the_classes_that_this_code_expects() -> None:
     assert {"compression", "data", "uncompressed_crc", "uncompressed_size"} <= set(Chunk.__dataclass_fields__)
     assert {"id", "topic", "message_encoding", "metadata", "schema_id"} <= set(Channel.__dataclass_fields__)
 

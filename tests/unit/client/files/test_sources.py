@@ -74,7 +74,7 @@ def test_an_interval_of_a_file_has_the_same_gaps_as_a_cut_of_the_file(
     assert [one.first_seq for one in counts.gaps] == gaps
 
 
-def test_a_source_that_is_read_again_has_the_same_gaps_and_those_of_channels_without_items(tmp_path: Path) -> None:
+def test_a_source_reports_the_same_gaps_when_it_is_read_again_also_of_channels_without_items(tmp_path: Path) -> None:
     early, other = gap("cam", 1, 4), gap("lost", 1, 9)
     path = write(tmp_path / "a.mcap", [*entries("imu", [1, 2]), early, other, *entries("cam", [5, 6])], chunk_items=4)
     source = McapSource(path)

@@ -48,7 +48,7 @@ def test_a_reader_that_gets_all_items_by_repairs_leaves_multicast() -> None:
     assert pace.next_step(0.0, is_missing=False)[0] is Step.WAIT
 
 
-def test_a_reader_opens_another_stream_at_once_after_the_end_of_the_datagrams() -> None:
+def test_a_reader_opens_another_stream_immediately_after_the_end_of_the_datagrams() -> None:
     pace = RepairPace(0.0)
     pace.ended()
     assert pace.next_step(0.0, is_missing=True)[0] is Step.REOPEN

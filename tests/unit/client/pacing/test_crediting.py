@@ -17,7 +17,7 @@ FRAME = 18_000
 
 
 class Reader:
-    """Takes items that are available at once, each in a stated time."""
+    """Takes items, each in a stated time. All items are available from the start."""
 
     def __init__(self, window: CreditWindow, item_bytes: int) -> None:
         self.window = window

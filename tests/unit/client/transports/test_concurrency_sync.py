@@ -256,7 +256,7 @@ def test_a_call_returns_after_its_step_though_another_thread_runs_steps_meanwhil
     first.join(10)
 
 
-def test_a_flag_that_is_set_and_cleared_at_once_wakes_all_waiting_callers() -> None:
+def test_a_flag_that_is_set_and_then_cleared_wakes_all_waiting_callers() -> None:
     """In an earlier version, such a flag woke only one of the waiting callers."""
     signals, woken = Signal(), list[bool]()
     waiting = [threading.Thread(target=lambda: woken.append(signals.wait(10))) for _ in range(5)]

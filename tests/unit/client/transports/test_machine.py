@@ -7,7 +7,7 @@ import socket
 from stampede_rt.transports.machine import send_more_at_once
 
 
-def test_the_system_takes_a_message_of_300_kb_at_once() -> None:
+def test_the_system_takes_a_message_of_300_kb_in_one_call() -> None:
     sending, receiving = socket.socketpair()
     with sending, receiving:
         sending.setblocking(False)

@@ -228,7 +228,7 @@ async def test_responses_that_come_together_go_to_the_user() -> None:
         assert [await asyncio.wait_for(reading, 20), await anext(call)] == [b"a", b"b"]
 
 
-async def test_the_user_gets_the_error_of_a_response_that_is_taken_at_once() -> None:
+async def test_the_user_gets_the_error_of_a_response_that_is_taken_in_the_turn_of_its_arrival() -> None:
     async with opened() as (call, far):
 
         def fail(_: bytes) -> bool:
@@ -242,7 +242,7 @@ async def test_the_user_gets_the_error_of_a_response_that_is_taken_at_once() -> 
             await asyncio.wait_for(reading, 20)
 
 
-async def test_nothing_is_written_at_once_after_the_end() -> None:
+async def test_nothing_is_written_without_a_wait_after_the_end() -> None:
     async with opened() as (call, _):
         call.cancel()
         assert call.write_now is None

@@ -23,7 +23,7 @@ def runs_of(*items: WaitingItem) -> list[NumberedRun]:
     return runs
 
 
-def test_the_bytes_without_an_ack_are_those_of_their_payloads_and_items() -> None:
+def test_the_bytes_without_an_ack_are_the_charged_bytes_of_their_runs() -> None:
     unacked = UnackedRuns()
     assert unacked.length_bytes == 0
     for run in runs_of(item(b"a" * 10), item(b"b" * 20, kind="text/plain"), item(b"c" * 30)):

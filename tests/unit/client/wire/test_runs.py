@@ -43,7 +43,7 @@ def test_every_decoded_column_is_as_it_was_encoded(columns: list[tuple[int, int,
 
 
 @given(items, some.integers(1, 2**63), some.booleans(), some.data())
-def test_the_columns_of_a_sealed_run_are_those_that_a_parser_finds(
+def test_the_columns_of_a_sealed_run_are_the_columns_that_a_parser_finds(
     columns: list[tuple[int, int, bytes]], first_seq: int, stamped: bool, data: some.DataObject
 ) -> None:
     _, durations, payloads = zip(*columns, strict=True)
@@ -60,7 +60,7 @@ def test_the_columns_of_a_sealed_run_are_those_that_a_parser_finds(
 
 
 @given(some.binary(max_size=60))
-def test_bytes_that_are_no_run_have_no_columns_or_those_that_a_parser_finds(raw: bytes) -> None:
+def test_bytes_that_are_no_run_have_no_columns_or_the_columns_that_a_parser_finds(raw: bytes) -> None:
     found = sealed_columns(raw)
     if found is not None and item_parses(raw):
         assert [*found.lengths] == [*item_pb2.ItemRun.FromString(raw).payload_length_bytes]

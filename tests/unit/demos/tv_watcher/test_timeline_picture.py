@@ -42,7 +42,9 @@ def span_items(number: int) -> dict[str, list[Item]]:
 
 @pytest.fixture
 def picture() -> ModuleType:
-    """The module that draws. It imports matplotlib, which takes a second in each process that collects the tests."""
+    """The module that draws. An import at the top of this file would load matplotlib in each process that collects
+    tests.
+    """
     return importlib.import_module("stampede_rt_demos.tv_watcher.timeline_picture")
 
 

@@ -91,7 +91,7 @@ def test_a_caller_beyond_its_share_gets_its_percentage_of_the_time_in_order() ->
     assert 190 <= len(served) <= 260  # 25 % of a second, in steps of 1 ms
 
 
-def test_a_waiting_caller_continues_at_once_when_the_other_callers_become_idle() -> None:
+def test_a_waiting_caller_continues_immediately_when_the_other_callers_become_idle() -> None:
     loop = Loop()
     heavy, light = loop.caller(), loop.caller()
     loop.works(light, MS)
@@ -163,7 +163,7 @@ def test_a_caller_behind_a_line_waits_even_if_there_is_time() -> None:
     assert heavy.must_wait
 
 
-def test_a_caller_does_not_wait_for_a_few_messages_at_once() -> None:
+def test_a_caller_with_a_few_messages_in_a_row_does_not_wait() -> None:
     loop = Loop()
     one, other = loop.caller(), loop.caller()
     loop.works(other, MS)

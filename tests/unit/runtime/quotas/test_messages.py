@@ -39,7 +39,7 @@ def test_an_unknown_quota_is_refused_in_a_request_and_ignored_in_a_response_of_a
     assert list(known_settings([newer, known])) == [QuotaSetting("*", Quota.STREAMS, 3)]
 
 
-def test_refused_callers_are_listed_first_and_then_those_nearest_to_their_limit() -> None:
+def test_refused_callers_are_listed_first_and_then_the_callers_nearest_to_their_limit() -> None:
     def use(subject: str, used: int, limit: int, refused: int = 0) -> QuotaUse:
         return QuotaUse(subject=subject, quota=Quota.STREAMS, used=used, limit=limit, refused=refused)
 

@@ -95,7 +95,7 @@ async def test_a_caller_without_a_limit_never_waits() -> None:
     assert not work.must_wait
 
 
-async def test_a_changed_share_takes_effect_at_once() -> None:
+async def test_a_changed_share_takes_effect_immediately() -> None:
     accounts = Accounts(loop_shares=loop_shares())
     heavy, light = accounts.of("heavy"), accounts.of("light")
     accounts.set_table(QuotaTable([QuotaSetting("heavy", Quota.CPU_PERCENT, 2**62)]))

@@ -208,7 +208,7 @@ async def test_a_close_cancels_the_method(port: Open) -> None:
         await asyncio.wait_for(one.streams.cancelled.acquire(), 20)
 
 
-async def test_a_close_cancels_at_once_a_method_that_reads_no_further_messages(port: Open) -> None:
+async def test_a_close_cancels_immediately_a_method_that_reads_no_further_messages(port: Open) -> None:
     async with port() as one:
         async with raw_stream(one.target) as stream:
             await stream.begin(READ_LATER)

@@ -38,7 +38,7 @@ OVERLOADED = grpc.StatusCode.RESOURCE_EXHAUSTED.value[0]
         (b"\xff" * 100, "which may not come here"),
     ],
 )
-async def test_a_connection_that_begins_with_other_bytes_than_an_opening_is_refused_at_once(
+async def test_a_connection_that_begins_with_other_bytes_than_an_opening_is_refused_immediately(
     port: Open, sent: bytes, why: str
 ) -> None:
     async with port() as one, raw_stream(one.target) as stream:

@@ -168,7 +168,7 @@ async def test_the_tls_of_an_ended_connection_is_freed_without_the_garbage_colle
             gc.enable()
 
 
-async def test_an_unfinished_handshake_does_not_stop_the_heartbeats_of_others(
+async def test_an_unfinished_handshake_does_not_stop_the_signs_of_life_on_other_streams(
     port: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In an earlier version, one connection without a handshake ended all signs of life of the host."""

@@ -27,7 +27,7 @@ def test_a_folder_that_others_can_enter_is_not_used(tmp_path: Path) -> None:
         listen_at_new_path(link)
 
 
-def test_the_paths_of_dead_processes_are_removed_and_those_of_live_ones_are_kept(tmp_path: Path) -> None:
+def test_the_paths_of_dead_processes_are_removed_and_the_paths_of_live_processes_are_kept(tmp_path: Path) -> None:
     first, dead = listen_at_new_path(tmp_path / "s")
     first.close()
     second, alive = listen_at_new_path(tmp_path / "s")

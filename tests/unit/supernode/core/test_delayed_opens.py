@@ -1,7 +1,7 @@
 """A request to open that arrives late, after its caller already got an answer, creates nothing.
 
 The scenario: a caller opens `cam`, gets no answer, and tries again at another supernode. `cam` exists by then, so the
-supernode answers the second attempt at once, without an entry in the log. Another caller deletes `cam`. Then the
+supernode answers the second attempt immediately, without an entry in the log. Another caller deletes `cam`. Then the
 directory applies the first attempt, which was under way all the time. In an earlier version, the directory kept no
 record of the request, so the first attempt created the channel again.
 """

@@ -89,7 +89,7 @@ def test_an_answer_is_kept_for_longer_than_a_request_may_be_repeated() -> None:
     log = Log()
     log.apply(register(1))
     done = log.apply(open_channel("cam"), op_id=id_of(77))
-    # The first mark may come at once, and the request may be under way for one more mark.
+    # The first mark may come immediately, and the request may be under way for one more mark.
     for _ in range(REPEAT_NANOS_MAX // MARK_NANOS + 2):
         log.mark_time()
         assert log.apply(open_channel("cam"), op_id=id_of(77)) == done

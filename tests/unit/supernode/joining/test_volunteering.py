@@ -1,4 +1,6 @@
-"""A newcomer that the members refuse keeps a note, and does not ask again at once however often it is started."""
+"""A newcomer that the members refuse keeps a note, and does not ask again immediately, however often the process is
+started.
+"""
 
 from __future__ import annotations
 

@@ -179,7 +179,7 @@ async def test_registering_answers_with_ttl_cluster_and_the_channels_held_for_th
     assert [(channel.name, channel.epoch) for channel in again.channels] == [("cam", 2)]
 
 
-async def test_a_host_that_leaves_frees_its_channels_at_once(node: Node) -> None:
+async def test_a_host_that_leaves_frees_its_channels_immediately(node: Node) -> None:
     before = await node.open("cam", host_name="one")
     await node.stub.DeregisterHost(pb.DeregisterHostRequest(request_id=id_of(1), host_id=id_of(1), boot_incarnation=1))
     resolved = await node.stub.ResolveChannel(pb.ResolveChannelRequest(name="cam"))

@@ -187,7 +187,7 @@ async def test_another_boot_can_neither_renew_nor_leave(node: Node) -> None:
     await node.peers.DeregisterPeer(leaving(99))  # a peer that is not registered counts as having left
 
 
-async def test_peers_are_listed_by_name_and_those_without_a_name_last(node: Node) -> None:
+async def test_peers_are_listed_by_name_and_peers_without_a_name_last(node: Node) -> None:
     for number, name in ((5, "b"), (6, "a"), (4, ""), (3, ""), (9, "a/x")):
         await node.peers.RegisterPeer(entering(number, name))
     names, token = [], ""

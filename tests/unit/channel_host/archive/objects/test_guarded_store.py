@@ -1,4 +1,4 @@
-"""A store behind a guard: while it fails, one call tries it, and the others fail at once."""
+"""A store behind a guard: while it fails, one call tries it, and the others fail immediately."""
 
 from __future__ import annotations
 

@@ -122,7 +122,9 @@ async def test_a_host_stops_even_if_the_store_does_not_answer(
 
 
 @pytest.mark.asyncio
-async def test_the_files_of_a_channel_that_moved_away_are_uploaded_at_once_or_after_a_restart(tmp_path: Path) -> None:
+async def test_the_files_of_a_channel_that_moved_away_are_uploaded_immediately_or_after_a_restart(
+    tmp_path: Path,
+) -> None:
     store = FakeStore()
     store.failure = "away"
     async with host(tmp_path, store) as one:

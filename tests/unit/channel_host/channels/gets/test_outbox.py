@@ -1,5 +1,5 @@
 """The outbox writes all answers of a stream: one message of each in turn, within its bounds. It needs no task to
-write a single message that the reader takes at once.
+write a single message that the reader takes immediately.
 """
 
 from __future__ import annotations

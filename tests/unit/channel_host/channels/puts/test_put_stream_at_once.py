@@ -85,7 +85,7 @@ async def test_a_request_of_a_few_runs_is_acked_in_the_turn_in_which_it_arrives(
         assert [ack.first_seq for ack in found] == [*range(1, runs + 1)]
 
 
-async def test_a_repeated_put_gets_its_former_ack_at_once() -> None:
+async def test_a_repeated_put_gets_its_former_ack_immediately() -> None:
     async with stream_of("Put") as (stream, channel):
         former = stream.send(put_of(channel, 1))
         assert acks_in(stream.send(put_of(channel, 1)))[0].first_seq == acks_in(former)[0].first_seq == 1
@@ -109,7 +109,7 @@ async def test_puts_that_arrive_together_are_acked_together_and_in_order() -> No
         assert acks_in(stream.send(put_of(channel, 31)))[0].first_seq == 31
 
 
-async def test_runs_of_a_producer_that_arrive_one_by_one_are_acked_at_once() -> None:
+async def test_runs_of_a_producer_that_arrive_one_by_one_are_acked_immediately() -> None:
     async with stream_of("Put") as (stream, channel):
         assert acks_in(stream.send(put_of(channel, 1)))[0].first_seq == 1
         for number in (2, 3):
@@ -152,7 +152,7 @@ async def test_the_newest_item_is_read_in_the_turn_in_which_the_request_arrives(
             assert response.HasField("summary")
 
 
-async def test_an_answer_of_several_messages_begins_at_once_and_is_complete() -> None:
+async def test_an_answer_of_several_messages_begins_immediately_and_is_complete() -> None:
     async with stream_of("Get") as (stream, channel):
         for number in range(1, 8):
             await channel.put(run_of(bytes(300_000), number=number))

@@ -46,7 +46,7 @@ class Store:
 
 
 class Reader:
-    """The far end of the stream. It takes all messages at once."""
+    """The far end of the stream. It takes all messages immediately."""
 
     def __init__(self) -> None:
         self.requests = asyncio.Queue[bytes]()
@@ -115,7 +115,7 @@ async def test_a_reader_that_asks_early_still_learns_of_a_loss() -> None:
         assert (answer.repair_next_seq, answer.cursor.incarnation) == (3, 5)
 
 
-async def test_a_request_that_arrives_while_the_host_waits_for_its_turn_is_answered_at_once() -> None:
+async def test_a_request_that_arrives_while_the_host_waits_for_its_turn_is_answered_immediately() -> None:
     class Work:
         must_wait = True
 

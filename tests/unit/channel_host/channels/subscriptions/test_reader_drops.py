@@ -31,7 +31,7 @@ def test_a_channel_does_not_list_the_readers_of_a_group_with_the_same_name() -> 
         assert readers.dropped("a") == 0
 
 
-def test_a_channel_counts_drops_of_its_open_readers_and_the_sums_keep_those_of_closed_readers() -> None:
+def test_a_channel_counts_drops_of_its_open_readers_and_the_sums_keep_the_drops_of_closed_readers() -> None:
     readers = Readers()
     with readers.reading("a") as first:
         with readers.reading("a") as second:

@@ -38,7 +38,7 @@ class Store:
 
 
 class Stream:
-    """A stream to a reader that takes all messages at once, or only the first one."""
+    """A stream to a reader that takes all messages immediately, or only the first one."""
 
     def __init__(self, *, stalls: bool = False) -> None:
         self.taken: list[bytes] = []

@@ -77,7 +77,7 @@ def test_an_item_before_the_newest_collected_bucket_is_too_old_but_one_in_it_is_
     assert times_of(get(channel).slices) == [10, 20]
 
 
-def test_an_item_that_max_age_would_collect_at_once_is_too_old() -> None:
+def test_an_item_that_max_age_would_collect_immediately_is_too_old() -> None:
     channel = a_channel(max_age_nanos=100)
     put(channel, CLOCK - 50)
     assert put(channel, CLOCK - 500).run is not None, (
@@ -199,7 +199,7 @@ def test_a_waiting_put_without_consumers_is_accepted_after_the_clock_has_passed_
     assert channel.counters(CLOCK + 51).held == 1
 
 
-def test_a_put_beside_the_newest_item_of_a_full_channel_is_refused_at_once_if_nothing_can_make_room() -> None:
+def test_a_put_beside_the_newest_item_of_a_full_channel_is_refused_immediately_if_nothing_can_make_room() -> None:
     """In an earlier version, the put waited until its timeout and blocked all later puts, because the newest bucket
     never becomes too old.
     """

@@ -96,7 +96,7 @@ def test_a_new_consumer_gets_an_ended_place_before_an_unused_one() -> None:
     assert held(channel, CLOCK + 5) == [1, 2, 3], "the second place was never taken"
 
 
-def test_a_place_is_given_up_at_once_by_a_lease_of_zero() -> None:
+def test_a_place_is_given_up_immediately_by_a_lease_of_zero() -> None:
     channel = three_items()
     channel.consume(ANN, [1, 2, 3], CLOCK)
     channel.consume(BOB, [1], CLOCK)

@@ -48,7 +48,7 @@ def test_a_list_finds_the_neighbours_of_a_key(added: list[int], key: int) -> Non
 
 
 @given(times, keys, keys, some.integers(0, 61))
-def test_a_range_has_all_entries_between_two_keys_except_those_below_a_seq(
+def test_a_range_has_all_entries_between_two_keys_except_entries_below_a_seq(
     added: list[int], low: int, high: int, seq: int
 ) -> None:
     made, entries = filled(added)

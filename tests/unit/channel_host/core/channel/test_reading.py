@@ -247,7 +247,7 @@ def test_a_complete_get_returns_the_found_items_when_it_is_given_up() -> None:
     assert (answer.complete, answer.reason) == (False, "NOT_YET")
 
 
-def test_a_blocking_get_below_the_frontier_answers_collected_at_once() -> None:
+def test_a_blocking_get_below_the_frontier_answers_collected_immediately() -> None:
     channel = a_channel(max_items=1)
     put(channel, 10, 50)
     pending = channel.begin(Query(interval=parse_interval(10, 20)), CLOCK)

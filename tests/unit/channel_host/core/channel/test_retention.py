@@ -51,7 +51,7 @@ def test_max_items_and_max_bytes_collect_the_oldest_items_and_each_item_adds_64_
     assert by_bytes.counters(CLOCK).collected == {"age": 0, "count": 0, "bytes": 1, "consumption": 0}
 
 
-def test_a_stricter_policy_collects_at_once_and_the_reason_names_its_limit() -> None:
+def test_a_stricter_policy_collects_immediately_and_the_reason_names_its_limit() -> None:
     channel = a_channel(max_items=100)
     put(channel, *range(10, 100, 10))
     channel.configure(Policy(max_items=2), CLOCK)

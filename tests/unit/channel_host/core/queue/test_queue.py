@@ -337,7 +337,7 @@ def test_an_item_for_the_dead_letter_queue_is_held_until_it_has_departed() -> No
     assert core.dispatched() == {1: [2]}
 
 
-def test_a_lowered_number_of_deliveries_applies_at_once_to_items_that_were_delivered_more_often() -> None:
+def test_a_lowered_number_of_deliveries_applies_immediately_to_items_that_were_delivered_more_often() -> None:
     core = Core(max_deliveries=9, dead_letters=True)
     core.put(1, 1, 1)
     core.taker(1, credit=5)
@@ -400,7 +400,7 @@ def test_the_line_of_runs_that_wait_is_bounded_by_number_and_bytes(monkeypatch: 
         core.put(100)
 
 
-def test_the_waiting_runs_of_one_caller_leave_room_for_those_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_waiting_runs_of_one_caller_leave_room_for_the_runs_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """In an earlier version, a few large runs of one caller made the queue refuse the runs of all others, which could
     have waited.
     """
@@ -418,7 +418,7 @@ def test_the_waiting_runs_of_one_caller_leave_room_for_those_of_others(monkeypat
     assert not core.put(3500, owner="greedy").is_done, "one run of each caller may wait, however large"
 
 
-def test_one_call_handles_a_bounded_number_of_ended_leases_and_the_next_call_is_due_at_once() -> None:
+def test_one_call_handles_a_bounded_number_of_ended_leases_and_the_next_call_is_due_immediately() -> None:
     core = Core(lease_nanos=10)
     for _ in range(8):
         core.put(*[1] * 256)

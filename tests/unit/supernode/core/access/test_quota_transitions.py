@@ -32,7 +32,7 @@ def test_a_setting_replaces_an_earlier_one_for_the_same_callers_and_each_change_
     assert log.apply(SetQuotas(settings=(lower, OTHERS))) == QuotasSet(changed=False, version=version)
 
 
-def test_the_settings_of_some_callers_are_removed_by_quota_or_all_at_once() -> None:
+def test_the_settings_of_some_callers_are_removed_by_quota_or_all_together() -> None:
     log = Log()
     log.apply(SetQuotas(settings=(STREAMS, WAITING, OTHERS)))
     removed = log.apply(RemoveQuotas(who="cam-*", quotas=(Quota.WAITING_CALLS,)))

@@ -47,7 +47,7 @@ def test_a_recorded_channel_is_placed_on_a_host_with_an_archive_even_if_others_a
     assert opened(log, "later", archive_bytes=2**20).host.name == "host-2"
 
 
-def test_a_new_recorded_channel_is_refused_at_once_where_no_host_can_record_it() -> None:
+def test_a_new_recorded_channel_is_refused_immediately_where_no_host_can_record_it() -> None:
     log = log_at(ARCHIVE_LEVEL)
     log.apply(register(1))
     refused = log.apply(open_channel("recorded", archive_nanos=HOUR))

@@ -86,7 +86,7 @@ def test_a_destination_that_is_lost_or_has_restarted_cannot_commit(log: Log) -> 
     assert cam(log).host_id == id_of(1)
 
 
-def test_the_former_owner_continues_the_incarnation_if_the_new_owner_is_lost_at_once(log: Log) -> None:
+def test_the_former_owner_continues_the_incarnation_if_the_new_owner_is_lost_immediately(log: Log) -> None:
     incarnation = cam(log).incarnation
     move(log, 2, 1)
     log.apply(expire(2, registered_index=3))
@@ -107,7 +107,7 @@ def test_a_former_owner_that_replaces_a_replica_becomes_one_of_the_same_kind(log
     assert (cam(log).incarnation == before.incarnation) is acknowledged
 
 
-def test_the_former_owner_comes_before_a_replica_if_the_new_owner_is_lost_at_once(log: Log) -> None:
+def test_the_former_owner_comes_before_a_replica_if_the_new_owner_is_lost_immediately(log: Log) -> None:
     """The former owner has more channels than the replica's host, which the directory would choose otherwise."""
     log.apply(open_channel("other", host="host-1"))
     log.apply(add_replica(cam(log).channel_id, 3, warm=True, acknowledged=True))

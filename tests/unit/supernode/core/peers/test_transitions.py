@@ -224,7 +224,7 @@ def test_a_caller_can_change_a_mailbox_but_cannot_delete_it(log: Log) -> None:
     assert queues(log) == []
 
 
-def test_the_mailboxes_of_a_lost_host_move_to_another_host_at_once(log: Log) -> None:
+def test_the_mailboxes_of_a_lost_host_move_to_another_host_immediately(log: Log) -> None:
     held = mailbox(log, 7, "planner", mailbox_host_name="one", incarnation=5)
     log.apply(open_queue("jobs", host="one"))
     log.apply(deregister(1))
@@ -270,7 +270,7 @@ def test_the_limit_of_peers_refuses_new_peers_but_no_registered_peer(log: Log, m
     enter(log, 8)
 
 
-def test_the_directory_keeps_the_changes_of_peers_apart_from_those_of_channels(log: Log) -> None:
+def test_the_directory_keeps_the_changes_of_peers_apart_from_the_changes_of_channels(log: Log) -> None:
     before = log.directory.tables.changes.end_position
     for number in range(100, 110):
         enter(log, number)

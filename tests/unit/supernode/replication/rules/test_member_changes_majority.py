@@ -76,7 +76,7 @@ def test_a_new_leader_removes_a_member_as_soon_as_enough_members_have_answered()
     assert [type(outcome) for outcome in outcomes] == [int]
 
 
-def test_a_member_that_is_down_can_be_removed_at_once() -> None:
+def test_a_member_that_is_down_can_be_removed_immediately() -> None:
     leader = Leader("b")
     leader.remove("c")
     assert not leader.has("c")

@@ -39,7 +39,8 @@ class FedHoldings(Holdings):
     def follow(self, collection: Collection) -> None:
         """Collect the items that the source has collected, and take over the facts about them.
 
-        A copy that was the owner may have collected a little more than the source. The source soon collects these, too.
+        A copy that was the owner may have collected a few items that the source still holds. The source collects them
+        soon.
         """
         if collection.floor_resets == self.floor_resets and collection.floor < self.floor:
             return
@@ -52,7 +53,7 @@ class FedHoldings(Holdings):
         self.newest_consumed, self.came_up_to = collection.newest_consumed, collection.came_up_to
 
     def _one_below(self, key: ItemKey) -> OldestItems | None:
-        """The only item below `key`, found without a walk; None: there is none, or there may be more."""
+        """The item below `key` if there is exactly one. None: there is none, or the index needs a longer search."""
         oldest = self.index.oldest_item(self.floor)
         if oldest is None or oldest.last is None or (oldest.last.first_time, oldest.last.first_seq) >= key:
             return None

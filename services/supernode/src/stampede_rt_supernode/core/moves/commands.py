@@ -13,7 +13,7 @@ class CommitMove(Operation):
     """Make a host the owner of a channel, which keeps its incarnation. `epoch`: the epoch that the move began with.
 
     `permit`: the owner's permit for that host, see `move_permits`; only the owner itself needs none. The owner writes
-    this command with its own id as `to_host_id` to end a move to another host: the epoch rises, so the directory
+    this command with its own id as `to_host_id` to abort a move to another host: the epoch rises, so the directory
     refuses the commit of that host.
     """
 

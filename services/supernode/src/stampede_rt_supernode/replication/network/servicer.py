@@ -213,7 +213,7 @@ class RaftServicer:
             if member_id not in self._replica.roster.peers:
                 raise MalformedMessage(f"{member_id!r} is no longer a member")
             if request.HasField("hello") or len(request.messages) > REQUEST_MESSAGES_MAX:
-                raise MalformedMessage("a second hello, or too many messages at once")
+                raise MalformedMessage("a second hello, or too many messages in one request")
             for message in request.messages:
                 self._replica.deliver(Received(member_id, decode_message(message), message.ByteSize()))
             if loop.time() - answered_at >= ANSWER_SECONDS:
