@@ -147,7 +147,7 @@ class MarkTimeCommand(_message.Message):
     def __init__(self, tenure: _Optional[int] = ..., after_index: _Optional[int] = ...) -> None: ...
 
 class OpenChannelCommand(_message.Message):
-    __slots__ = ("name", "spec", "create", "host_name", "new_channel_id", "new_incarnation", "created_by", "created_max", "beside")
+    __slots__ = ("name", "spec", "create", "host_name", "new_channel_id", "new_incarnation", "created_by", "created_max", "beside", "waited_for_index")
     NAME_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     CREATE_FIELD_NUMBER: _ClassVar[int]
@@ -157,6 +157,7 @@ class OpenChannelCommand(_message.Message):
     CREATED_BY_FIELD_NUMBER: _ClassVar[int]
     CREATED_MAX_FIELD_NUMBER: _ClassVar[int]
     BESIDE_FIELD_NUMBER: _ClassVar[int]
+    WAITED_FOR_INDEX_FIELD_NUMBER: _ClassVar[int]
     name: str
     spec: _channel_pb2.ChannelSpec
     create: bool
@@ -166,7 +167,8 @@ class OpenChannelCommand(_message.Message):
     created_by: str
     created_max: int
     beside: str
-    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_channel_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., created_by: _Optional[str] = ..., created_max: _Optional[int] = ..., beside: _Optional[str] = ...) -> None: ...
+    waited_for_index: int
+    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_channel_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., created_by: _Optional[str] = ..., created_max: _Optional[int] = ..., beside: _Optional[str] = ..., waited_for_index: _Optional[int] = ...) -> None: ...
 
 class UpdateChannelCommand(_message.Message):
     __slots__ = ("channel_id", "epoch", "spec")
@@ -185,7 +187,7 @@ class DeleteChannelCommand(_message.Message):
     def __init__(self, channel_id: _Optional[bytes] = ...) -> None: ...
 
 class RegisterHostCommand(_message.Message):
-    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "version", "new_incarnation", "registration_epoch", "has_archive", "continues_boot_incarnation", "move_key", "private", "machine")
+    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "version", "new_incarnation", "registration_epoch", "has_archive", "continues_boot_incarnation", "move_key", "private", "machine", "archive_wait_nanos")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     GATEKEEPERS_FIELD_NUMBER: _ClassVar[int]
@@ -198,6 +200,7 @@ class RegisterHostCommand(_message.Message):
     MOVE_KEY_FIELD_NUMBER: _ClassVar[int]
     PRIVATE_FIELD_NUMBER: _ClassVar[int]
     MACHINE_FIELD_NUMBER: _ClassVar[int]
+    ARCHIVE_WAIT_NANOS_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     name: str
     gatekeepers: _containers.RepeatedCompositeFieldContainer[_directory_pb2.Endpoint]
@@ -210,7 +213,8 @@ class RegisterHostCommand(_message.Message):
     move_key: bytes
     private: bool
     machine: str
-    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., has_archive: bool = ..., continues_boot_incarnation: _Optional[int] = ..., move_key: _Optional[bytes] = ..., private: bool = ..., machine: _Optional[str] = ...) -> None: ...
+    archive_wait_nanos: int
+    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., has_archive: bool = ..., continues_boot_incarnation: _Optional[int] = ..., move_key: _Optional[bytes] = ..., private: bool = ..., machine: _Optional[str] = ..., archive_wait_nanos: _Optional[int] = ...) -> None: ...
 
 class DeregisterHostCommand(_message.Message):
     __slots__ = ("host_id", "boot_incarnation")
@@ -837,14 +841,16 @@ class GroupEntry(_message.Message):
     def __init__(self, record: _Optional[_Union[_group_pb2.GroupRecord, _Mapping]] = ..., witness_host_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
 
 class HostEntry(_message.Message):
-    __slots__ = ("record", "registered_index", "move_key")
+    __slots__ = ("record", "registered_index", "move_key", "archive_wait_nanos")
     RECORD_FIELD_NUMBER: _ClassVar[int]
     REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
     MOVE_KEY_FIELD_NUMBER: _ClassVar[int]
+    ARCHIVE_WAIT_NANOS_FIELD_NUMBER: _ClassVar[int]
     record: _directory_pb2.HostRecord
     registered_index: int
     move_key: bytes
-    def __init__(self, record: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., registered_index: _Optional[int] = ..., move_key: _Optional[bytes] = ...) -> None: ...
+    archive_wait_nanos: int
+    def __init__(self, record: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., registered_index: _Optional[int] = ..., move_key: _Optional[bytes] = ..., archive_wait_nanos: _Optional[int] = ...) -> None: ...
 
 class RememberedOperation(_message.Message):
     __slots__ = ("op_id", "log_index", "subject", "result", "caller")

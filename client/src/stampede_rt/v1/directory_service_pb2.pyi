@@ -148,7 +148,7 @@ class DeleteChannelResponse(_message.Message):
     def __init__(self) -> None: ...
 
 class RegisterHostRequest(_message.Message):
-    __slots__ = ("request_id", "host_id", "name", "gatekeepers", "boot_incarnation", "version", "protocol_version", "registration_epoch", "has_archive", "continues_boot_incarnation", "move_key", "private", "machine")
+    __slots__ = ("request_id", "host_id", "name", "gatekeepers", "boot_incarnation", "version", "protocol_version", "registration_epoch", "has_archive", "continues_boot_incarnation", "move_key", "private", "machine", "archive_wait_nanos")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
@@ -162,6 +162,7 @@ class RegisterHostRequest(_message.Message):
     MOVE_KEY_FIELD_NUMBER: _ClassVar[int]
     PRIVATE_FIELD_NUMBER: _ClassVar[int]
     MACHINE_FIELD_NUMBER: _ClassVar[int]
+    ARCHIVE_WAIT_NANOS_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     host_id: bytes
     name: str
@@ -175,7 +176,8 @@ class RegisterHostRequest(_message.Message):
     move_key: bytes
     private: bool
     machine: str
-    def __init__(self, request_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., protocol_version: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., has_archive: bool = ..., continues_boot_incarnation: _Optional[int] = ..., move_key: _Optional[bytes] = ..., private: bool = ..., machine: _Optional[str] = ...) -> None: ...
+    archive_wait_nanos: int
+    def __init__(self, request_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., protocol_version: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., has_archive: bool = ..., continues_boot_incarnation: _Optional[int] = ..., move_key: _Optional[bytes] = ..., private: bool = ..., machine: _Optional[str] = ..., archive_wait_nanos: _Optional[int] = ...) -> None: ...
 
 class RegisterHostResponse(_message.Message):
     __slots__ = ("host", "lease_ttl_nanos", "channels", "cluster_id", "protocol_version", "queues", "former_cluster_ids")

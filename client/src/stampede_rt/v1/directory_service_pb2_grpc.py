@@ -152,7 +152,8 @@ class DirectoryServiceServicer(object):
     def OpenChannel(self, request, context):
         """Get or create a channel by name. Atomic: of two creators one wins. The other gets the same channel, or
         CHANNEL_EXISTS if a field that it states contradicts the value in effect. If the owner's lease has ended, the
-        channel gets a new owner, epoch and incarnation. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
+        channel gets a new owner, epoch and incarnation. A recorded channel first waits for its host, see
+        RegisterHostRequest.archive_wait_nanos: NO_HOST. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
         HOST_NOT_FOUND, NO_HOST, VERSION_MISMATCH (beside, below feature level 4), INVALID_NAME, INVALID_ARGUMENT.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

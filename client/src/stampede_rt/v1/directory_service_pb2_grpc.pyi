@@ -57,7 +57,8 @@ class DirectoryServiceStub:
     OpenChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.OpenChannelRequest, _directory_service_pb2.OpenChannelResponse]
     """Get or create a channel by name. Atomic: of two creators one wins. The other gets the same channel, or
     CHANNEL_EXISTS if a field that it states contradicts the value in effect. If the owner's lease has ended, the
-    channel gets a new owner, epoch and incarnation. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
+    channel gets a new owner, epoch and incarnation. A recorded channel first waits for its host, see
+    RegisterHostRequest.archive_wait_nanos: NO_HOST. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
     HOST_NOT_FOUND, NO_HOST, VERSION_MISMATCH (beside, below feature level 4), INVALID_NAME, INVALID_ARGUMENT.
     """
     ResolveChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveChannelRequest, _directory_service_pb2.ResolveChannelResponse]
@@ -124,7 +125,8 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     OpenChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.OpenChannelRequest, _directory_service_pb2.OpenChannelResponse]  # type: ignore[assignment]
     """Get or create a channel by name. Atomic: of two creators one wins. The other gets the same channel, or
     CHANNEL_EXISTS if a field that it states contradicts the value in effect. If the owner's lease has ended, the
-    channel gets a new owner, epoch and incarnation. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
+    channel gets a new owner, epoch and incarnation. A recorded channel first waits for its host, see
+    RegisterHostRequest.archive_wait_nanos: NO_HOST. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
     HOST_NOT_FOUND, NO_HOST, VERSION_MISMATCH (beside, below feature level 4), INVALID_NAME, INVALID_ARGUMENT.
     """
     ResolveChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveChannelRequest, _directory_service_pb2.ResolveChannelResponse]  # type: ignore[assignment]
@@ -200,7 +202,8 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_directory_service_pb2.OpenChannelResponse, _abc.Awaitable[_directory_service_pb2.OpenChannelResponse]]:
         """Get or create a channel by name. Atomic: of two creators one wins. The other gets the same channel, or
         CHANNEL_EXISTS if a field that it states contradicts the value in effect. If the owner's lease has ended, the
-        channel gets a new owner, epoch and incarnation. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
+        channel gets a new owner, epoch and incarnation. A recorded channel first waits for its host, see
+        RegisterHostRequest.archive_wait_nanos: NO_HOST. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
         HOST_NOT_FOUND, NO_HOST, VERSION_MISMATCH (beside, below feature level 4), INVALID_NAME, INVALID_ARGUMENT.
         """
 

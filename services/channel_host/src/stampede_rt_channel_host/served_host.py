@@ -144,6 +144,7 @@ class ServedHost:
             continues=0 if archive is None else archive.continued(),
             move_key=secrets.token_bytes(KEY_BYTES),
             is_private=settings.private,
+            archive_wait_nanos=settings.archive_wait_nanos,
         )
         return ChannelHost(
             identity,

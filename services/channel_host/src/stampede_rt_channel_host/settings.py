@@ -165,6 +165,16 @@ class HostSettings(ServiceSettings):
             "store; if the machine is lost, so are the items of files that have not moved",
         ),
     )
+    archive_wait_seconds: int = field(
+        default=60,
+        metadata=setting(
+            metavar="SECONDS",
+            minimum=0,
+            maximum=7 * 86400,
+            help="with a folder in --archive: when this host is away, its recorded channels wait for it for this time; "
+            "then they go to another host, which does not have their archived items; 0: they do not wait",
+        ),
+    )
     archive_bytes_max: int = field(
         default=0,
         metadata=setting(
@@ -279,6 +289,11 @@ class HostSettings(ServiceSettings):
     def folder_of_archive(self) -> Path | None:
         """The folder of the archive on this machine; None: the host has no archive."""
         return folder_of(self.archive, self.archive_folder, self.data_dir)
+
+    @property
+    def archive_wait_nanos(self) -> int:
+        """How long recorded channels wait for this host when it is away; 0 if other hosts have their archive, too."""
+        return self.archive_wait_seconds * 10**9 if isinstance(self.archive, Path) else 0
 
     def _check_processes(self) -> None:
         """Check that each of the processes can have settings of its own. Raises ValueError."""

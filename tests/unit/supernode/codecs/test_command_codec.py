@@ -147,14 +147,14 @@ EVERYTHING_OF_PEERS: dict[str, Any] = {
 }
 OPERATIONS: list[Operation] = [
     open_channel("cam", host="rig", create=False, **EVERYTHING),
-    open_channel("cam"),
+    replace(open_channel("cam"), waited_for_index=2**64 - 1),
     *(
         replace(one, created_by="@cluster")
         for one in (open_channel("cam"), open_queue("jobs"), open_group("pair", None))
     ),
     update(id_of(1), 2**64 - 1, max_items=7),
     delete(id_of(1)),
-    register(1, boot=2**64 - 1),
+    replace(register(1, boot=2**64 - 1), archive_wait_nanos=2**63 - 1),
     deregister(1),
     expire(1, registered_index=9, tenure=3),
     begin_tenure(4),

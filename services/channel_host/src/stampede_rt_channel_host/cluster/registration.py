@@ -262,6 +262,7 @@ class Registration:
             move_key=one.move_key,
             private=one.is_private,
             machine=machine_id(),
+            archive_wait_nanos=one.archive_wait_nanos,
         )
         sent = self._clock.boottime_nanos()
         response: RegisterHostResponse = await self._supernodes.call("RegisterHost", request, timeout_s)

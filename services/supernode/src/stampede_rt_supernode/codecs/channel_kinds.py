@@ -29,6 +29,7 @@ def _open_message(operation: OpenChannel) -> pb.OpenChannelCommand:
         new_incarnation=operation.new_incarnation,
         created_by=operation.created_by,
         created_max=operation.created_max,
+        waited_for_index=operation.waited_for_index,
     )
 
 
@@ -43,6 +44,7 @@ def _read_open(message: pb.OpenChannelCommand) -> OpenChannel:
         new_incarnation=message.new_incarnation,
         created_by=message.created_by,
         created_max=message.created_max if message.HasField("created_max") else None,
+        waited_for_index=message.waited_for_index,
     )
 
 

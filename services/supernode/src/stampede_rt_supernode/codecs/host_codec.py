@@ -63,7 +63,10 @@ def load_from(message: directory_pb2.HostLoad) -> HostLoad:
 def host_entry(host: HostRecord) -> directory_command_pb2.HostEntry:
     """The entry that supernodes keep for a host."""
     return directory_command_pb2.HostEntry(
-        record=host_record(host), registered_index=host.registered_index, move_key=host.move_key
+        record=host_record(host),
+        registered_index=host.registered_index,
+        move_key=host.move_key,
+        archive_wait_nanos=host.archive_wait_nanos,
     )
 
 
@@ -83,4 +86,5 @@ def host_from(entry: directory_command_pb2.HostEntry) -> HostRecord:
         registration_epoch=record.registration_epoch,
         load=load_from(record.load) if record.HasField("load") else None,
         move_key=entry.move_key,
+        archive_wait_nanos=entry.archive_wait_nanos,
     )

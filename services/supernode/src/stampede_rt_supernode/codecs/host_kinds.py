@@ -41,6 +41,7 @@ def _register_message(operation: RegisterHost) -> pb.RegisterHostCommand:
         move_key=operation.move_key,
         private=operation.is_private,
         machine=operation.machine,
+        archive_wait_nanos=operation.archive_wait_nanos,
     )
 
 
@@ -58,6 +59,7 @@ def _read_register(message: pb.RegisterHostCommand) -> RegisterHost:
         move_key=message.move_key,
         is_private=message.private,
         machine=message.machine,
+        archive_wait_nanos=message.archive_wait_nanos,
     )
 
 

@@ -36,6 +36,7 @@ from stampede_rt_supernode.core.channels.commands import (
     UpdateChannel,
 )
 from stampede_rt_supernode.core.channels.transitions import open_unchanged
+from stampede_rt_supernode.core.channels.waiting import check_waited
 from stampede_rt_supernode.core.cluster.feature_levels import ARCHIVE_LEVEL, LAGGING_REPLICAS_LEVEL, LOADS_LEVEL
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.hosts.commands import DeregisterHost, HostDeregistered, HostRegistered, RegisterHost
@@ -46,6 +47,7 @@ from stampede_rt_supernode.core.records import ID_BYTES, ChannelRecord, HostReco
 from stampede_rt_supernode.core.validation import check_max_bytes
 from stampede_rt_supernode.joining.members import Members
 from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.servicers.archive_waits import ArchiveWaits
 from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
 from stampede_rt_supernode.servicers.listing import SearchStep, list_shown
@@ -84,6 +86,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         self._clock = clock
         self._own_cluster = own_cluster
         self._access = access
+        self._archive_waits = ArchiveWaits(replica, clock)
 
     async def Ping(self, request: pb.DirectoryServicePingRequest, context: Context) -> pb.DirectoryServicePingResponse:
         """Answers from the local state. Needs no leader."""
@@ -129,9 +132,11 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             new_incarnation=_random_incarnation(),
             created_by=caller_name(),
             created_max=creation_limit(Quota.CHANNELS),
+            waited_for_index=self._archive_waits.waited_for(request.name),
         )
 
         async def check(operation: OpenChannel) -> None:
+            self._replica.read(lambda directory: check_waited(directory.tables, operation))
             self._calls.check_opening(AccessKind.CHANNEL, operation)
 
         opened = await self._calls.open(
@@ -221,6 +226,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             move_key=request.move_key,
             is_private=request.private,
             machine=request.machine,
+            archive_wait_nanos=request.archive_wait_nanos,
         )
         registered = await self._calls.submit(context, operation, HostRegistered, request.request_id)
         ttl_nanos, channels, queues = self._replica.read(lambda directory: _owned(directory, request.host_id))

@@ -16,7 +16,8 @@ class OpenChannel(Creation):
     `beside`: the name of another channel; empty if the caller names none. The host of that other channel gets the
     opened channel, if the host has room and the opened channel needs an owner.
     A new channel gets `new_channel_id` and `new_incarnation`. If the owner of an existing channel is not alive, the
-    channel gets a new owner and `new_incarnation`.
+    channel gets a new owner and `new_incarnation`. `waited_for_index`: the registration of a host for whose archive
+    callers have waited long enough, as its log position; 0: of none.
     """
 
     name: str
@@ -26,6 +27,7 @@ class OpenChannel(Creation):
     beside: str = ""
     new_channel_id: bytes
     new_incarnation: int
+    waited_for_index: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

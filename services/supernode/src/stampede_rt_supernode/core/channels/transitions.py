@@ -18,6 +18,7 @@ from stampede_rt_supernode.core.channels.commands import (
     UpdateChannel,
 )
 from stampede_rt_supernode.core.channels.policies import agree, check_fixed, check_policy, check_ranges, merge
+from stampede_rt_supernode.core.channels.waiting import check_waited
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
 from stampede_rt_supernode.core.hosts.placement import (
     beside_its_group,
@@ -66,7 +67,8 @@ def check_update(operation: UpdateChannel) -> None:
 def open_channel(tables: Tables, operation: OpenChannel) -> ChannelOpened:
     """Get or create a channel.
 
-    A channel whose owner's lease has ended gets a new owner, epoch and incarnation. Its items are lost.
+    A channel whose owner's lease has ended gets a new owner, epoch and incarnation. Its items are lost. A recorded
+    channel first waits for its owner, see `waiting`.
     """
     check_open(operation)
     channel = tables.channel_named(operation.name)
@@ -76,6 +78,7 @@ def open_channel(tables: Tables, operation: OpenChannel) -> ChannelOpened:
     policy = agree(channel.name, channel.policy, operation.policy)
     opened = replace(channel, policy=policy, policy_version=channel.policy_version + (policy != channel.policy))
     if not tables.hosts[channel.host_id].alive:
+        check_waited(tables, operation)
         give_owner(tables, channel, _with_new_owner(tables, opened, operation))
         note_lost_cuts(tables, [channel.channel_id])
     elif opened != channel:

@@ -14,7 +14,7 @@ class RegisterHost(Operation):
 
     `registration_epoch`: see `registration_epochs`. `continues_boot_incarnation`: the boot incarnation of the host's
     former process, if its archive has all items of its recorded channels; otherwise 0. `move_key`: see `move_permits`;
-    empty: it has none. `is_private`, `machine`: see HostLoad.
+    empty: it has none. `is_private`, `machine`: see HostLoad. `archive_wait_nanos`: see HostRecord.
     """
 
     host_id: bytes
@@ -29,6 +29,7 @@ class RegisterHost(Operation):
     move_key: bytes = field(default=b"", repr=False)
     is_private: bool = False
     machine: str = ""
+    archive_wait_nanos: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

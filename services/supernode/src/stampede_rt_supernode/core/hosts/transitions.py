@@ -60,6 +60,7 @@ def register_host(tables: Tables, operation: RegisterHost, *, knows_level_4: boo
             registration_epoch=epoch,
             load=_idle_load(tables, before, operation) if knows_level_4 else None,
             move_key=operation.move_key if knows_level_4 else b"",
+            archive_wait_nanos=operation.archive_wait_nanos if knows_level_4 else 0,
         )
     )
     tables.forget_lost_hosts(operation.name)
