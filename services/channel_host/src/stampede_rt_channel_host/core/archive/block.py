@@ -9,11 +9,15 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
-from zlib import crc32
 
 from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import Body, ReferencedBody, Run, make_run
+
+try:
+    from isal.isal_zlib import crc32
+except ImportError:  # isal has wheels for the usual processors only; both functions return the same checksums
+    from zlib import crc32
 
 MAGIC = b"SRTA"
 ITEMS, GAP, OPENING, ADVANCES = 1, 2, 3, 4
