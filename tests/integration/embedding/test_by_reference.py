@@ -44,14 +44,19 @@ def test_each_read_returns_the_object_that_was_put(rt: st.Connection) -> None:
     assert [one.payload for one in channel.get(0, 300, payloads=False, newest_first=True)] == [None, None]
 
 
-def test_the_newest_item_of_a_run_is_its_last_item(rt: st.Connection) -> None:
-    channel = rt.channel("reference/newest-of-a-run", max_items=100)
+@pytest.mark.parametrize("attributes", [{}, {"lens": "wide"}])
+def test_an_item_of_a_run_is_read_with_all_its_fields(rt: st.Connection, attributes: dict[str, str]) -> None:
+    channel = rt.channel(f"reference/items-of-a-run-{len(attributes)}", max_items=100)
     with channel.producer() as producer:
         for place in range(50):
-            producer.put(bytes([place]), time=1000 + place)
-    newest = channel.newest()
+            producer.put(bytes([place]) * place, time=1000 + place, duration=place + 1, attributes=attributes)
+    [middle], newest, before = channel.at(1020), channel.newest(), channel.before(1020)
     assert newest is not None
-    assert (newest.payload, newest.time, newest.seq) == (bytes([49]), 1049, 50)
+    assert before is not None
+    for item, place in ((middle, 20), (newest, 49), (before, 19)):
+        assert (item.payload, item.time, item.seq) == (bytes([place]) * place, 1000 + place, 1 + place)
+        assert (item.duration, item.payload_length_bytes, dict(item.attributes)) == (place + 1, place, attributes)
+    assert (middle.end, newest.end, before.end) == (1021, 1099, 1020)
 
 
 def test_a_waiting_get_returns_the_object_of_a_later_put(rt: st.Connection) -> None:

@@ -34,8 +34,8 @@ from stampede_rt.values.reading import (
 )
 from stampede_rt.values.timeline import (
     ALL_TIME,
-    MIN_INSTANT,
     OLDEST,
+    Bound,
     BoundLike,
     Bounds,
     DurationLike,
@@ -44,6 +44,7 @@ from stampede_rt.values.timeline import (
     Match,
     MatchLike,
     parse_bound,
+    parse_instant,
     parse_interval,
     parse_match,
 )
@@ -155,12 +156,12 @@ class Reader(Reference):
         self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0, as_of: InstantLike | None = None
     ) -> Items:
         """Return the items whose span holds `time`. `timeout` and `as_of` as in `get`."""
-        bound = parse_bound(time, "time")
-        is_plain = bound.meta is None and payloads is True and timeout == 0 and timeout is not False and as_of is None
-        if is_plain and self._is_direct and self._session.here is not None:
-            found = at_here(self._session, self._state, bound.offset)
+        is_plain = payloads is True and timeout == 0 and timeout is not False and as_of is None
+        if is_plain and self._session.here is not None and self._is_direct and not isinstance(time, Bound):
+            found = at_here(self._session, self._state, parse_instant(time, "time"))
             if found is not None:
                 return found
+        bound = parse_bound(time, "time")
         return await self._read(
             ReadQuery(
                 parse_interval(bound, bound), payloads=payloads, wait=Wait.parse(timeout), as_of=parse_as_of(as_of)
@@ -174,8 +175,7 @@ class Reader(Reference):
 
         `timeout` and `as_of` as in `get`.
         """
-        bound = parse_bound(time, "time")
-        interval = parse_interval(MIN_INSTANT, bound, "[)")
+        interval = Interval(ALL_TIME.start, parse_bound(time, "time"), end_exclusive=True)
         return await self._read_one(interval, True, None, payloads, timeout, as_of=as_of)
 
     async def oldest(

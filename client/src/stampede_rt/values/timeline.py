@@ -90,6 +90,8 @@ def parse_instant(value: InstantLike, what: str = "a time") -> int:
     Raises InvalidArgument for another type, for a datetime without a timezone, and for an instant that does not fit
     into 64 bits.
     """
+    if type(value) is int and MIN_INSTANT <= value <= MAX_INSTANT:
+        return value
     if isinstance(value, datetime):
         if value.utcoffset() is None:
             shown = value.isoformat()

@@ -114,6 +114,12 @@ class RunSlicer:
         parts.append(_SEQ.pack(_SEQ_TAG, self._first_seq + lo))
         return b"".join(parts)
 
+    def plain_payload(self, at: int) -> bytes | None:
+        """Return the payload of the item at an index; None if the run has a content type or attributes."""
+        if self._labels:
+            return None
+        return self._body[self._payloads + self._offsets[at] : self._payloads + self._offsets[at + 1]]
+
 
 def slice_run(sealed: bytes, lo: int, hi: int, *, without_payloads: bool = False) -> bytes:
     """Return one part of a sealed run. For several parts use a `RunSlicer`."""

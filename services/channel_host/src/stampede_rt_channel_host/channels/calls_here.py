@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from stampede_rt.cluster.embedding import AnswerHere, PutHere, RunHere
+from stampede_rt.cluster.embedding import NO_ATTRIBUTES, AnswerHere, PutHere, RunHere
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.answers import ABSENT
@@ -18,7 +18,7 @@ from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import Bound, Interval
 from stampede_rt.wire.reads import check_item
 from stampede_rt.wire.runs import RunColumns, run_parts
-from stampede_rt_channel_host.channels.frames import run_bytes
+from stampede_rt_channel_host.channels.frames import run_bytes, slicer_of
 from stampede_rt_channel_host.channels.gets.waiting_get import WaitingGet
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.puts.held_acks import HeldAck
@@ -27,7 +27,7 @@ from stampede_rt_channel_host.channels.puts.puts import check_number
 from stampede_rt_channel_host.channels.puts.wanted_acks import check_disk, check_wanted, held_ack
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.core.channel import (
-    DeliveredSlice,
+    ColumnRun,
     Position,
     Query,
     ReadAnswer,
@@ -101,9 +101,10 @@ def at_now(store: ChannelStore, channel_id: bytes, epoch: int, instant: int) -> 
     hosted, now = find_here(store, channel_id, epoch), store.now()
     if hosted is None or (hosted.due is not None and hosted.due <= now):
         return None
-    bound = Bound(None, instant)
-    if hosted.recording is not None and hosted.recording.reaches(Query(interval=Interval(bound, bound)), now):
-        return None
+    if hosted.recording is not None:
+        bound = Bound(None, instant)
+        if hosted.recording.reaches(Query(interval=Interval(bound, bound)), now):
+            return None
     found = hosted.channel.at(instant, now)
     return None if found is None else _one_told(hosted, found)
 
@@ -125,7 +126,7 @@ def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> AnswerHere
         return None
     newest = Slice(part.run, part.hi - 1, part.hi)
     hosted.count_delivered(1, newest.payload_bytes)
-    run = _run(DeliveredSlice(newest, None), payloads=True)
+    run = _run(newest, None, payloads=True)
     return AnswerHere((run,), None, False, False, False, None, hosted.channel.incarnation)
 
 
@@ -192,10 +193,7 @@ def _position(after: Item | int | None) -> Position | None:
 def _told(hosted: HostedChannel, answer: ReadAnswer, *, payloads: bool = True) -> AnswerHere:
     slices = [*answer.slices]
     ends = [answer.next_times.get((part.last_time, part.end_seq)) for part in slices[:-1]]
-    runs = [
-        _run(DeliveredSlice(part, end), payloads=payloads)
-        for part, end in zip(slices, [*ends, answer.next_time], strict=False)
-    ]
+    runs = [_run(part, end, payloads=payloads) for part, end in zip(slices, [*ends, answer.next_time], strict=False)]
     hosted.count_delivered(sum(part.items for part in slices), sum(part.payload_bytes for part in slices))
     return AnswerHere(
         runs=runs, interval=answer.interval, complete=answer.complete, truncated=answer.truncated, more=answer.more,
@@ -207,25 +205,29 @@ def _one_told(hosted: HostedChannel, answer: ReadAnswer) -> AnswerHere:
     """As `_told`, for an answer that is one slice."""
     part = answer.slices[0]
     hosted.count_delivered(part.items, part.payload_bytes)
-    run = _run(DeliveredSlice(part, answer.next_time), payloads=True)
+    run = _run(part, answer.next_time, payloads=True)
     return AnswerHere(
         (run,), answer.interval, answer.complete, answer.truncated, answer.more, answer.reason, answer.incarnation
     )
 
 
-def _run(delivered: DeliveredSlice, *, payloads: bool) -> RunHere:
-    part, next_time = delivered.slice, delivered.next_time
-    body = part.run.body
-    if not isinstance(body, ReferencedBody):
+def _run(part: Slice, next_time: int | None, *, payloads: bool) -> RunHere:
+    run = part.run
+    body, payload, attributes, content_type = run.body, None, NO_ATTRIBUTES, ""
+    if isinstance(body, ReferencedBody):
+        payload, attributes, content_type = body.payload, body.attributes, body.content_type
+    elif payloads and part.hi - part.lo == 1 and isinstance(run, ColumnRun):
+        payload = slicer_of(run).plain_payload(part.lo)
+    if payload is None:
         return RunHere(encoded=run_bytes(part, without_payloads=not payloads), next_time=next_time)
-    durations = part.run.durations
+    durations = run.durations
     return RunHere(
-        time=part.first_time,
-        duration=ABSENT if durations is None else durations[0],
-        seq=part.first_seq,
-        length=len(body.payload),
-        payload=body.payload if payloads else None,
-        attributes=body.attributes,
-        content_type=body.content_type,
-        next_time=next_time,
+        part.first_time,
+        ABSENT if durations is None else durations[part.lo],
+        part.first_seq,
+        len(payload),
+        payload if payloads else None,
+        attributes,
+        content_type,
+        next_time,
     )

@@ -15,7 +15,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import error_pb2
 from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt.wire.varints import encode_varint
-from stampede_rt_channel_host.core.channel import ColumnRun, DeliveredSlice, ReadAnswer, Slice, drained
+from stampede_rt_channel_host.core.channel import ColumnRun, DeliveredSlice, ReadAnswer, Slice, Slicer, drained
 
 MESSAGE_BYTES_MAX = 2**20  # the most bytes of runs in one message; a message with a single run may have more
 SHARED_BYTES_MAX = 4 * 2**20  # the most memory of the deliveries that a host keeps until other readers take them
@@ -52,12 +52,15 @@ def run_bytes(part: Slice, *, without_payloads: bool) -> bytes:
     run = part.run
     if part.is_whole and not without_payloads:
         return bytes(run.body)
-    slicer = run.slicer if isinstance(run, ColumnRun) else None
-    if slicer is None:
-        slicer = RunSlicer(bytes(run.body))
-        if isinstance(run, ColumnRun):
-            run.slicer = slicer
+    slicer = slicer_of(run) if isinstance(run, ColumnRun) else RunSlicer(bytes(run.body))
     return slicer.cut(part.lo, part.hi, without_payloads=without_payloads)
+
+
+def slicer_of(run: ColumnRun) -> Slicer:
+    """The slicer of a run, which the run keeps."""
+    if run.slicer is None:
+        run.slicer = RunSlicer(bytes(run.body))
+    return run.slicer
 
 
 def get_responses(

@@ -58,6 +58,9 @@ class HostTime:
         This is the share `elapsed / CATCH_UP_NANOS` of the offset, limited by SLEW_PPM_MAX.
         """
         share = self._carry + offset * min(elapsed, CATCH_UP_NANOS)
+        if -CATCH_UP_NANOS < share < CATCH_UP_NANOS:  # the usual case, in which the lines below would do the same
+            self._carry = share
+            return 0
         made_up = abs(share) // CATCH_UP_NANOS
         self._carry = (abs(share) % CATCH_UP_NANOS) * (1 if share > 0 else -1)
         made_up = min(made_up, abs(offset), elapsed * SLEW_PPM_MAX // 1_000_000)

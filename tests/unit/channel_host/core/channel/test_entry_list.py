@@ -41,7 +41,8 @@ def test_a_list_finds_the_neighbours_of_a_key(added: list[int], key: int) -> Non
     assert made.last_below(key) is next((one for one in reversed(entries) if one.first_time < key), None)
     last = made.last_up_to(key)
     is_only = last is not None and [one.first_time for one in entries].count(last.first_time) == 1
-    assert made.only_up_to(key) is (last if is_only else None)
+    later = next((one.first_time for one in entries if one.first_time > key), None)
+    assert made.only_up_to(key) == ((last, later) if is_only else None)
     assert made.last is (entries[-1] if entries else None)
     assert made.first_above(key) is next((one for one in entries if one.first_time > key), None)
     assert [made.nth(at) for at in range(len(entries) + 1)] == [*entries, None]

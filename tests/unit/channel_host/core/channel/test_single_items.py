@@ -40,19 +40,23 @@ def test_the_item_at_an_instant_is_the_one_that_a_walk_finds(
 
 
 @given(runs, durations, policies, some.integers(0, 34), some.integers(10, 40))
-def test_the_newest_item_is_the_one_that_a_walk_finds(
+def test_the_last_item_of_an_interval_is_the_one_that_a_walk_finds(
     puts: list[list[int]], duration: int | None, policy: dict[str, int], bound: int, now: int
 ) -> None:
     channel = filled(puts, duration, policy)
 
-    def newest() -> list[tuple[object, ...] | None]:
-        limits = ((MIN_INSTANT, MAX_INSTANT), (bound, MAX_INSTANT), (MIN_INSTANT, bound))
-        return [facts(get(channel, *one, now=now, match=Match.START, limit=1, newest_first=True)) for one in limits]
+    def last() -> list[tuple[object, ...] | None]:
+        ends = ((MIN_INSTANT, MAX_INSTANT), (bound, MAX_INSTANT), (MIN_INSTANT, bound), (bound, bound + 5))
+        return [
+            facts(get(channel, *one, bounds, now=now, match=Match.START, limit=1, newest_first=True))
+            for one in ends
+            for bounds in ("[]", "[)", "(]", "()")
+        ]
 
-    found = newest()
+    found = last()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(selection, "_single", lambda *arguments: None)
-        assert found == newest()
+        assert found == last()
 
 
 def test_an_item_in_the_middle_of_a_long_run_is_found_without_a_walk() -> None:
@@ -62,6 +66,15 @@ def test_an_item_in_the_middle_of_a_long_run_is_found_without_a_walk() -> None:
     assert found is not None
     [part] = found.slices
     assert (part.first_time, part.items, found.next_time) == (500, 1, 510)
+
+
+def test_the_last_item_before_an_instant_is_found_without_a_walk(monkeypatch: pytest.MonkeyPatch) -> None:
+    channel = a_channel()
+    put(channel, *range(0, 1000, 10))
+    monkeypatch.setattr(selection, "_key_ranges", None)
+    found = get(channel, end=500, bounds="[)", match=Match.START, limit=1, newest_first=True)
+    [part] = found.slices
+    assert (part.first_time, part.items, found.next_time, found.more) == (490, 1, 500, True)
 
 
 def test_two_items_of_one_time_need_a_walk() -> None:

@@ -111,16 +111,20 @@ class EntryList:
             return self._chunks[-1][-1]
         return self._before(self._place(key, bisect_right))
 
-    def only_up_to(self, key: int) -> Entry | None:
-        """The last entry at or below `key`, if no other entry has its key; otherwise None."""
+    def only_up_to(self, key: int) -> tuple[Entry, int | None] | None:
+        """The last entry at or below `key`, if no other entry has its key, and the key of the entry after it.
+
+        None: no such entry. The key is None if there is no entry after it.
+        """
         number, at = self._place(key, bisect_right)
+        following = self._keys[number][at] if number < len(self._keys) else None
         if not at:
             number, at = number - 1, len(self._keys[number - 1]) if number else 0
         if not at:
             return None
         keys = self._keys[number]
         before = keys[at - 2] if at > 1 else self._lasts[number - 1] if number else None
-        return None if keys[at - 1] == before else self._chunks[number][at - 1]
+        return None if keys[at - 1] == before else (self._chunks[number][at - 1], following)
 
     def last_below(self, key: int) -> Entry | None:
         """The last entry below `key`, or None."""

@@ -297,14 +297,14 @@ class Holdings(HeldItems):
         While the outdated items are charged with more than `backlog_bytes_max`, frees more entries, but at most
         FREED_ENTRIES_MAX.
         """
-        floor = self._free_floor
+        floor: ItemKey | None = None
         for freed in range(FREED_ENTRIES_MAX):
             if self._stored_items == self.items:  # nothing is outdated
                 self._owes_trim = False
                 return False
             if freed >= entries_max and (backlog_bytes_max is None or self.backlog_bytes <= backlog_bytes_max):
                 return self.has_backlog
-            if not self._free_entry(floor):
+            if not self._free_entry(floor := floor or self._free_floor):
                 # In a steady flow the next call frees the whole entry, and a copy of its rest would be in vain.
                 self._owes_trim = freed > 0 and self._may_trim(floor)
                 if not self._owes_trim:

@@ -220,15 +220,22 @@ class ChannelIndex:
         times = entry.run.times
         return times[bisect_right(times, time, entry.lo, entry.hi) - 1]
 
-    def single_up_to(self, time: int) -> Slice | None:
-        """The last item at or before `time`, if no other item has its time; otherwise None."""
-        entry = self._by_time.only_up_to(time)
-        if entry is None or isinstance(entry, OneRun):
-            return None if entry is None else Slice(entry, 0, 1)
+    def single_up_to(self, time: int) -> tuple[Slice, int | None] | None:
+        """The last item at or before `time`, if no other item has its time, and the earliest later item time.
+
+        None: no such item. The time is None if there is no later item.
+        """
+        found = self._by_time.only_up_to(time)
+        if found is None:
+            return None
+        entry, following = found
+        if not isinstance(entry, IndexPart):  # a OneRun; `isinstance` is slow for subclasses of ABC
+            return Slice(entry, 0, 1), following
         times = entry.run.times
-        at = bisect_right(times, time, entry.lo, entry.hi) - 1
-        is_single = at == entry.lo or times[at - 1] < times[at]
-        return Slice(entry.run, at, at + 1) if is_single else None
+        end = bisect_right(times, time, entry.lo, entry.hi)
+        if end - 1 > entry.lo and times[end - 2] == times[end - 1]:
+            return None
+        return Slice(entry.run, end - 1, end), times[end] if end < entry.hi else following
 
     def oldest_item(self, floor: ItemKey) -> OldestItems | None:
         """The first item, if it is a run of its own at or above `floor`; otherwise None."""

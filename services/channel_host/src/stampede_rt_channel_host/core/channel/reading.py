@@ -200,7 +200,7 @@ class Reading:
         """Whether no more items can come into the region: an item or an advance has passed the region's end, or the
         region is empty or below the frontier.
         """
-        return region.is_empty or self._is_below_frontier(region) or self._is_finished(region)
+        return region.is_empty or self._is_finished(region) or self._is_below_frontier(region)
 
     def _is_finished(self, region: ResolvedInterval) -> bool:
         """Whether an item or an advance has passed the region's end. The end instant itself passes an exclusive end,

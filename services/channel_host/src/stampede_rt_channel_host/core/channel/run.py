@@ -105,6 +105,9 @@ class Slicer(Protocol):
     def cut(self, lo: int, hi: int, *, without_payloads: bool) -> bytes:
         """The body of the items from position `lo` up to `hi`, exclusive."""
 
+    def plain_payload(self, at: int) -> bytes | None:
+        """The payload of the item at a position; None if the run has a content type or attributes."""
+
 
 class ColumnRun(Run):
     """A run of any number of items.

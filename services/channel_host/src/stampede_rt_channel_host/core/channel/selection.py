@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
 from stampede_rt_channel_host.core.channel.item_keys import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Abandoned, Pieces
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
-from stampede_rt_channel_host.core.channel.single_items import item_at, newest_in
+from stampede_rt_channel_host.core.channel.single_items import item_at, last_in
 from stampede_rt_channel_host.core.channel.slices_in_parts import SlicesInParts, emptying
 from stampede_rt_channel_host.core.channel.values import NO_NEXT_TIMES, Position, Query
 
@@ -141,8 +141,9 @@ def _single(held: HeldItems, query: Query, within: ResolvedInterval, now: int) -
         found = item_at(held, within.start, now)
         return None if found is None else Selected((found.part,), False, found.next_time, NO_NEXT_TIMES)
     if query.match is Match.START and query.newest_first and query.limit == 1:
-        found = newest_in(held, within)
-        return None if found is None else Selected((found.part,), held.items > 1, None, NO_NEXT_TIMES)
+        found = last_in(held, within)
+        more = held.items > 1 if found is None or found.next_time is None else found.part.first_time != held.oldest
+        return None if found is None else Selected((found.part,), more, found.next_time, NO_NEXT_TIMES)
     return None
 
 

@@ -1,4 +1,4 @@
-"""Finds the item of a usual read without a walk: the item at an instant, and the newest item. Pure."""
+"""Finds the item of a usual read without a walk: the item at an instant, and the last item before an end. Pure."""
 
 from __future__ import annotations
 
@@ -21,22 +21,35 @@ def item_at(held: HeldItems, time: int, now: int) -> FoundItem | None:
 
     None: there may be no such item, or several, and only a walk finds out.
     """
-    part = None if held.overlap_nanos else held.index.single_up_to(time)
-    if part is None:
+    found = None if held.overlap_nanos else _single_up_to(held, time)
+    if found is None:
         return None
+    part, following = found
     bucket, durations = part.first_time, part.run.durations
-    if (bucket, part.first_seq) < held.floor:
-        return None
-    duration, following = ABSENT if durations is None else durations[part.lo], held.next_time(bucket)
+    duration = ABSENT if durations is None else durations[part.lo]
     if bucket < time and (bucket + duration <= time if duration != ABSENT else following is None and now < time):
         return None
-    return FoundItem(part, following)
+    return found
 
 
-def newest_in(held: HeldItems, within: ResolvedInterval) -> FoundItem | None:
-    """The newest item, if the interval holds all items; otherwise None."""
-    oldest, newest = held.oldest, held.newest
-    if oldest is None or newest is None or oldest not in within or newest not in within:
+def last_in(held: HeldItems, within: ResolvedInterval) -> FoundItem | None:
+    """The last item whose time is in the interval, if the interval begins at or before the oldest item.
+
+    None: only a walk finds out.
+    """
+    oldest, newest, until = held.oldest, held.newest, within.end - within.end_exclusive
+    if oldest is None or newest is None or oldest < within.start + within.start_exclusive:
         return None
+    if newest > until:
+        return _single_up_to(held, until)
     part = held.index.last_item
     return None if part is None else FoundItem(part, None)
+
+
+def _single_up_to(held: HeldItems, time: int) -> FoundItem | None:
+    """The last held item at or before `time`, if no other item has its time; otherwise None."""
+    found = held.index.single_up_to(time)
+    if found is None:
+        return None
+    part, following = found
+    return None if (part.first_time, part.first_seq) < held.floor else FoundItem(part, following)
