@@ -108,6 +108,10 @@ class RecordFile:
         except OSError as error:
             raise FileError(f"the file {self.path!r} cannot be read: {error.strerror or error}") from error
 
+    def has_end_mark(self) -> bool:
+        """Whether the file ends with the mark of MCAP."""
+        return self._read(self.size - len(MAGIC), len(MAGIC)) == MAGIC
+
     def frames(self, offset: int = len(MAGIC)) -> Iterator[RecordFrame | Damage]:
         """Yield the records from the byte `offset` on, and the parts that are not records. Ends at the end mark.
 
@@ -115,7 +119,7 @@ class RecordFile:
         """
         while True:
             frame = self.frame_at(offset)
-            if frame is not None and not self._fits(frame):
+            if frame is not None and not self.fits(frame):
                 frame = None
             if frame is None and self.size - offset == len(MAGIC) and self._read(offset, len(MAGIC)) == MAGIC:
                 return
@@ -153,7 +157,7 @@ class RecordFile:
             offset += _SEARCH_BYTES
         return None
 
-    def _fits(self, frame: RecordFrame) -> bool:
+    def fits(self, frame: RecordFrame) -> bool:
         """Whether the kind and the length of a record agree with the lengths inside it.
 
         No checksum covers the kind and the lengths. A flipped bit in them may hide a chunk: the chunk looks like

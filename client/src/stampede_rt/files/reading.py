@@ -170,7 +170,7 @@ class FileReader:
     def content_at(self, offset: int) -> Content:
         """Read the chunk at a byte, as the index names it. Raises FileError."""
         frame = self._records.frame_at(offset)
-        if frame is None or frame.opcode != Opcode.CHUNK:
+        if frame is None or frame.opcode != Opcode.CHUNK or not self._records.fits(frame):
             raise FileError(f"the index of {self.path!r} names a chunk at byte {offset}, and there is none")
         return self._content(frame, self._records.chunk_records(frame))
 
@@ -257,7 +257,7 @@ class FileReader:
 
     def _read_index(self) -> FileIndex | None:
         place = self._records.frame_at(self.size - _FOOTER_BYTES) if self.size > _FOOTER_BYTES else None
-        if place is None or place.opcode != Opcode.FOOTER:
+        if place is None or place.opcode != Opcode.FOOTER or not self._records.has_end_mark():
             return None
         footer = self._records.record(place, Footer)
         start = footer.summary_start

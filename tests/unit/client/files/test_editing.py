@@ -95,9 +95,9 @@ def test_a_flipped_bit_loses_only_its_chunk_and_a_gap_names_the_lost_items(whole
 
 def test_verify_notices_each_flipped_bit(whole: Path, tmp_path: Path) -> None:
     content, flipped, drawn = whole.read_bytes(), tmp_path / "flipped.mcap", random.Random(11)
-    for _ in range(150):
+    end_mark = range(len(content) - 8, len(content))
+    for place in (*(drawn.randrange(8, len(content)) for _ in range(150)), *end_mark):
         changed = bytearray(content)
-        place = drawn.randrange(8, len(content))
         changed[place] ^= 1 << drawn.randrange(8)
         flipped.write_bytes(changed)
         assert not verify(flipped).complete, place

@@ -12,6 +12,7 @@ from stampede_rt.files import sources
 from stampede_rt.files.editing import cut
 from stampede_rt.files.entries import FileAdvance, FileEntry, item_entry
 from stampede_rt.files.foreign import source_of
+from stampede_rt.files.reading import Content, FileReader
 from stampede_rt.files.sources import McapSource
 from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
@@ -50,6 +51,18 @@ def test_gaps_and_advances_keep_their_positions_even_between_chunks_of_other_cha
         *(("cam", seq) for seq in range(1, 11)), advance, gap("cam", 11, 12), *(("cam", seq) for seq in range(13, 20)),
         events[-1],
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
+def test_a_chunk_whose_bytes_are_zero_is_an_error_and_not_an_empty_chunk(tmp_path: Path, compression: str) -> None:
+    path = write(tmp_path / "a.mcap", entries("cam", range(1, 31)), compression=compression)
+    with FileReader(path) as reader:
+        start = [part.offset for part in reader.contents() if isinstance(part, Content)][1]
+    content = bytearray(path.read_bytes())
+    content[start + 30 : start + 90] = bytes(60)  # with its checksum, and the name of its compression
+    path.write_bytes(content)
+    with pytest.raises(FileError, match=f"names a chunk at byte {start}, and there is none"):
+        played(path)
 
 
 GAPPED = [*entries("cam", range(1, 6)), gap("cam", 6, 8), *entries("cam", range(9, 20)), gap("cam", 20, 22)]
