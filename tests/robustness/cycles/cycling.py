@@ -15,6 +15,7 @@ from tests.integration.proxies.readers import eventually
 
 Cycle = Callable[[], None]
 _numbers = itertools.count()
+PROXIES_AT_ONCE = 50  # a host hears of removed copies every 2 s only, so each wait is for many
 
 
 def subscribing(transport: Any) -> Callable[[LocalCluster], AbstractContextManager[Cycle]]:
@@ -112,14 +113,16 @@ def opening(cluster: LocalCluster) -> Iterator[Cycle]:
 
 @contextmanager
 def proxying(cluster: LocalCluster) -> Iterator[Cycle]:
-    """Add a proxy, and remove it."""
+    """Add and remove a proxy of each of 50 channels, and wait until all have ended."""
     with st.connect(cluster.address, transport="grpc") as rt:
-        channel = filled(rt)
+        channels = [filled(rt) for _ in range(PROXIES_AT_ONCE)]
+        names = {channel.name for channel in channels}
 
         def cycle() -> None:
-            assert rt.proxy(channel, "h2").held == 1
-            rt.remove_proxy(channel, "h2")
-            eventually(lambda: not rt.hosted_channels("h2", channel.name), "the proxy has ended")
+            for channel in channels:
+                assert rt.proxy(channel, "h2").held == 1
+                rt.remove_proxy(channel, "h2")
+            eventually(lambda: names.isdisjoint(rt.hosted_channels("h2")), "the proxies have ended")
 
         yield cycle
 
@@ -135,3 +138,5 @@ KINDS: dict[str, Callable[[LocalCluster], AbstractContextManager[Cycle]]] = {
     "make channel and queue": opening,
     "add proxy": proxying,
 }
+OPENED_AT_ONCE = {"add proxy": PROXIES_AT_ONCE}
+"""How many things one cycle opens and closes, if more than one."""

@@ -17,7 +17,7 @@ LONG_ONLY = ("subscribe, await, gRPC",)
 WARM_UP, CYCLES = 40, 100  # a leak of one object for each cycle is found
 OTHERS = {
     "make channel and queue": (100, 100),  # a heap of deadlines has up to 64 deleted channels
-    "add proxy": (10, 40),  # few rounds, because each takes long; they find a leak of two objects
+    "add proxy": (50, 200),
 }
 
 
