@@ -333,7 +333,7 @@ class OracleQueue:
         return None
 
     def _offer(self, run: Run) -> bool:
-        setup = self.setup
+        setup, known_seqs = self.setup, len(run.seqs)
         while run.left:
             place = run.left[0]
             length = run.lengths[place]
@@ -349,6 +349,8 @@ class OracleQueue:
             if self._has_room(length):
                 self._accept(run, length)
             elif setup.on_full == "block":
+                if len(run.seqs) > known_seqs:
+                    self._remember(run)
                 return False
             else:
                 self._refuse(run, "QUEUE_FULL")

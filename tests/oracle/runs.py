@@ -98,7 +98,7 @@ class OracleRetries:
     def record(
         self, producer_id: int, first_number: int, items: int, verdicts: Sequence[Item | Refused], clock: int
     ) -> None:
-        """Keep the outcome of a run, because it is complete or its producer has gone."""
+        """Keep the outcome so far of a run. Call this after each change of the outcome."""
         if any(isinstance(one, Item) for one in verdicts):
             numbers = range(first_number, first_number + items)
             self.judged.append(RunOutcome(producer_id, numbers, tuple(verdicts), clock))

@@ -129,3 +129,13 @@ def play(numbers: list[int]) -> None:
 @given(st.lists(st.integers(0, 2**96), min_size=10, max_size=40))
 def test_a_queue_agrees_with_the_oracle_in_every_scenario(numbers: list[int]) -> None:
     play(numbers)
+
+
+@pytest.mark.parametrize("first_number", [30, 31, 32, 33, 34])
+def test_a_run_that_overlaps_a_waiting_run_agrees_with_the_oracle(first_number: int) -> None:
+    pair = QueuePair(Setup(max_items=4), FIRST_CLOCK)
+    pair.enqueue([8, 8, 8], 0, 0, None, "")
+    pair.enqueue([8, 8, 8], 6, 31, None, "")
+    pair.enqueue([8, 8, 8], 6, first_number, None, "")
+    pair.configure(Setup(max_items=20))
+    assert not pair.waiting

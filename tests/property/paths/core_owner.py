@@ -74,6 +74,8 @@ class CoreOwner:
         is_done = put.take_outcome(outcome, self._now())
         if is_done:
             self._finish(put)
+        elif outcome.run is not None:
+            self._remember(put)
         if outcome.run is not None:
             self._announce()
         return is_done
@@ -102,9 +104,16 @@ class CoreOwner:
         self._advance_line()
 
     def _advance_line(self) -> None:
-        while self.line and (self._is_known(self.line[0]) or self._offer(self.line[0])):
+        while self.line and self._is_done(self.line[0]):
             self.line.pop(0)
         self._deliver_all()
+
+    def _is_done(self, put: WaitingPut) -> bool:
+        try:
+            return self._is_known(put) or self._offer(put)
+        except st.StampedeError as error:  # the run overlaps a run that the channel has accepted meanwhile
+            put.call.finish(error)
+            return True
 
     # --- gets
 

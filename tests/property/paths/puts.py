@@ -45,14 +45,6 @@ class PathPuts(PathReads):
         self._numbers[producer_id] += len(offer.lengths)
         self._send(Run(offer, [self._payload(length) for length in offer.lengths], producer_id, first_number, waits))
 
-    def contends(self, producer_id: int, numbers: range) -> bool:
-        """Whether a waiting run has some of these numbers, but not exactly these.
-
-        The host refuses one of the two runs. Until the first run has its answer, it is unknown which one.
-        """
-        in_line = (one.run for one in self.line if one.run.producer_id == producer_id)
-        return any(run.numbers != numbers and set(run.numbers) & set(numbers) for run in in_line)
-
     def put_again(self, run: Run) -> None:
         """Repeat a run, as a producer that does not know the outcome."""
         self._send(run)
@@ -138,6 +130,8 @@ class PathPuts(PathReads):
             self.announce()
         if taken.waits is not None:
             entry.rest = entry.rest.rest(len(taken.verdicts), self.clock)
+            if any(isinstance(verdict, Item) for verdict in taken.verdicts):
+                self._remember(entry)
         return taken.waits is None
 
     def _answer(self, entry: OracleRun) -> Ack:

@@ -91,12 +91,7 @@ def put_again(rng: RandomSource, pair: PathPair) -> None:
     if not pair.sent:
         return
     former = pair.sent[rng.pick((-1, rng.below(len(pair.sent))))]
-    loses_count, numbers = rng.one_in(5), former.numbers
-    if loses_count:
-        numbers = range(numbers.start, numbers.stop + 1)
-    if pair.contends(former.producer_id, numbers):
-        return
-    if loses_count:
+    if rng.one_in(5):
         pair.put_overlapping(former)
     elif may_wait(pair) or not former.waits:
         pair.put_again(former)
@@ -110,9 +105,8 @@ def hang_up(rng: RandomSource, pair: PathPair) -> None:
     entry = rng.pick(entries)
     if sum(one.run is entry.run for one in pair.line) == 1:
         pair.hang_up(entry)
-        run = entry.run
-        if rng.below(3) and may_wait(pair) and not pair.contends(run.producer_id, run.numbers):
-            pair.put_again(run)
+        if rng.below(3) and may_wait(pair):
+            pair.put_again(entry.run)
 
 
 def get(rng: RandomSource, pair: PathPair) -> None:
