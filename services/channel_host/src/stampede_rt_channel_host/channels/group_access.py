@@ -57,6 +57,9 @@ class Cursor(Protocol):
     ) -> SubscriptionBatch | None:
         """As `take`, if memory does not have the next items any more; otherwise None. Raises Unavailable."""
 
+    def is_held(self, now: int) -> bool:
+        """Whether memory has the next items. False if an archive may have some of them."""
+
     def progress(self, now: int) -> pb.SubscriptionProgress:
         """The progress of the subscription, as the reader gets it."""
 

@@ -13,8 +13,8 @@ from typing import Any
 
 from stampede_rt.errors import InvalidArgument, Overloaded, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt.values.timeline import ResolvedInterval
-from stampede_rt_channel_host.channels import refusals
+from stampede_rt.values.timeline import Interval, ResolvedInterval
+from stampede_rt_channel_host.channels import copied_archives, refusals
 from stampede_rt_channel_host.channels.copy_state import Freshness
 from stampede_rt_channel_host.channels.gets.waiting_gets import WAITING_GETS_MAX
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, GroupReadParams
@@ -260,6 +260,9 @@ class _All:
         member_of(self._group, self._hosted)
         return await self._steps.take(recording, self._group.horizon(), limit_bytes)
 
+    def is_held(self, now: int) -> bool:
+        return self._cursor.unheld_step(self._group.horizon(), now) is None
+
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         self._group.check_incarnation(self._incarnation)
         member_of(self._group, self._hosted)
@@ -292,6 +295,9 @@ class _Newest:
     ) -> SubscriptionBatch | None:
         return None
 
+    def is_held(self, now: int) -> bool:
+        return True
+
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         self._group.check_incarnation(self._incarnation)
         member_of(self._group, self._hosted)
@@ -308,7 +314,10 @@ def _cursor(
     horizon, now = group.horizon(), channels.now()
     if is_newest(opening):
         return _Newest(group, hosted, VisibleNewest(hosted.channel, horizon, now, **where))
-    place = VisibleAll(hosted.channel, horizon, now, archived=hosted.recording is not None, **where)
+    start, is_copy = where.get("start"), copied_archives.lacks_archive(hosted)
+    if start is not None and is_copy:
+        copied_archives.check_read(hosted, Query(interval=Interval(start, start)), now, horizon)
+    place = VisibleAll(hosted.channel, horizon, now, archived=is_copy or hosted.recording is not None, **where)
     return _All(group, hosted, place, RecordedSteps(channels, place))
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from stampede_rt.errors import Unavailable
 from stampede_rt.values.timeline import ResolvedInterval, format_instant
+from stampede_rt_channel_host.channels import copied_archives
 from stampede_rt_channel_host.channels.group_access import GroupAnswer, GroupReadParams
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
@@ -22,9 +23,16 @@ class FoundAnswer(NamedTuple):
 
 
 def reads_archive(params: GroupReadParams, hosted: HostedChannel, query: Query, horizon: Horizon, now: int) -> bool:
-    """Whether the answer may have items that only the archive of the channel has."""
+    """Whether the answer may have items that only the archive of the channel has.
+
+    Raises StaleBinding (MOVED) if only the owner has the archive.
+    """
     recording = hosted.recording
-    return recording is not None and not params.within_memory and recording.reaches_in_group(query, horizon, now)
+    if params.within_memory:
+        return False
+    if recording is None:
+        copied_archives.check_read(hosted, query, now, horizon)
+    return recording is not None and recording.reaches_in_group(query, horizon, now)
 
 
 async def read_recorded_in_group(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from stampede_rt.errors import AheadOfClock, InvalidArgument
 from stampede_rt.values.timeline import format_instant
+from stampede_rt_channel_host.channels import copied_archives
 from stampede_rt_channel_host.channels.gets.get_plans import GetPlan
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.past_reads import PastSummary
@@ -39,16 +40,23 @@ class OpenGet:
     def reads_archive(self, now: int) -> bool:
         """Whether the answer may have items that only the archive of the channel has, or is as of an earlier instant.
 
-        Raises InvalidArgument for a get that cannot be answered as of an earlier instant.
+        Raises InvalidArgument for a get that cannot be answered as of an earlier instant, and StaleBinding (MOVED) if
+        only the owner has the archive.
         """
         if self.plan.as_of is not None:
             self._check_past(self.plan.as_of, now)
             return True
         recording = self.hosted.recording
-        return recording is not None and not self.plan.within_memory and recording.reaches(self.plan.query, now)
+        if self.plan.within_memory:
+            return False
+        if recording is None:
+            copied_archives.check_read(self.hosted, self.plan.query, now)
+        return recording is not None and recording.reaches(self.plan.query, now)
 
     def _check_past(self, as_of: int, now: int) -> None:
         name = self.hosted.record.name
+        if copied_archives.lacks_archive(self.hosted):
+            raise copied_archives.refusal(self.hosted)
         if self.hosted.recording is None:
             why = f"channel {name} is not recorded, so its host does not know its past; open it with archive="
         elif self.plan.wait_nanos:

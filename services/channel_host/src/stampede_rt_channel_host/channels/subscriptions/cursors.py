@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.values.timeline import Interval
+from stampede_rt_channel_host.channels import copied_archives
 from stampede_rt_channel_host.channels.group_access import Cursor
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.recording import Recording
@@ -14,6 +16,7 @@ from stampede_rt_channel_host.core.channel import (
     ChannelCore,
     NewestCursor,
     Pieces,
+    Query,
     SavedCursor,
     SubscriptionBatch,
 )
@@ -36,6 +39,9 @@ class _All:
         self, recording: Recording, limit_bytes: int, now: Callable[[], int]
     ) -> SubscriptionBatch | None:
         return await recording.since(self._cursor, limit_bytes, now)
+
+    def is_held(self, now: int) -> bool:
+        return self._channel.missing(self._cursor, now) is None
 
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         return self._channel.since(self._cursor, now, limit_bytes)
@@ -64,6 +70,9 @@ class _Newest:
     ) -> SubscriptionBatch | None:
         return None
 
+    def is_held(self, now: int) -> bool:
+        return True
+
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         latest = self._channel.latest(self._cursor, now)
         return SubscriptionBatch(slices=(latest,) if latest else (), gap=self._cursor.take_loss())
@@ -75,11 +84,15 @@ class _Newest:
 def open_cursor(hosted: HostedChannel, opening: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
     """A cursor at the place that `opening` states, as of `now`, made in pieces.
 
-    Raises InvalidArgument for an unusable place, IncarnationLost for a place of another incarnation.
+    Raises InvalidArgument for an unusable place, IncarnationLost for a place of another incarnation, and StaleBinding
+    (MOVED) if only the owner has the archive of the first items.
     """
     where, channel = beginning_of(opening), hosted.channel
     if is_newest(opening):
         return _Newest(channel, channel.subscribe_newest(now, **where))
+    start = where.get("start")
     if hosted.recording is not None:
         where = hosted.recording.beginning(where, now)
+    elif start is not None:
+        copied_archives.check_read(hosted, Query(interval=Interval(start, start)), now)
     return _All(channel, (yield from channel.subscribing_all(now, **where)))

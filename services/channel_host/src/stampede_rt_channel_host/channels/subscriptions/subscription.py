@@ -13,6 +13,7 @@ from functools import lru_cache
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.reads import reason_to_message
+from stampede_rt_channel_host.channels import copied_archives
 from stampede_rt_channel_host.channels.copy_state import Freshness
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX, Delivery
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAccess
@@ -62,6 +63,7 @@ class Subscription(ChangeObserver):
         self._multicast = MulticastReader()
         self._drops = ReaderDrops(hosted.record.name, "")  # `_serve` enters it in the host's table
         self._movable_at_s: float | None = None  # loop time from which the reader may move to a copy; None: it may not
+        self._reads_archive = False  # whether the last part came from the archive
         self._silent_at_s = 0.0  # loop time at which a progress message is due; only a write postpones it
 
     def wake(self) -> None:
@@ -131,7 +133,7 @@ class Subscription(ChangeObserver):
     @property
     def may_move(self) -> bool:
         """See `MovableReader`."""
-        at_s = self._movable_at_s
+        at_s = None if self._reads_archive else self._movable_at_s
         return at_s is not None and at_s <= asyncio.get_running_loop().time()
 
     async def _read(self) -> None:
@@ -149,6 +151,7 @@ class Subscription(ChangeObserver):
 
     async def _serve(self, cursor: Cursor, opening: pb.SubscribeOpen) -> None:
         channel = self._hosted.channel
+        self._check_held(cursor)
         opened = pb.SubscriptionOpened(incarnation=channel.incarnation, next_seq=channel.next_seq)
         self._hosted.subscriptions.add(self)
         self._owes_progress = opening.HasField("start")
@@ -207,9 +210,17 @@ class Subscription(ChangeObserver):
         recording = self._hosted.recording
         if recording is not None:
             archived = await cursor.from_archive(recording, limit_bytes, self._store.now)
+            self._reads_archive = archived is not None
             if archived is not None:
                 return archived
+        elif self._hosted.copy is not None:
+            self._check_held(cursor)
         return cursor.take(now, limit_bytes)
+
+    def _check_held(self, cursor: Cursor) -> None:
+        """Raises StaleBinding (MOVED) if only the owner's archive may have the next items."""
+        if copied_archives.lacks_archive(self._hosted) and not cursor.is_held(self._store.now()):
+            raise copied_archives.refusal(self._hosted)
 
     def _delivery_of(self, part: SubscriptionBatch, cursor: Cursor, now: int, *, without_payloads: bool) -> Delivery:
         delivery = self._hosted.deliveries.encode(

@@ -1,0 +1,41 @@
+"""The reads of a recorded channel at a copy. The copy has no archive, so it sends the reads that may need it away."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.core.archive import ArchiveSpan, reaches, resolved_now
+from stampede_rt_channel_host.core.channel import Query
+from stampede_rt_channel_host.core.group import Horizon, reaches_archive
+
+
+def lacks_archive(hosted: HostedChannel) -> bool:
+    """Whether only the owner has the archive of this channel."""
+    return hosted.copy is not None and hosted.record.policy.is_recorded
+
+
+def refusal(hosted: HostedChannel) -> StampedeError:
+    """The error that sends a reader of archived items to the owner."""
+    return refusals.copy_cannot(hosted.record.name, "has no archive, and the reader may need archived items")
+
+
+def check_read(hosted: HostedChannel, query: Query, now: int, horizon: Horizon | None = None) -> None:
+    """Check that a read needs no item that only the archive of the owner has. `horizon`: of the group of the read.
+
+    Raises StaleBinding (MOVED).
+    """
+    if not lacks_archive(hosted):
+        return
+    held, _ = hosted.channel.look(now)
+    lost_before = hosted.channel.lost_before  # the owner may not know yet which earlier items its archive has
+    bounds = (held.newest_collected, None if lost_before is None else lost_before - 1)
+    span = ArchiveSpan(max((one for one in bounds if one is not None), default=None), None, is_cut=False)
+    if horizon is not None:
+        needs_archive = reaches_archive(held, span, query, horizon, now)
+    else:
+        within = resolved_now(held, span, query, now)
+        is_early = within is not None and lost_before is not None and within.start < lost_before
+        needs_archive = is_early or (within is not None and reaches(held, within.start))
+    if needs_archive:
+        raise refusal(hosted)
