@@ -17,6 +17,7 @@ from stampede_rt.transports.concurrency_async import StepLock
 from stampede_rt.values.answers import ItemBatch, Items, PastState
 from stampede_rt.values.model import Item
 from stampede_rt.values.reading import ReadQuery, Wait
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt.values.timeline import ALL_TIME, MAX_INSTANT, Bound, Interval, Match
 
 
@@ -160,7 +161,7 @@ class ReplayedNewest(ReplayedSteps):
             return None
         item = items[0]
         if self._last_seq is not None:
-            self.skipped += max(0, item.seq - self._last_seq - 1)
+            self.skipped += given_between(self._last_seq + 1, item.seq)
         self._last_seq = max(item.seq, self._last_seq or 0)
         self._query = replace(self._query, newer_than=item)
         return item

@@ -17,6 +17,7 @@ from stampede_rt.transports.ring_mapping import WAIT_S_MAX, RingMapping, boottim
 from stampede_rt.transports.ring_waiting_sync import RingWaits
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Item
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt.wire.long_answers import LongRun
 
 STEP_BYTES_MAX = 2**20
@@ -110,7 +111,7 @@ class RingFollower:
         self._cursor.from_unix_nano, self._cursor.from_seq = item.time, item.seq + 1
         self._cursor.next_seq = found.next_seq
         self._delivered += 1
-        self.skipped = max(0, found.next_seq - self._begun_seq - self._delivered)
+        self.skipped = max(0, given_between(self._begun_seq, found.next_seq) - self._delivered)
         return ((item,),)
 
     def _take_next(self, facts: list[int]) -> Sequence[Sequence[Item]] | AskHost:

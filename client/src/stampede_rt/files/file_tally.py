@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from stampede_rt.files.entries import FileAdvance, FileEntry, Topic
 from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordedCounts, RecordingGap, RecordingSummary
+from stampede_rt.values.seq_starts import given_between
 
 DAMAGED = "DAMAGED"
 Key = tuple[str, int | None]
@@ -71,10 +72,13 @@ class FileTally:
         return revealed
 
     def _damaged(self, topic: Topic, first_seq: int, last_seq: int) -> RecordingGap:
-        items = last_seq - first_seq + 1
+        items: int | None = last_seq - first_seq + 1
+        detail = f"a damaged part of the file had at most these {items} items"
+        if given_between(first_seq, last_seq + 1) != items:
+            items, detail = None, "a damaged part of the file may have had items of two owners of the channel"
         gap = RecordingGap(
             channel=topic.name, incarnation=topic.incarnation or 0, reason=DAMAGED, first_seq=first_seq,
-            last_seq=last_seq, items=items, detail=f"a damaged part of the file had at most these {items} items",
+            last_seq=last_seq, items=items, detail=detail,
         )  # fmt: skip
         self._add_gap(gap)
         return gap

@@ -182,20 +182,22 @@ class MulticastStatus(_message.Message):
     def __init__(self, group: _Optional[str] = ..., readers: _Optional[int] = ..., datagrams: _Optional[int] = ..., bytes: _Optional[int] = ..., repairs: _Optional[int] = ...) -> None: ...
 
 class CopyStatus(_message.Message):
-    __slots__ = ("source_host_id", "staleness_nanos", "source_next_seq", "missed", "ready", "reconnects")
+    __slots__ = ("source_host_id", "staleness_nanos", "source_next_seq", "missed", "ready", "reconnects", "waiting")
     SOURCE_HOST_ID_FIELD_NUMBER: _ClassVar[int]
     STALENESS_NANOS_FIELD_NUMBER: _ClassVar[int]
     SOURCE_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     MISSED_FIELD_NUMBER: _ClassVar[int]
     READY_FIELD_NUMBER: _ClassVar[int]
     RECONNECTS_FIELD_NUMBER: _ClassVar[int]
+    WAITING_FIELD_NUMBER: _ClassVar[int]
     source_host_id: bytes
     staleness_nanos: int
     source_next_seq: int
     missed: int
     ready: bool
     reconnects: int
-    def __init__(self, source_host_id: _Optional[bytes] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., missed: _Optional[int] = ..., ready: bool = ..., reconnects: _Optional[int] = ...) -> None: ...
+    waiting: int
+    def __init__(self, source_host_id: _Optional[bytes] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., missed: _Optional[int] = ..., ready: bool = ..., reconnects: _Optional[int] = ..., waiting: _Optional[int] = ...) -> None: ...
 
 class FedCopyStatus(_message.Message):
     __slots__ = ("host_id", "waiting", "subscriptions", "heard_ago_nanos", "ready", "in_sync", "replica")

@@ -244,7 +244,9 @@ def proxy_info(
     host, source = names.get(replica.host_id, ""), names.get(replica.source_host_id, "")
     if status is None:
         return ProxyInfo(channel=channel, host=host, source=source)
-    received = status.counters.accepted + status.copy.missed
+    waiting = status.copy.waiting
+    if not status.copy.HasField("waiting"):
+        waiting = max(0, status.copy.source_next_seq - 1 - status.counters.accepted - status.copy.missed)
     return ProxyInfo(
         channel=channel,
         host=host,
@@ -253,7 +255,7 @@ def proxy_info(
         staleness_nanos=status.copy.staleness_nanos,
         held=status.counters.held,
         missed=status.copy.missed,
-        waiting=max(0, status.copy.source_next_seq - 1 - received),
+        waiting=waiting,
         subscriptions=status.subscriptions,
         reconnects=status.copy.reconnects,
     )

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.values.model import Policy, Reason
+from stampede_rt.values.seq_starts import start_of
 from stampede_rt.values.timeline import Bound, Interval, Match
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
@@ -29,7 +30,6 @@ from stampede_rt_channel_host.core.archive import (
 from stampede_rt_channel_host.core.archive.stored_segment import object_name, segment_named
 from stampede_rt_channel_host.core.channel import ChannelCore, Query, ReadAnswer, run_to_end
 from stampede_rt_channel_host.core.group import Horizon
-from stampede_rt_channel_host.core.seq_starts import start_of
 from tests.unit.channel_host.archive.test_archive_files import ALL, NO_LIMITS, decode, run_at, write
 from tests.unit.channel_host.archive.test_host_archive_writes import archive_in
 

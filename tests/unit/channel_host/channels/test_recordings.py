@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.errors import InvalidArgument, Unavailable
+from stampede_rt.values.seq_starts import start_of
 from stampede_rt.values.timeline import Bound, Interval
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
@@ -16,7 +17,6 @@ from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.recordings import Recordings
 from stampede_rt_channel_host.core.channel import Offer, Query, make_run
 from stampede_rt_channel_host.core.records import RecordedChannel
-from stampede_rt_channel_host.core.seq_starts import start_of
 from tests.support.channel_host.object_stores import FakeStore
 from tests.support.channel_host.recorded_hosts import Host, Owner, host, quick_looks, record  # noqa: F401
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from stampede_rt.values.seq_starts import start_of
 from stampede_rt.values.timeline import NOW, OLDEST, Bound, Interval
 from stampede_rt_channel_host.archive.clean_stop import CleanStop, name_of_stop, stop_named
 from stampede_rt_channel_host.archive.objects.opened_store import OpenedStore
 from stampede_rt_channel_host.archive.objects.segment_store import FoundObject, LaterOwner, SegmentStore, StoreError
 from stampede_rt_channel_host.core.channel import Query
-from stampede_rt_channel_host.core.seq_starts import start_of
 from tests.support.channel_host.object_stores import CHANNEL, PREFIX, FakeStore, moving_files
 from tests.support.channel_host.recorded_hosts import Host, Owner, quick_looks  # noqa: F401
 

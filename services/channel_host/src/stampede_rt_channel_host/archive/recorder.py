@@ -8,6 +8,7 @@ from collections.abc import Callable
 from itertools import islice
 from typing import NamedTuple
 
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, ChannelDiskUse, DiskUse
 from stampede_rt_channel_host.archive.moved_items import MovedItems
@@ -22,7 +23,6 @@ from stampede_rt_channel_host.core.archive import (
     Segment,
 )
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
-from stampede_rt_channel_host.core.seq_starts import given_between
 
 RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
 BYTES_PER_WRITE = 16 * 2**20
@@ -282,7 +282,7 @@ class ChannelRecorder:
             self._has_told_loss = self._lost_before != NOTHING_LOST
             self._lost_before = None
         gaps = [one for one in job.parts if isinstance(one, SeqGap) and one.lost_before is None]
-        self.unarchived += sum(one.end_seq - one.first_seq for one in gaps)
+        self.unarchived += sum(given_between(one.first_seq, one.end_seq) for one in gaps)
         self._gaps += gaps
         if len(over := self._gaps[:-GAPS_KEPT]):  # the earliest gaps become one
             self._gaps[: len(over) + 1] = [SeqGap(self._gaps[0].first_seq, self._gaps[len(over)].end_seq)]

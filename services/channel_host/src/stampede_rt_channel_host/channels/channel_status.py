@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from stampede_rt.v1 import channel_pb2
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.fed_copies import FedCopy
@@ -80,6 +81,7 @@ def _copy_status(hosted: HostedChannel, copy: CopyState) -> channel_pb2.CopyStat
         staleness_nanos=copy.staleness_nanos,
         source_next_seq=copy.source_next_seq,
         missed=hosted.channel.missed,
+        waiting=given_between(hosted.channel.next_seq, copy.source_next_seq),
         ready=copy.is_ready,
         reconnects=copy.reconnects,
     )

@@ -11,6 +11,7 @@ from typing import Any
 from stampede_rt.errors import Unavailable
 from stampede_rt.values.model import Policy
 from stampede_rt.values.policy import FOREVER_NANOS
+from stampede_rt.values.seq_starts import has_start, start_of
 from stampede_rt.values.timeline import Bound, Interval, Match, ResolvedInterval
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.disk_use import ChannelDiskUse
@@ -46,7 +47,6 @@ from stampede_rt_channel_host.core.channel import (
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.group import Horizon, RecordedView, reaches_archive
 from stampede_rt_channel_host.core.records import RecordedChannel
-from stampede_rt_channel_host.core.seq_starts import has_start, start_of
 
 RESTORED_BYTES = 2**20
 ENTRIES_PER_LOOK = 1024

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import Policy
+from stampede_rt.values.seq_starts import given_between, has_start
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
@@ -14,7 +15,6 @@ from stampede_rt_channel_host.channels.recording import OpenedChannelArchive, Re
 from stampede_rt_channel_host.core.channel.limits import check_policy_change
 from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.records import RecordedChannel
-from stampede_rt_channel_host.core.seq_starts import has_start
 
 
 class ArchiveCounts(NamedTuple):
@@ -213,4 +213,5 @@ def _nothing(_: RetryWindow) -> bytes:
 
 def _counts(recording: Recording) -> ArchiveCounts:
     recorder = recording.recorder
-    return ArchiveCounts(recorder.unarchived, recorder.backlog_items, recorder.files.damaged_blocks)
+    backlog_items = given_between(recorder.archived_to, recorder.archived_to + recorder.backlog_items)
+    return ArchiveCounts(recorder.unarchived, backlog_items, recorder.files.damaged_blocks)

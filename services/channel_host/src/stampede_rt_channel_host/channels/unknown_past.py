@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stampede_rt.errors import Unavailable
+from stampede_rt.values.seq_starts import start_of
 from stampede_rt.values.timeline import Match, MetaTime, ResolvedInterval
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
@@ -16,7 +17,6 @@ from stampede_rt_channel_host.core.channel import ChannelCore, Query
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.group import Horizon
-from stampede_rt_channel_host.core.seq_starts import start_of
 
 
 class UnknownPast:

@@ -110,7 +110,7 @@ class FeedStream:
             copy = FedCopy(
                 opening.host_id,
                 opening.target,
-                lambda: self._source.next_seq - feed.next_seq,
+                lambda: feed.waiting_items,
                 is_replica=self._replication is not None,
             )
             if opening.move_id:

@@ -8,13 +8,13 @@ from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.archive.clean_stop import CleanStop, OwnPart, read_stop
 from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
 from stampede_rt_channel_host.archive.objects.stored_segments import Packed, StoredSegments
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.core.archive import CutRun, Segment
 from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment, first_number
-from stampede_rt_channel_host.core.seq_starts import given_between
 
 
 class MovingFiles(SegmentFiles):

@@ -7,6 +7,7 @@ from itertools import pairwise, takewhile
 from typing import NamedTuple
 
 from stampede_rt.values.model import Reason
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
 from stampede_rt_channel_host.core.archive.window import BlocksOf, choose_by_seq
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
@@ -14,7 +15,6 @@ from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import Run, Slice
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor, Range
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Gap, SubscriptionBatch
-from stampede_rt_channel_host.core.seq_starts import given_between
 
 REMOVED = Reason("COLLECTED", "the limits of the channel or of its archive have removed the items")
 LACKED = Reason(

@@ -11,6 +11,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from stampede_rt.values.seq_starts import given_over
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 from stampede_rt_channel_host.core.archive.block import HEAD_BYTES, ROW_BYTES, BlockHead
 from stampede_rt_channel_host.core.archive.holes import WindowReach
@@ -18,7 +19,6 @@ from stampede_rt_channel_host.core.archive.segment import Segment
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
-from stampede_rt_channel_host.core.seq_starts import given_over
 
 FILE_BYTES_PER_ITEM = HEAD_BYTES + ROW_BYTES + 64
 """The most bytes that an item without attributes takes in a segment besides its payload: alone in its block and run."""

@@ -6,11 +6,11 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from typing import NamedTuple
 
+from stampede_rt.values.seq_starts import given_between, given_over
 from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
-from stampede_rt_channel_host.core.seq_starts import given_between, given_over
 
 BlocksOf = Callable[[Segment], SegmentBlocks]
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from stampede_rt.values.model import Policy, Reason
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt.values.timeline import MIN_INSTANT, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.archive.block import (
     ArchivedAdvance,
@@ -26,7 +27,6 @@ from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapsh
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.reading import Reading
 from stampede_rt_channel_host.core.channel.values import Query, ReadAnswer
-from stampede_rt_channel_host.core.seq_starts import given_between
 
 RunsOf = Callable[[Segment, PlacedBlock], Sequence[ArchivedRun]]
 """Returns the runs of a block; none if the block is damaged."""

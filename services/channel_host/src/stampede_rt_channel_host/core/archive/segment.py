@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
+from stampede_rt.values.seq_starts import begin_of
 from stampede_rt_channel_host.core.archive.block import (
     ADVANCES,
     GAP,
@@ -17,7 +18,6 @@ from stampede_rt_channel_host.core.archive.block import (
     is_whole,
 )
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
-from stampede_rt_channel_host.core.seq_starts import begin_of
 
 ReadAt = Callable[[int, int], bytes]
 """Reads a file: takes an offset and a number of bytes. Returns the bytes, fewer at the end of the file."""

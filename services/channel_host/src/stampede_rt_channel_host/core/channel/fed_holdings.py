@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.core.channel.feeding import Collection
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
@@ -27,8 +28,9 @@ class FedHoldings(Holdings):
         self.store(run, run.payload_bytes(0, len(run)), min(run.times), max(run.times))
 
     def skip_to(self, next_seq: int) -> None:
-        """Count the seqs up to `next_seq`, exclusive, as missed, unless they are held or were missed before."""
-        self.missed += max(0, next_seq - self.next_seq)
+        """Pass the seqs up to `next_seq`, exclusive. Those that belong to items count as missed."""
+        self.missed += given_between(self.next_seq, next_seq)
+        self.passed_seqs += max(0, next_seq - self.next_seq)
 
     def clear_below(self, key: ItemKey) -> None:
         """Collect and free the items below `key`, because the source has done so and then set its floor back."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from stampede_rt.errors import Unavailable
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
@@ -144,6 +145,11 @@ class ChannelFeed:
     def source_next_seq(self) -> int:
         """The place of a copy that has all items of the source."""
         return self._source.next_seq
+
+    @property
+    def waiting_items(self) -> int:
+        """The items of the source that the copy has not got, as far as their seqs tell."""
+        return given_between(self.next_seq, self._source.next_seq)
 
     def take(self, now: int, limit_bytes: int) -> FeedPart | None:
         """The next part of about `limit_bytes` at most, or None if nothing has changed. Moves the place.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
 from stampede_rt_channel_host.core.channel.item_blocks import ItemBlocks
@@ -16,7 +17,6 @@ from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 from stampede_rt_channel_host.core.channel.shared_batches import SharedBatches
 from stampede_rt_channel_host.core.channel.span_ends import latest_end
 from stampede_rt_channel_host.core.channel.values import Counters
-from stampede_rt_channel_host.core.seq_starts import given_between
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
 ARCHIVE = "archive"
@@ -41,7 +41,8 @@ class HeldItems:
     is the cause for which the item with that span end was collected. `newest_consumed` is the latest time of an item
     collected by consumption. `last_cause` is the cause of the last collection. `overlap_nanos`: within this time after
     an item with a duration, a later item does not end its span. `freed_entries` counts the entries freed so far.
-    `missed` counts the seqs of items that a copy never received; it is 0 unless the channel is a copy. `floor_resets`
+    `passed_seqs` counts the seqs before `next_seq` that no accepted item has: `missed` of them belong to items that a
+    copy never received, and no item has the others. `missed` is 0 unless the channel is a copy. `floor_resets`
     counts how often a late item has set the floor back.
     """
 
@@ -51,7 +52,7 @@ class HeldItems:
         "_snapshots", "_stored_bytes", "_stored_items", "accepted", "accepted_bytes", "came_up_to", "collected",
         "collected_by", "collected_end", "floor", "floor_resets", "freed_entries", "index", "items",
         "last_cause", "late", "missed", "newest", "newest_collected", "newest_consumed", "oldest",
-        "overlap_nanos", "payload_bytes", "shared_batches",
+        "overlap_nanos", "passed_seqs", "payload_bytes", "shared_batches",
     )  # fmt: skip
 
     def __init__(self, cut: Cut | None = None) -> None:
@@ -91,7 +92,7 @@ class HeldItems:
         self._cut = cut
         self._owes_trim = False  # whether the last call of `free` has left a part of the first entry to the next call
         self.freed_entries = 0
-        self.missed = 0
+        self.missed = self.passed_seqs = 0
         self.floor_resets = 0
         self._on_floor_reset: dict[Callable[[ItemKey], None], None] | None = None  # the feeds of copies; few have one
         self.shared_batches: SharedBatches | None = None
@@ -100,7 +101,7 @@ class HeldItems:
     @property
     def next_seq(self) -> int:
         """The seq of the next accepted item."""
-        return self.accepted + self.missed + 1
+        return self.accepted + self.passed_seqs + 1
 
     def inherit_counts(self, counters: Counters) -> None:
         """Continue the counts of another owner.
@@ -109,7 +110,7 @@ class HeldItems:
         """
         next_seq, known = self.next_seq, self.items + sum(counters.collected.values())
         self.accepted = max(known, given_between(1, next_seq))
-        self.missed = next_seq - 1 - self.accepted
+        self.missed, self.passed_seqs = 0, next_seq - 1 - self.accepted
         more = self.accepted - known
         self.collected = {**counters.collected, self.last_cause: max(0, counters.collected[self.last_cause] + more)}
         self.accepted_bytes, self.late = max(self.accepted_bytes, counters.accepted_bytes), counters.late

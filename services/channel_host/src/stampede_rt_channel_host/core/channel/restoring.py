@@ -45,5 +45,5 @@ def leave_to_archive(held: Holdings, edge: int, backlog: ArchiveBacklog | None, 
 
 
 def _skip_to(held: Holdings, next_seq: int) -> None:
-    """Count the seqs up to `next_seq`, exclusive, as missed, unless they are held or were missed before."""
-    held.missed += max(0, next_seq - held.next_seq)
+    """Pass the seqs up to `next_seq`, exclusive, unless they are held or were passed before."""
+    held.passed_seqs += max(0, next_seq - held.next_seq)

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 
 from stampede_rt.values.model import Reason
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.former_incarnations import FormerIncarnation
 from stampede_rt_channel_host.core.channel.holdings import Holdings
@@ -302,8 +303,9 @@ def _next_batch(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_
         if low > owed[0]:
             if slices or gap is not None:
                 break
-            gap = _gap(limits, held, owed[0], low - 1)
-            cursor.dropped += gap.items
+            if lacks := given_between(owed[0], low):  # else no item has these seqs
+                gap = _gap(limits, held, low - lacks, low - 1)
+                cursor.dropped += lacks
             cursor.mark_done(low)
             continue
         for held_part in _contiguous(held, *owed):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import Slice
@@ -17,15 +18,16 @@ class NewestCursor:
     the channel's next seq at that time.
     """
 
-    __slots__ = ("_base_seq", "_low", "delivered", "losses", "next_seq", "skipped")
+    __slots__ = ("_base_seq", "_before", "_low", "delivered", "losses", "next_seq", "skipped")
 
-    def __init__(self, low: ItemKey, base_seq: int, losses: LostPlaces = ()) -> None:
+    def __init__(self, low: ItemKey, base_seq: int, losses: LostPlaces = (), before: int = 0) -> None:
         self._low = low  # only items at or above this key belong to the subscription
         self._base_seq = base_seq  # all items from this seq on belong to the subscription
+        self._before = before  # the items with lower seqs that belong to it
         self.losses = losses  # the losses of which the reader has still to hear
         self.delivered = 0
         self.skipped = 0
-        self.next_seq = base_seq
+        self.next_seq = base_seq - before
 
     def saved(self, incarnation: int) -> SavedCursor:
         """The cursor from which another subscription continues. It has the former incarnation until the reader hears of
@@ -49,7 +51,8 @@ class NewestCursor:
         self.next_seq = held.next_seq
         # After a resumption the newest item may have been accepted before `_base_seq`: then `delivered` counts it, but
         # the difference of the seqs does not.
-        self.skipped = max(0, held.next_seq - self._base_seq - self.delivered)
+        accepted = self._before + given_between(self._base_seq, held.next_seq)
+        self.skipped = max(0, accepted - self.delivered)
         return None if newest is None else DeliveredSlice(newest, None)
 
 
@@ -66,6 +69,6 @@ def open_newest(held: Holdings, low: ItemKey | None, after: ItemKey | None) -> N
     if after is not None:
         return NewestCursor((after[0], after[1] + 1), after[1] + 1)
     if low is not None:
-        return NewestCursor(low, held.next_seq - (held.items - held.items_below(low)))
+        return NewestCursor(low, held.next_seq, before=held.items - held.items_below(low))
     last = next(held.slices_down(), None)
     return NewestCursor(FIRST_KEY if last is None else (last.last_time, last.end_seq), held.next_seq)

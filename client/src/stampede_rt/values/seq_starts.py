@@ -26,9 +26,10 @@ def has_start(epoch: int) -> bool:
 
 
 def given_between(first: int, end: int) -> int:
-    """How many of the seqs from `first` up to `end`, exclusive, belong to items, as far as the archive can know.
+    """How many of the seqs from `first` up to `end`, exclusive, belong to items, as far as the seqs tell.
 
-    If an owner has begun at the start of its epoch, no host knows how many of the seqs before have been used.
+    If an owner has begun at the start of its epoch, no host knows how many of the seqs before have been used. So each
+    count of items by their seqs counts only the seqs from that start on.
     """
     return max(0, end - begin_of(first, end))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from stampede_rt_channel_host.core.seq_starts import EPOCHS_MAX, given_between, has_start, start_of
+from stampede_rt.values.seq_starts import EPOCHS_MAX, given_between, has_start, start_of
 
 
 def test_the_starts_of_the_owners_rise_and_fit_into_63_bits() -> None:
