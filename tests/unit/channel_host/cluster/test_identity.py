@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from threading import Barrier
 from typing import Any
 
 import pytest
@@ -12,6 +15,19 @@ from stampede_rt_channel_host.cluster.identity import HomeCluster, default_name,
 def test_a_host_keeps_its_id_as_long_as_its_data_folder(tmp_path: Any) -> None:
     assert load_host_id(tmp_path / "new") == load_host_id(tmp_path / "new")
     assert load_host_id(None) != load_host_id(None)
+
+
+def test_hosts_that_start_together_with_a_new_folder_have_one_id(tmp_path: Any) -> None:
+    together = Barrier(4)
+
+    def start(folder: Path) -> bytes:
+        together.wait()
+        return load_host_id(folder)
+
+    with ThreadPoolExecutor(4) as starts:
+        for number in range(20):
+            folder = tmp_path / str(number)
+            assert len({*starts.map(start, [folder] * 4), load_host_id(folder)}) == 1
 
 
 def test_the_error_for_a_damaged_id_file_gives_advice(tmp_path: Any) -> None:

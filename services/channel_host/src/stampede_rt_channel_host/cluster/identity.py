@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import secrets
 import socket
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -50,9 +52,22 @@ def load_host_id(folder: Path | None) -> bytes:
         return secrets.token_bytes(ID_BYTES)
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     path = folder / _FILE
-    if not path.exists():
-        _write_atomically(path, secrets.token_hex(ID_BYTES))
+    with _alone(folder):  # two hosts that start together must not make two ids
+        if not path.exists():
+            _write_atomically(path, secrets.token_hex(ID_BYTES))
     return _read(path)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Let one process at a time into the block. Some network file systems cannot lock a folder, and let all in."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 class HomeCluster:
