@@ -70,6 +70,21 @@ def test_doctor_names_the_supernodes_to_start_after_a_lost_quorum_also_without_a
         assert supernode.address in said.partition("start a front-end: stampede frontend --supernodes ")[2]
 
 
+@pytest.mark.without_rules("a client token cannot host channels")
+def test_doctor_and_errors_say_who_has_the_items_of_a_recorded_channel_whose_program_has_ended(
+    cluster: LocalCluster, doctor: Doctor, tmp_path: Path
+) -> None:
+    with st.connect(cluster.address) as other:
+        with st.host(cluster.address, name="ended", archive=tmp_path, drain="0s") as rt:
+            rt.channel("cam/rec", max_items=5, archive="7d").put(b"x", ack="disk")
+            channel = other.channel("cam/rec", create=False)
+        with pytest.raises(st.Unavailable, match=r"host of the recorded channel 'cam/rec' \(ended\) is away; start it"):
+            channel.newest()
+    code, said = doctor("--url", cluster.address)
+    assert (code, "1 of 1 away" in row(said, "channels"), "with its items" in said) == (1, True, False)
+    assert "start host ended again with the same archive, which has the recorded items of cam/rec" in said
+
+
 @pytest.mark.without_rules("doctor tells an operator more")
 def test_doctor_reports_a_killed_host_and_its_channels_until_it_restarts(cluster: LocalCluster, doctor: Doctor) -> None:
     empty = cluster.add_host()

@@ -212,6 +212,16 @@ def test_lost_channels_and_queues_are_reported_by_name_and_host() -> None:
     )
 
 
+def test_recorded_channels_of_absent_hosts_are_not_reported_as_lost() -> None:
+    held = [Inventory(kind="channel", count=3, lost=[("live", "host h7")], recorded=[("rec", "host h8")])]
+    [channels] = [one for one in diagnose(WELL, held, own_version="1.0", certificate_s_min=0) if one.part == "channels"]
+    assert channels.state == "1 of 3 lost, 1 of 3 away"
+    assert "live belonged to host h7, which is lost with its items" in channels.advice
+    assert "start host h8 again with the same archive, which has the recorded items of rec." in channels.advice
+    gone = found(changed("h1", alive=False), "host h1")
+    assert (gone.state, "open them again" in gone.advice) == ("gone", False)
+
+
 def test_a_running_majority_without_a_leader_is_not_reported_as_missing_supernodes() -> None:
     observations = [replace(one, ready=False) if one.kind == SUPERNODE else one for one in WELL]
     quorum = found(observations, "quorum")

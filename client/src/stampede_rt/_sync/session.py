@@ -33,7 +33,7 @@ from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2, ga
 from stampede_rt.values.codecs import Coding
 from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt.values.policy import flag_of, parse_name
-from stampede_rt.wire.records import channel_info, policy_to_spec
+from stampede_rt.wire.records import channel_info, policy_from_spec, policy_to_spec
 
 CALL_TIMEOUT_S = 10.0  # a call of the program takes at most this time, plus the wait that the program asks for
 TRY_TIMEOUT_S = 5.0  # for one request to a host, if the client may ask another one afterwards
@@ -247,9 +247,12 @@ class Session:
             state.info = self._learn(response.channel, response.host)
             return
         if not state.create:
+            name, host = state.info.name, response.host.name or "unknown"
             raise Unavailable(
-                f"the host of channel {state.info.name!r} ({response.host.name or 'unknown'}) is lost with its items; "
-                "start the host again, or open the channel with create=True to have it at another host",
+                f"the host of the recorded channel {name!r} ({host}) is away; start it again with its archive"
+                if policy_from_spec(response.channel.spec).is_recorded
+                else f"the host of channel {name!r} ({host}) is lost with its items; start the host again, or open the "
+                "channel with create=True to have it at another host",
                 reason="NO_HOST",
             )
         state.info = self.open_channel(state.info.name, state.stated, None, True, timeout_s)

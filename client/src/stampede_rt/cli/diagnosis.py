@@ -89,7 +89,10 @@ def _archive_store(one: Observation) -> tuple[str, str]:
 
 def _lost(one: Observation) -> tuple[str, str]:
     if one.lost_for_nanos is None:
-        advice = "it left, or came back without its data folder, but still owns channels or queues; open them again"
+        advice = (
+            "it left, or came back without its data folder, but still owns channels or queues; see the lines on "
+            "channels and queues"
+        )
         return "gone", advice
     advice = "its lease has ended: the host was killed, hangs, or cannot reach the supernodes; start it again"
     return f"lost {roughly(one.lost_for_nanos)} ago", advice
@@ -212,16 +215,28 @@ def _hosts(seen: Sequence[Observation]) -> Iterator[CheckResult]:
 
 def _holdings(held: Inventory) -> CheckResult:
     count = f"{held.count} that this caller may list" if held.is_partial else f"{held.count}"
-    if not held.lost:
-        return CheckResult(f"{held.kind}s", "-", f"{count}, none lost")
-    names = [name for name, _ in held.lost[:NAMED_MAX]]
-    more = f" and {len(held.lost) - NAMED_MAX} more" if len(held.lost) > NAMED_MAX else ""
-    hosts = joined(sorted({host for _, host in held.lost}))
-    advice = (
-        f"{', '.join(names)}{more} belonged to {hosts}, which is lost with its items; start it again, or open them at "
-        f"another host: the next put into a {held.kind} does that"
-    )
-    return CheckResult(f"{held.kind}s", "-", f"{len(held.lost)} of {count} lost", advice)
+    states, advice = [], []
+    if held.lost:
+        names, hosts = _names(held.lost)
+        states.append(f"{len(held.lost)} of {count} lost")
+        advice.append(
+            f"{names} belonged to {hosts}, which is lost with its items; start it again, or open them at another host: "
+            f"the next put into a {held.kind} does that"
+        )
+    if held.recorded:
+        names, hosts = _names(held.recorded)
+        states.append(f"{len(held.recorded)} of {count} away")
+        advice.append(
+            f"start {hosts} again with the same archive, which has the recorded items of {names}. Another host that "
+            "takes a channel over has these items only if the archive is in an object store"
+        )
+    return CheckResult(f"{held.kind}s", "-", ", ".join(states) or f"{count}, none lost", ". ".join(advice))
+
+
+def _names(items: Sequence[tuple[str, str]]) -> tuple[str, str]:
+    """Return the first names, and all hosts, as text."""
+    more = f" and {len(items) - NAMED_MAX} more" if len(items) > NAMED_MAX else ""
+    return ", ".join(name for name, _ in items[:NAMED_MAX]) + more, joined(sorted({host for _, host in items}))
 
 
 def _quotas(seen: Sequence[Observation]) -> Iterator[CheckResult]:

@@ -28,6 +28,7 @@ from stampede_rt.security.tls_diagnosis import (
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
+from stampede_rt.wire.records import policy_from_spec
 
 TIMEOUT_S = 5.0  # of one request; a front-end may need 2 s of it to find a healthy supernode
 ASKED_AT_ONCE_MAX = 16  # parts that the command asks in parallel
@@ -268,16 +269,18 @@ def _optional(message: Any, field: str) -> Any:
 
 def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Inventory | None:
     """Count the channels or queues in `pages`. Returns None if a page is None, because no supernode gave that page."""
-    count, lost = 0, []
+    count, lost, recorded = 0, list[tuple[str, str]](), list[tuple[str, str]]()
     for page in pages:
         if page is None:
             return None
         hosts = {host.host_id: host for host in page.hosts}
         records = getattr(page, field)
         count += len(records)
-        gone = (one for one in records if one.host_id in hosts and not hosts[one.host_id].alive)
-        lost += [(one.name or "a mailbox", f"host {hosts[one.host_id].name}") for one in gone]
-    return Inventory(kind=kind, count=count, lost=lost)
+        for one in records:
+            if one.host_id in hosts and not hosts[one.host_id].alive:
+                of_kind = recorded if kind == "channel" and policy_from_spec(one.spec).is_recorded else lost
+                of_kind.append((one.name or "a mailbox", f"host {hosts[one.host_id].name}"))
+    return Inventory(kind=kind, count=count, lost=lost, recorded=recorded)
 
 
 def _cluster_of_most(answers: Iterable[PartAnswer]) -> str:

@@ -92,12 +92,14 @@ class Observation:
 class Inventory:
     """The channels, or the queues, of the directory: their number, and the names and hosts of the lost ones.
 
+    `recorded`: the names and hosts of the recorded channels whose hosts are away. Their archives have their items.
     `is_partial`: rules of access limit the caller, so there may be others.
     """
 
     kind: str
     count: int
     lost: Sequence[tuple[str, str]] = ()
+    recorded: Sequence[tuple[str, str]] = ()
     is_partial: bool = False
 
 
