@@ -173,6 +173,22 @@ def test_a_stop_in_the_middle_of_a_write_repeats_no_item(tmp_path: Path, monkeyp
     assert (sum(one.items for one in found.segments), found.stop is not None) == (2, True)
 
 
+def test_a_stop_with_a_disk_that_fails_logs_the_items_that_are_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def scenario() -> None:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        recorder, put = recorded(archive, tmp_path / "c")
+        monkeypatch.setattr(recorder.files, "write", refuse)
+        put()
+        put()
+        await archive.close([recorder])
+
+    asyncio.run(scenario())
+    last = vars(caplog.records[-1])
+    assert (last["event"], last["items"], last["why"]) == ("archive_cut_short", 2, "Read-only file system")
+
+
 def test_a_channel_that_is_given_up_in_the_middle_of_a_write_is_no_longer_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

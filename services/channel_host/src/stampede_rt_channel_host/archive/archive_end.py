@@ -40,7 +40,7 @@ class ArchiveEnd:
         self._folder, self._in_writer, self._write, self._note_failure = folder, in_writer, write, note_failure
         self._mover = mover
         self._work: asyncio.Task[None] | None = None
-        self._is_written = False  # whether the present work has written the archive
+        self._recorders: Sequence[ChannelRecorder] = ()  # those of the last work
         self._closed: set[ChannelRecorder] = set()  # recorders whose folders have the note of a clean stop
         self._noted = 0  # the boot incarnation in the folder of the host
 
@@ -52,7 +52,7 @@ class ArchiveEnd:
         notes the `boot_incarnation` of the host, unless it is 0.
         """
         if self._work is None or self._work.done():
-            self._is_written = False
+            self._recorders = recorders
             self._work = asyncio.create_task(self._finish(recorders, boot_incarnation), name="archive-end")
             self._work.add_done_callback(_log_defect)
         await asyncio.wait([self._work], timeout=max(0.0, seconds_max))
@@ -63,11 +63,17 @@ class ArchiveEnd:
             await asyncio.wait([self._work], timeout=seconds_max)
 
     def cut(self) -> None:
-        """End the work. Logs the part that is not done."""
-        if self._work is not None and not self._work.done():
+        """End the work. Logs the items that the archive lacks, because the time is over or the disk fails."""
+        if self._work is not None:
             self._work.cancel()
-            if not self._is_written:
-                logger.error("the host stops before its archive is written", extra={"event": "archive_cut_short"})
+        lacking = [one for one in self._recorders if one.backlog_items]
+        if lacking:
+            items = sum(one.backlog_items for one in lacking)
+            why = next((one.failure for one in lacking if one.failure), "the disk is too slow")
+            logger.error(
+                "the host stops, and its archive lacks %d accepted items of %d channels: %s", items, len(lacking), why,
+                extra={"event": "archive_cut_short", "items": items, "channels": len(lacking), "why": why},
+            )  # fmt: skip
         if self._mover is not None:
             self._mover.close()
 
@@ -76,7 +82,6 @@ class ArchiveEnd:
         await self._close_files(recorders)
         if boot_incarnation:
             await self._note_stop(boot_incarnation if all(one.has_all_items for one in recorders) else 0)
-        self._is_written = True
         if self._mover is not None:
             await self._mover.finish()
 
