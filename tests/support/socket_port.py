@@ -1,6 +1,6 @@
 """A service whose methods have streams in both directions, at sockets of each kind.
 
-`port = port_fixture()` in a test file makes a fixture that opens them.
+`port = port_fixture()` in a test file makes a fixture that opens these sockets.
 """
 
 from __future__ import annotations

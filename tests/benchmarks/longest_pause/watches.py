@@ -17,7 +17,9 @@ from tests.support.supernode.node import running_node
 
 
 async def watches(_: Rig, count: int) -> tuple[str, Work]:
-    """The clients are a process of their own; the watches end together with it."""
+    """Prepare changes of the directory that `count` watches of another process receive. The watches end with that
+    process.
+    """
     stack = AsyncExitStack()
     node = await stack.enter_async_context(running_node())
     await node.register(1, name="one")

@@ -127,14 +127,14 @@ class CutSubscription(BoundToProcess):
         except StampedeError:
             self._group.session.check()
             raise
-        if not self._streams:  # somebody called `close` during the opening
+        if not self._streams:  # the program called `close` during the opening
             self._group.session.check()
             return
         try:
             parts: list[group_pb.CutPart] = []
             boundary = await self._next_boundary(parts)
             self._ready = self._cut(boundary, parts)
-        except StopAsyncIteration:  # somebody called `close` meanwhile
+        except StopAsyncIteration:  # the program called `close` meanwhile
             self._hang_up()
         except StampedeError as error:
             self._hang_up()
@@ -214,7 +214,7 @@ class CutSubscription(BoundToProcess):
             self._hang_up()
             raise
         self._streams, self._opening_streams = self._opening_streams, []
-        if self._closed:  # somebody called `close` during the opening
+        if self._closed:  # the program called `close` during the opening
             self._hang_up()
 
     def _check_members(self) -> None:
@@ -259,7 +259,7 @@ class CutSubscription(BoundToProcess):
 
     async def _next_boundary(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
         streams = self._streams
-        if not streams:  # somebody has called `close`
+        if not streams:  # the program has called `close`
             raise StopAsyncIteration
         decider, *others = streams
         await decider.conversation.send(group_pb.SubscribeCutsRequest(credit=1))  # the host may send one event

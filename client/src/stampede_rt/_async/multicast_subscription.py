@@ -110,7 +110,7 @@ class MulticastSubscription(Subscription):
         assert self._decoder is not None, "the stream is open"
         self._socket = GroupSocket(joined)
         self._receiving = Receiving(opener, verifier, monotonic_s(), partial(_decoded, self._decoder))
-        if self._closed:  # somebody called `close` meanwhile
+        if self._closed:  # the program called `close` meanwhile
             self._socket.close()
 
     async def _listen_in(self, receiving: Receiving, socket: GroupSocket) -> None:

@@ -110,7 +110,7 @@ class MessageTaking:
             found.append(await self.get())
 
         await self._reconnecting.open(take)
-        if not found or found[0] is None:  # somebody called `aclose` meanwhile
+        if not found or found[0] is None:  # the program called `aclose` meanwhile
             raise StopAsyncIteration
         return found[0]
 

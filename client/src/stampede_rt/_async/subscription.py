@@ -276,7 +276,7 @@ class Subscription(BoundToProcess):
             stream.cancel()
             raise
         self._stream, self._responses = stream, responses
-        if self._closed:  # somebody called `close` during the opening
+        if self._closed:  # the program called `close` during the opening
             stream.cancel()
         self._window.begin()
         self._ready_bytes = 0
@@ -300,7 +300,7 @@ class Subscription(BoundToProcess):
     async def _receive(self) -> None:
         try:
             self._take(*await self._responses.__anext__())
-        except StopAsyncIteration:  # somebody called `close`, or cancelled an earlier step
+        except StopAsyncIteration:  # the program called `close`, or cancelled an earlier step
             self._resume()
         except StampedeError as error:
             self._resume()

@@ -128,14 +128,14 @@ class CutSubscription(BoundToProcess):
         except StampedeError:
             self._group.session.check()
             raise
-        if not self._streams:  # somebody called `close` during the opening
+        if not self._streams:  # the program called `close` during the opening
             self._group.session.check()
             return
         try:
             parts: list[group_pb.CutPart] = []
             boundary = self._next_boundary(parts)
             self._ready = self._cut(boundary, parts)
-        except StopIteration:  # somebody called `close` meanwhile
+        except StopIteration:  # the program called `close` meanwhile
             self._hang_up()
         except StampedeError as error:
             self._hang_up()
@@ -215,7 +215,7 @@ class CutSubscription(BoundToProcess):
             self._hang_up()
             raise
         self._streams, self._opening_streams = self._opening_streams, []
-        if self._closed:  # somebody called `close` during the opening
+        if self._closed:  # the program called `close` during the opening
             self._hang_up()
 
     def _check_members(self) -> None:
@@ -260,7 +260,7 @@ class CutSubscription(BoundToProcess):
 
     def _next_boundary(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
         streams = self._streams
-        if not streams:  # somebody has called `close`
+        if not streams:  # the program has called `close`
             raise StopIteration
         decider, *others = streams
         decider.conversation.send(group_pb.SubscribeCutsRequest(credit=1))  # the host may send one event

@@ -141,7 +141,7 @@ class Listener(BackgroundStart, BoundToProcess):
                 self._holds.set()
                 for item in items:
                     self._call(item)
-            return False  # somebody has cancelled, or a replay has ended
+            return False  # the program has cancelled, or a replay has ended
         except IncarnationLost as error:
             self._incarnations_lost += 1
             _log.warning("on_item of %s continues with a new incarnation: %s", self._name, error)

@@ -111,7 +111,7 @@ class MessageTaking:
             found.append(self.get())
 
         self._reconnecting.open(take)
-        if not found or found[0] is None:  # somebody called `close` meanwhile
+        if not found or found[0] is None:  # the program called `close` meanwhile
             raise StopIteration
         return found[0]
 

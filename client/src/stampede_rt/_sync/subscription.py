@@ -277,7 +277,7 @@ class Subscription(BoundToProcess):
             stream.cancel()
             raise
         self._stream, self._responses = stream, responses
-        if self._closed:  # somebody called `close` during the opening
+        if self._closed:  # the program called `close` during the opening
             stream.cancel()
         self._window.begin()
         self._ready_bytes = 0
@@ -301,7 +301,7 @@ class Subscription(BoundToProcess):
     def _receive(self) -> None:
         try:
             self._take(*self._responses.__next__())
-        except StopIteration:  # somebody called `close`, or cancelled an earlier step
+        except StopIteration:  # the program called `close`, or cancelled an earlier step
             self._resume()
         except StampedeError as error:
             self._resume()

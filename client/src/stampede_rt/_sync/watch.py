@@ -132,7 +132,7 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
             self._session.supernodes.demote(stream.target, error)
             raise
         self._stream, self._responses = stream, responses
-        if self._closed:  # somebody called `close` during the opening
+        if self._closed:  # the program called `close` during the opening
             stream.cancel()
 
     def _begin(self) -> ServerStream[Any]:

@@ -72,7 +72,7 @@ class McapSource:
         self._cache: OrderedDict[int, dict[str, list[Event]]] = OrderedDict()
         self._cached_bytes = 0
         self._facts_ids = {number for number, topic in index.topics.items() if topic.name == FACTS_TOPIC}
-        self._loose: dict[int, dict[str, list[Event]]] = {}  # see `_loose_at`; by the position of the chunk
+        self._loose: dict[int, dict[str, list[Event]]] = {}  # see `_gaps_and_advances_at`; by the position of the chunk
 
     def close(self) -> None:
         """Close the file."""
@@ -102,14 +102,14 @@ class McapSource:
         places = {topic.name: self._places_of(topic.name) for topic in self.topics() if chosen(topic.name)}
         begins = {name: self._begin(found, start) for name, found in places.items()}
         streams = [
-            self._of(name, number, begins[name], found, start, end)
+            self._events_of(name, number, begins[name], found, start, end)
             for number, (name, found) in enumerate(places.items())
         ]
         due = start
         for due, _, event in heapq.merge(*streams, key=lambda one: one[:2]):
             yield due, event
         for place in range(min(begins.values(), default=0), len(self._chunks)):
-            for name, events in self._loose_at(place).items():
+            for name, events in self._gaps_and_advances_at(place).items():
                 if chosen(name) and name not in places:
                     yield from ((due, event) for event in events)
 
@@ -131,14 +131,17 @@ class McapSource:
             before = at
         return before
 
-    def _of(
+    def _events_of(
         self, name: str, number: int, begin: int, places: set[int], start: int, end: int
     ) -> Iterator[tuple[int, int, Event]]:
-        """Yield the events of one topic, each with the greatest time of the items up to it."""
+        """Yield the events of one topic in the order of the file.
+
+        Each comes with the greatest time of all items of the topic up to this event, and with `number`.
+        """
         kept: list[Event] = []
         due, window = start, IntervalFilter(start, end, lambda _: True, kept.append)
         for place in range(begin, len(self._chunks)):
-            found = self._decoded(place) if place in places else self._loose_at(place)
+            found = self._decoded(place) if place in places else self._gaps_and_advances_at(place)
             for event in found.get(name, ()):
                 window.add(event)
                 for one in kept:
@@ -148,7 +151,7 @@ class McapSource:
         window.finish()
         yield from ((due, number, event) for event in kept)
 
-    def _loose_at(self, place: int) -> dict[str, list[Event]]:
+    def _gaps_and_advances_at(self, place: int) -> dict[str, list[Event]]:
         """Return the gaps and advances of the channels without an item in a chunk. They stay in memory."""
         found = self._loose.get(place)
         if found is None:

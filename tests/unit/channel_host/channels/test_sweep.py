@@ -85,7 +85,7 @@ async def test_a_sweep_does_not_look_at_unchanged_channels() -> None:
     assert host.sweep.looked_at <= 3
 
 
-async def test_a_step_of_the_sweep_frees_few_entries_however_many_channels_have_some(
+async def test_a_step_of_the_sweep_frees_few_entries_if_many_channels_have_old_items(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     host = Host()

@@ -1,4 +1,6 @@
-"""The responses of subscriptions: long ones give the same items as protobuf's way, and damaged ones give errors."""
+"""The responses of subscriptions: the decoder of long ones gives the same items as protobuf, and damaged
+ones give errors.
+"""
 
 from __future__ import annotations
 
@@ -64,10 +66,10 @@ def test_a_long_response_gives_the_items_that_protobuf_gives(runs: object) -> No
 
 def test_items_keep_their_payloads_when_the_memory_of_the_response_is_used_again() -> None:
     raw = response_of([([(1, -1, b"first"), (2, -1, b"second")], False, None, "", None)]).SerializeToString()
-    room = bytearray(raw)
-    items = items_in(memoryview(room))
-    room[:] = bytes(len(room))
-    room.append(0)  # possible only if no item has a view of the buffer
+    buffer = bytearray(raw)
+    items = items_in(memoryview(buffer))
+    buffer[:] = bytes(len(buffer))
+    buffer.append(0)  # possible only if no item has a view of the buffer
     assert [item.payload for item in items] == [b"first", b"second", bytes(LONG_BYTES)]
     assert all(type(item.payload) is bytes for item in items)
 

@@ -94,7 +94,7 @@ class Backlog(Generic[Thing]):
     def _look_at_some(self) -> bool:
         """Look at the next few things. Returns True if others are left."""
         for thing in [*islice(self._waiting, self._per_piece)]:
-            if thing in self._waiting:  # if not, the look at another thing has dropped it
+            if thing in self._waiting:  # the look at another thing may have dropped it
                 del self._waiting[thing]
                 self._look(thing)
         return bool(self._waiting)
@@ -164,5 +164,5 @@ class Observers:
             if at:
                 yield
             for observer in part:
-                if observer in self._observers:  # if not, it has left meanwhile
+                if observer in self._observers:  # it may have left meanwhile
                     observer.end(error)

@@ -1,4 +1,4 @@
-"""Reads of a recorded channel as of an earlier instant: of the items that the host had accepted by that instant."""
+"""Reads of a recorded channel as of an earlier instant. They see the items that the host had accepted by then."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class PastSummary(NamedTuple):
 
 
 class PastAnswer(NamedTuple):
-    """The answer of a read. `continues`: it was cut off for its length."""
+    """The answer of a read. `continues`: the answer would be too long, so later items follow in the next one."""
 
     answer: ReadAnswer
     continues: bool
@@ -74,7 +74,8 @@ class PastReader:
     async def read(
         self, query: Query, as_of: int, scheduler: PieceScheduler, horizon: Horizon | None = None
     ) -> PastAnswer:
-        """Read as of an instant of the host's clock that has passed. `horizon`: of the group through which to read.
+        """Read as of an instant of the host's clock that has passed. `horizon` is the horizon of the group
+        through which the caller reads, if it reads through a group.
 
         First waits until the archive has all items that the host had accepted by then. Raises Unavailable if that takes
         more than ARCHIVED_WITHIN_SECONDS, or if the archive cannot be read.

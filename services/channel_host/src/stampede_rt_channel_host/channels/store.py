@@ -223,7 +223,7 @@ class ChannelStore:
     def _ending(self, error: StampedeError) -> Pieces[None]:
         for batch in self._channels.batches(CHANNELS_ENDED_PER_PIECE):
             for hosted in batch:
-                if self.serves(hosted):  # else it has left meanwhile
+                if self.serves(hosted):  # the channel may have left meanwhile
                     yield from hosted.ending(error)
             yield
 

@@ -16,7 +16,7 @@ from stampede_rt_channel_host.cluster.gathered_calls import GatheredCalls
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.records import RecordedChannel
 
-Placed = tuple[RecordedChannel, FeedSource]  # a channel, and its owner
+OwnedChannel = tuple[RecordedChannel, FeedSource]  # a channel, and its owner
 
 MOVES_MAX = 32  # the most moves in one call
 CHANGE_SECONDS = 0.01  # the least time between two entries; puts of the channels wait meanwhile
@@ -34,7 +34,7 @@ class Commit(NamedTuple):
 
 
 class Release(NamedTuple):
-    """A channel whose new owner needs no fallback. `epoch`: since the move."""
+    """A channel whose new owner needs no fallback. `epoch` is the channel's epoch since the move."""
 
     channel_id: bytes
     epoch: int
@@ -51,7 +51,7 @@ class GatheredMoves(ABC):
         self._releases = GatheredCalls(self._release_each, MOVES_MAX, CHANGE_SECONDS)
         self._drops = GatheredCalls(self._released_each, MOVES_MAX, DROP_SECONDS)
 
-    async def owner_of(self, channel_id: bytes) -> Placed:
+    async def owner_of(self, channel_id: bytes) -> OwnedChannel:
         """The channel's present record, and its owner. The owner's `target` is empty if it is not alive. Raises
         ChannelNotFound.
         """
@@ -70,15 +70,18 @@ class GatheredMoves(ABC):
         await self._releases.ask(Release(channel_id, epoch))
 
     async def is_released(self, channel_id: bytes) -> bool:
-        """Whether the directory names no part of a channel at this host, its former owner. False: ask `kept_here`."""
+        """Whether the directory names this host, the former owner, neither as fallback nor as replica of a channel.
+
+        If not, `kept_here` says which it is.
+        """
         return await self._drops.ask(channel_id)
 
     @abstractmethod
-    async def owner_of_one(self, channel_id: bytes) -> Placed:
+    async def owner_of_one(self, channel_id: bytes) -> OwnedChannel:
         """One channel and its owner."""
 
     @abstractmethod
-    async def owners_of(self, channel_ids: Sequence[bytes]) -> Sequence[Placed]:
+    async def owners_of(self, channel_ids: Sequence[bytes]) -> Sequence[OwnedChannel]:
         """The channels that exist, and their owners."""
 
     @abstractmethod
@@ -91,13 +94,13 @@ class GatheredMoves(ABC):
 
     @abstractmethod
     async def release_all(self, moves: Sequence[Release]) -> Collection[bytes]:
-        """Remove the fallbacks of channels. Returns the channels that have none now."""
+        """Remove the fallbacks of channels. Returns the channels that have no fallback now."""
 
     @abstractmethod
     async def released_of(self, channel_ids: Sequence[bytes]) -> Collection[bytes]:
         """The channels of which the directory has nothing at this host."""
 
-    async def _owner_of_each(self, channel_ids: Sequence[bytes]) -> list[Placed | StampedeError]:
+    async def _owner_of_each(self, channel_ids: Sequence[bytes]) -> list[OwnedChannel | StampedeError]:
         if len(channel_ids) == 1:
             return [await self.owner_of_one(channel_ids[0])]
         found = {one[0].channel_id: one for one in await self.owners_of(channel_ids)}

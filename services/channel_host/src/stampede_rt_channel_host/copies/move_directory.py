@@ -26,7 +26,7 @@ from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_queue
 from stampede_rt_channel_host.cluster.supernodes import Supernodes, is_unknown_call
-from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, Placed, Release
+from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, OwnedChannel, Release
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.placing import OtherHost
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedQueue
@@ -65,7 +65,7 @@ class MoveDirectory(GatheredMoves):
         """The channel's present record. Raises ChannelNotFound."""
         return await self._queries.resolve(channel_id)
 
-    async def owner_of_one(self, channel_id: bytes) -> Placed:
+    async def owner_of_one(self, channel_id: bytes) -> OwnedChannel:
         """The channel and its owner. Raises ChannelNotFound."""
         request = directory_service_pb2.ResolveChannelRequest(channel_id=channel_id)
         found: directory_service_pb2.ResolveChannelResponse = await self._supernodes.call(
@@ -73,7 +73,7 @@ class MoveDirectory(GatheredMoves):
         )
         return _placed(found.channel, found.host)
 
-    async def owners_of(self, channel_ids: Sequence[bytes]) -> list[Placed]:
+    async def owners_of(self, channel_ids: Sequence[bytes]) -> list[OwnedChannel]:
         """Ask for several channels with one call. Asks a supernode of an earlier release for one after the other."""
         try:
             found = await self._call("ListOwners", pb.ListOwnersRequest(channel_ids=channel_ids))
@@ -84,7 +84,7 @@ class MoveDirectory(GatheredMoves):
         hosts = {one.host_id: one for one in found.hosts}
         return [_placed(one, hosts[one.host_id]) for one in found.channels]
 
-    async def _one_by_one(self, channel_ids: Sequence[bytes]) -> AsyncIterator[Placed]:
+    async def _one_by_one(self, channel_ids: Sequence[bytes]) -> AsyncIterator[OwnedChannel]:
         for one in channel_ids:
             with suppress(ChannelNotFound):
                 yield await self.owner_of_one(one)
@@ -191,7 +191,7 @@ class MoveDirectory(GatheredMoves):
         return await self._supernodes.call(method, request, CALL_SECONDS_MAX, service=stub)
 
 
-def _placed(channel: channel_pb2.ChannelRecord, owner: directory_pb2.HostRecord) -> Placed:
+def _placed(channel: channel_pb2.ChannelRecord, owner: directory_pb2.HostRecord) -> OwnedChannel:
     record = recorded_channel(channel)
     target = owner.gatekeepers[0].target if owner.alive and owner.gatekeepers else ""
     return record, FeedSource(record.host_id, target, record.epoch)

@@ -30,7 +30,9 @@ class MoveSlots:
         return self._makers.total()
 
     def check(self, record: RecordedChannel | RecordedQueue) -> None:
-        """Raises Overloaded if too many channels move now, or too many channels with the maker of this one."""
+        """Raises Overloaded if too many channels move now, or if too many of them have the same maker as this
+        channel.
+        """
         if self.under_way >= self._most:
             raise Overloaded(f"{self._most} {self._what} move {self._direction} already; wait for one")
         maker = record.created_by

@@ -60,7 +60,7 @@ class HostedGroups:
         self._file(group)
 
     def _file(self, group: HostedGroup) -> None:
-        if self.groups.get(group.record.group_id) is group:  # if not, it was deleted meanwhile
+        if self.groups.get(group.record.group_id) is group:  # the group may have been deleted meanwhile
             self._note_keys(group, group.concerning())
 
     def _note_keys(self, group: HostedGroup, keys: Collection[bytes]) -> None:

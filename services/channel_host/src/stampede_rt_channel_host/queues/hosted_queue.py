@@ -247,7 +247,8 @@ class HostedQueue(ReplicatedQueue):
 
     def dead_letter_moved(self, seq: int) -> None:
         """Note that the dead-letter queue has acknowledged the message."""
-        if not self.is_held:  # else the next owner sends the message again, and the dead-letter queue recognises it
+        # The next owner of a held queue sends the message again. The dead-letter queue recognises the message.
+        if not self.is_held:
             self.queue.dead_letter_moved(seq, self._now())
             self.follow_up()
 

@@ -132,7 +132,7 @@ class QueueStore:
             left: list[Pieces[None]] = []
             for queue_id in ids:
                 hosted = self._queues.get(queue_id)
-                if hosted is not None and hosted.registration < registration:  # else a newer record has come meanwhile
+                if hosted is not None and hosted.registration < registration:  # a newer record may have come meanwhile
                     self._compare(hosted, listed.get(queue_id), left, is_complete=is_complete)
             self._scheduler.begin(one_after_another(left))  # together, because each `begin` may start a task
             yield

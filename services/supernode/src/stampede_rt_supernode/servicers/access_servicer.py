@@ -44,7 +44,7 @@ SERIAL_BYTES = 8
 class _Change(NamedTuple):
     """The rules before and after a planned change, and the effects of the change.
 
-    `version`: the log position of the last change of the AccessTable before it.
+    `version` is the log position of the last change of the AccessTable before the planned change.
     """
 
     version: int

@@ -151,7 +151,7 @@ class MovingFiles(SegmentFiles):
             self.stored.note(self._epoch)
             self.is_known = True
         for one in new:
-            if one.number < latest and one.first_seq < archived_to:  # else this owner does not have its items
+            if one.number < latest and one.first_seq < archived_to:  # this owner has the items of these segments alone
                 kept[one.number] = one
         ordered: list[Segment] = []
         following = max([archived_to, *(one.end_seq for one in self._segments)])

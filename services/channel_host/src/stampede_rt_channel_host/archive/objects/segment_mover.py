@@ -225,7 +225,7 @@ class SegmentMover:
             if files in self._leaving:
                 self._leaving[files] = True
         for files in opened:
-            if not self._leftovers.is_taken(files.stored.channel_id):  # else the channel was opened meanwhile
+            if not self._leftovers.is_taken(files.stored.channel_id):  # the channel may have been opened meanwhile
                 self._leaving[files] = True
                 self._wake.set()
         for failure in failures:

@@ -139,7 +139,7 @@ class WaitingGets:
         while gets:
             for _ in range(min(GETS_PER_PIECE, len(gets))):
                 get = gets.popleft()
-                if get in self._waiting:  # if not, it was released since the last piece
+                if get in self._waiting:  # it may have been released since the last piece
                     get.finish(with_interval(error, get.pending))
             if gets:
                 yield

@@ -158,7 +158,7 @@ class ChannelFeed:
         """
         before = self.next_seq
         owner = None if self.owner is None else self.owner.take(now)
-        has_runs = self.owner is None or self.owner.is_level  # else the copy would get items of unknown runs
+        has_runs = self.owner is None or self.owner.is_level  # the copy must know the runs of the items that it gets
         batch = self._source.since(self._cursor, now, limit_bytes if has_runs else 0)
         held, _ = self._source.look(now)
         collection: Collection | None = collection_of(held)

@@ -303,7 +303,7 @@ def _next_batch(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_
         if low > owed[0]:
             if slices or gap is not None:
                 break
-            if lacks := given_between(owed[0], low):  # else no item has these seqs
+            if lacks := given_between(owed[0], low):  # without `lacks` no item has these seqs
                 gap = _gap(limits, held, low - lacks, low - 1)
                 cursor.dropped += lacks
             cursor.mark_done(low)

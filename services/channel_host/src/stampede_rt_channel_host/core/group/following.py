@@ -68,9 +68,10 @@ class CutFollower:
     ) -> None:
         """Begin at the cut. With `next_seq`, continue from the cut and `next_seq` that a reader kept.
 
-        `incarnation` is the incarnation in which the reader kept them. If the channel has another incarnation now, the
-        first step reports a loss, and all present items count as late or new. If it is None, the follower does not
-        compare. `archived`: the caller finds collected items in an archive.
+        `incarnation` is the channel's incarnation when the reader kept the cut and `next_seq`. If the channel has
+        another incarnation now, the first step reports a loss, and all present items count as late or new. If
+        `incarnation` is None, the follower does not compare. `archived`: the caller finds collected items in an
+        archive.
         """
         held, _ = channel.look(now)
         self._channel = channel
@@ -260,7 +261,7 @@ def _lost_with_host(channel: ChannelCore, cut: int | None) -> Loss:
 
 
 def _joined(unreported: Loss, since: Loss | None) -> Loss:
-    """One loss from two: `unreported` is from the time before the reader came back, `since` from its first step
+    """Join two losses into one. `unreported` came before the reader returned, and `since` came with its first step
     afterwards.
     """
     if since is None:

@@ -72,8 +72,8 @@ class Leasing:
     def deliver(self, item: TrackedItem, taker: TakerState, now: int, expires: int) -> tuple[int, int]:
         """Lease a free copy of the message. Returns the delivery's id and its number among the copy's deliveries.
 
-        The returned copy that was delivered most often comes first. So a message that no taker can process reaches
-        max_deliveries soon.
+        Of the copies that takers returned, the one that was delivered most often is delivered first. So a message that
+        no taker can process reaches max_deliveries soon.
         """
         number = 1 + (item.returned.pop() if item.returned else 0)
         delivery_id = self.next_delivery_id

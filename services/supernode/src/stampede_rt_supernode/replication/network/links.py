@@ -196,7 +196,7 @@ class PeerLinks:
     def _enqueue(self, messages: Sequence[tuple[str, pb.RaftMessage]]) -> None:
         for member_id, message in messages:
             link = self._links.get(member_id)
-            if link is not None:  # if not, the member is gone, and so is its link
+            if link is not None:  # without a link the member has left
                 link.enqueue(message)
 
     def _on_end(self, task: asyncio.Task[None]) -> None:

@@ -82,7 +82,7 @@ class SnapshotKeeper:
             return None
         stored = taking.encoded.result()
         present = self._log.snapshot
-        if present is None or stored.last_log_index > present.last_log_index:  # if not, a leader has sent a newer one
+        if present is None or stored.last_log_index > present.last_log_index:  # a leader may have sent a newer snapshot
             if taking.pieces_written < stored.pieces_count:
                 self._log.write_piece(stored.piece(taking.pieces_written))
                 taking.pieces_written += 1
