@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from stampede_rt.errors import Unavailable
 from stampede_rt_channel_host.cluster.records import recorded_channel
-from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, Placed, Release
+from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, OwnedChannel, Release
 from stampede_rt_channel_host.copies.move_directory import Kept
 from stampede_rt_channel_host.copies.replica_directory import FeedSource, ListedReplica, ListedReplicas
 from stampede_rt_channel_host.core.placing import OtherHost
@@ -51,11 +51,11 @@ class SimulatedDirectory(GatheredMoves):
         await self._reach()
         return self.world.record_of(channel_id)
 
-    async def owner_of_one(self, channel_id: bytes) -> Placed:
+    async def owner_of_one(self, channel_id: bytes) -> OwnedChannel:
         await self._reach()
         return self.world.placed(channel_id)
 
-    async def owners_of(self, channel_ids: Sequence[bytes]) -> list[Placed]:
+    async def owners_of(self, channel_ids: Sequence[bytes]) -> list[OwnedChannel]:
         await self._reach()
         return [*map(self.world.placed, channel_ids)]
 
