@@ -9,7 +9,7 @@ import pytest
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import replica_service_pb2 as pb
-from stampede_rt_channel_host.copies import move_streams, replica_servicer
+from stampede_rt_channel_host.copies import incoming_moves, move_streams, replica_servicer
 from tests.robustness.moves.links import Link
 from tests.robustness.moves.test_crashes_at_each_step import Scenario, quick
 from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, World
@@ -43,7 +43,8 @@ class InTurn:
             scenario.check(await scenario.settle())
 
 
-async def test_moves_that_follow_each_other_share_a_stream() -> None:
+async def test_moves_that_follow_each_other_share_a_stream(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(incoming_moves, "RELEASED_SECONDS_MAX", 20.0)  # a stream with a late release is not used again
     moves = InTurn(channels=4)
     for scenario in moves.scenarios:
         assert await scenario.move() is None
