@@ -14,6 +14,7 @@ from stampede_rt.pacing.retry import OPEN_STREAMS_S, Backoff
 from stampede_rt.transports.concurrency_sync import sleep
 
 TRY_S_MIN = 0.1  # the least time of a try, also at the very end, so that a near host can answer
+SHORT_TRY_S = 1.0  # a supernode that must answer sooner may find no majority in time, although there is one
 
 Result = TypeVar("Result")
 
@@ -57,8 +58,9 @@ def attempt(locator: Locator, operation: Callable[[Binding, float], Result], tim
     Blocks for `timeout_s` seconds at most, or TRY_S_MIN longer if the last try begins at the end. `operation` gets the
     binding and the seconds that it may take. If the caller has too many open streams for its quota, `attempt` begins no
     try after OPEN_STREAMS_S: often only the caller itself can close a stream.
-    Raises the error of the last try. If that error is DeadlineExceeded, and an earlier try has also failed, raises the
-    error of the earlier try, because it says more.
+    Raises the error of the last try. If that try had too little time, and an earlier try has also failed, raises the
+    error of the earlier try, because it says more. A try had too little time if its error is DeadlineExceeded, or if it
+    began in the last SHORT_TRY_S and a supernode found no majority.
     """
     locator.check()
     deadline_s = time.monotonic() + timeout_s
@@ -66,6 +68,7 @@ def attempt(locator: Locator, operation: Callable[[Binding, float], Result], tim
     followed = False  # whether a try was repeated without a delay, because the binding was stale
     failure: StampedeError | None = None  # the error to raise if no time is left for another try
     while True:
+        began_s = time.monotonic()
         try:
             binding = locator.find(backoff.deadline_s)
             return operation(binding, max(deadline_s - time.monotonic(), TRY_S_MIN))
@@ -83,7 +86,8 @@ def attempt(locator: Locator, operation: Callable[[Binding, float], Result], tim
             if stale or (error.reason == "MOVED" and not followed):
                 followed = True
                 continue
-            failure = failure if slow and failure is not None else error
+            cut_short = slow or (error.reason == "NO_QUORUM" and deadline_s - began_s < SHORT_TRY_S)
+            failure = failure if cut_short and failure is not None else error
             delay_s = backoff.next_delay_s(time.monotonic(), random.random())
             if delay_s is None:
                 raise failure from (None if failure is error else error)

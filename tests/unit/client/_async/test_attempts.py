@@ -88,6 +88,19 @@ async def test_a_last_try_that_was_cut_short_does_not_hide_the_failure_of_the_ot
         await attempt(Place(), operation, 10)
 
 
+@pytest.mark.parametrize(("began_s", "told"), [(9.5, "gone"), (5.0, "no majority")])
+async def test_a_majority_that_is_not_found_at_the_very_end_does_not_hide_the_failure_of_the_others(
+    began_s: float, told: str, clock: Clock
+) -> None:
+    async def fail(binding: Binding, timeout_s: float) -> str:
+        if clock.now_s < 100 + began_s:
+            raise st.Unavailable("gone")
+        raise st.Unavailable("no majority", reason="NO_QUORUM")
+
+    with pytest.raises(st.Unavailable, match=told):
+        await attempt(Place(), fail, 10)
+
+
 async def test_a_host_that_never_answers_ends_the_call_with_deadline_exceeded(clock: Clock) -> None:
     with pytest.raises(st.DeadlineExceeded, match="slow"):
         await attempt(Place(), Operation(st.DeadlineExceeded("slow"), for_ever=True), 10)
