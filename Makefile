@@ -106,6 +106,7 @@ check: setup  ## lint, types, import rules, names, sizes, signposts, protobuf ru
 	$(RUN)/python tools/plain_words.py
 	$(RUN)/python tools/sizes.py
 	$(RUN)/python tools/unit_tests.py
+	$(RUN)/python tools/imported_names.py
 	$(RUN)/python tools/log_events.py
 	$(RUN)/python tools/signposts.py --check
 	cd proto && ../$(RUN)/buf lint

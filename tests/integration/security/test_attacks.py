@@ -11,7 +11,7 @@ from _pytest.mark.structures import ParameterSet
 
 from stampede_rt_channel_host.channels.limits.request_room import CALLER_BYTES_MAX
 from stampede_rt_runtime.limits import Limits
-from tests.benchmarks.attacks.trial import Found, Setup, trial
+from tests.benchmarks.attacks.trial import AttackResult, Setup, trial
 
 SECONDS = 2.0
 BUDGET_MIB = 64  # the memory budget of the host
@@ -23,7 +23,7 @@ def rare(*names: str) -> list[ParameterSet]:
     return [pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
-async def attacked(name: str) -> Found:
+async def attacked(name: str) -> AttackResult:
     found = await trial(name, SECONDS, Setup(compares=False))
     assert found.beside.calls > 0
     assert found.beside.failures == []

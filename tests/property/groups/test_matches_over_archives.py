@@ -18,7 +18,7 @@ from stampede_rt_channel_host.core.group.recorded_track import (
     found_item,
 )
 from tests.property.archived_channel import ArchivedChannel
-from tests.property.test_archive_against_memory import tell
+from tests.property.test_archive_against_memory import put_in_both
 
 SCENARIOS = 150
 OWN, OTHER, THIRD = b"", b"other", b"third"
@@ -37,7 +37,7 @@ class Pair:
     """The same channels twice: in memory, and recorded with a small memory. Each has its matcher."""
 
     def __init__(self, draw: random.Random) -> None:
-        told = {name: tell(draw) for name in (OWN, OTHER, THIRD)}
+        told = {name: put_in_both(draw) for name in (OWN, OTHER, THIRD)}
         self.large: dict[bytes, ChannelCore] = {name: one[0] for name, one in told.items()}
         self.small: dict[bytes, ArchivedChannel] = {name: one[1] for name, one in told.items()}
         self.now = max(one[3] for one in told.values())
