@@ -207,7 +207,12 @@ def cut(
 
 
 def intact_contents(reader: FileReader) -> Iterator[Content]:
-    """Yield the chunks of a file. Raises FileError at the first damage."""
+    """Yield the chunks of a file. Raises FileError at the first damage, and if the end of the file is missing."""
+    if reader.index is None and not reader.states_no_index:
+        raise FileError(
+            f"the end of the file {reader.path!r} is missing or damaged, so it may lack items; `stampede file recover` "
+            "saves the readable part"
+        )
     for part in reader.contents():
         if isinstance(part, Damage):
             raise FileError(

@@ -112,6 +112,7 @@ class FileReader:
         self.library = ""
         self._index: FileIndex | None = None
         self._looked = False
+        self.states_no_index = False  # whether the end of the file says that it has no index; known after `index`
         self._data_end = 0
         self._has_chunks = False  # whether this reader has found a chunk so far
         first = self._records.frame_at(len(MAGIC))
@@ -147,8 +148,7 @@ class FileReader:
                 yield frame
                 continue
             if frame.opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                end = self.index
-                if end is not None:
+                if self.index is not None:
                     return
                 continue  # damaged, or a file without an index: search on for its end mark
             if (found := self._read_or_damage(frame)) is not None:
@@ -179,8 +179,7 @@ class FileReader:
         places = [one for one in (self.index.metadata if self.index else ()) if one.name == name]
         if not places:
             return None
-        frame = self._records.frame_at(places[-1].offset)
-        if frame is None or frame.opcode != Opcode.METADATA:
+        if (frame := self._records.frame_at(places[-1].offset)) is None or frame.opcode != Opcode.METADATA:
             return None
         record = self._records.record(frame, Metadata)
         return dict(record.metadata) if record.name == name else None
@@ -261,6 +260,7 @@ class FileReader:
             return None
         footer = self._records.record(place, Footer)
         start = footer.summary_start
+        self.states_no_index = start == 0
         if not len(MAGIC) <= start < place.offset:
             return None
         if footer.summary_crc and self._records.checksum(start, place.end - 4) != footer.summary_crc:

@@ -8,6 +8,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
+from mcap.writer import IndexType, Writer
 
 from stampede_rt.errors import FileError, InvalidArgument
 from stampede_rt.files import seq_order
@@ -168,6 +169,34 @@ def test_a_damaged_file_is_recovered_before_it_is_cut(whole: Path, tmp_path: Pat
     torn.write_bytes(whole.read_bytes()[:2000])
     with pytest.raises(FileError, match="stampede file recover"):
         cut(torn, tmp_path / "b.mcap", start=0, end=1)
+
+
+def test_a_file_without_its_end_is_recovered_before_it_is_cut_or_merged(whole: Path, tmp_path: Path) -> None:
+    """Its chunks can all be read. Without the index nothing shows that a whole chunk is missing."""
+    content, ends, torn = whole.read_bytes(), chunk_ends(whole), tmp_path / "torn.mcap"
+    for present in (content[: ends[3]], content[: ends[3]] + content[ends[4] :]):
+        torn.write_bytes(present)
+        for edit in (lambda output: cut(torn, output, start=0, end=2**62), lambda output: merge([torn], output)):
+            with pytest.raises(FileError, match=r"the end of the file .* is missing or damaged.* file recover"):
+                edit(tmp_path / "b.mcap")
+            (tmp_path / "b.mcap").unlink(missing_ok=True)
+
+
+def test_a_file_whose_writer_writes_no_index_can_be_cut_and_merged(tmp_path: Path) -> None:
+    path, output = tmp_path / "other.mcap", tmp_path / "b.mcap"
+    with path.open("wb") as file:
+        writer = Writer(
+            file, index_types=IndexType.NONE, repeat_channels=False, repeat_schemas=False, use_statistics=False,
+            use_summary_offsets=False,
+        )  # fmt: skip
+        writer.start()
+        number = writer.register_channel("cam", "json", 0)
+        writer.add_message(number, START, b"{}", START)
+        writer.finish()
+    with FileReader(path) as reader:
+        assert (reader.index, reader.states_no_index) == (None, True)
+    assert merge([path], output).recorded == 1
+    assert cut(path, output, start=START, end=START + 1, overwrite=True).recorded == 1
 
 
 def test_merging_files_keeps_each_item_once_and_fills_gaps(tmp_path: Path) -> None:
