@@ -14,7 +14,7 @@ from stampede_rt.files.file_tally import FileTally
 from stampede_rt.files.framing import Damage
 from stampede_rt.files.interval_filter import IntervalFilter
 from stampede_rt.files.reading import SUMMARY_NAME, Content, Event, FileReader, summary_fields
-from stampede_rt.files.writing import FileWriter
+from stampede_rt.files.writing import FileWriter, replacing
 from stampede_rt.values.recording import RecordingGap, RecordingSummary
 
 DAMAGES_KEPT_MAX = 1000
@@ -78,8 +78,8 @@ def verify(path: str | os.PathLike[str], on_bytes: Callable[[int], object] = lam
 def recover(path: str | os.PathLike[str], output: str | os.PathLike[str], *, overwrite: bool = False) -> FileReport:
     """Copy the readable part of a torn or damaged file to `output`, with an index, and name the lost items.
 
-    A file that was cut off at any byte loses at most its last chunk. Raises FileError. If nothing can be read, it makes
-    no `output`, and a former one stays.
+    A file that was cut off at any byte loses at most its last chunk. Raises FileError. After an error there is no
+    new `output`, and a former one stays.
     """
     check_other(path, output)
     with FileReader(path) as reader:
@@ -89,12 +89,9 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str], *, ove
                 "without a whole chunk; its writer ended before its first chunk, or the file is damaged from there on; "
                 "no file was written"
             )
-        writer = FileWriter(output, overwrite=overwrite)
-        try:
+        with replacing(output, overwrite=overwrite) as writer:
             report = _walk(reader, writer_of(writer), lambda _: None)
             finish_with(writer, report.summary)
-        finally:
-            writer.abandon()
     return report
 
 
@@ -185,24 +182,20 @@ def cut(
     Reads only the chunks that the index names for this time. Refuses a damaged file: recover it first.
     """
     check_other(path, output)
-    with FileReader(path) as reader:
-        writer, tally = FileWriter(output, overwrite=overwrite), FileTally()
-        write = writer_of(writer)
+    with FileReader(path) as reader, replacing(output, overwrite=overwrite) as writer:
+        tally, write = FileTally(), writer_of(writer)
 
         def take(event: Event) -> None:
             tally.add(event)
             write(event)
 
-        try:
-            chosen_part = IntervalFilter(start, end, chosen, take)
-            for part in intact_contents(reader):
-                for event in part.events():
-                    chosen_part.add(event)
-            chosen_part.finish()
-            summary = tally.summary(os.fspath(output))
-            finish_with(writer, summary)
-        finally:
-            writer.abandon()
+        chosen_part = IntervalFilter(start, end, chosen, take)
+        for part in intact_contents(reader):
+            for event in part.events():
+                chosen_part.add(event)
+        chosen_part.finish()
+        summary = tally.summary(os.fspath(output))
+        finish_with(writer, summary)
     return summary
 
 

@@ -14,7 +14,7 @@ from stampede_rt.files.file_tally import FileTally
 from stampede_rt.files.reading import Event, FileReader
 from stampede_rt.files.seq_order import SeqOrder
 from stampede_rt.files.seq_ranges import SeqRanges
-from stampede_rt.files.writing import FileWriter
+from stampede_rt.files.writing import replacing
 from stampede_rt.values.recording import RecordingGap, RecordingSummary
 
 MERGED_MAX = 64  # files
@@ -38,8 +38,8 @@ def merge(
     held = _seqs_of(paths)
     with ExitStack() as stack:
         readers = [stack.enter_context(FileReader(path)) for path in paths]
-        writer, tally = FileWriter(output, overwrite=overwrite), FileTally()
-        write = writer_of(writer)
+        writer = stack.enter_context(replacing(output, overwrite=overwrite))
+        tally, write = FileTally(), writer_of(writer)
         seen: Ranges = {}
 
         def take(event: Event) -> None:
@@ -47,15 +47,12 @@ def merge(
             write(event)
 
         order = SeqOrder(held, take)
-        try:
-            for _, _, event in heapq.merge(*map(_by_time, range(len(readers)), readers), key=lambda one: one[:2]):
-                for kept in _merged(event, seen, held):
-                    order.add(kept)
-            order.finish()
-            summary = tally.summary(os.fspath(output))
-            finish_with(writer, summary)
-        finally:
-            writer.abandon()
+        for _, _, event in heapq.merge(*map(_by_time, range(len(readers)), readers), key=lambda one: one[:2]):
+            for kept in _merged(event, seen, held):
+                order.add(kept)
+        order.finish()
+        summary = tally.summary(os.fspath(output))
+        finish_with(writer, summary)
     return summary
 
 

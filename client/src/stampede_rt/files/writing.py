@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Literal, get_args
 
@@ -24,6 +25,7 @@ Compression = Literal["zstd", "lz4", "none"]
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 CHUNK_BYTES = 1024 * 1024  # of messages before compression; a larger message has a chunk of its own
 FACTS_BYTES_PER_ITEM = 16  # so that a chunk of many empty items ends, too
+PART_SUFFIX = ".part"  # of the name of a file that `replacing` has not finished
 TOPICS_MAX = 65_000  # MCAP numbers them with 16 bits
 _TYPES = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 
@@ -41,20 +43,47 @@ def opened_new(path: str | os.PathLike[str], *, overwrite: bool) -> IO[bytes]:
     try:
         return open(path, "wb" if overwrite else "xb")
     except FileExistsError as error:
-        raise FileError(
-            f"the file {os.fspath(path)!r} exists; name another one, or overwrite it (--overwrite, overwrite=True)"
-        ) from error
+        raise _exists(path) from error
     except OSError as error:
         raise write_fault(path, error) from error
+
+
+def _exists(path: str | os.PathLike[str]) -> FileError:
+    return FileError(
+        f"the file {os.fspath(path)!r} exists; name another one, or overwrite it (--overwrite, overwrite=True)"
+    )
 
 
 def write_fault(path: str | os.PathLike[str], error: OSError) -> FileError:
     """Return the error for a file that cannot be written."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-    advice = "free space; `stampede file recover` reads the items that are in the file so far" if full else (
+    advice = "free space; `stampede file recover` reads the items of a recording so far" if full else (
         "name a file in a folder that exists and that you may write to"
     )  # fmt: skip
     return FileError(f"the file {os.fspath(path)!r} cannot be written: {error.strerror}; {advice}")
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[FileWriter]:
+    """Give a writer of a file that gets its name `path` when the block ends.
+
+    Until then its name ends with PART_SUFFIX. After an error there is no such file, and a former file `path` stays.
+    Raises FileError, also if the file exists and `overwrite` is False.
+    """
+    target = os.path.realpath(path)
+    if os.path.exists(target) and not (overwrite and os.path.isfile(target)):
+        raise _exists(path)
+    part = Path(target + PART_SUFFIX)
+    writer = FileWriter(part, overwrite=True)
+    try:
+        yield writer
+        try:
+            os.replace(part, target)
+        except OSError as error:
+            raise write_fault(path, error) from error
+    finally:
+        writer.abandon()
+        part.unlink(missing_ok=True)
 
 
 class FileWriter:

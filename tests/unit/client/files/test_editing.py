@@ -179,7 +179,21 @@ def test_a_file_without_its_end_is_recovered_before_it_is_cut_or_merged(whole: P
         for edit in (lambda output: cut(torn, output, start=0, end=2**62), lambda output: merge([torn], output)):
             with pytest.raises(FileError, match=r"the end of the file .* is missing or damaged.* file recover"):
                 edit(tmp_path / "b.mcap")
-            (tmp_path / "b.mcap").unlink(missing_ok=True)
+            assert {path.name for path in tmp_path.iterdir()} == {"torn.mcap", "whole.mcap"}
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_cut_that_fails_or_may_not_overwrite_leaves_the_former_file_as_it_was(
+    whole: Path, tmp_path: Path, overwrite: bool
+) -> None:
+    output = write(tmp_path / "b.mcap", entries("cam", range(3)))
+    former, damaged, place = output.read_bytes(), bytearray(whole.read_bytes()), chunk_ends(whole)[3] - 20
+    damaged[place] ^= 1
+    whole.write_bytes(damaged)
+    with pytest.raises(FileError, match="is damaged at" if overwrite else "exists"):
+        cut(whole, output, start=0, end=2**62, overwrite=overwrite)
+    assert output.read_bytes() == former
+    assert {path.name for path in tmp_path.iterdir()} == {"b.mcap", "whole.mcap"}
 
 
 def test_a_file_whose_writer_writes_no_index_can_be_cut_and_merged(tmp_path: Path) -> None:
