@@ -35,6 +35,7 @@ FROZEN_S_MAX = 3.0 if EVERY_STEP else 1.2  # shorter than a lease, so no host is
 BYTES_LOG2_MAX = 15  # a fault comes after 1 to 2**15 bytes
 NAMES = ("left", "middle", "right")
 LEASED_MAX = 20
+LEASE = "30s"  # shorter than `wait_until` waits: a message of a lost answer comes again when its lease ends
 INNER = "127.0.0.2"
 
 
@@ -123,7 +124,7 @@ def test_cut_streams_and_frozen_hosts_lose_nothing(cluster: LocalCluster, hosts:
     source = random.Random(seed)
     with st.connect(cluster.address, transport="grpc") as rt, ThreadPoolExecutor(2) as pool:
         channel = rt.channel(f"cut-{seed}", max_items=100_000, replicas=1, ack="replica")
-        queue = rt.queue(f"cut-{seed}", replicas=1, ack="replica", lease="60s")
+        queue = rt.queue(f"cut-{seed}", replicas=1, ack="replica", lease=LEASE)
         wait_until(lambda: len(in_sync(channel.stats().copies)) == 1, "the channel's replica is in sync")
         wait_until(lambda: len(in_sync(queue.stats().replicas)) == 1, "the queue's replica is in sync")
         incarnation, producer, load = queue.incarnation, Producer(channel), LeasedLoad(queue)
