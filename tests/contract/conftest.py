@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Iterator
 import pytest
 
 from stampede_rt.cluster.connecting import parse_target
-from stampede_rt.cluster.embedding import HostHere, HostOptions, embedder
+from stampede_rt.cluster.embedding import HostOptions, InProcessHost, embedder
 from stampede_rt.transports.single_thread_call import STREAMS_VARIABLE
 from stampede_rt_local.cluster import LocalCluster
 from tests.contract.memory import MemoryConnection
@@ -107,7 +107,7 @@ def _parameters(item: pytest.Item) -> set[str]:
 
 
 @pytest.fixture(scope="package")
-def host_here(cluster: LocalCluster) -> Iterator[HostHere]:
+def in_process_host(cluster: LocalCluster) -> Iterator[InProcessHost]:
     """A host in the process of the tests, which all tests share.
 
     It is private, so that channels of other transports go to other hosts.
@@ -132,5 +132,5 @@ async def surface(
     find_secret_of(running, monkeypatch)
     async with connected(request.param, running.address) as surface:
         if transport == "here":
-            surface.live_in(request.getfixturevalue("host_here"))
+            surface.live_in(request.getfixturevalue("in_process_host"))
         yield surface

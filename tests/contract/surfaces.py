@@ -11,7 +11,7 @@ from typing import Any
 
 import stampede_rt as st
 from stampede_rt import aio
-from stampede_rt.cluster.embedding import HostHere
+from stampede_rt.cluster.embedding import InProcessHost
 
 _names = itertools.count()
 
@@ -118,7 +118,7 @@ class Surface:
         self.connection = Blocking(connection, pool) if pool else connection
         self._pool = pool
 
-    def live_in(self, host: HostHere) -> None:
+    def live_in(self, host: InProcessHost) -> None:
         """Give the connection the host that its own program runs."""
         _bare(self.connection)._session.here = host
 

@@ -15,12 +15,12 @@ from stampede_rt.multicast.layout import (
     KEY_BYTES,
     SIGNATURE_BYTES,
     MessageKind,
+    MessagePart,
     MulticastMessage,
-    Part,
     parts_of,
 )
-from stampede_rt.multicast.receiving import ASSEMBLED_BYTES_MAX, HELD_BYTES_MAX, Receiving
-from stampede_rt.multicast.repairing import REORDERED_S, Step
+from stampede_rt.multicast.receiving import ASSEMBLED_BYTES_MAX, HELD_BYTES_MAX, MulticastReceiver
+from stampede_rt.multicast.repairing import REORDERED_S, RepairStep
 from stampede_rt.multicast.sealing import DatagramOpener, Sealer, Signer, Verifier
 
 STEPS = 120
@@ -132,7 +132,7 @@ class Hearing:
         self.host, self.now_s = host, 0.0
         self.got, self.dropped = list[Numbered](), 0
         verifier = Verifier(STREAM, host.signer.public_key)
-        self.receiving = Receiving(DatagramOpener(STREAM, 1, key), verifier, 0.0, decoded)
+        self.receiving = MulticastReceiver(DatagramOpener(STREAM, 1, key), verifier, 0.0, decoded)
 
     def step(self, datagrams: list[bytes]) -> None:
         self.now_s += REORDERED_S / 3
@@ -141,7 +141,7 @@ class Hearing:
         if items:
             return
         step, _ = self.receiving.pace.next_step(self.now_s, is_missing=self.receiving.merge.is_missing)
-        if step is Step.REPAIR:
+        if step is RepairStep.REPAIR:
             self.repair()
 
     def repair(self) -> None:
@@ -201,7 +201,7 @@ def test_a_reader_that_gets_nothing_but_first_parts_keeps_a_bounded_amount() -> 
 def test_a_reader_that_gets_small_parts_of_many_messages_counts_the_messages_too() -> None:
     assembler = Assembler(ASSEMBLED_BYTES_MAX)
     for seq in range(1, 20_000):
-        assembler.add(Part(MessageKind.ITEMS, seq, seq + 1, 1, 2, b"x"))
+        assembler.add(MessagePart(MessageKind.ITEMS, seq, seq + 1, 1, 2, b"x"))
     assert assembler.kept_bytes <= ASSEMBLED_BYTES_MAX
     assert len(assembler._parts) < 10_000
 

@@ -22,7 +22,7 @@ from stampede_rt._sync.queue_locator import open_queue, queue_state
 from stampede_rt._sync.session import Session
 from stampede_rt.cluster.connecting import Target, parse_target
 from stampede_rt.security.tls import TlsFiles
-from stampede_rt.values.codecs import Coding
+from stampede_rt.values.codecs import HandleCodec
 from stampede_rt.values.model import Policy
 from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt.values.timeline import DurationLike
@@ -66,13 +66,13 @@ class ClusterReference:
         """Return a new connection to the cluster. Unpickling a connection calls this in the other process."""
         return Connection(self._connect(), "")
 
-    def channel(self, name: str, stated: Policy, create: bool, coding: Coding | None) -> Channel:
+    def channel(self, name: str, stated: Policy, create: bool, coding: HandleCodec | None) -> Channel:
         """Return a channel's handle, opened with the same arguments as the pickled handle."""
         session = self._session()
         info = session.open_channel(name, stated, None, create)
         return Channel(session, session.state_of(info, stated, create, coding))
 
-    def group_members(self, name: str, codings: Sequence[tuple[str, Coding]]) -> GroupMembers:
+    def group_members(self, name: str, codings: Sequence[tuple[str, HandleCodec]]) -> GroupMembers:
         """Return the members of a group, for the group's handle and its descriptors.
 
         `codings`: the codecs of the members, by the names of the members.
@@ -87,7 +87,7 @@ class ClusterReference:
         """Return a group's handle."""
         return Group(members)
 
-    def descriptor(self, members: GroupMembers, name: str, coding: Coding | None) -> GroupChannel:
+    def descriptor(self, members: GroupMembers, name: str, coding: HandleCodec | None) -> GroupChannel:
         """Return a group's descriptor of the channel named `name`."""
         descriptor = Group(members)[name]
         descriptor._state.coding = coding
@@ -98,7 +98,7 @@ class ClusterReference:
         name: str,
         stated: QueuePolicy,
         create: bool,
-        coding: Coding | None,
+        coding: HandleCodec | None,
         prefetch: int,
         reconnect: DurationLike | None,
     ) -> Queue:

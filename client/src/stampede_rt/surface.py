@@ -21,7 +21,7 @@ from stampede_rt._sync.session import Session
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt._sync.watch import PeerWatch, Watch
 from stampede_rt.cluster.connecting import Target, parse_target
-from stampede_rt.cluster.embedding import HostHere, HostOptions, embedder
+from stampede_rt.cluster.embedding import HostOptions, InProcessHost, embedder
 from stampede_rt.errors import (
     AheadOfClock,
     ChannelExists,
@@ -272,7 +272,7 @@ def _opened(
     secret: str | os.PathLike[str] | None,
     transport: str | None,
     proof: str | None,
-    host_here: HostHere | None,
+    in_process_host: InProcessHost | None,
 ) -> Connection:
     address = ClusterReference.of(target, secret, transport)
     session = Session(
@@ -284,7 +284,7 @@ def _opened(
         reopening=address,
     )
     try:
-        return Connection(session, target.name, proof)._open(host_here)
+        return Connection(session, target.name, proof)._open(in_process_host)
     except BaseException:
         session.close()
         raise

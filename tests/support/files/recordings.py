@@ -9,7 +9,7 @@ from stampede_rt.files.editing import finish_with
 from stampede_rt.files.entries import FileAdvance, FileEntry, Topic, item_entry
 from stampede_rt.files.file_tally import FileTally
 from stampede_rt.files.framing import Damage
-from stampede_rt.files.reading import Content, Event, FileReader
+from stampede_rt.files.reading import ChunkContent, Event, FileReader
 from stampede_rt.files.writing import FileWriter
 from stampede_rt.values.model import Item
 from stampede_rt.values.recording import RecordingGap
@@ -67,7 +67,7 @@ def read(path: Path) -> tuple[list[Event], list[Damage]]:
     damages: list[Damage] = []
     with FileReader(path) as reader:
         for part in reader.contents():
-            if isinstance(part, Content):
+            if isinstance(part, ChunkContent):
                 events += part.events()
             elif isinstance(part, Damage):
                 damages.append(part)

@@ -10,7 +10,7 @@ from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.puts import NumberedPut, accepted
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
-from stampede_rt.cluster.embedding import AnswerHere, HostHere, PutHere
+from stampede_rt.cluster.embedding import InProcessAnswer, InProcessHost, InProcessPut
 from stampede_rt.errors import NotArchived, StampedeError
 from stampede_rt.transports.concurrency_async import monotonic_s, result_of, thread_id
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
@@ -62,7 +62,7 @@ def at_here(session: Session, state: ChannelState, time: int) -> Items | None:
     return None if answer is None else _items(state, answer)
 
 
-async def _binding_here(session: Session, state: ChannelState, here: HostHere) -> Binding | None:
+async def _binding_here(session: Session, state: ChannelState, here: InProcessHost) -> Binding | None:
     """Return the channel's binding if the channel is at the host of this process."""
     session.check()
     try:
@@ -85,7 +85,7 @@ async def put_here(
         return None
     item = numbered.item
     wait_s = RENEW_S if wait.seconds is None else min(wait.seconds, RENEW_S)
-    put = PutHere(
+    put = InProcessPut(
         numbered.producer_id, numbered.number, item.payload, item.time, item.duration, dict(item.attributes),
         item.content_type, ack_to_wire(ack), Wait(wait_s).nanos,
     )  # fmt: skip
@@ -125,7 +125,7 @@ async def read_here(session: Session, state: ChannelState, query: ReadQuery) -> 
     return _items(state, answer, payloads=query.payloads, backwards=query.newest_first)
 
 
-def _items(state: ChannelState, answer: AnswerHere, *, payloads: bool = True, backwards: bool = False) -> Items:
+def _items(state: ChannelState, answer: InProcessAnswer, *, payloads: bool = True, backwards: bool = False) -> Items:
     decoder = state.decoder(answer.incarnation, payloads=payloads)
     return Items(
         decoder.decode_here(answer.runs, backwards=backwards),

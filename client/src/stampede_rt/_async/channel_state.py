@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stampede_rt.values.codecs import Coding
+from stampede_rt.values.codecs import HandleCodec
 from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt.wire.decoding import ItemDecoder
 
@@ -20,7 +20,7 @@ class ChannelState:
     info: ChannelInfo
     stated: Policy
     create: bool
-    coding: Coding | None = None
+    coding: HandleCodec | None = None
     cluster_id: str = ""
 
     def decoder(self, incarnation: int, *, payloads: bool) -> ItemDecoder:

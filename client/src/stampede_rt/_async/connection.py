@@ -12,7 +12,7 @@ from stampede_rt._async.directory_client import CONNECT_TIMEOUT_S
 from stampede_rt._async.group import Group
 from stampede_rt._async.group_channel import GroupChannel
 from stampede_rt._async.group_members import GroupMembers, member_handles
-from stampede_rt._async.hosting import Hosting, open_channel, open_queue_near
+from stampede_rt._async.hosting import ConnectionHost, open_channel, open_queue_near
 from stampede_rt._async.mailbox_sender import MailboxSender
 from stampede_rt._async.mailboxes import Mailboxes
 from stampede_rt._async.presence import Mailbox, Presence
@@ -21,13 +21,13 @@ from stampede_rt._async.queue_locator import queue_state
 from stampede_rt._async.real_clock import RealClock
 from stampede_rt._async.replay import ReplayedConnection
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
-from stampede_rt.cluster.embedding import HostHere
+from stampede_rt.cluster.embedding import InProcessHost
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.handles import Reference
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
-from stampede_rt.values.codecs import CodecLike, Coding
+from stampede_rt.values.codecs import CodecLike, HandleCodec
 from stampede_rt.values.grouping import (
     MAX_LEAD_DEFAULT,
     OLDEST_REFERENCE,
@@ -71,7 +71,7 @@ class Connection(Mailboxes, RealClock, Reference):
             )
         return self._session.reopened("connection")
 
-    async def _open(self, host: HostHere | None = None) -> Connection:
+    async def _open(self, host: InProcessHost | None = None) -> Connection:
         """Find the cluster, and register the peer if the connection has a name. Takes at most about 5 s.
 
         `host` is the channel host of this process, if there is one; it starts first, which takes at most 15 s more.
@@ -79,7 +79,7 @@ class Connection(Mailboxes, RealClock, Reference):
         """
         await self._session.open()
         if host is not None:
-            await Hosting(self._session, host).begin()
+            await ConnectionHost(self._session, host).begin()
         deadline_s = monotonic_s() + CONNECT_TIMEOUT_S
         if self._presence is not None:
             mailbox = await self._presence.begin(left_s(deadline_s))
@@ -178,7 +178,7 @@ class Connection(Mailboxes, RealClock, Reference):
             min_replicas=min_replicas,
             content_type=content_type,
         )
-        coding = Coding.parse(codec, f"channel {parse_name(name)!r}", content_type)
+        coding = HandleCodec.parse(codec, f"channel {parse_name(name)!r}", content_type)
         near = beside.name if isinstance(beside, Channel) else beside
         info = await open_channel(self._session, name, stated, host, create, near)
         return Channel(self._session, self._session.state_of(info, stated, create, coding))
@@ -314,7 +314,7 @@ class Connection(Mailboxes, RealClock, Reference):
             ack=ack,
             min_replicas=min_replicas,
         )
-        coding = Coding.parse(codec, f"queue {parse_name(name, 'queue')!r}", content_type)
+        coding = HandleCodec.parse(codec, f"queue {parse_name(name, 'queue')!r}", content_type)
         ahead = parse_prefetch(prefetch)
         info = await open_queue_near(self._session, name, stated, host, create)
         return Queue(self._session, queue_state(self._session, name, info, stated, create, coding), ahead, reconnect)

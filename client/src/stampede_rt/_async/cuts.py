@@ -7,7 +7,7 @@ from typing import Any
 
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.group_members import GroupMembers
-from stampede_rt._async.reconnecting import Reconnecting, may_heal
+from stampede_rt._async.reconnecting import StreamReconnector, may_heal
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import Overloaded, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
@@ -68,7 +68,7 @@ class CutSubscription(BoundToProcess):
         payloads: bool,
     ) -> None:
         what = f"the subscription to group {group.name!r}"
-        self._reconnecting = Reconnecting(group.session, what, reconnect)
+        self._reconnecting = StreamReconnector(group.session, what, reconnect)
         self._group = group
         self._max_wait_nanos = max_wait_nanos
         self._lateness_nanos = lateness_nanos

@@ -10,7 +10,7 @@ from stampede_rt._async.channel import Channel
 from stampede_rt._async.cuts import CutSubscription
 from stampede_rt._async.group_channel import GroupChannel
 from stampede_rt._async.group_members import GroupMembers
-from stampede_rt._async.group_reads import MembersRead, read_members
+from stampede_rt._async.group_reads import MemberAnswers, read_members
 from stampede_rt._async.matches import MatchSubscription
 from stampede_rt._async.past_matches import PastMatches
 from stampede_rt._async.reader import Reader
@@ -167,7 +167,7 @@ class Group(Reference):
         found = {channel.info.channel_id: items for channel, items in answers.items()}
         return NewestItems(self.channels, found, reason)
 
-    async def _read(self, query: ReadQuery) -> MembersRead:
+    async def _read(self, query: ReadQuery) -> MemberAnswers:
         with span("get", group=self.name):
             return await self._with_members_of_now(functools.partial(read_members, self._members, query))
 

@@ -19,14 +19,14 @@ from stampede_rt.values.past import add_reason
 from stampede_rt.values.reading import ReadQuery
 
 
-class MembersRead(NamedTuple):
+class MemberAnswers(NamedTuple):
     """The answer of each member at one cut. `reason`: why the cut may have been higher; None: the cut is exact."""
 
     answers: ByChannel[Channel, Items]
     reason: Reason | None
 
 
-async def read_members(group: GroupMembers, query: ReadQuery) -> MembersRead:
+async def read_members(group: GroupMembers, query: ReadQuery) -> MemberAnswers:
     """Read all members at the present cut, or at the cut as of `as_of`."""
     view, reason = group.view, None
     if query.as_of is None:
@@ -39,4 +39,4 @@ async def read_members(group: GroupMembers, query: ReadQuery) -> MembersRead:
     found = await run_all([functools.partial(read, group.session, one._state, query, view) for one in channels])
     ids = (channel.info.channel_id for channel in channels)
     answers = (add_reason(items, reason) for items in found)
-    return MembersRead(ByChannel(channels, dict(zip(ids, answers, strict=True))), reason)
+    return MemberAnswers(ByChannel(channels, dict(zip(ids, answers, strict=True))), reason)

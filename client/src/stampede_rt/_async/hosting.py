@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from stampede_rt._async.queue_locator import open_queue
 from stampede_rt._async.session import Session
-from stampede_rt.cluster.embedding import START_TIMEOUT_S, HostHere
+from stampede_rt.cluster.embedding import START_TIMEOUT_S, InProcessHost
 from stampede_rt.errors import ChannelExists, QueueExists
 from stampede_rt.transports.concurrency_async import in_thread
 from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt.values.queueing import QueueInfo, QueuePolicy
 
 
-class Hosting:
+class ConnectionHost:
     """The host of one connection. It starts with the connection, and ends after all other parts of the connection."""
 
-    def __init__(self, session: Session, host: HostHere) -> None:
+    def __init__(self, session: Session, host: InProcessHost) -> None:
         self._session = session
         self._host = host
 

@@ -10,7 +10,7 @@ from stampede_rt._async.puts import ProducerNumbers, Puts, SingleItem, enqueued
 from stampede_rt._async.session import Session
 from stampede_rt.transports.concurrency_async import Mutex
 from stampede_rt.transports.grpc_async import ServerEndpoint
-from stampede_rt.values.codecs import CodecLike, Coding
+from stampede_rt.values.codecs import CodecLike, HandleCodec
 from stampede_rt.values.queueing import Enqueued
 from stampede_rt.values.reading import Wait
 
@@ -38,7 +38,7 @@ class MailboxSender:
     ) -> Enqueued:
         """Put one message. See `Connection.send`."""
         self._session.check()
-        coding = Coding.parse(codec, f"the message to {peer!r}", content_type)
+        coding = HandleCodec.parse(codec, f"the message to {peer!r}", content_type)
         item = SingleItem.parse(coding, payload, None, None, attributes, content_type, message_id)
         return enqueued(await self._puts_to(peer).put(self._numbers.put_of(item), Wait.parse(timeout)))
 

@@ -11,7 +11,7 @@ from typing import Any
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.group_members import GroupMembers
 from stampede_rt._async.reads import read
-from stampede_rt._async.reconnecting import Reconnecting, may_heal
+from stampede_rt._async.reconnecting import StreamReconnector, may_heal
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import GroupNotFound, StampedeError, Unavailable
@@ -44,7 +44,7 @@ class MatchSubscription(BoundToProcess):
     """
 
     def __init__(self, group: GroupMembers, per: Channel, rule: MatchRule, reconnect: DurationLike | None) -> None:
-        self._reconnecting = Reconnecting(group.session, f"the matching of group {group.name!r}", reconnect)
+        self._reconnecting = StreamReconnector(group.session, f"the matching of group {group.name!r}", reconnect)
         self._group = group
         self._per = per
         self._rule = rule

@@ -14,13 +14,13 @@ from functools import partial
 from typing import Any
 
 from stampede_rt._async.channel_state import ChannelState
-from stampede_rt._async.reconnecting import Reconnecting
+from stampede_rt._async.reconnecting import StreamReconnector
 from stampede_rt._async.session import Session
 from stampede_rt._async.subscription import Subscription
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
-from stampede_rt.multicast.receiving import Receiving
-from stampede_rt.multicast.repairing import BEAT_S_MAX, Step
+from stampede_rt.multicast.receiving import MulticastReceiver
+from stampede_rt.multicast.repairing import BEAT_S_MAX, RepairStep
 from stampede_rt.multicast.sealing import DatagramOpener, Verifier
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
 from stampede_rt.transports.concurrency_async import in_thread, monotonic_s, sleep
@@ -46,7 +46,7 @@ class MulticastSubscription(Subscription):
     order."""
 
     def __init__(
-        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: Reconnecting
+        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: StreamReconnector
     ) -> None:
         if begun.mode != channel_pb.SUBSCRIBE_MODE_ALL or begun.without_payloads or begun.HasField("group_id"):
             raise InvalidArgument(
@@ -56,7 +56,7 @@ class MulticastSubscription(Subscription):
         super().__init__(session, state, begun, reconnecting)
         self._offer = channel_pb.MulticastOffer()
         self._socket: GroupSocket | None = None
-        self._receiving: Receiving | None = None
+        self._receiving: MulticastReceiver | None = None
         self._is_following = False  # whether the items come from datagrams
         self._asked_seq = 0  # the seq that the open repair asks for; 0: no repair is open
         self._not_before_s, self._again_s = 0.0, AGAIN_S
@@ -109,11 +109,11 @@ class MulticastSubscription(Subscription):
             raise
         assert self._decoder is not None, "the stream is open"
         self._socket = GroupSocket(joined)
-        self._receiving = Receiving(opener, verifier, monotonic_s(), partial(_decoded, self._decoder))
+        self._receiving = MulticastReceiver(opener, verifier, monotonic_s(), partial(_decoded, self._decoder))
         if self._closed:  # the program called `close` meanwhile
             self._socket.close()
 
-    async def _listen_in(self, receiving: Receiving, socket: GroupSocket) -> None:
+    async def _listen_in(self, receiving: MulticastReceiver, socket: GroupSocket) -> None:
         """While the stream brings the items: check whether the datagrams bring the next ones. If they do, take the
         items from them."""
         cursor = self._cursor
@@ -125,10 +125,10 @@ class MulticastSubscription(Subscription):
         if receiving.has_heard and receiving.merge.is_level:
             self._is_following = True
             await self._repair(receiving)  # so that the host stops sending
-        elif receiving.pace.next_step(now_s, is_missing=False)[0] is Step.LEAVE:
+        elif receiving.pace.next_step(now_s, is_missing=False)[0] is RepairStep.LEAVE:
             self._leave()
 
-    async def _follow(self, receiving: Receiving, socket: GroupSocket) -> None:
+    async def _follow(self, receiving: MulticastReceiver, socket: GroupSocket) -> None:
         """Take the next datagrams, wait for some, or ask the host for the items that are missing."""
         now_s = monotonic_s()
         if self._session.closed:  # a step must read the stream again, which raises this error
@@ -140,20 +140,20 @@ class MulticastSubscription(Subscription):
             await sleep(0)  # if datagrams come faster than the program takes them, other tasks have turns, too
             return
         step, wait_s = receiving.pace.next_step(now_s, is_missing=receiving.merge.is_missing)
-        if step is Step.LEAVE:
+        if step is RepairStep.LEAVE:
             await self._repair(receiving)
             if self._receiving is not receiving:  # the host no longer serves the channel
                 return
             _log.info("the datagrams of channel %r do not come any more", self._state.info.name)
             self._leave()
-        elif step is Step.REOPEN:
+        elif step is RepairStep.REOPEN:
             self._reopen()
-        elif step is Step.REPAIR:
+        elif step is RepairStep.REPAIR:
             await self._repair(receiving)
         else:
             await socket.wait(min(wait_s, BEAT_S_MAX))
 
-    async def _repair(self, receiving: Receiving) -> None:
+    async def _repair(self, receiving: MulticastReceiver) -> None:
         """Ask the host for the first missing items, and wait for its answer."""
         stream, self._asked_seq = self._stream, receiving.merge.next_seq
         wanted = min(receiving.merge.missing_items * self._item_bytes, REPAIR_BYTES_MAX)
@@ -169,7 +169,7 @@ class MulticastSubscription(Subscription):
             raise
         receiving.pace.asked()
 
-    def _add(self, items: Sequence[Item], receiving: Receiving) -> None:
+    def _add(self, items: Sequence[Item], receiving: MulticastReceiver) -> None:
         """Give the items to the reader next, and note the place after them."""
         self._ready.add((items,))
         self._note_size(items)
@@ -197,7 +197,7 @@ class MulticastSubscription(Subscription):
         if response.repair_next_seq == self._asked_seq:
             self._asked_seq = 0
 
-    def _take_gap(self, gap: channel_pb.SubscriptionGap, receiving: Receiving) -> None:
+    def _take_gap(self, gap: channel_pb.SubscriptionGap, receiving: MulticastReceiver) -> None:
         """Take the held items up to the end of the gap. The gap then counts only items that the reader did not get."""
         merge, end_seq = receiving.merge, gap.last_seq + 1
         new = end_seq - max(gap.first_seq, merge.next_seq)  # the host may have reported a part of the gap before

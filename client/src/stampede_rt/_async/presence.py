@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 
 from stampede_rt._async.listener import should_log
-from stampede_rt._async.queue import MessageTaking
+from stampede_rt._async.queue import TakingHandle
 from stampede_rt._async.queue_locator import QueueLocator, QueueState, learn_queue
 from stampede_rt._async.session import Session, request_id
 from stampede_rt.cluster.binding import Binding
@@ -265,7 +265,7 @@ class MailboxLocator(QueueLocator):
             error.retryable = True
 
 
-class Mailbox(MessageTaking, BoundToProcess):
+class Mailbox(TakingHandle, BoundToProcess):
     """The queue of the messages that others send to this connection's peer (see `Connection.send`).
 
     It exists as long as the peer is registered. `get`, loops, `stats`, `pending` and `aclose` work as with a `Queue`.

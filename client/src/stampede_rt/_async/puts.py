@@ -17,7 +17,7 @@ from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.grpc_async import PutExchange, ServerEndpoint
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
-from stampede_rt.values.codecs import Coding
+from stampede_rt.values.codecs import HandleCodec
 from stampede_rt.values.model import Ack, Item, PutItem
 from stampede_rt.values.payloads import check_attributes, check_payload
 from stampede_rt.values.policy import ack_of, content_type_of
@@ -151,7 +151,7 @@ class SingleItem:
     @classmethod
     def parse(
         cls,
-        coding: Coding | None,
+        coding: HandleCodec | None,
         payload: Any,
         time: InstantLike | None,
         duration: DurationLike | int | None,

@@ -11,7 +11,7 @@ from stampede_rt._async.endpoints import connection_closed
 from stampede_rt._async.message import Message
 from stampede_rt._async.puts import ProducerNumbers, Puts, SingleItem, enqueued
 from stampede_rt._async.queue_locator import QueueLocator, QueueState, learn_queue
-from stampede_rt._async.reconnecting import Reconnecting
+from stampede_rt._async.reconnecting import StreamReconnector
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
 from stampede_rt._async.taker import Taker
 from stampede_rt.cluster.binding import Binding
@@ -33,7 +33,7 @@ from stampede_rt.wire.queues import pending_message, queue_policy_to_spec, queue
 PENDING_PAGE_MAX = 1000
 
 
-class MessageTaking:
+class TakingHandle:
     """A handle that takes messages from a queue, or from the connection's own mailbox.
 
     A loop over the handle waits for each message without a limit. Any number of threads or tasks may take messages.
@@ -48,7 +48,7 @@ class MessageTaking:
         reconnect: DurationLike | None = None,
     ) -> None:
         self._session = session
-        self._reconnecting = Reconnecting(
+        self._reconnecting = StreamReconnector(
             session, f"the iteration over {state.kind} {state.name!r}", reconnect, held=True
         )
         self._state = state
@@ -96,7 +96,7 @@ class MessageTaking:
         with span("take", queue=self.name):
             return await self._taker.get(Wait.parse(timeout))
 
-    def __aiter__(self) -> MessageTaking:
+    def __aiter__(self) -> TakingHandle:
         return self
 
     async def __anext__(self) -> Message:
@@ -198,7 +198,7 @@ class MessageTaking:
         await self._taker.end()
 
 
-class Queue(MessageTaking, Reference):
+class Queue(TakingHandle, Reference):
     """A named queue. Handles of one queue are equal. Any number of handles may put and take, in any process.
 
     A handle is also a context manager: the end of the block calls `aclose`. The host delivers messages in the order in

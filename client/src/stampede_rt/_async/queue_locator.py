@@ -13,7 +13,7 @@ from stampede_rt.cluster.binding import Binding, Owner
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import QueueNotFound, StampedeError, Unavailable
 from stampede_rt.v1 import directory_pb2, queue_directory_service_pb2, queue_pb2
-from stampede_rt.values.codecs import Coding
+from stampede_rt.values.codecs import HandleCodec
 from stampede_rt.values.policy import flag_of, parse_name
 from stampede_rt.values.queueing import QueueInfo, QueuePolicy
 from stampede_rt.wire.queues import queue_info, queue_policy_to_spec
@@ -32,12 +32,12 @@ class QueueState:
     info: QueueInfo
     stated: QueuePolicy
     create: bool
-    coding: Coding | None = None
+    coding: HandleCodec | None = None
     cluster_id: str = ""
 
 
 def queue_state(
-    session: Session, name: str, info: QueueInfo, stated: QueuePolicy, create: bool, coding: Coding | None
+    session: Session, name: str, info: QueueInfo, stated: QueuePolicy, create: bool, coding: HandleCodec | None
 ) -> QueueState:
     """Return the state of a new handle."""
     return QueueState("queue", name, info, stated, create, coding, session.supernodes.cluster_id)

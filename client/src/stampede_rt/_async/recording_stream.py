@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from stampede_rt._async.channel_state import ChannelState
-from stampede_rt._async.reconnecting import Reconnecting
+from stampede_rt._async.reconnecting import StreamReconnector
 from stampede_rt._async.session import Session
 from stampede_rt._async.subscription import Subscription
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, SteadyWindow
@@ -47,7 +47,7 @@ class RecordingStream(Subscription):
     """
 
     def __init__(
-        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: Reconnecting
+        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: StreamReconnector
     ) -> None:
         super().__init__(session, state, begun, reconnecting)
         self._window = SteadyWindow(WINDOW_BYTES)
@@ -64,7 +64,7 @@ class RecordingStream(Subscription):
         begun = channel_pb.SubscribeOpen(mode=channel_pb.SUBSCRIBE_MODE_ALL, stale_ok=True)
         if start is not None:
             begun.start.CopyFrom(bound_to_message(start))
-        return cls(session, state, begun, Reconnecting(session, reconnect_name, None, held=held))
+        return cls(session, state, begun, StreamReconnector(session, reconnect_name, None, held=held))
 
     @property
     def read_to(self) -> int:

@@ -9,7 +9,7 @@ from typing import NoReturn, TypeVar
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.reader import Reader
 from stampede_rt._async.reads import read_as_of
-from stampede_rt._async.reconnecting import Reconnecting
+from stampede_rt._async.reconnecting import StreamReconnector
 from stampede_rt._async.replayed_subscription import ReplayedNewest, ReplayedSteps, ReplayedSubscription
 from stampede_rt._async.virtual_clock import VirtualClock
 from stampede_rt.errors import AheadOfClock, DeadlineExceeded
@@ -94,7 +94,7 @@ class ReplayedChannel(Reader):
         mode: SubscribeMode,
         after: Item | None,
         payloads: bool,
-        reconnecting: Reconnecting,
+        reconnecting: StreamReconnector,
         stale_ok: bool = True,
         via: object = None,
     ) -> ReplayedSteps:

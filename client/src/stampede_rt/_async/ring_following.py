@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stampede_rt._async.channel_state import ChannelState
-from stampede_rt._async.ring_reads import ASK_HOST, AskHost, columns_of, items_of, newest_item, plain_item
+from stampede_rt._async.ring_reads import ASK_HOST, HostMustAnswer, columns_of, items_of, newest_item, plain_item
 from stampede_rt.pacing.crediting import WINDOW_AGE_S
 from stampede_rt.ring.facts import host_now
 from stampede_rt.ring.layout import CHANGES_WORD
@@ -68,7 +68,7 @@ class RingFollower:
             return find_newest(self.mapping.view, facts, self._position) is not True
         return self._next(facts, self._cursor.next_seq, self._slot) is not True
 
-    async def step(self, *, for_batch: bool = False) -> Sequence[Sequence[Item]] | AskHost:
+    async def step(self, *, for_batch: bool = False) -> Sequence[Sequence[Item]] | HostMustAnswer:
         """Return the runs of the next items; none after a wait. Raises StampedeError for a damaged ring.
 
         `for_batch`: the program takes all items of the runs together.
@@ -81,7 +81,7 @@ class RingFollower:
         if facts is None:
             return ASK_HOST
         runs = self._take_newest(facts) if self._newest_only else self._take_next(facts)
-        if isinstance(runs, AskHost) or runs:
+        if isinstance(runs, HostMustAnswer) or runs:
             return runs
         if not await self._waits.wait(self.mapping, changes, WAIT_S_MAX):
             return ASK_HOST
@@ -100,7 +100,7 @@ class RingFollower:
             return None
         return self._cursor.from_unix_nano, min(self._cursor.from_seq, _SEQ_MAX) - 1
 
-    def _take_newest(self, facts: list[int]) -> Sequence[Sequence[Item]] | AskHost:
+    def _take_newest(self, facts: list[int]) -> Sequence[Sequence[Item]] | HostMustAnswer:
         found = find_newest(self.mapping.view, facts, self._position)
         if found is True or not self.mapping.is_open(boottime_nanos()):
             return ASK_HOST
@@ -113,7 +113,7 @@ class RingFollower:
         self.skipped = max(0, given_between(self._begun_seq, found.next_seq) - self._delivered)
         return ((item,),)
 
-    def _take_next(self, facts: list[int]) -> Sequence[Sequence[Item]] | AskHost:
+    def _take_next(self, facts: list[int]) -> Sequence[Sequence[Item]] | HostMustAnswer:
         """Return the items of each of the next slots, until they have STEP_BYTES_MAX."""
         found, slot, next_seq, taken_bytes = list[FoundNext](), self._slot, self._cursor.next_seq, 0
         while len(found) < self._slots_max and taken_bytes < STEP_BYTES_MAX:

@@ -11,9 +11,9 @@ from typing import Any
 from stampede_rt._async.batches import Batches
 from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.copies import copy_target_of, open_at_owner_or_copy
-from stampede_rt._async.reconnecting import Reconnecting, loss_after, may_heal
+from stampede_rt._async.reconnecting import StreamReconnector, loss_after, may_heal
 from stampede_rt._async.ring_following import RingFollower
-from stampede_rt._async.ring_reads import AskHost
+from stampede_rt._async.ring_reads import HostMustAnswer
 from stampede_rt._async.session import Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.tracing import span
@@ -54,7 +54,7 @@ class Subscription(BoundToProcess):
     """
 
     def __init__(
-        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: Reconnecting
+        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: StreamReconnector
     ) -> None:
         self._session = session
         self._reconnecting = reconnecting
@@ -97,7 +97,7 @@ class Subscription(BoundToProcess):
         mode: SubscribeMode,
         after: Item | None,
         payloads: bool,
-        reconnecting: Reconnecting,
+        reconnecting: StreamReconnector,
         group_id: bytes | None = None,
         stale_ok: bool = True,
     ) -> Subscription:
@@ -214,7 +214,7 @@ class Subscription(BoundToProcess):
         except StampedeError:  # the ring is damaged
             self._leave_ring(follower)
             raise
-        if isinstance(runs, AskHost):
+        if isinstance(runs, HostMustAnswer):
             self._leave_ring(follower)
         else:
             self._ready.add(runs)

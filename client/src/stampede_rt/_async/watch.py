@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
 from stampede_rt._async.directory_client import CONNECT_TIMEOUT_S
-from stampede_rt._async.reconnecting import Reconnecting, may_heal
+from stampede_rt._async.reconnecting import StreamReconnector, may_heal
 from stampede_rt._async.session import Session
 from stampede_rt.errors import StampedeError, Unavailable, WatchRestart
 from stampede_rt.handles import BoundToProcess
@@ -30,7 +30,7 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
 
     def __init__(self, session: Session, request: Any, reconnect: DurationLike | None) -> None:
         self._session = session
-        self._reconnecting = Reconnecting(session, f"the watch of {request.name_glob!r}", reconnect)
+        self._reconnecting = StreamReconnector(session, f"the watch of {request.name_glob!r}", reconnect)
         self._cluster_id = session.supernodes.cluster_id
         self._request = request
         self._stream: ServerStream[Any] | None = None

@@ -13,7 +13,7 @@ from stampede_rt._sync.directory_client import CONNECT_TIMEOUT_S
 from stampede_rt._sync.group import Group
 from stampede_rt._sync.group_channel import GroupChannel
 from stampede_rt._sync.group_members import GroupMembers, member_handles
-from stampede_rt._sync.hosting import Hosting, open_channel, open_queue_near
+from stampede_rt._sync.hosting import ConnectionHost, open_channel, open_queue_near
 from stampede_rt._sync.mailbox_sender import MailboxSender
 from stampede_rt._sync.mailboxes import Mailboxes
 from stampede_rt._sync.presence import Mailbox, Presence
@@ -22,13 +22,13 @@ from stampede_rt._sync.queue_locator import queue_state
 from stampede_rt._sync.real_clock import RealClock
 from stampede_rt._sync.replay import ReplayedConnection
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, left_s, request_id
-from stampede_rt.cluster.embedding import HostHere
+from stampede_rt.cluster.embedding import InProcessHost
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.handles import Reference
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
-from stampede_rt.values.codecs import CodecLike, Coding
+from stampede_rt.values.codecs import CodecLike, HandleCodec
 from stampede_rt.values.grouping import (
     MAX_LEAD_DEFAULT,
     OLDEST_REFERENCE,
@@ -72,7 +72,7 @@ class Connection(Mailboxes, RealClock, Reference):
             )
         return self._session.reopened("connection")
 
-    def _open(self, host: HostHere | None = None) -> Connection:
+    def _open(self, host: InProcessHost | None = None) -> Connection:
         """Find the cluster, and register the peer if the connection has a name. Takes at most about 5 s.
 
         `host` is the channel host of this process, if there is one; it starts first, which takes at most 15 s more.
@@ -80,7 +80,7 @@ class Connection(Mailboxes, RealClock, Reference):
         """
         self._session.open()
         if host is not None:
-            Hosting(self._session, host).begin()
+            ConnectionHost(self._session, host).begin()
         deadline_s = monotonic_s() + CONNECT_TIMEOUT_S
         if self._presence is not None:
             mailbox = self._presence.begin(left_s(deadline_s))
@@ -179,7 +179,7 @@ class Connection(Mailboxes, RealClock, Reference):
             min_replicas=min_replicas,
             content_type=content_type,
         )
-        coding = Coding.parse(codec, f"channel {parse_name(name)!r}", content_type)
+        coding = HandleCodec.parse(codec, f"channel {parse_name(name)!r}", content_type)
         near = beside.name if isinstance(beside, Channel) else beside
         info = open_channel(self._session, name, stated, host, create, near)
         return Channel(self._session, self._session.state_of(info, stated, create, coding))
@@ -315,7 +315,7 @@ class Connection(Mailboxes, RealClock, Reference):
             ack=ack,
             min_replicas=min_replicas,
         )
-        coding = Coding.parse(codec, f"queue {parse_name(name, 'queue')!r}", content_type)
+        coding = HandleCodec.parse(codec, f"queue {parse_name(name, 'queue')!r}", content_type)
         ahead = parse_prefetch(prefetch)
         info = open_queue_near(self._session, name, stated, host, create)
         return Queue(self._session, queue_state(self._session, name, info, stated, create, coding), ahead, reconnect)

@@ -11,7 +11,7 @@ from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.cuts import CutSubscription
 from stampede_rt._sync.group_channel import GroupChannel
 from stampede_rt._sync.group_members import GroupMembers
-from stampede_rt._sync.group_reads import MembersRead, read_members
+from stampede_rt._sync.group_reads import MemberAnswers, read_members
 from stampede_rt._sync.matches import MatchSubscription
 from stampede_rt._sync.past_matches import PastMatches
 from stampede_rt._sync.reader import Reader
@@ -168,7 +168,7 @@ class Group(Reference):
         found = {channel.info.channel_id: items for channel, items in answers.items()}
         return NewestItems(self.channels, found, reason)
 
-    def _read(self, query: ReadQuery) -> MembersRead:
+    def _read(self, query: ReadQuery) -> MemberAnswers:
         with span("get", group=self.name):
             return self._with_members_of_now(functools.partial(read_members, self._members, query))
 

@@ -11,7 +11,7 @@ from stampede_rt._sync.puts import ProducerNumbers, Puts, SingleItem, enqueued
 from stampede_rt._sync.session import Session
 from stampede_rt.transports.concurrency_sync import Mutex
 from stampede_rt.transports.grpc_sync import ServerEndpoint
-from stampede_rt.values.codecs import CodecLike, Coding
+from stampede_rt.values.codecs import CodecLike, HandleCodec
 from stampede_rt.values.queueing import Enqueued
 from stampede_rt.values.reading import Wait
 
@@ -39,7 +39,7 @@ class MailboxSender:
     ) -> Enqueued:
         """Put one message. See `Connection.send`."""
         self._session.check()
-        coding = Coding.parse(codec, f"the message to {peer!r}", content_type)
+        coding = HandleCodec.parse(codec, f"the message to {peer!r}", content_type)
         item = SingleItem.parse(coding, payload, None, None, attributes, content_type, message_id)
         return enqueued(self._puts_to(peer).put(self._numbers.put_of(item), Wait.parse(timeout)))
 

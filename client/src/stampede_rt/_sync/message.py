@@ -17,7 +17,7 @@ from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.v1 import queue_pb2
 from stampede_rt.v1 import queue_service_pb2 as queue_service_pb
-from stampede_rt.values.codecs import CodecLike, Coding
+from stampede_rt.values.codecs import CodecLike, HandleCodec
 from stampede_rt.values.policy import duration_of
 from stampede_rt.values.queueing import parse_lease, parse_reason
 from stampede_rt.values.timeline import DurationLike
@@ -121,7 +121,9 @@ class Message(BoundToProcess):
     - `origin` says which queue a dead letter left, and why. It is None for other messages.
     """
 
-    def __init__(self, settler: Settler, delivery: DeliveredMessage, incarnation: int, coding: Coding | None) -> None:
+    def __init__(
+        self, settler: Settler, delivery: DeliveredMessage, incarnation: int, coding: HandleCodec | None
+    ) -> None:
         self._settler = settler
         self._delivery = delivery
         self._coding = coding
@@ -152,7 +154,7 @@ class Message(BoundToProcess):
 
         Raises CodecError, also if the message has another content type than the codec.
         """
-        coding = Coding.parse(codec, "decode")
+        coding = HandleCodec.parse(codec, "decode")
         return coding.decode(self.payload, self.content_type, f"message #{self.seq}") if coding else self.payload
 
     @property

@@ -23,7 +23,7 @@ RETRY_S = 0.05
 ANSWER_S = 5.0  # the time for the answer of a host that drains, after its timeout
 
 
-class _Movable(NamedTuple):
+class _MovableSubject(NamedTuple):
     """A channel or queue: the host that owns it, and the request to another host to take it over."""
 
     owner: str
@@ -46,9 +46,9 @@ class Moves(Proxies):
         deadline_s = monotonic_s() + parse_duration(timeout, "timeout") / 1e9
         name = channel.name if isinstance(channel, Reader) else channel
 
-        def find() -> _Movable:
+        def find() -> _MovableSubject:
             info = (self._state(channel)).info
-            return _Movable(info.host, pb.MoveHereRequest(channel_id=info.channel_id))
+            return _MovableSubject(info.host, pb.MoveHereRequest(channel_id=info.channel_id))
 
         return _info(name, host, self._move_here(find, host, deadline_s))
 
@@ -63,15 +63,15 @@ class Moves(Proxies):
         """
         deadline_s = monotonic_s() + parse_duration(timeout, "timeout") / 1e9
 
-        def find() -> _Movable:
+        def find() -> _MovableSubject:
             found = next((one for one in self.queues(queue) if one.name == queue), None)
             if found is None:
                 raise QueueNotFound(f"there is no queue {queue!r}; `stampede queue ls` lists them")
-            return _Movable(found.host, pb.MoveHereRequest(queue_id=found.queue_id))
+            return _MovableSubject(found.host, pb.MoveHereRequest(queue_id=found.queue_id))
 
         return _info(queue, host, self._move_here(find, host, deadline_s))
 
-    def _move_here(self, find: Callable[[], _Movable], host: str, deadline_s: float) -> pb.MoveHereResponse:
+    def _move_here(self, find: Callable[[], _MovableSubject], host: str, deadline_s: float) -> pb.MoveHereResponse:
         """Tell the owner that this host may take the thing over, and then tell the host to take it over."""
         hosts = {one.name: one for one in self.hosts() if one.endpoints}
         if host not in hosts:

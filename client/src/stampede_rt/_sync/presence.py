@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 
 from stampede_rt._sync.listener import should_log
-from stampede_rt._sync.queue import MessageTaking
+from stampede_rt._sync.queue import TakingHandle
 from stampede_rt._sync.queue_locator import QueueLocator, QueueState, learn_queue
 from stampede_rt._sync.session import Session, request_id
 from stampede_rt.cluster.binding import Binding
@@ -266,7 +266,7 @@ class MailboxLocator(QueueLocator):
             error.retryable = True
 
 
-class Mailbox(MessageTaking, BoundToProcess):
+class Mailbox(TakingHandle, BoundToProcess):
     """The queue of the messages that others send to this connection's peer (see `Connection.send`).
 
     It exists as long as the peer is registered. `get`, loops, `stats`, `pending` and `close` work as with a `Queue`.

@@ -12,7 +12,7 @@ from stampede_rt._sync.endpoints import connection_closed
 from stampede_rt._sync.message import Message
 from stampede_rt._sync.puts import ProducerNumbers, Puts, SingleItem, enqueued
 from stampede_rt._sync.queue_locator import QueueLocator, QueueState, learn_queue
-from stampede_rt._sync.reconnecting import Reconnecting
+from stampede_rt._sync.reconnecting import StreamReconnector
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, left_s, request_id
 from stampede_rt._sync.taker import Taker
 from stampede_rt.cluster.binding import Binding
@@ -34,7 +34,7 @@ from stampede_rt.wire.queues import pending_message, queue_policy_to_spec, queue
 PENDING_PAGE_MAX = 1000
 
 
-class MessageTaking:
+class TakingHandle:
     """A handle that takes messages from a queue, or from the connection's own mailbox.
 
     A loop over the handle waits for each message without a limit. Any number of threads or tasks may take messages.
@@ -49,7 +49,7 @@ class MessageTaking:
         reconnect: DurationLike | None = None,
     ) -> None:
         self._session = session
-        self._reconnecting = Reconnecting(
+        self._reconnecting = StreamReconnector(
             session, f"the iteration over {state.kind} {state.name!r}", reconnect, held=True
         )
         self._state = state
@@ -97,7 +97,7 @@ class MessageTaking:
         with span("take", queue=self.name):
             return self._taker.get(Wait.parse(timeout))
 
-    def __iter__(self) -> MessageTaking:
+    def __iter__(self) -> TakingHandle:
         return self
 
     def __next__(self) -> Message:
@@ -199,7 +199,7 @@ class MessageTaking:
         self._taker.end()
 
 
-class Queue(MessageTaking, Reference):
+class Queue(TakingHandle, Reference):
     """A named queue. Handles of one queue are equal. Any number of handles may put and take, in any process.
 
     A handle is also a context manager: the end of the block calls `close`. The host delivers messages in the order in

@@ -10,8 +10,8 @@ from stampede_rt._sync.calls_here import at_here, may_be_here, newest_here, read
 from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.listener import Listener
 from stampede_rt._sync.reads import read
-from stampede_rt._sync.reconnecting import Reconnecting
-from stampede_rt._sync.ring_reads import ASK_HOST, AskHost, read_interval, read_newest
+from stampede_rt._sync.reconnecting import StreamReconnector
+from stampede_rt._sync.ring_reads import ASK_HOST, HostMustAnswer, read_interval, read_newest
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt._sync.subscription_kinds import kind_of_subscription
@@ -210,12 +210,12 @@ class Reader(Reference):
             if timeout != 0 or timeout is False:
                 wait_s = Wait.parse(timeout).seconds
                 deadline_s = None if wait_s is None else monotonic_s() + wait_s
-            found: Item | AskHost | None = ASK_HOST
+            found: Item | HostMustAnswer | None = ASK_HOST
             if not may_be_here(self._session, self._state):
                 found = read_newest(self._session, self._state, position, deadline_s)
             elif position is None:
                 found = newest_here(self._session, self._state) or ASK_HOST
-            if not isinstance(found, AskHost):
+            if not isinstance(found, HostMustAnswer):
                 return found
             if position is None and deadline_s == 0 and demand == (None, None):
                 items = self._read(NEWEST)
@@ -258,7 +258,7 @@ class Reader(Reference):
         is_plain = query.payloads and query.after is None and query.newer_than is None and query.as_of is None
         if self._is_direct and is_plain:
             found = read_interval(self._session, self._state, query)
-            if not isinstance(found, AskHost):
+            if not isinstance(found, HostMustAnswer):
                 return found
         with span("get", channel=self.name):
             return read(self._session, self._state, query, self._view)
@@ -291,7 +291,7 @@ class Reader(Reference):
         With `via="multicast"` the items come from UDP multicast if the host sends it and this machine receives it. All
         other items come over the stream (docs/proxies.md). Needs the extra `stampede-rt[multicast]`.
         """
-        reconnecting = Reconnecting(self._session, f"the subscription to channel {self.name!r}", reconnect)
+        reconnecting = StreamReconnector(self._session, f"the subscription to channel {self.name!r}", reconnect)
         return self._subscribe(start, mode, after, payloads, reconnecting, flag_of("stale_ok", stale_ok), via)
 
     def _subscribe(
@@ -300,7 +300,7 @@ class Reader(Reference):
         mode: SubscribeMode,
         after: Item | None,
         payloads: bool,
-        reconnecting: Reconnecting,
+        reconnecting: StreamReconnector,
         stale_ok: bool = True,
         via: object = None,
     ) -> Subscription:
@@ -342,7 +342,7 @@ class Reader(Reference):
         name = f"channel {self.name!r}"
 
         def subscribe(anew: bool) -> Subscription:
-            reconnecting = Reconnecting(self._session, f"on_item of {name}", reconnect, held=anew)
+            reconnecting = StreamReconnector(self._session, f"on_item of {name}", reconnect, held=anew)
             if anew:
                 return self._subscribe(OLDEST, mode, None, payloads, reconnecting, via=via)
             return self._subscribe(start, mode, after, payloads, reconnecting, via=via)

@@ -18,7 +18,7 @@ SILENT_S = 10.0  # the client logs an outage that lasts longer
 _log = logging.getLogger("stampede_rt")
 
 
-class Reconnecting:
+class StreamReconnector:
     """Opens a stream, and opens it again after each break, for at most `reconnect` (None: without a limit).
 
     The first opening fails after CALL_TIMEOUT_S, so that the caller soon learns of a wrong name. With `held` the stream

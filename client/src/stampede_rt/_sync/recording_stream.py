@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from stampede_rt._sync.channel_state import ChannelState
-from stampede_rt._sync.reconnecting import Reconnecting
+from stampede_rt._sync.reconnecting import StreamReconnector
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, SteadyWindow
@@ -48,7 +48,7 @@ class RecordingStream(Subscription):
     """
 
     def __init__(
-        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: Reconnecting
+        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: StreamReconnector
     ) -> None:
         super().__init__(session, state, begun, reconnecting)
         self._window = SteadyWindow(WINDOW_BYTES)
@@ -65,7 +65,7 @@ class RecordingStream(Subscription):
         begun = channel_pb.SubscribeOpen(mode=channel_pb.SUBSCRIBE_MODE_ALL, stale_ok=True)
         if start is not None:
             begun.start.CopyFrom(bound_to_message(start))
-        return cls(session, state, begun, Reconnecting(session, reconnect_name, None, held=held))
+        return cls(session, state, begun, StreamReconnector(session, reconnect_name, None, held=held))
 
     @property
     def read_to(self) -> int:

@@ -10,7 +10,7 @@ from typing import NoReturn, TypeVar
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.reader import Reader
 from stampede_rt._sync.reads import read_as_of
-from stampede_rt._sync.reconnecting import Reconnecting
+from stampede_rt._sync.reconnecting import StreamReconnector
 from stampede_rt._sync.replayed_subscription import ReplayedNewest, ReplayedSteps, ReplayedSubscription
 from stampede_rt._sync.virtual_clock import VirtualClock
 from stampede_rt.errors import AheadOfClock, DeadlineExceeded
@@ -95,7 +95,7 @@ class ReplayedChannel(Reader):
         mode: SubscribeMode,
         after: Item | None,
         payloads: bool,
-        reconnecting: Reconnecting,
+        reconnecting: StreamReconnector,
         stale_ok: bool = True,
         via: object = None,
     ) -> ReplayedSteps:

@@ -30,16 +30,16 @@ from stampede_rt.wire.run_slices import RunSlicer
 _DAMAGES = (DecodeError, struct.error, IndexError, KeyError, ValueError, OverflowError)
 
 
-class AskHost:
+class HostMustAnswer:
     """The result of a read that only the host can answer."""
 
 
-ASK_HOST = AskHost()
+ASK_HOST = HostMustAnswer()
 
 
 def read_newest(
     session: Session, state: ChannelState, after: Item | int | None, deadline_s: float | None
-) -> Item | AskHost | None:
+) -> Item | HostMustAnswer | None:
     """Return the newest item, see `Reader.newest`. Waits until `deadline_s`; None: without a limit; 0: not at all."""
     mapping = session.rings.find(state)
     if mapping is None:
@@ -100,7 +100,7 @@ def plain_item(state: ChannelState, mapping: RingMapping, slot: Slot, payload: b
     return Item._make(fields) if state.coding is None else state.coding.item(fields)
 
 
-def read_interval(session: Session, state: ChannelState, query: ReadQuery) -> Items | AskHost:
+def read_interval(session: Session, state: ChannelState, query: ReadQuery) -> Items | HostMustAnswer:
     """Return the answer to a read (see `Reader.get`), or ASK_HOST. It never waits for items."""
     mapping = session.rings.find(state)
     if mapping is None:

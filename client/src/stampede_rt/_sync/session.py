@@ -22,7 +22,7 @@ from stampede_rt._sync.put_streams import PutStreams
 from stampede_rt._sync.shared_rings import SharedRings
 from stampede_rt.cluster.binding import Binding, BindingCache, Owner
 from stampede_rt.cluster.copy_cache import CopyCache
-from stampede_rt.cluster.embedding import HostHere
+from stampede_rt.cluster.embedding import InProcessHost
 from stampede_rt.cluster.tracing import span
 from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
@@ -30,7 +30,7 @@ from stampede_rt.security.credentials import Credentials
 from stampede_rt.transports.concurrency_sync import KeyedLock, thread_id
 from stampede_rt.transports.machine import this_machine
 from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2, gatekeeper_service_pb2
-from stampede_rt.values.codecs import Coding
+from stampede_rt.values.codecs import HandleCodec
 from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt.values.policy import flag_of, parse_name
 from stampede_rt.wire.records import channel_info, policy_from_spec, policy_to_spec
@@ -78,7 +78,7 @@ class Session:
         self.rings = SharedRings(self.endpoints, self.perform, transport)
         self.put_streams = PutStreams()
         self._binding_locks = KeyedLock()
-        self.here: HostHere | None = None  # the channel host in this process, which belongs to this connection
+        self.here: InProcessHost | None = None  # the channel host in this process, which belongs to this connection
         self.closing = False  # True from the beginning of `close` on
         self.closed = False  # True after `close` has ended all tasks
         self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # of the connection as a consumer
@@ -186,7 +186,9 @@ class Session:
         info = self._learn(record, host) if host is not None else channel_info(record, None)
         return self.state_of(info, Policy(), False)
 
-    def state_of(self, info: ChannelInfo, stated: Policy, create: bool, coding: Coding | None = None) -> ChannelState:
+    def state_of(
+        self, info: ChannelInfo, stated: Policy, create: bool, coding: HandleCodec | None = None
+    ) -> ChannelState:
         """Return the state of a new handle."""
         return ChannelState(info, stated, create, coding, self.supernodes.cluster_id)
 

@@ -12,9 +12,9 @@ from typing import Any
 from stampede_rt._sync.batches import Batches
 from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.copies import copy_target_of, open_at_owner_or_copy
-from stampede_rt._sync.reconnecting import Reconnecting, loss_after, may_heal
+from stampede_rt._sync.reconnecting import StreamReconnector, loss_after, may_heal
 from stampede_rt._sync.ring_following import RingFollower
-from stampede_rt._sync.ring_reads import AskHost
+from stampede_rt._sync.ring_reads import HostMustAnswer
 from stampede_rt._sync.session import Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.tracing import span
@@ -55,7 +55,7 @@ class Subscription(BoundToProcess):
     """
 
     def __init__(
-        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: Reconnecting
+        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: StreamReconnector
     ) -> None:
         self._session = session
         self._reconnecting = reconnecting
@@ -98,7 +98,7 @@ class Subscription(BoundToProcess):
         mode: SubscribeMode,
         after: Item | None,
         payloads: bool,
-        reconnecting: Reconnecting,
+        reconnecting: StreamReconnector,
         group_id: bytes | None = None,
         stale_ok: bool = True,
     ) -> Subscription:
@@ -215,7 +215,7 @@ class Subscription(BoundToProcess):
         except StampedeError:  # the ring is damaged
             self._leave_ring(follower)
             raise
-        if isinstance(runs, AskHost):
+        if isinstance(runs, HostMustAnswer):
             self._leave_ring(follower)
         else:
             self._ready.add(runs)

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
 from stampede_rt._sync.directory_client import CONNECT_TIMEOUT_S
-from stampede_rt._sync.reconnecting import Reconnecting, may_heal
+from stampede_rt._sync.reconnecting import StreamReconnector, may_heal
 from stampede_rt._sync.session import Session
 from stampede_rt.errors import StampedeError, Unavailable, WatchRestart
 from stampede_rt.handles import BoundToProcess
@@ -31,7 +31,7 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
 
     def __init__(self, session: Session, request: Any, reconnect: DurationLike | None) -> None:
         self._session = session
-        self._reconnecting = Reconnecting(session, f"the watch of {request.name_glob!r}", reconnect)
+        self._reconnecting = StreamReconnector(session, f"the watch of {request.name_glob!r}", reconnect)
         self._cluster_id = session.supernodes.cluster_id
         self._request = request
         self._stream: ServerStream[Any] | None = None

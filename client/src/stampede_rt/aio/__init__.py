@@ -24,8 +24,8 @@ from stampede_rt._async.subscription import Subscription
 from stampede_rt._async.watch import PeerWatch, Watch
 from stampede_rt.cluster.connecting import Target as _Target
 from stampede_rt.cluster.connecting import parse_target as _parse_target
-from stampede_rt.cluster.embedding import HostHere as _HostHere
 from stampede_rt.cluster.embedding import HostOptions as _HostOptions
+from stampede_rt.cluster.embedding import InProcessHost as _InProcessHost
 from stampede_rt.cluster.embedding import embedder as _embedder
 from stampede_rt.security.tls import TlsFiles
 from stampede_rt.values.timeline import DurationLike
@@ -54,10 +54,10 @@ __all__ = [
 class _Connecting:
     """`await connect(...)` gives the connection; `async with connect(...) as rt` also closes it at the end."""
 
-    def __init__(self, target: _Target, proof: str | None, host_here: _HostHere | None = None) -> None:
+    def __init__(self, target: _Target, proof: str | None, in_process_host: _InProcessHost | None = None) -> None:
         self._target = target
         self._proof = proof
-        self._host_here = host_here
+        self._in_process_host = in_process_host
         self._connection: Connection | None = None
 
     async def _connect(self) -> Connection:
@@ -70,7 +70,7 @@ class _Connecting:
             transport=target.transport,
         )
         try:
-            self._connection = await Connection(session, target.name, self._proof)._open(self._host_here)
+            self._connection = await Connection(session, target.name, self._proof)._open(self._in_process_host)
         except BaseException:
             await session.aclose()
             raise

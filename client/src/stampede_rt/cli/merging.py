@@ -27,7 +27,7 @@ class MergedItem(NamedTuple):
 
 
 @dataclass(slots=True)
-class _Waiting:
+class _WaitingItems:
     """The waiting items of one channel. `empty_since_s`: when the channel joined, or its last item came out."""
 
     empty_since_s: float
@@ -41,13 +41,13 @@ class TimeMerge:
 
     def __init__(self, wait_s: float) -> None:
         self._wait_s = wait_s
-        self._channels: dict[str, _Waiting] = {}
+        self._channels: dict[str, _WaitingItems] = {}
         self._last_time: int | None = None
         self._held_bytes = 0
 
     def join(self, channel: str, now_s: float) -> None:
         """Begin to wait for items of a channel. The channel may have ended before."""
-        waiting = self._channels.setdefault(channel, _Waiting(now_s))
+        waiting = self._channels.setdefault(channel, _WaitingItems(now_s))
         waiting.empty_since_s, waiting.has_ended = now_s, False
 
     def leave(self, channel: str) -> None:

@@ -62,7 +62,7 @@ def _print_lines(rt: Connection, arguments: argparse.Namespace) -> None:
         before, looks = after, looks + 1
 
 
-class View:
+class TopView:
     """The choices that the user has made by keys."""
 
     def __init__(self, sort: str) -> None:
@@ -97,7 +97,7 @@ def _show(rt: Connection, arguments: argparse.Namespace) -> None:
         raise InvalidArgument(
             "the live view needs rich: pip install 'stampede-rt[top]'; without it use stampede top --output jsonl"
         ) from None
-    view, console = View(arguments.sort), Console(highlight=False)
+    view, console = TopView(arguments.sort), Console(highlight=False)
     looks = [look_at(rt, arguments.glob)] * 2
     with _keys() as read_key, Live(console=console, screen=True, auto_refresh=False) as live:
 
@@ -113,7 +113,7 @@ def _show(rt: Connection, arguments: argparse.Namespace) -> None:
             redraw()
 
 
-def _wait(read_key: Callable[[float], str], view: View, seconds: float, redraw: Callable[[], None]) -> None:
+def _wait(read_key: Callable[[float], str], view: TopView, seconds: float, redraw: Callable[[], None]) -> None:
     """Take keys until `seconds` have passed, or until the user quits."""
     end_s = time.monotonic() + seconds
     while not view.is_over and (left_s := end_s - time.monotonic()) > 0:
@@ -143,7 +143,7 @@ def _keys() -> Iterator[Callable[[float], str]]:
         termios.tcsetattr(file, termios.TCSADRAIN, former)
 
 
-def _table(before: Look, after: Look, view: View, console: Any) -> Any:
+def _table(before: Look, after: Look, view: TopView, console: Any) -> Any:
     from rich.table import Table
     from rich.text import Text
 

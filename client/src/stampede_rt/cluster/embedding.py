@@ -83,7 +83,7 @@ def _place_of(what: str, value: str | os.PathLike[str] | None) -> str:
     return place
 
 
-class PutHere(NamedTuple):
+class InProcessPut(NamedTuple):
     """One item that a program puts at the host of its own process. If `time` is None, the host stamps the item.
 
     `ack` is a number of the enum Ack, for the wanted acknowledgement. `wait_nanos`: the longest wait for it.
@@ -100,7 +100,7 @@ class PutHere(NamedTuple):
     wait_nanos: int
 
 
-class RunHere(NamedTuple):
+class InProcessRun(NamedTuple):
     """One item that this process put, or, if `encoded` is set, a run that came over the wire.
 
     `duration` is -1 for none. `payload` is the object that was put. `next_time`: the time of the bucket after the run;
@@ -118,10 +118,10 @@ class RunHere(NamedTuple):
     encoded: bytes | None = None
 
 
-class AnswerHere(NamedTuple):
+class InProcessAnswer(NamedTuple):
     """The answer to a read at the host of this process. The fields are as in `Items`."""
 
-    runs: Sequence[RunHere]
+    runs: Sequence[InProcessRun]
     interval: ResolvedInterval | None
     complete: bool
     truncated: bool
@@ -149,7 +149,7 @@ class RunToPut(Protocol):
         ...
 
 
-class RunsHere(Protocol):
+class InProcessRunStream(Protocol):
     """A producer's stream of runs to the host of this process. Any thread may use it, and no call waits."""
 
     def send(self, runs: Sequence[RunToPut]) -> None:
@@ -161,7 +161,7 @@ class RunsHere(Protocol):
         ...
 
 
-class HostHere(Protocol):
+class InProcessHost(Protocol):
     """A channel host in this process. Several threads may use it."""
 
     @property
@@ -184,7 +184,7 @@ class HostHere(Protocol):
         """Start the host on a thread of its own, and wait until the directory knows it. Raises StampedeError."""
         ...
 
-    def put(self, channel_id: bytes, epoch: int, put: PutHere) -> Future[Any]:
+    def put(self, channel_id: bytes, epoch: int, put: InProcessPut) -> Future[Any]:
         """Put one item by reference. The future gets the PutAck, or None if the put must go over a stream.
 
         To cancel the future ends the wait for the disk. The channel may have the item nevertheless.
@@ -199,28 +199,28 @@ class HostHere(Protocol):
         ack: int,
         on_acks: Callable[[Any], None],
         on_end: Callable[[StampedeError], None],
-    ) -> RunsHere | None:
+    ) -> InProcessRunStream | None:
         """Open a stream of runs. Returns None if the runs must go over a stream of the transport. Does not wait.
 
-        `ack`: see `PutHere`. The host's thread passes each PutResponse to `on_acks`, and the error that ends the stream
-        to `on_end`.
+        `ack`: see `InProcessPut`. The host's thread passes each PutResponse to `on_acks`, and the error that ends the
+        stream to `on_end`.
         """
         ...
 
-    def read_now(self, channel_id: bytes, epoch: int, query: ReadQuery) -> AnswerHere | None:
+    def read_now(self, channel_id: bytes, epoch: int, query: ReadQuery) -> InProcessAnswer | None:
         """Read by reference on the calling thread. None: call `read` instead. Raises StampedeError."""
         ...
 
-    def at_now(self, channel_id: bytes, epoch: int, time: int) -> AnswerHere | None:
+    def at_now(self, channel_id: bytes, epoch: int, time: int) -> InProcessAnswer | None:
         """Read at an instant by reference on the calling thread. None: call `read_now` instead. Raises
         StampedeError."""
         ...
 
-    def newest_now(self, channel_id: bytes, epoch: int) -> AnswerHere | None:
+    def newest_now(self, channel_id: bytes, epoch: int) -> InProcessAnswer | None:
         """Read the newest item by reference on the calling thread. None: call `read_now` instead."""
         ...
 
-    def read(self, channel_id: bytes, epoch: int, query: ReadQuery) -> Future[AnswerHere | None]:
+    def read(self, channel_id: bytes, epoch: int, query: ReadQuery) -> Future[InProcessAnswer | None]:
         """Read by reference, with the wait of the query. None: the read must go over a stream."""
         ...
 
@@ -232,7 +232,7 @@ class HostHere(Protocol):
         ...
 
 
-Embedder = Callable[[Target, HostOptions], HostHere]
+Embedder = Callable[[Target, HostOptions], InProcessHost]
 
 
 def embedder() -> Embedder:

@@ -13,7 +13,7 @@ from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.files.file_tally import FileTally
 from stampede_rt.files.framing import Damage
 from stampede_rt.files.interval_filter import IntervalFilter
-from stampede_rt.files.reading import SUMMARY_NAME, Content, Event, FileReader, summary_fields
+from stampede_rt.files.reading import SUMMARY_NAME, ChunkContent, Event, FileReader, summary_fields
 from stampede_rt.files.writing import FileWriter, replacing
 from stampede_rt.values.recording import RecordingGap, RecordingSummary
 
@@ -140,7 +140,7 @@ def _walk(
             tally.damage()
             if len(damages) < DAMAGES_KEPT_MAX:
                 damages.append(part)
-        elif isinstance(part, Content):
+        elif isinstance(part, ChunkContent):
             unknown += part.unknown
             for event in part.events():
                 for gap in tally.add(event):
@@ -199,7 +199,7 @@ def cut(
     return summary
 
 
-def intact_contents(reader: FileReader) -> Iterator[Content]:
+def intact_contents(reader: FileReader) -> Iterator[ChunkContent]:
     """Yield the chunks of a file. Raises FileError at the first damage, and if the end of the file is missing."""
     if reader.index is None and not reader.states_no_index:
         raise FileError(
@@ -212,5 +212,5 @@ def intact_contents(reader: FileReader) -> Iterator[Content]:
                 f"the file {reader.path!r} is damaged at byte {part.offset}: {part.detail}; "
                 "`stampede file recover` saves the readable part"
             )
-        if isinstance(part, Content):
+        if isinstance(part, ChunkContent):
             yield part

@@ -47,7 +47,7 @@ Event = FileEntry | RecordingGap | FileAdvance
 
 
 @dataclass(slots=True)
-class Content:
+class ChunkContent:
     """The contents of one chunk.
 
     `unknown` counts messages whose topic the file does not name, and `bare` counts messages without facts.
@@ -141,7 +141,7 @@ class FileReader:
         """Whether the bytes before the index have the stated checksum, if there is one. Reads them all."""
         return self.index is None or self._records.data_is_whole(self._data_end)
 
-    def contents(self) -> Iterator[Content | Damage | Attachment | Metadata]:
+    def contents(self) -> Iterator[ChunkContent | Damage | Attachment | Metadata]:
         """Yield the chunks in the order of the file, damaged parts, attachments, and metadata."""
         for frame in self._frames():
             if isinstance(frame, Damage):
@@ -161,13 +161,13 @@ class FileReader:
         ends = {one.chunk_start_offset: one.chunk_start_offset + one.chunk_length for one in self.index.chunks}
         return indexed_frames(self._records, ends)
 
-    def _read_or_damage(self, frame: RecordFrame) -> Content | Damage | Attachment | Metadata | None:
+    def _read_or_damage(self, frame: RecordFrame) -> ChunkContent | Damage | Attachment | Metadata | None:
         try:
             return self._read(frame)
         except FileError as error:
             return Damage(frame.offset, frame.end, error.message)
 
-    def content_at(self, offset: int) -> Content:
+    def content_at(self, offset: int) -> ChunkContent:
         """Read the chunk at a byte, as the index names it. Raises FileError."""
         frame = self._records.frame_at(offset)
         if frame is None or frame.opcode != Opcode.CHUNK or not self._records.fits(frame):
@@ -189,7 +189,7 @@ class FileReader:
         found = self.metadata(SUMMARY_NAME)
         return None if found is None else summary_of(self.path, found)
 
-    def _read(self, frame: RecordFrame) -> Content | Attachment | Metadata | None:
+    def _read(self, frame: RecordFrame) -> ChunkContent | Attachment | Metadata | None:
         if frame.opcode == Opcode.CHUNK:
             self._has_chunks = True
             return self._content(frame, self._records.chunk_records(frame))
@@ -218,8 +218,8 @@ class FileReader:
                 self._facts_ids.add(record.id)
             self._topics[record.id] = _topic(record, self._schemas)
 
-    def _content(self, frame: RecordFrame, records: Sequence[McapRecord]) -> Content:
-        content = Content(frame.offset, frame.end)
+    def _content(self, frame: RecordFrame, records: Sequence[McapRecord]) -> ChunkContent:
+        content = ChunkContent(frame.offset, frame.end)
         for record in records:
             self._learn(record)
         messages = [record for record in records if isinstance(record, Message)]

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from stampede_rt.errors import FileError
 from stampede_rt.files.entries import FACTS_TOPIC, POLICY_KEY, FileEntry
 from stampede_rt.files.interval_filter import IntervalFilter
-from stampede_rt.files.reading import Content, Event, FileIndex, FileReader
+from stampede_rt.files.reading import ChunkContent, Event, FileIndex, FileReader
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
 CACHE_BYTES = 64 * 1024 * 1024  # the most bytes of decoded chunks
@@ -184,7 +184,7 @@ def _unplayable(path: str, index: FileIndex | None) -> FileError:
     )
 
 
-def _by_topic(content: Content) -> dict[str, list[Event]]:
+def _by_topic(content: ChunkContent) -> dict[str, list[Event]]:
     found: dict[str, list[Event]] = {}
     for event in content.events():
         name = event.topic.name if isinstance(event, FileEntry) else event.channel

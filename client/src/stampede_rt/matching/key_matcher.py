@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from stampede_rt.matching.item_keys import FIRST_KEY, ItemKey
 from stampede_rt.matching.key_track import KeyTrack
-from stampede_rt.matching.pairing import Pairing, Undecided
+from stampede_rt.matching.pairing import Pairing, PartnerUndecided
 from stampede_rt.values.timeline import clamp
 
 HasPassed = Callable[[bytes, int], bool]
@@ -78,7 +78,7 @@ class KeyMatcher:
             return None
         try:
             found = {one: self._partner(one, track, key, passed) for one, track in self._others.items()}
-        except Undecided:
+        except PartnerUndecided:
             return None
         partners = {one: near for one, near in found.items() if near is not None}
         if self._partners is not None:

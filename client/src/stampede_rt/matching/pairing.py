@@ -20,11 +20,11 @@ HasPassed = Callable[[int], bool]
 """Returns True if a channel can get no more items up to the given instant, inclusive."""
 
 
-class Undecided(Exception):
+class PartnerUndecided(Exception):
     """Raised while an item that has not come yet may change the partner."""
 
 
-class Placed(Protocol):
+class PlacedItem(Protocol):
     """A found item: its place among the items of its channel."""
 
     @property
@@ -36,10 +36,10 @@ class Placed(Protocol):
         """The seq of the item."""
 
 
-Found = TypeVar("Found", bound=Placed, covariant=True)
+Found = TypeVar("Found", bound=PlacedItem, covariant=True)
 
 
-class Searched(Protocol[Found]):
+class SearchedItems(Protocol[Found]):
     """The items of one channel, among which a pairing searches (see the `Track` of a host)."""
 
     def nearest(
@@ -59,8 +59,8 @@ class Pairing(Generic[Found]):
 
     def __init__(
         self,
-        own: Searched[Placed],
-        other: Searched[Found],
+        own: SearchedItems[PlacedItem],
+        other: SearchedItems[Found],
         after: ItemKey,
         own_has_passed: HasPassed,
         other_has_passed: HasPassed,
@@ -77,8 +77,8 @@ class Pairing(Generic[Found]):
     def partner(self, key: ItemKey, tolerance: int) -> Found | None:
         """The partner of `key`, the first unpaired own item; None if it has none.
 
-        `other` must have passed the item's time + tolerance. Raises Undecided if an item that has not come yet may
-        change the partner.
+        `other` must have passed the item's time + tolerance. Raises PartnerUndecided if an item that has not come yet
+        may change the partner.
         """
         # Only items below these keys may be paired: when a pair is found, the items after it do not count any more.
         end, other_end = LAST_KEY, LAST_KEY
@@ -98,14 +98,14 @@ class Pairing(Generic[Found]):
                 continue
             distance = abs(near.time - rival[0])
             if not self._other_has_passed(clamp(rival[0] + distance - 1)):
-                raise Undecided
+                raise PartnerUndecided
             chain.append((rival, distance))
         return self._other.nearest(key[0], tolerance, self._now, self._after, other_end)
 
-    def _rival(self, first: ItemKey, one: ItemKey, near: Placed, end: ItemKey) -> ItemKey:
+    def _rival(self, first: ItemKey, one: ItemKey, near: PlacedItem, end: ItemKey) -> ItemKey:
         """The own item from `first` on that is nearest to `near`. `one` is the own item for which `near` was found."""
         distance = abs(near.time - one[0])
         if not self._own_has_passed(clamp(near.time + distance - 1)):
-            raise Undecided
+            raise PartnerUndecided
         found = self._own.nearest(near.time, distance, self._now, first, end)
         return one if found is None else (found.time, found.seq)

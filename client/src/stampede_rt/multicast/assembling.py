@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt.multicast.layout import MessageKind, MulticastMessage, Part
+from stampede_rt.multicast.layout import MessageKind, MessagePart, MulticastMessage
 
 PART_OVERHEAD_BYTES = 160
 """The approximate memory of a kept part besides its data."""
@@ -23,7 +23,7 @@ class Assembler:
         self._parts: dict[_Key, dict[int, bytes]] = {}
         self.kept_bytes = self.repeated = self.given_up = 0
 
-    def add(self, part: Part) -> MulticastMessage | None:
+    def add(self, part: MessagePart) -> MulticastMessage | None:
         """Keep a part. Returns the message if this was its last missing part."""
         key = part.kind, part.first_seq, part.end_seq, part.count
         if part.count == 1:

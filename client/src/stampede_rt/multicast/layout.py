@@ -40,7 +40,7 @@ class MessageKind(IntEnum):
     """The host sends no further datagrams. The reader opens another stream, which gives the reason."""
 
 
-class Head(NamedTuple):
+class DatagramHead(NamedTuple):
     """The part of a datagram that is not encrypted. `number` differs in all datagrams under one key."""
 
     stream_id: bytes
@@ -49,7 +49,7 @@ class Head(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class MessagePart:
     """One part of a message: the `index`-th of `count`."""
 
     kind: MessageKind
@@ -78,7 +78,7 @@ def parts_of(message: MulticastMessage) -> Iterator[bytes]:
         yield _PART.pack(kind, first_seq, end_seq, index, count) + data
 
 
-def parse_part(encoded: bytes) -> Part | None:
+def parse_part(encoded: bytes) -> MessagePart | None:
     """Return the part; None if no host has made it."""
     if len(encoded) <= _PART.size:
         return None
@@ -89,15 +89,17 @@ def parse_part(encoded: bytes) -> Part | None:
         return None
     if (kind == MessageKind.ITEMS) is (first_seq == end_seq) or (len(data) != DATA_BYTES_MAX and not is_last):
         return None
-    return Part(MessageKind(kind), first_seq, end_seq, index, count, data) if len(data) <= DATA_BYTES_MAX else None
+    return (
+        MessagePart(MessageKind(kind), first_seq, end_seq, index, count, data) if len(data) <= DATA_BYTES_MAX else None
+    )
 
 
-def parse_head(datagram: bytes) -> Head | None:
+def parse_head(datagram: bytes) -> DatagramHead | None:
     """Return the head; None if the datagram is not one of this layout."""
     if not HEAD.size + _PART.size + _TAG_BYTES < len(datagram) <= DATAGRAM_BYTES_MAX:
         return None
     mark, stream_id, key_number, number = HEAD.unpack_from(datagram)
-    return Head(stream_id, key_number, number) if mark == MARK else None
+    return DatagramHead(stream_id, key_number, number) if mark == MARK else None
 
 
 def signed_bytes(stream_id: bytes, message: MulticastMessage) -> bytes:

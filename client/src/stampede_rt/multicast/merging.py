@@ -19,7 +19,7 @@ class HasSeq(Protocol):
 OneItem = TypeVar("OneItem", bound=HasSeq)
 
 
-class _Held(Generic[OneItem]):
+class _HeldMessage(Generic[OneItem]):
     """The items of one message, which wait for earlier ones. Ordered by the first seq."""
 
     __slots__ = ("bytes", "end_seq", "first_seq", "items")
@@ -27,7 +27,7 @@ class _Held(Generic[OneItem]):
     def __init__(self, first_seq: int, end_seq: int, items: Sequence[OneItem], size: int) -> None:
         self.first_seq, self.end_seq, self.items, self.bytes = first_seq, end_seq, items, size
 
-    def __lt__(self, other: _Held[OneItem]) -> bool:
+    def __lt__(self, other: _HeldMessage[OneItem]) -> bool:
         return self.first_seq < other.first_seq
 
 
@@ -42,7 +42,7 @@ class SeqMerge(Generic[OneItem]):
         self.next_seq = self.announced_seq = next_seq
         self.held_bytes = self.taken = 0
         self._bytes_max = bytes_max
-        self._held: list[_Held[OneItem]] = []
+        self._held: list[_HeldMessage[OneItem]] = []
 
     @property
     def is_missing(self) -> bool:
@@ -71,7 +71,7 @@ class SeqMerge(Generic[OneItem]):
         self.announce(end_seq)
         if end_seq <= self.next_seq or any(one.first_seq == first_seq and one.end_seq >= end_seq for one in self._held):
             return False
-        insort(self._held, _Held(first_seq, end_seq, items, size))
+        insort(self._held, _HeldMessage(first_seq, end_seq, items, size))
         self.held_bytes += size
         while self.held_bytes > self._bytes_max:
             self.held_bytes -= self._held.pop().bytes

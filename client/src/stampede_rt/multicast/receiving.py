@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from stampede_rt.multicast.assembling import Assembler
-from stampede_rt.multicast.layout import MessageKind, MulticastMessage, Part
+from stampede_rt.multicast.layout import MessageKind, MessagePart, MulticastMessage
 from stampede_rt.multicast.merging import SeqMerge
 from stampede_rt.multicast.repairing import RepairPace
-from stampede_rt.multicast.sealing import DatagramOpener, Rejected, Verifier
+from stampede_rt.multicast.sealing import DatagramOpener, RejectReason, Verifier
 from stampede_rt.values.statistics import MulticastStats
 
 ASSEMBLED_BYTES_MAX = 4 * 2**20
@@ -22,7 +22,7 @@ ITEM_MEMORY_BYTES = 256
 """The approximate memory of a decoded item besides its bytes in the message."""
 
 
-class Receiving:
+class MulticastReceiver:
     """The datagrams of one stream, for one reader. Times are in seconds. `merge.pass_to` says where the reader begins.
 
     `decode` makes the items of a message's body. `merge` has the items, `pace` says when to ask the host.
@@ -57,7 +57,7 @@ class Receiving:
         """Take datagrams, and keep their items."""
         for datagram in datagrams:
             opened = self.opener.open(datagram)
-            if isinstance(opened, Part):
+            if isinstance(opened, MessagePart):
                 self._take_part(opened, now_s)
             else:
                 self._reject(opened, now_s)
@@ -69,12 +69,12 @@ class Receiving:
         items, repairs = self.merge.taken, self.pace.repairs
         return MulticastStats(group=group, following=following, items=items, repairs=repairs, **counts)
 
-    def _reject(self, rejected: Rejected, now_s: float) -> None:
+    def _reject(self, rejected: RejectReason, now_s: float) -> None:
         self._counts[rejected.value] += 1
-        if rejected is Rejected.OTHER_KEY:
+        if rejected is RejectReason.OTHER_KEY:
             self.pace.ask_for_key(now_s)
 
-    def _take_part(self, part: Part, now_s: float) -> None:
+    def _take_part(self, part: MessagePart, now_s: float) -> None:
         self._counts["datagrams"] += 1
         if self.has_heard and part.kind is MessageKind.ITEMS and part.end_seq <= self.merge.next_seq:
             self._counts["repeated"] += 1

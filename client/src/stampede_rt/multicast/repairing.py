@@ -12,7 +12,7 @@ VAIN_REPAIRS_MAX = 64
 KEY_ASKED_S = 1.0  # how often a reader asks for a new key; anybody can send datagrams that name another one
 
 
-class Step(Enum):
+class RepairStep(Enum):
     """The next step of a reader that has no item to give."""
 
     WAIT = "wait"
@@ -73,18 +73,18 @@ class RepairPace:
             self._vain += 1
         self._missing_since_s, self._must_ask = None, False
 
-    def next_step(self, now_s: float, *, is_missing: bool) -> tuple[Step, float]:
-        """Return the next step, and for Step.WAIT the longest wait in seconds."""
+    def next_step(self, now_s: float, *, is_missing: bool) -> tuple[RepairStep, float]:
+        """Return the next step, and for RepairStep.WAIT the longest wait in seconds."""
         if self._has_ended:
-            return Step.REOPEN, 0.0
+            return RepairStep.REOPEN, 0.0
         if now_s - self._heard_s > SILENT_S or self._vain > VAIN_REPAIRS_MAX:
-            return Step.LEAVE, 0.0
+            return RepairStep.LEAVE, 0.0
         if self._must_ask:
-            return Step.REPAIR, 0.0
+            return RepairStep.REPAIR, 0.0
         if not is_missing:
             self._missing_since_s = None
-            return Step.WAIT, self._heard_s + SILENT_S - now_s + 0.01
+            return RepairStep.WAIT, self._heard_s + SILENT_S - now_s + 0.01
         if self._missing_since_s is None:
             self._missing_since_s = now_s
         left_s = self._missing_since_s + REORDERED_S - now_s
-        return (Step.WAIT, left_s) if left_s > 0 else (Step.REPAIR, 0.0)
+        return (RepairStep.WAIT, left_s) if left_s > 0 else (RepairStep.REPAIR, 0.0)

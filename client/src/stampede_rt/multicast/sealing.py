@@ -14,8 +14,8 @@ from stampede_rt.multicast.layout import (
     HEAD,
     MARK,
     SIGNATURE_BYTES,
+    MessagePart,
     MulticastMessage,
-    Part,
     parse_head,
     parse_part,
     signed_bytes,
@@ -31,7 +31,7 @@ except ImportError as missing:
     ) from missing
 
 
-class Rejected(Enum):
+class RejectReason(Enum):
     """Why a reader drops a datagram."""
 
     FOREIGN = "foreign"
@@ -65,18 +65,18 @@ class DatagramOpener:
     def __init__(self, stream_id: bytes, key_number: int, key: bytes) -> None:
         self._stream_id, self.key_number, self._cipher = stream_id, key_number, AESGCM(key)
 
-    def open(self, datagram: bytes) -> Part | Rejected:
+    def open(self, datagram: bytes) -> MessagePart | RejectReason:
         """Return the part of the datagram, or the reason to drop the datagram."""
         head = parse_head(datagram)
         if head is None or head.stream_id != self._stream_id:
-            return Rejected.FOREIGN
+            return RejectReason.FOREIGN
         if head.key_number != self.key_number:
-            return Rejected.OTHER_KEY
+            return RejectReason.OTHER_KEY
         try:
             opened = self._cipher.decrypt(_nonce(head.number), datagram[HEAD.size :], datagram[: HEAD.size])
         except InvalidTag:
-            return Rejected.FORGED
-        return parse_part(opened) or Rejected.FORGED
+            return RejectReason.FORGED
+        return parse_part(opened) or RejectReason.FORGED
 
 
 class Signer:

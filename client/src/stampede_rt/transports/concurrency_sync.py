@@ -247,7 +247,7 @@ def within_limit(operation: Callable[[], object], limit_s: float = END_LIMIT_S) 
     return not thread.is_alive()
 
 
-class _Dropped:
+class _LastOperations:
     """Runs the last operations of deleted objects on a daemon thread. The first operation starts the thread.
 
     Python deletes objects on any thread, while any lock may be held, also a lock of gRPC. At that moment this class
@@ -275,13 +275,13 @@ class _Dropped:
             del operation  # the operation references the closed object
 
 
-_dropped = _Dropped()
+_dropped = _LastOperations()
 
 
 def _after_fork() -> None:
     """In a forked child, forget the thread and the noted operations, because they belong to the parent."""
     global _dropped
-    _dropped = _Dropped()
+    _dropped = _LastOperations()
 
 
 os.register_at_fork(after_in_child=_after_fork)

@@ -21,7 +21,7 @@ class PlannedMove:
 
 
 @dataclass(frozen=True, slots=True)
-class _Bunch:
+class _ChannelSet:
     names: Sequence[str]
     host: str
     busy: float
@@ -45,7 +45,7 @@ def plan_moves(
         for name, rate in channels.items()
     }
     bunches = [
-        _Bunch(names, host, sum(shares[name] for name in names))
+        _ChannelSet(names, host, sum(shares[name] for name in names))
         for host, channels in rates.items()
         for names in _together(channels, groups)
         if not any(name in staying for name in names)
@@ -53,7 +53,7 @@ def plan_moves(
     return _even_out({host: float(permille) for host, permille in busy.items()}, bunches, shares)
 
 
-def _even_out(load: dict[str, float], bunches: list[_Bunch], shares: Mapping[str, float]) -> list[PlannedMove]:
+def _even_out(load: dict[str, float], bunches: list[_ChannelSet], shares: Mapping[str, float]) -> list[PlannedMove]:
     planned: list[PlannedMove] = []
     while len(planned) < MOVES_MAX and len(load) > 1:
         most, least = max(load, key=load.__getitem__), min(load, key=load.__getitem__)
@@ -69,7 +69,7 @@ def _even_out(load: dict[str, float], bunches: list[_Bunch], shares: Mapping[str
     return planned
 
 
-def _best(bunches: Iterable[_Bunch], host: str, gap: float) -> _Bunch | None:
+def _best(bunches: Iterable[_ChannelSet], host: str, gap: float) -> _ChannelSet | None:
     """The set of the host's channels that comes nearest to half of the gap between two loads; None: no set makes the
     gap smaller.
     """

@@ -87,7 +87,7 @@ _NAMED: dict[str, type[JsonCodec] | type[NumpyCodec]] = {"json": JsonCodec, "num
 
 
 @dataclass(frozen=True, slots=True)
-class Coding:
+class HandleCodec:
     """The codec of a handle. `thing` names the channel or queue in errors; `content_type` labels the payloads."""
 
     codec: Codec
@@ -95,7 +95,7 @@ class Coding:
     content_type: str
 
     @classmethod
-    def parse(cls, codec: str | Codec | None, thing: str, content_type: str | None = None) -> Coding | None:
+    def parse(cls, codec: str | Codec | None, thing: str, content_type: str | None = None) -> HandleCodec | None:
         """Return the coding for the argument `codec` of a handle. None for "bytes" and None: a value is then a payload.
 
         `content_type` replaces the content type of the codec. Raises InvalidArgument, and CodecError if the codec is
@@ -155,7 +155,7 @@ class Coding:
 class CodedItem(PutItem):
     """An item of a handle with a codec. It decodes its payload at the first use of `value`, and keeps the value."""
 
-    coding: Coding | None = None
+    coding: HandleCodec | None = None
 
     @cached_property
     def value(self) -> Any:

@@ -9,7 +9,7 @@ from stampede_rt.values.answers import ItemBatch
 from stampede_rt.values.model import Item
 
 
-class _Unpacked(deque[Item]):
+class _UnpackedRun(deque[Item]):
     """The items of a run. `run`: this run. It is known until the program has taken all of them."""
 
     run: Sequence[Item] | None = None
@@ -22,7 +22,7 @@ class ReadyItems:
     """
 
     def __init__(self) -> None:
-        self.items = _Unpacked()
+        self.items = _UnpackedRun()
         """The items before those of the kept runs. A step of the subscription takes the first one."""
         self._runs = deque[Sequence[Item]]()
 
@@ -39,7 +39,7 @@ class ReadyItems:
         self._drop_unpacked()
         if not self._runs:
             return False
-        made = _Unpacked(self._runs[0])
+        made = _UnpackedRun(self._runs[0])
         made.run = self._runs[0]
         self.items = made
         self._drop_unpacked()

@@ -134,7 +134,7 @@ def _fitting(items: list[WaitingItem]) -> list[WaitingItem]:
     return items
 
 
-class Answered(NamedTuple):
+class AnsweredRuns(NamedTuple):
     """The items that the host has accepted and refused, up to and with the run `first_number`."""
 
     first_number: int
@@ -152,7 +152,7 @@ class UnackedRuns:
     def __init__(self) -> None:
         self._runs: deque[NumberedRun] = deque()
         self._sent_before = 0  # the runs with lower numbers are sent
-        self.answered = Answered(0, 0, 0)
+        self.answered = AnsweredRuns(0, 0, 0)
 
     def __len__(self) -> int:
         return len(self._runs)
@@ -226,7 +226,7 @@ class UnackedRuns:
         """
         run, (number, accepted, refused_before) = self._runs[0], self.answered
         if run.first_number > number:
-            self.answered = Answered(run.first_number, accepted + run.items - refused, refused_before + refused)
+            self.answered = AnsweredRuns(run.first_number, accepted + run.items - refused, refused_before + refused)
         self._runs.popleft()
 
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 from google.protobuf.message import DecodeError
 
-from stampede_rt.cluster.embedding import RunHere
+from stampede_rt.cluster.embedding import InProcessRun
 from stampede_rt.v1 import item_pb2
 from stampede_rt.values.answers import ABSENT
-from stampede_rt.values.codecs import Coding
+from stampede_rt.values.codecs import HandleCodec
 from stampede_rt.values.columns import DecodedRun, ItemColumns, kept, span_end
 from stampede_rt.values.model import Item
 from stampede_rt.wire.delivered import ItemCount, check_columns, check_delivered, malformed
@@ -32,7 +32,7 @@ class ItemDecoder:
         incarnation: int,
         content_type: str,
         payloads: bool,
-        coding: Coding | None = None,
+        coding: HandleCodec | None = None,
         overlap_nanos: int = 0,
     ) -> None:
         self._overlap = overlap_nanos
@@ -59,7 +59,7 @@ class ItemDecoder:
             backwards=backwards,
         )
 
-    def decode_here(self, runs: Sequence[RunHere], *, backwards: bool = False) -> Sequence[Item]:
+    def decode_here(self, runs: Sequence[InProcessRun], *, backwards: bool = False) -> Sequence[Item]:
         """Return the items of an answer of the host in this process. An item put here has the payload that was put."""
         if len(runs) == 1 and runs[0].encoded is None:
             return [self._item_here(runs[0])]
@@ -68,7 +68,7 @@ class ItemDecoder:
             return []
         return ItemColumns(columns, overlap=self._overlap, make=self._make, backwards=backwards)
 
-    def _item_here(self, run: RunHere) -> Item:
+    def _item_here(self, run: InProcessRun) -> Item:
         fields = (
             run.time,
             span_end(run.time, run.duration, run.next_time, self._overlap),
@@ -82,7 +82,7 @@ class ItemDecoder:
         )
         return self._make(fields) if self._make else Item._make(fields)
 
-    def _columns_here(self, run: RunHere) -> DecodedRun:
+    def _columns_here(self, run: InProcessRun) -> DecodedRun:
         if run.encoded is not None:
             return self._columns(item_pb2.ItemRun.FromString(run.encoded), run.next_time)
         return DecodedRun(

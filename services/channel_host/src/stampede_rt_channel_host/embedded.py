@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 from weakref import WeakSet
 
 from stampede_rt.cluster.connecting import Target
-from stampede_rt.cluster.embedding import AnswerHere, HostOptions, PutHere
+from stampede_rt.cluster.embedding import HostOptions, InProcessAnswer, InProcessPut
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.reading import ReadQuery
@@ -75,7 +75,7 @@ class EmbeddedHost:
 
     @property
     def is_interrupted(self) -> bool:
-        """See `HostHere`."""
+        """See `InProcessHost`."""
         return self._turns.is_mine
 
     @property
@@ -110,7 +110,7 @@ class EmbeddedHost:
         if threading.current_thread() is not self._thread:
             self._thread.join(self._drain_s + LEAVE_SECONDS_MAX)
 
-    def put(self, channel_id: bytes, epoch: int, put: PutHere) -> Future[pb.PutAck | None]:
+    def put(self, channel_id: bytes, epoch: int, put: InProcessPut) -> Future[pb.PutAck | None]:
         """Put one item by reference. None: it may have to wait for room. The future may have the errors of a put."""
 
         def perform(store: ChannelStore, told: Future[pb.PutAck | None]) -> None:
@@ -145,15 +145,15 @@ class EmbeddedHost:
         opened.on_over = partial(self._puts.discard, opened)
         return opened
 
-    def read_now(self, channel_id: bytes, epoch: int, query: ReadQuery) -> AnswerHere | None:
+    def read_now(self, channel_id: bytes, epoch: int, query: ReadQuery) -> InProcessAnswer | None:
         """Read by reference, without a wait. None: take `read`. Raises the errors of a get."""
         return self._look(read_now, channel_id, epoch, query)
 
-    def at_now(self, channel_id: bytes, epoch: int, time: int) -> AnswerHere | None:
+    def at_now(self, channel_id: bytes, epoch: int, time: int) -> InProcessAnswer | None:
         """Read at an instant by reference, without a wait. None: take `read_now`. Raises the errors of a get."""
         return self._look(at_now, channel_id, epoch, time)
 
-    def newest_now(self, channel_id: bytes, epoch: int) -> AnswerHere | None:
+    def newest_now(self, channel_id: bytes, epoch: int) -> InProcessAnswer | None:
         """Read the newest item by reference, without a wait. None: take `read_now`."""
         return self._look(newest_now, channel_id, epoch)
 
@@ -165,10 +165,10 @@ class EmbeddedHost:
         with self._turns.lock:
             return look(self._served.host.store, *arguments)
 
-    def read(self, channel_id: bytes, epoch: int, query: ReadQuery) -> Future[AnswerHere | None]:
+    def read(self, channel_id: bytes, epoch: int, query: ReadQuery) -> Future[InProcessAnswer | None]:
         """Read by reference, with the wait of the query. None: the answer is long."""
 
-        def perform(store: ChannelStore, told: Future[AnswerHere | None]) -> None:
+        def perform(store: ChannelStore, told: Future[InProcessAnswer | None]) -> None:
             waiting = read_here(store, channel_id, epoch, query, lambda found: _tell(told, found))
             if waiting is not None and self._loop is not None:
                 told.add_done_callback(partial(_cancel, self._loop, waiting))

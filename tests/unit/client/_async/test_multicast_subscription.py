@@ -14,7 +14,7 @@ import pytest
 
 from stampede_rt._async import multicast_subscription as module
 from stampede_rt._async.multicast_subscription import MulticastSubscription
-from stampede_rt._async.reconnecting import Reconnecting
+from stampede_rt._async.reconnecting import StreamReconnector
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import Unavailable
 from stampede_rt.multicast.layout import KEY_BYTES, MessageKind, MulticastMessage, parts_of
@@ -132,7 +132,7 @@ def subscription_of(session: Session) -> MulticastSubscription:
         return ItemDecoder(incarnation=incarnation, content_type="", payloads=payloads)
 
     state = SimpleNamespace(info=SimpleNamespace(name="a", channel_id=b"c" * 16), decoder=decoder)
-    reconnecting = Reconnecting(cast(Any, session), "the subscription", "1s")
+    reconnecting = StreamReconnector(cast(Any, session), "the subscription", "1s")
     begun = pb.SubscribeOpen(mode=pb.SUBSCRIBE_MODE_ALL)
     return MulticastSubscription(cast(Any, session), cast(Any, state), begun, reconnecting)
 

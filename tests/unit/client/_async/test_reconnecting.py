@@ -9,7 +9,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt._async import reconnecting
-from stampede_rt._async.reconnecting import Reconnecting, parse_reconnect
+from stampede_rt._async.reconnecting import StreamReconnector, parse_reconnect
 
 
 class Session:
@@ -52,8 +52,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return clock
 
 
-def made(reconnect: Any = None, **settings: Any) -> Reconnecting:
-    return Reconnecting(Session(), "the subscription to channel 'cam'", reconnect, **settings)  # type: ignore[arg-type]
+def made(reconnect: Any = None, **settings: Any) -> StreamReconnector:
+    return StreamReconnector(Session(), "the subscription to channel 'cam'", reconnect, **settings)  # type: ignore[arg-type]
 
 
 async def test_the_error_of_a_stream_that_never_opened_is_raised_immediately(clock: Clock) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from stampede_rt.cli.channel_rates import SORTS
-from stampede_rt.cli.top import View
+from stampede_rt.cli.top import TopView
 from stampede_rt.cli.top_columns import GAP, HEADS, WIDTHS, fitting_heads
 
 
-def pressed(keys: str) -> View:
-    view = View("bytes")
+def pressed(keys: str) -> TopView:
+    view = TopView("bytes")
     for key in keys:
         view.press(key)
     return view

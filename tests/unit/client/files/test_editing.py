@@ -16,7 +16,7 @@ from stampede_rt.files.editing import FileReport, cut, recover, verify
 from stampede_rt.files.entries import FileAdvance, FileEntry, item_entry
 from stampede_rt.files.framing import RecordFile, RecordFrame
 from stampede_rt.files.merging import merge
-from stampede_rt.files.reading import Content, FileReader
+from stampede_rt.files.reading import ChunkContent, FileReader
 from stampede_rt.values.recording import RecordingGap
 from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, item, read, seqs_of, topic, write
 
@@ -32,7 +32,7 @@ def whole(tmp_path: Path) -> Path:
 
 def chunk_ends(path: Path) -> list[int]:
     with FileReader(path) as reader:
-        return [part.end for part in reader.contents() if isinstance(part, Content)]
+        return [part.end for part in reader.contents() if isinstance(part, ChunkContent)]
 
 
 def test_a_whole_file_is_intact(whole: Path) -> None:

@@ -12,7 +12,7 @@ from stampede_rt.files import sources
 from stampede_rt.files.editing import cut
 from stampede_rt.files.entries import FileAdvance, FileEntry, item_entry
 from stampede_rt.files.foreign import source_of
-from stampede_rt.files.reading import Content, FileReader
+from stampede_rt.files.reading import ChunkContent, FileReader
 from stampede_rt.files.sources import McapSource
 from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
@@ -57,7 +57,7 @@ def test_gaps_and_advances_keep_their_positions_even_between_chunks_of_other_cha
 def test_a_chunk_whose_bytes_are_zero_is_an_error_and_not_an_empty_chunk(tmp_path: Path, compression: str) -> None:
     path = write(tmp_path / "a.mcap", entries("cam", range(1, 31)), compression=compression)
     with FileReader(path) as reader:
-        start = [part.offset for part in reader.contents() if isinstance(part, Content)][1]
+        start = [part.offset for part in reader.contents() if isinstance(part, ChunkContent)][1]
     content = bytearray(path.read_bytes())
     content[start + 30 : start + 90] = bytes(60)  # with its checksum, and the name of its compression
     path.write_bytes(content)

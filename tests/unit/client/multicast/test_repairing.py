@@ -7,62 +7,62 @@ from stampede_rt.multicast.repairing import (
     SILENT_S,
     VAIN_REPAIRS_MAX,
     RepairPace,
-    Step,
+    RepairStep,
 )
 
 
 def test_a_reader_waits_for_datagrams_that_overtake_each_other_before_it_asks() -> None:
     pace = RepairPace(0.0)
     step, wait_s = pace.next_step(0.0, is_missing=True)
-    assert (step, wait_s) == (Step.WAIT, REORDERED_S)
-    assert pace.next_step(REORDERED_S, is_missing=True)[0] is Step.REPAIR
+    assert (step, wait_s) == (RepairStep.WAIT, REORDERED_S)
+    assert pace.next_step(REORDERED_S, is_missing=True)[0] is RepairStep.REPAIR
     pace.asked()
-    assert pace.next_step(REORDERED_S, is_missing=True)[0] is Step.WAIT
+    assert pace.next_step(REORDERED_S, is_missing=True)[0] is RepairStep.WAIT
 
 
 def test_a_late_datagram_needs_no_repair() -> None:
     pace = RepairPace(0.0)
-    assert pace.next_step(0.0, is_missing=True)[0] is Step.WAIT
-    assert pace.next_step(REORDERED_S, is_missing=False)[0] is Step.WAIT
-    assert pace.next_step(REORDERED_S, is_missing=True)[0] is Step.WAIT
+    assert pace.next_step(0.0, is_missing=True)[0] is RepairStep.WAIT
+    assert pace.next_step(REORDERED_S, is_missing=False)[0] is RepairStep.WAIT
+    assert pace.next_step(REORDERED_S, is_missing=True)[0] is RepairStep.WAIT
 
 
 def test_a_reader_leaves_multicast_after_a_silence_and_each_message_ends_the_silence() -> None:
     pace = RepairPace(0.0)
     step, wait_s = pace.next_step(0.0, is_missing=False)
-    assert step is Step.WAIT
+    assert step is RepairStep.WAIT
     assert wait_s > SILENT_S
     pace.heard(1.0)
-    assert pace.next_step(SILENT_S + 0.5, is_missing=False)[0] is Step.WAIT
-    assert pace.next_step(SILENT_S + 1.1, is_missing=False)[0] is Step.LEAVE
+    assert pace.next_step(SILENT_S + 0.5, is_missing=False)[0] is RepairStep.WAIT
+    assert pace.next_step(SILENT_S + 1.1, is_missing=False)[0] is RepairStep.LEAVE
 
 
 def test_a_reader_that_gets_all_items_by_repairs_leaves_multicast() -> None:
     pace = RepairPace(0.0)
     for _ in range(VAIN_REPAIRS_MAX):
         pace.asked()
-    assert pace.next_step(0.0, is_missing=False)[0] is Step.WAIT
+    assert pace.next_step(0.0, is_missing=False)[0] is RepairStep.WAIT
     pace.asked()
-    assert pace.next_step(0.0, is_missing=False)[0] is Step.LEAVE
+    assert pace.next_step(0.0, is_missing=False)[0] is RepairStep.LEAVE
     pace.got_items()
-    assert pace.next_step(0.0, is_missing=False)[0] is Step.WAIT
+    assert pace.next_step(0.0, is_missing=False)[0] is RepairStep.WAIT
 
 
 def test_a_reader_opens_another_stream_immediately_after_the_end_of_the_datagrams() -> None:
     pace = RepairPace(0.0)
     pace.ended()
-    assert pace.next_step(0.0, is_missing=True)[0] is Step.REOPEN
+    assert pace.next_step(0.0, is_missing=True)[0] is RepairStep.REOPEN
 
 
 def test_datagrams_with_another_key_make_a_reader_ask_once_a_second() -> None:
     pace = RepairPace(0.0)
     pace.ask_for_key(0.0)
-    assert pace.next_step(0.0, is_missing=False)[0] is Step.REPAIR
+    assert pace.next_step(0.0, is_missing=False)[0] is RepairStep.REPAIR
     pace.asked()
     pace.ask_for_key(KEY_ASKED_S / 2)
-    assert pace.next_step(KEY_ASKED_S / 2, is_missing=False)[0] is Step.WAIT
+    assert pace.next_step(KEY_ASKED_S / 2, is_missing=False)[0] is RepairStep.WAIT
     pace.ask_for_key(KEY_ASKED_S)
-    assert pace.next_step(KEY_ASKED_S, is_missing=False)[0] is Step.REPAIR
+    assert pace.next_step(KEY_ASKED_S, is_missing=False)[0] is RepairStep.REPAIR
 
 
 def test_requests_for_a_key_do_not_make_a_reader_leave_multicast() -> None:
@@ -70,9 +70,9 @@ def test_requests_for_a_key_do_not_make_a_reader_leave_multicast() -> None:
     for second in range(2 * VAIN_REPAIRS_MAX):
         pace.heard(second)
         pace.ask_for_key(second)
-        assert pace.next_step(second, is_missing=False)[0] is Step.REPAIR
+        assert pace.next_step(second, is_missing=False)[0] is RepairStep.REPAIR
         pace.asked()
-    assert pace.next_step(second, is_missing=False)[0] is Step.WAIT
+    assert pace.next_step(second, is_missing=False)[0] is RepairStep.WAIT
 
 
 def test_a_paused_reader_does_not_mistake_its_pause_for_silence() -> None:
@@ -83,8 +83,8 @@ def test_a_paused_reader_does_not_mistake_its_pause_for_silence() -> None:
     pace.looks(0.0)
     now_s = 10 * SILENT_S
     pace.looks(now_s)
-    assert pace.next_step(now_s, is_missing=False)[0] is Step.WAIT
-    while pace.next_step(now_s, is_missing=False)[0] is Step.WAIT:  # the reader waits, and hears nothing
+    assert pace.next_step(now_s, is_missing=False)[0] is RepairStep.WAIT
+    while pace.next_step(now_s, is_missing=False)[0] is RepairStep.WAIT:  # the reader waits, and hears nothing
         now_s += BEAT_S_MAX
         pace.looks(now_s)
     assert now_s - 10 * SILENT_S <= SILENT_S + BEAT_S_MAX

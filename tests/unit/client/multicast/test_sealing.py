@@ -9,8 +9,15 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.multicast.layout import DATAGRAM_BYTES_MAX, MessageKind, MulticastMessage, Part, parse_part, parts_of
-from stampede_rt.multicast.sealing import DatagramOpener, Rejected, Sealer, Signer, Verifier
+from stampede_rt.multicast.layout import (
+    DATAGRAM_BYTES_MAX,
+    MessageKind,
+    MessagePart,
+    MulticastMessage,
+    parse_part,
+    parts_of,
+)
+from stampede_rt.multicast.sealing import DatagramOpener, RejectReason, Sealer, Signer, Verifier
 
 STREAM, KEY, SEED = b"12345678", bytes(range(32)), bytes(32)
 BODY = bytes(range(256)) * 20
@@ -39,17 +46,17 @@ def test_datagrams_have_the_documented_layout() -> None:
 
 def test_changed_and_foreign_datagrams_are_dropped() -> None:
     first, opener = datagrams()[0], DatagramOpener(STREAM, 3, KEY)
-    assert isinstance(opener.open(first), Part)
+    assert isinstance(opener.open(first), MessagePart)
     for at in (12, 14, 21, 22, 60, len(first) - 1):
         changed = bytearray(first)
         changed[at] ^= 1
-        assert opener.open(bytes(changed)) in (Rejected.FORGED, Rejected.OTHER_KEY)
-    assert opener.open(b"X" + first[1:]) is Rejected.FOREIGN
-    assert opener.open(first[:40]) is Rejected.FOREIGN
-    assert opener.open(first + bytes(1000)) is Rejected.FOREIGN
-    assert DatagramOpener(b"87654321", 3, KEY).open(first) is Rejected.FOREIGN
-    assert DatagramOpener(STREAM, 4, KEY).open(first) is Rejected.OTHER_KEY
-    assert DatagramOpener(STREAM, 3, bytes(32)).open(first) is Rejected.FORGED
+        assert opener.open(bytes(changed)) in (RejectReason.FORGED, RejectReason.OTHER_KEY)
+    assert opener.open(b"X" + first[1:]) is RejectReason.FOREIGN
+    assert opener.open(first[:40]) is RejectReason.FOREIGN
+    assert opener.open(first + bytes(1000)) is RejectReason.FOREIGN
+    assert DatagramOpener(b"87654321", 3, KEY).open(first) is RejectReason.FOREIGN
+    assert DatagramOpener(STREAM, 4, KEY).open(first) is RejectReason.OTHER_KEY
+    assert DatagramOpener(STREAM, 3, bytes(32)).open(first) is RejectReason.FORGED
 
 
 def test_a_message_that_another_reader_signs_is_dropped() -> None:

@@ -9,14 +9,14 @@ import sys
 import pytest
 
 from stampede_rt.errors import CodecError, InvalidArgument
-from stampede_rt.values.codecs import Codec, CodedItem, Coding, JsonCodec
+from stampede_rt.values.codecs import Codec, CodedItem, HandleCodec, JsonCodec
 from stampede_rt.values.model import Item
 
 FIELDS = (5, None, None, 1, b"[1]", {}, "application/json", 3, 9)
 
 
-def coding() -> Coding:
-    made = Coding.parse("json", "channel 'x'")
+def coding() -> HandleCodec:
+    made = HandleCodec.parse("json", "channel 'x'")
     assert made is not None
     return made
 
@@ -24,7 +24,7 @@ def coding() -> Coding:
 def test_without_numpy_the_error_of_its_codec_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "numpy", None)
     with pytest.raises(CodecError, match="pip install numpy"):
-        Coding.parse("numpy", "channel 'x'")
+        HandleCodec.parse("numpy", "channel 'x'")
 
 
 def test_importing_the_client_imports_no_numpy() -> None:
@@ -57,4 +57,4 @@ def test_a_codec_needs_a_valid_content_type() -> None:
 
     assert isinstance(Odd(), Codec)
     with pytest.raises(InvalidArgument, match="content_type"):
-        Coding.parse(Odd(), "channel 'x'")
+        HandleCodec.parse(Odd(), "channel 'x'")

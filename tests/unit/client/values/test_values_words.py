@@ -17,7 +17,7 @@ WORDS = [
     (model.OnFull, lambda word: policy.parse_policy(on_full=word)),
     (model.OnFull, lambda word: queueing.parse_queue_policy(on_full=word)),
     (grouping.GroupBound, grouping.parse_group_bound),
-    (typing.get_args(codecs.CodecLike)[0], lambda word: codecs.Coding.parse(word, "a channel")),
+    (typing.get_args(codecs.CodecLike)[0], lambda word: codecs.HandleCodec.parse(word, "a channel")),
 ]
 TYPED = [
     (st.Connection.channel, "on_full", "OnFull | None"), (st.Connection.channel, "codec", "CodecLike | None"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from stampede_rt.cluster.embedding import NO_ATTRIBUTES, AnswerHere, PutHere, RunHere
+from stampede_rt.cluster.embedding import NO_ATTRIBUTES, InProcessAnswer, InProcessPut, InProcessRun
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.answers import ABSENT
@@ -38,7 +38,7 @@ from stampede_rt_channel_host.core.channel import (
     first_of,
 )
 
-Told = Callable[[AnswerHere | StampedeError | None], None]
+Told = Callable[[InProcessAnswer | StampedeError | None], None]
 
 
 def find_here(store: ChannelStore, channel_id: bytes, epoch: int) -> HostedChannel | None:
@@ -47,7 +47,7 @@ def find_here(store: ChannelStore, channel_id: bytes, epoch: int) -> HostedChann
     return None if hosted.replication is not None else hosted
 
 
-def put_here(store: ChannelStore, channel_id: bytes, epoch: int, put: PutHere) -> pb.PutAck | HeldAck | None:
+def put_here(store: ChannelStore, channel_id: bytes, epoch: int, put: InProcessPut) -> pb.PutAck | HeldAck | None:
     """Put one item. None: it may have to wait for room, so it goes over a stream. Raises the errors of a put."""
     hosted, received_s = find_here(store, channel_id, epoch), time.monotonic()
     if hosted is None or hosted.puts.may_wait:
@@ -78,7 +78,7 @@ def put_now(hosted: HostedChannel, run: IncomingRun, wanted: int, now: int) -> p
     return ack
 
 
-def read_now(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuery) -> AnswerHere | None:
+def read_now(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuery) -> InProcessAnswer | None:
     """The answer to a read. Changes nothing: None if the read would have to free old items first, or is long.
 
     The caller holds the turn of the loop. Raises the errors of a get.
@@ -93,7 +93,7 @@ def read_now(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuer
     return None if isinstance(found, Unfinished) else _told(hosted, found, payloads=query.payloads)
 
 
-def at_now(store: ChannelStore, channel_id: bytes, epoch: int, instant: int) -> AnswerHere | None:
+def at_now(store: ChannelStore, channel_id: bytes, epoch: int, instant: int) -> InProcessAnswer | None:
     """The answer to a read at an instant, if one item is all of it. Changes nothing.
 
     None: take `read_now`. The caller holds the turn of the loop. Raises the errors of a get.
@@ -109,7 +109,7 @@ def at_now(store: ChannelStore, channel_id: bytes, epoch: int, instant: int) -> 
     return None if found is None else _one_told(hosted, found)
 
 
-def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> AnswerHere | None:
+def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> InProcessAnswer | None:
     """The answer to a read of the newest item. Changes nothing.
 
     None: take `read_now`, which also finds the reason of a failure. The caller holds the turn of the loop.
@@ -127,7 +127,7 @@ def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> AnswerHere
     newest = Slice(part.run, part.hi - 1, part.hi)
     hosted.count_delivered(1, newest.payload_bytes)
     run = _run(newest, None, payloads=True)
-    return AnswerHere((run,), None, False, False, False, None, hosted.channel.incarnation)
+    return InProcessAnswer((run,), None, False, False, False, None, hosted.channel.incarnation)
 
 
 def read_here(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuery, tell: Told) -> WaitingGet | None:
@@ -190,28 +190,28 @@ def _position(after: Item | int | None) -> Position | None:
     return Position(after, None, 0)
 
 
-def _told(hosted: HostedChannel, answer: ReadAnswer, *, payloads: bool = True) -> AnswerHere:
+def _told(hosted: HostedChannel, answer: ReadAnswer, *, payloads: bool = True) -> InProcessAnswer:
     slices = [*answer.slices]
     ends = [answer.next_times.get((part.last_time, part.end_seq)) for part in slices[:-1]]
     runs = [_run(part, end, payloads=payloads) for part, end in zip(slices, [*ends, answer.next_time], strict=False)]
     hosted.count_delivered(sum(part.items for part in slices), sum(part.payload_bytes for part in slices))
-    return AnswerHere(
+    return InProcessAnswer(
         runs=runs, interval=answer.interval, complete=answer.complete, truncated=answer.truncated, more=answer.more,
         reason=answer.reason, incarnation=answer.incarnation,
     )  # fmt: skip
 
 
-def _one_told(hosted: HostedChannel, answer: ReadAnswer) -> AnswerHere:
+def _one_told(hosted: HostedChannel, answer: ReadAnswer) -> InProcessAnswer:
     """As `_told`, for an answer that is one slice."""
     part = answer.slices[0]
     hosted.count_delivered(part.items, part.payload_bytes)
     run = _run(part, answer.next_time, payloads=True)
-    return AnswerHere(
+    return InProcessAnswer(
         (run,), answer.interval, answer.complete, answer.truncated, answer.more, answer.reason, answer.incarnation
     )
 
 
-def _run(part: Slice, next_time: int | None, *, payloads: bool) -> RunHere:
+def _run(part: Slice, next_time: int | None, *, payloads: bool) -> InProcessRun:
     run = part.run
     body, payload, attributes, content_type = run.body, None, NO_ATTRIBUTES, ""
     if isinstance(body, ReferencedBody):
@@ -219,9 +219,9 @@ def _run(part: Slice, next_time: int | None, *, payloads: bool) -> RunHere:
     elif payloads and part.hi - part.lo == 1 and isinstance(run, ColumnRun):
         payload = slicer_of(run).plain_payload(part.lo)
     if payload is None:
-        return RunHere(encoded=run_bytes(part, without_payloads=not payloads), next_time=next_time)
+        return InProcessRun(encoded=run_bytes(part, without_payloads=not payloads), next_time=next_time)
     durations = run.durations
-    return RunHere(
+    return InProcessRun(
         part.first_time,
         ABSENT if durations is None else durations[part.lo],
         part.first_seq,

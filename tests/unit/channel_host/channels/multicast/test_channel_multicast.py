@@ -11,8 +11,8 @@ from typing import Any, cast
 import pytest
 
 from stampede_rt.errors import ChannelNotFound
-from stampede_rt.multicast.layout import MessageKind, Part
-from stampede_rt.multicast.sealing import DatagramOpener, Rejected
+from stampede_rt.multicast.layout import MessageKind, MessagePart
+from stampede_rt.multicast.sealing import DatagramOpener, RejectReason
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.records import policy_to_spec
@@ -50,10 +50,10 @@ class Group:
     def close(self) -> None:
         pass
 
-    async def parts(self, opener: DatagramOpener, count: int) -> list[Part]:
+    async def parts(self, opener: DatagramOpener, count: int) -> list[MessagePart]:
         async with asyncio.timeout(30):
             while True:
-                found = [opened for one in self.sent if isinstance(opened := opener.open(one), Part)]
+                found = [opened for one in self.sent if isinstance(opened := opener.open(one), MessagePart)]
                 if len(found) >= count:
                     return found
                 self.has_news.clear()
@@ -121,9 +121,9 @@ async def test_the_key_changes_after_a_reader_has_left(monkeypatch: pytest.Monke
         new = DatagramOpener(offer.stream_id, offer.key_number, offer.key)
         rig.put(b"more secret")
         await rig.group.parts(new, 1)
-        later = [datagram for datagram in rig.group.sent if isinstance(new.open(datagram), Part)]
-        assert {left.open(datagram) for datagram in later} == {Rejected.OTHER_KEY}
-        assert {staying.open(datagram) for datagram in later} == {Rejected.OTHER_KEY}
+        later = [datagram for datagram in rig.group.sent if isinstance(new.open(datagram), MessagePart)]
+        assert {left.open(datagram) for datagram in later} == {RejectReason.OTHER_KEY}
+        assert {staying.open(datagram) for datagram in later} == {RejectReason.OTHER_KEY}
 
 
 async def test_the_key_can_change_within_a_long_message(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,8 +145,8 @@ async def test_the_key_can_change_within_a_long_message(monkeypatch: pytest.Monk
         await rig.group.has_news.wait()
     rig.multicasts.close()
     opened = [former.open(datagram) for datagram in rig.group.sent]
-    assert isinstance(opened[0], Part)
-    assert set(opened[1:]) == {Rejected.OTHER_KEY}
+    assert isinstance(opened[0], MessagePart)
+    assert set(opened[1:]) == {RejectReason.OTHER_KEY}
 
 
 async def test_a_reader_after_a_defect_begins_another_multicast(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 
-from stampede_rt.matching.pairing import Pairing, Undecided
+from stampede_rt.matching.pairing import Pairing, PartnerUndecided
 from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Position
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
@@ -174,7 +174,7 @@ class Matcher:
                 return None
             try:
                 found[member] = self._found_in(member, track, key, has_passed, now)
-            except Undecided:
+            except PartnerUndecided:
                 return None
             except NotLoaded:
                 self._begun = key, found
@@ -190,7 +190,7 @@ class Matcher:
     def _found_in(
         self, member: bytes, track: Track, key: ItemKey, has_passed: Callable[[bytes, int], bool], now: int
     ) -> Nearest | None:
-        """The partner in one member. Raises Undecided if an item still to come may change the partner."""
+        """The partner in one member. Raises PartnerUndecided if an item still to come may change the partner."""
         if self._partners is None:
             self._looks_left -= 1
             return track.nearest(key[0], self._tolerance, now)
