@@ -28,7 +28,7 @@ from stampede_rt_channel_host.archive.objects.opened_store import OpenedStore
 from stampede_rt_channel_host.archive.objects.stored_segments import StoredSegments
 from stampede_rt_channel_host.archive.segment_files import SEGMENT_BYTES, ArchiveLimits
 from stampede_rt_channel_host.copies.messages import run_of
-from stampede_rt_channel_host.core.archive import ArchivedRun, Wanted, WantedWindow
+from stampede_rt_channel_host.core.archive import ArchivedRun, WantedItems, WantedWindow
 from stampede_rt_channel_host.core.channel import FIRST_KEY
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 from tests.benchmarks.archive_cost.figures import heading, ratios, row, seconds_of, spread
@@ -89,7 +89,7 @@ def read_all(files: MovingFiles, end_seq: int) -> None:
 
 def look_at(files: MovingFiles, instant: int) -> None:
     """Read the frame of an instant, as `at` does."""
-    window = Wanted(instant, (instant + 1, 0), 0, READ_BYTES // 4)
+    window = WantedItems(instant, (instant + 1, 0), 0, READ_BYTES // 4)
     files.load(files.segments, WantedWindow(window, FIRST_KEY, LAST_KEY), run_of, _go_on)
 
 

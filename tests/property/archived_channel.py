@@ -37,7 +37,7 @@ from stampede_rt_channel_host.core.channel import (
     make_run,
     run_to_end,
 )
-from stampede_rt_channel_host.core.group import Horizon, RecordedStep, RecordedView, VisibleAll
+from stampede_rt_channel_host.core.group import Horizon, RecordedStep, RecordedView, VisibleAllCursor
 from stampede_rt_channel_host.core.group.recorded_track import Reads
 
 FoundBlocks = Callable[[Segment], SegmentBlocks]
@@ -168,7 +168,7 @@ class ArchivedChannel:
         finally:
             moment.close()
 
-    def take_in_group(self, place: VisibleAll, horizon: Horizon, limit_bytes: int) -> SubscriptionBatch:
+    def take_in_group(self, place: VisibleAllCursor, horizon: Horizon, limit_bytes: int) -> SubscriptionBatch:
         """The next part of a subscription through a group, from the archive if memory does not have it."""
         step = self.step = self.step or place.unheld_step(horizon, self.now)
         if step is None:
@@ -211,7 +211,7 @@ class ArchivedChannel:
                 return joined(answers, down=query.newest_first)
             left = rest_of(left, view.answer)
 
-    def past(self, as_of: int) -> archive.Past:
+    def past(self, as_of: int) -> archive.PastArchive:
         """The archive as of an earlier instant."""
         return archive.past_of(self.segments, self._blocks_of, self._archived_runs_of, self._advances_of, as_of)
 

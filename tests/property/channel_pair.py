@@ -15,7 +15,7 @@ from stampede_rt_channel_host.core.channel import (
     ChannelCore,
     NewestCursor,
     Offer,
-    Pending,
+    PendingGet,
     Position,
     PutOutcome,
     Query,
@@ -110,8 +110,8 @@ class ChannelPair:
     lost_before: int | None = None
     core: ChannelCore = field(init=False)
     oracle: OracleChannel = field(init=False)
-    gets: list[tuple[Pending, OracleGet]] = field(default_factory=list)
-    woken: dict[Pending, WakeAt] = field(default_factory=dict)
+    gets: list[tuple[PendingGet, OracleGet]] = field(default_factory=list)
+    woken: dict[PendingGet, WakeAt] = field(default_factory=dict)
     waiting: list[Offer] = field(default_factory=list)
     all_subscriptions: list[tuple[AllCursor, OracleSubscription]] = field(default_factory=list)
     newest_subscriptions: list[tuple[NewestCursor, OracleNewest]] = field(default_factory=list)

@@ -23,7 +23,7 @@ from stampede_rt_channel_host.archive.written_parts import SeqGap
 from stampede_rt_channel_host.core.archive import (
     ArchivedRead,
     ArchivedRun,
-    Past,
+    PastArchive,
     PastFacts,
     archived_read,
     is_nothing_left,
@@ -157,7 +157,7 @@ class History:
 
     def read(self, query: Query, as_of: int | None) -> ReadAnswer:
         """The answer, as a host makes it."""
-        past: Past | None = None
+        past: PastArchive | None = None
         moment, segments = self.channel.snapshot(10**6), self.segments
         since, before = self.loss
         if as_of is not None:

@@ -18,13 +18,13 @@ from stampede_rt_channel_host.core.channel import (
     ChannelCore,
     ChannelSnapshot,
     Offer,
-    Pending,
+    PendingGet,
     Pieces,
     Position,
     Query,
     ReadAnswer,
     Slice,
-    Unfinished,
+    UnfinishedWork,
     WakeAt,
     first_of,
     item_blocks,
@@ -117,7 +117,7 @@ def test_an_answer_built_in_pieces_shows_the_channel_at_its_first_piece(name: st
             query = busy.query()
             expected = busy.channel.read(query, busy.now)
             found = first_of(busy.channel.reading(query, busy.now))
-            if isinstance(found, Unfinished):
+            if isinstance(found, UnfinishedWork):
                 unfinished += 1
                 found = busy.finish(found.rest)
             assert told(found) == told(expected), f"seed {seed}"
@@ -134,7 +134,7 @@ def test_a_group_answer_built_in_pieces_shows_the_group_at_its_first_piece() -> 
             horizon = Horizon(busy.now - busy.rng.randrange(100), lambda: "held back")
             expected = view.read(query, horizon, busy.now)
             found = first_of(view.reading(query, horizon, busy.now))
-            if isinstance(found, Unfinished):
+            if isinstance(found, UnfinishedWork):
                 unfinished += 1
                 found = busy.finish(found.rest)
             assert told(found) == told(expected), f"seed {seed}"
@@ -144,7 +144,7 @@ def test_a_group_answer_built_in_pieces_shows_the_group_at_its_first_piece() -> 
 def polled(
     where: ChannelCore | ChannelSnapshot, query: Query, horizon: Horizon | None, now: int
 ) -> ReadAnswer | WakeAt:
-    pending = Pending(query, None)
+    pending = PendingGet(query, None)
     return run_to_end(where.polling(pending, now) if horizon is None else polling(where, pending, horizon, now))
 
 
@@ -185,7 +185,7 @@ def test_a_subscription_that_begins_in_pieces_yields_the_items_held_at_its_begin
             meant = {seq for place_time, seq in places([*held.slices()]) if place_time >= time}
             begun = busy.channel.next_seq
             opening = first_of(busy.channel.subscribing_all(busy.now, start=start))
-            cursor = busy.finish(opening.rest) if isinstance(opening, Unfinished) else opening
+            cursor = busy.finish(opening.rest) if isinstance(opening, UnfinishedWork) else opening
             meant |= set(range(begun, busy.channel.next_seq))
             given: list[int] = []
             lost = 0
@@ -201,7 +201,7 @@ def test_an_abandoned_answer_in_pieces_keeps_no_item_from_collection() -> None:
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
         busy = Busy(POLICIES["all is kept"], 1)
         found = first_of(busy.channel.reading(Query(interval=parse_interval(0, 2 * NOW)), busy.now))
-        assert isinstance(found, Unfinished)
+        assert isinstance(found, UnfinishedWork)
         held, _ = busy.channel.look(busy.now)
         assert held._snapshots
         found.rest.close()

@@ -22,7 +22,7 @@ from stampede_rt_channel_host.core.channel import (
     ChannelCore,
     Needs,
     Offer,
-    Pending,
+    PendingGet,
     Position,
     Query,
     Reach,
@@ -51,7 +51,7 @@ class Scenario:
         self.grouped = grouped
         self.cut: int | None = None
         self.tracker = ReachTracker(self.channel)
-        self.waiting: list[tuple[Pending, WakeAt]] = []
+        self.waiting: list[tuple[PendingGet, WakeAt]] = []
         self.policy = policy
         self.tracker.begin(self.visible_to)
 
@@ -61,7 +61,7 @@ class Scenario:
             return AFTER_ALL
         return BEFORE_ALL if self.cut is None else self.cut
 
-    def view(self) -> tuple[Callable[[Query], Pending], Callable[[Pending], object]]:
+    def view(self) -> tuple[Callable[[Query], PendingGet], Callable[[PendingGet], object]]:
         if not self.grouped:
             return (lambda query: self.channel.begin(query, self.now)), lambda one: self.channel.poll(one, self.now)
         view, horizon = VisibleChannel(self.channel), Horizon(self.cut, str)

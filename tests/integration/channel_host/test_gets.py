@@ -12,7 +12,7 @@ import pytest
 from stampede_rt.v1 import channel_pb2, error_pb2, item_pb2, time_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
-from stampede_rt_channel_host.core.channel import Pending, Pieces, ReadAnswer, WakeAt
+from stampede_rt_channel_host.core.channel import PendingGet, Pieces, ReadAnswer, WakeAt
 from stampede_rt_channel_host.core.channel.pieces import STEPS_PER_PIECE
 from stampede_rt_channel_host.core.channel.run import Run
 from tests.support.channel_host.rig import (
@@ -209,7 +209,7 @@ async def test_a_get_that_searches_in_pieces_searches_again_only_if_the_channel_
     hosted = rig.host.store.find(channel.channel_id, channel.epoch)
     polling, searches = hosted.channel.polling, 0
 
-    def counted(pending: Pending, clock: int) -> Pieces[ReadAnswer | WakeAt]:
+    def counted(pending: PendingGet, clock: int) -> Pieces[ReadAnswer | WakeAt]:
         nonlocal searches
         searches += 1
         pieces = polling(pending, clock)

@@ -13,7 +13,7 @@ from stampede_rt_channel_host.core.group import (
     LocalTrack,
     Loss,
     Matcher,
-    OwnTimes,
+    OwnChannelTimes,
     RemoteTrack,
     Track,
 )
@@ -68,7 +68,7 @@ class Match:
     core: Matcher
     oracle: OracleMatcher
     remote: RemoteTrack
-    followed: dict[bytes, OwnTimes]
+    followed: dict[bytes, OwnChannelTimes]
     begun: int
     told: int
     taken: int = 0
@@ -189,7 +189,7 @@ class Listeners:
         position = (a.oracle.newest, len(a.oracle.log)) if a.oracle.newest is not None else BEFORE_ALL
         oracle = OracleMatcher(a.oracle, {b"b": b.oracle, b"c": c.oracle}, tolerance, position, lateness)
         oracle.last = {} if unique else None
-        followed = {name: OwnTimes(one.core, clock) for name, one in ((OWN, a), (b"b", b), (b"c", c))}
+        followed = {name: OwnChannelTimes(one.core, clock) for name, one in ((OWN, a), (b"b", b), (b"c", c))}
         core = Matcher(a.core, tracks, tolerance, clock, partners={} if unique else None)
         self.matches.append(Match(core, oracle, remote, followed, len(a.oracle.log), 0))
 

@@ -9,8 +9,8 @@ import pytest
 
 from stampede_rt.errors import IncarnationLost
 from stampede_rt.values.timeline import Bound
-from stampede_rt_channel_host.core.channel import DeliveredSlice, Gap, Pending, Position, Query, SavedCursor, WakeAt
-from stampede_rt_channel_host.core.group import Horizon, VisibleAll, VisibleChannel, VisibleNewest
+from stampede_rt_channel_host.core.channel import DeliveredSlice, Gap, PendingGet, Position, Query, SavedCursor, WakeAt
+from stampede_rt_channel_host.core.group import Horizon, VisibleAllCursor, VisibleChannel, VisibleNewestCursor
 from tests.oracle.channel import Item
 from tests.oracle.group import OracleFollower, OracleView
 from tests.oracle.reading import OracleReader
@@ -29,9 +29,9 @@ class Subscriber:
 
     group: int
     channel_id: bytes
-    every: VisibleAll
+    every: VisibleAllCursor
     oracle: OracleFollower
-    newest: VisibleNewest
+    newest: VisibleNewestCursor
     of_newest: OracleFollower
     last: tuple[int, int]
     hears_again: bool
@@ -45,7 +45,7 @@ class Readers:
     """Blocked gets and subscriptions. `channels_gone` and similar methods end the ones that cannot go on."""
 
     world: World
-    gets: list[tuple[int, bytes, Pending]] = field(default_factory=list)
+    gets: list[tuple[int, bytes, PendingGet]] = field(default_factory=list)
     subscribers: list[Subscriber] = field(default_factory=list)
     seen: dict[int, int] = field(default_factory=dict)  # the highest cut of each group that a reader has seen
 
@@ -101,7 +101,7 @@ class Readers:
         """
         self.gets = [one for one in self.gets if not self._is_released(*one)]
 
-    def _is_released(self, group: int, channel_id: bytes, pending: Pending) -> bool:
+    def _is_released(self, group: int, channel_id: bytes, pending: PendingGet) -> bool:
         view, horizon, pair = self.view(group, channel_id)
         clock, within = self.world.clock, pending.interval
         reader = OracleView(pair.oracle, clock, horizon.cut)
@@ -142,7 +142,7 @@ class Readers:
         clock, core, channel, cut = self.world.clock, pair.core, pair.oracle, horizon.cut
         if after is not None and after.incarnation not in (0, pair.incarnation):
             with pytest.raises(IncarnationLost):
-                VisibleAll(core, horizon, clock, after=after)
+                VisibleAllCursor(core, horizon, clock, after=after)
             return None
         reader = OracleView(channel, clock, cut)
         low = reader.instant_of(start) if start is not None and after is None else None
@@ -156,11 +156,11 @@ class Readers:
             begin = cut if cut is None or low is None else min(cut, low + exclusive)
             last = BEFORE_ALL if low is None else (low, 2**65 if exclusive else -1)
         if saved is not None:
-            every = VisibleAll(core, horizon, clock, saved=saved[0])
-            newest = VisibleNewest(core, horizon, clock, saved=saved[1])
+            every = VisibleAllCursor(core, horizon, clock, saved=saved[0])
+            newest = VisibleNewestCursor(core, horizon, clock, saved=saved[1])
         else:
-            every = VisibleAll(core, horizon, clock, start=start, start_exclusive=exclusive, after=after)
-            newest = VisibleNewest(core, horizon, clock, start=start, start_exclusive=exclusive, after=after)
+            every = VisibleAllCursor(core, horizon, clock, start=start, start_exclusive=exclusive, after=after)
+            newest = VisibleNewestCursor(core, horizon, clock, start=start, start_exclusive=exclusive, after=after)
         oracles = [OracleFollower.begin(channel, begin, None if after is None else after.seq) for _ in range(2)]
         again = after is not None and has_lost_from(pair, begin)
         made = Subscriber(group, channel_id, every, oracles[0], newest, oracles[1], last, again, again)

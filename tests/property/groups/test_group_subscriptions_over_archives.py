@@ -15,7 +15,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Bound
 from stampede_rt_channel_host.core.archive import archived_read
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer, SubscriptionBatch
-from stampede_rt_channel_host.core.group import Horizon, VisibleAll
+from stampede_rt_channel_host.core.group import Horizon, VisibleAllCursor
 from tests.property.archived_channel import ArchivedChannel
 from tests.property.test_archive_against_memory import drained
 
@@ -69,13 +69,13 @@ def test_a_group_subscription_over_an_archive_equals_one_over_memory(seed: int) 
     for _ in range(draw.randrange(4)):
         world.go_on()
     start, small = Bound(None, draw.randrange(-1, world.now + 2)), world.small
-    expected = VisibleAll(world.large, world.horizon, world.now, start=start)
-    found = VisibleAll(small.channel, world.horizon, world.now, start=start, archived=True)
+    expected = VisibleAllCursor(world.large, world.horizon, world.now, start=start)
+    found = VisibleAllCursor(small.channel, world.horizon, world.now, start=start, archived=True)
     for _ in range(draw.randrange(1, 8)):
         limit = draw.choice([1, 100, 300, 10**6])
         place = found
 
-        def take(place: VisibleAll = place, limit: int = limit) -> SubscriptionBatch:
+        def take(place: VisibleAllCursor = place, limit: int = limit) -> SubscriptionBatch:
             batch = small.take_in_group(place, world.horizon, limit)
             archived_steps["steps"] += small.step is not None
             return batch
@@ -85,7 +85,7 @@ def test_a_group_subscription_over_an_archive_equals_one_over_memory(seed: int) 
         if draw.random() < 0.3:
             saved = found.saved
             assert saved is not None
-            found = VisibleAll(small.channel, world.horizon, world.now, saved=replace(saved), archived=True)
+            found = VisibleAllCursor(small.channel, world.horizon, world.now, saved=replace(saved), archived=True)
         world.go_on()
 
 

@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.group import (
     GroupCut,
     GroupDefinition,
     Horizon,
-    OwnTimes,
+    OwnChannelTimes,
     TimesBoard,
     VisibleChannel,
 )
@@ -45,7 +45,7 @@ class Then:
         board = TimesBoard()
         self.cut = GroupCut(GroupDefinition(members=frozenset(NAMES)), board)
         self.cut.confirm()
-        own = {name: OwnTimes(channel, 0) for name, channel in self.channels.items()}
+        own = {name: OwnChannelTimes(channel, 0) for name, channel in self.channels.items()}
         changes = [(at, name, one) for name, past in small.items() for at, one in [*past.offers, *past.advances]]
         for at, name, change in sorted((one for one in changes if one[0] <= as_of), key=lambda one: one[0]):
             if isinstance(change, Offer):

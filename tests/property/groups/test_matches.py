@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer
-from stampede_rt_channel_host.core.group import OWN, LocalTrack, Matcher, OwnTimes, RemoteTrack, Track
+from stampede_rt_channel_host.core.group import OWN, LocalTrack, Matcher, OwnChannelTimes, RemoteTrack, Track
 from tests.oracle.pairs import ItemKey, paired
 
 NOW, FAR = 10_000, 5_000
@@ -26,7 +26,7 @@ class Replay:
         self.own, self.other = (ChannelCore(policy, incarnation=1, name=name) for name in ("own", "other"))
         self.tolerance, self.lateness, self.unique = tolerance, lateness, unique
         self.remote = RemoteTrack() if is_far else None
-        self.times = {OWN: OwnTimes(self.own, NOW), OTHER: OwnTimes(self.other, NOW)}
+        self.times = {OWN: OwnChannelTimes(self.own, NOW), OTHER: OwnChannelTimes(self.other, NOW)}
         self.placed: dict[bytes, list[ItemKey]] = {OWN: [], OTHER: []}
         self.found: dict[ItemKey, ItemKey] = {}
         self.dropped = 0

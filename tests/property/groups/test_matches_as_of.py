@@ -20,7 +20,7 @@ from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import OLDEST, parse_bound
 from stampede_rt_channel_host.core.archive import archived_read
 from stampede_rt_channel_host.core.channel import Position, Query
-from stampede_rt_channel_host.core.group import LocalTrack, Matcher, OwnTimes
+from stampede_rt_channel_host.core.group import LocalTrack, Matcher, OwnChannelTimes
 from tests.property.archived_channel import ArchivedChannel
 from tests.property.channel_pair import items_of
 from tests.property.groups.test_groups_as_of import NAMES, Then
@@ -68,7 +68,7 @@ def member(name: bytes, channel: ArchivedChannel) -> ArchivedMember:
 def decided(then: Then, rule: MatchRule, start: int, as_of: int) -> tuple[list[object], int]:
     """The matches that a host decides at that instant, from the item at `start` on."""
     own, other = (then.channels[name] for name in NAMES)
-    times = {NAMES[0]: OwnTimes(own, 0), NAMES[1]: OwnTimes(other, 0)}
+    times = {NAMES[0]: OwnChannelTimes(own, 0), NAMES[1]: OwnChannelTimes(other, 0)}
     matcher = Matcher(
         own, {NAMES[1]: LocalTrack(other)}, rule.tolerance_nanos, as_of, Position(start - 1),
         partners={} if rule.unique else None,

@@ -11,8 +11,8 @@ from stampede_rt_channel_host.core.archive import archived_read
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Offer, Position
 from stampede_rt_channel_host.core.group import FoundMatch, LocalTrack, Matcher, recorded_track
 from stampede_rt_channel_host.core.group.recorded_track import (
-    NotLoaded,
-    RecordedOwn,
+    ItemsNotLoaded,
+    RecordedOwnTrack,
     RecordedTrack,
     archived_item,
     found_item,
@@ -52,7 +52,7 @@ class Pair:
         )  # fmt: skip
         small = {name: one.channel for name, one in self.small.items()}
         tracks = {name: RecordedTrack(small[name], name, is_ascending=partners is None) for name in (OTHER, THIRD)}
-        own = RecordedOwn(small[OWN], OWN)
+        own = RecordedOwnTrack(small[OWN], OWN)
         self.archived = Matcher(small[OWN], tracks, self.tolerance, self.now, after, next_seq, partners, recorded=own)
 
     def put(self, name: bytes, time: int) -> None:
@@ -67,7 +67,7 @@ class Pair:
                 found = self.archived.take(
                     lambda member, instant: True, self.now, min(most - len(taken), 3), looks_max=4
                 )
-            except NotLoaded as missing:
+            except ItemsNotLoaded as missing:
                 self.small[missing.channel_id].load(missing.reads())
                 continue
             taken += [shown(one, self.partner) for one in found]
@@ -140,13 +140,13 @@ def test_a_track_holds_few_keys_for_any_tolerance_if_matches_need_not_be_unique(
     monkeypatch.setattr(recorded_track, "KEYS_MAX", 60)
     own, other = recorded(range(0, 400, step)), recorded(range(400))
     tracks = {OTHER: RecordedTrack(other.channel, OTHER, is_ascending=True)}
-    recorded_own = RecordedOwn(own.channel, OWN)
+    recorded_own = RecordedOwnTrack(own.channel, OWN)
     matcher = Matcher(own.channel, tracks, 1000, 500, Position(-1), recorded=recorded_own)
     found: list[FoundMatch] = []
     while len(found) < len(range(0, 400, step)):
         try:
             found += matcher.take(lambda member, instant: True, 500, 3)
-        except NotLoaded as missing:
+        except ItemsNotLoaded as missing:
             {OWN: own, OTHER: other}[missing.channel_id].load(missing.reads())
     assert [one.matched[OTHER].time for one in found] == [*range(0, 400, step)]
 
@@ -161,7 +161,7 @@ def test_a_match_accepts_a_page_of_many_tiny_items(monkeypatch: pytest.MonkeyPat
         try:
             near = track.nearest(100, 2, 500)
             break
-        except NotLoaded as missing:
+        except ItemsNotLoaded as missing:
             other.load(missing.reads())
     assert near is not None
     assert near.time == 100

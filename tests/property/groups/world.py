@@ -11,7 +11,14 @@ from dataclasses import dataclass, field, replace
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import ChannelCore
-from stampede_rt_channel_host.core.group import ChannelTimes, GroupCut, GroupDefinition, Horizon, OwnTimes, TimesBoard
+from stampede_rt_channel_host.core.group import (
+    ChannelTimes,
+    GroupCut,
+    GroupDefinition,
+    Horizon,
+    OwnChannelTimes,
+    TimesBoard,
+)
 from tests.oracle.group import OracleBoard, OracleGroup, OracleMember
 from tests.property.channel_pair import INCARNATION, ChannelPair
 
@@ -39,7 +46,7 @@ class Placed:
     pair: LivingPair
     owner: int
     epoch: int = 1
-    own: OwnTimes | None = None
+    own: OwnChannelTimes | None = None
     member: OracleMember | None = None
 
 
@@ -158,7 +165,7 @@ class World:
                 one.own = one.member = None
             elif one.own is None:
                 one.pair.oracle.age(self.clock)
-                one.own = OwnTimes(one.pair.core, self.clock)
+                one.own = OwnChannelTimes(one.pair.core, self.clock)
                 one.member = OracleMember(one.pair.oracle, one.epoch, one.pair.incarnation, self.clock)
         for host in self.hosts:
             for channel_id in self.placed.keys() - followed:

@@ -10,7 +10,7 @@ from stampede_rt_channel_host.core.channel import (
     AllCursor,
     ChannelCore,
     NewestCursor,
-    Pending,
+    PendingGet,
     Query,
     ReadAnswer,
     Slice,
@@ -31,7 +31,7 @@ class CoreOwner:
     def __init__(self, name: str, policy: Policy, now: Callable[[], int]) -> None:
         self.policy = policy
         self.channel = ChannelCore(policy, incarnation=INCARNATION, name=name)
-        self.gets: dict[Call, tuple[Pending, int | None]] = {}
+        self.gets: dict[Call, tuple[PendingGet, int | None]] = {}
         self.line: list[WaitingPut] = []
         self.followers: list[CoreSubscription] = []
         self._now = now

@@ -24,7 +24,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.recordings import Recordings
-from stampede_rt_channel_host.core.archive import Wanted, WantedWindow
+from stampede_rt_channel_host.core.archive import WantedItems, WantedWindow
 from stampede_rt_channel_host.core.channel import (
     FIRST_KEY,
     ChannelCore,
@@ -39,7 +39,7 @@ from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 from stampede_rt_channel_host.core.records import RecordedChannel
 from tests.support.channel_host.object_stores import CHANNEL
 
-EVERYTHING = WantedWindow(Wanted(FIRST_KEY[0], LAST_KEY, 0, 2**30), FIRST_KEY, LAST_KEY)
+EVERYTHING = WantedWindow(WantedItems(FIRST_KEY[0], LAST_KEY, 0, 2**30), FIRST_KEY, LAST_KEY)
 
 
 @pytest.fixture

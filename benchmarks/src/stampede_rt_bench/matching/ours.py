@@ -9,7 +9,7 @@ from stampede_rt.wire.runs import encode_run, seal_run
 from stampede_rt_bench.matching.recording import RATES_HZ, REFERENCE, Arrival
 from stampede_rt_bench.matching.sets import FoundSet, Replay
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer
-from stampede_rt_channel_host.core.group import OWN, FoundMatch, LocalTrack, Matcher, OwnTimes
+from stampede_rt_channel_host.core.group import OWN, FoundMatch, LocalTrack, Matcher, OwnChannelTimes
 
 ITEMS_MAX = 1000
 
@@ -19,7 +19,7 @@ def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
     start = arrivals[0].arrived
     policy = Policy(max_age_nanos=60_000_000_000, max_future_nanos=1_000_000_000)
     channels = {stream: ChannelCore(policy, incarnation=1, name=stream) for stream in RATES_HZ}
-    times = {stream: OwnTimes(channel, start) for stream, channel in channels.items()}
+    times = {stream: OwnChannelTimes(channel, start) for stream, channel in channels.items()}
     tracks = {stream.encode(): LocalTrack(channel) for stream, channel in channels.items() if stream != REFERENCE}
     matcher = Matcher(channels[REFERENCE], tracks, tolerance_nanos, start)
     found: list[FoundSet] = []
@@ -30,7 +30,7 @@ def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
     return Replay(sets=found, told_unmatched=matcher.unmatched)
 
 
-def _take(matcher: Matcher, times: Mapping[str, OwnTimes], now: int) -> list[FoundMatch]:
+def _take(matcher: Matcher, times: Mapping[str, OwnChannelTimes], now: int) -> list[FoundMatch]:
     def has_passed(member: bytes, instant: int) -> bool:
         return times[REFERENCE if member == OWN else member.decode()].times(1).has_passed(instant)
 

@@ -14,13 +14,13 @@ from stampede_rt_channel_host.archive.clean_stop import CleanStop, read_stop
 from stampede_rt_channel_host.archive.recorder import span_of
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
 from stampede_rt_channel_host.archive.written_parts import SeqGap
-from stampede_rt_channel_host.core.archive import ROW_BYTES, ArchivedRun, Hole, Segment, Wanted, WantedWindow
+from stampede_rt_channel_host.core.archive import ROW_BYTES, ArchivedRun, Hole, Segment, WantedItems, WantedWindow
 from stampede_rt_channel_host.core.channel import FIRST_KEY, Run, make_run
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 from stampede_rt_runtime.settings import SettingsError
 
 NO_LIMITS = ArchiveLimits(None, None)
-ALL = WantedWindow(Wanted(FIRST_KEY[0], LAST_KEY, 0, 2**30), FIRST_KEY, LAST_KEY)
+ALL = WantedWindow(WantedItems(FIRST_KEY[0], LAST_KEY, 0, 2**30), FIRST_KEY, LAST_KEY)
 HOST, OTHER = b"h" * 16, b"o" * 16
 
 
@@ -124,7 +124,7 @@ def test_a_damaged_head_of_the_first_block_is_a_loss_and_does_not_count_as_colle
     assert not span_of(segments).is_cut
     window = files.load(segments, ALL, decode, lambda: None)
     assert [(hole.items, hole.end) for hole in window.holes] == [(2, 2)]
-    before = WantedWindow(Wanted(1, (2, 2**64), 0, 2**30), FIRST_KEY, LAST_KEY)
+    before = WantedWindow(WantedItems(1, (2, 2**64), 0, 2**30), FIRST_KEY, LAST_KEY)
     assert [hole.items for hole in files.load(segments, before, decode, lambda: None).holes] == [2]
 
 
@@ -233,7 +233,7 @@ def test_a_read_names_the_items_that_are_missing_between_two_segments(tmp_path: 
     assert len(segments) == 2
     window = files.load(segments, ALL, decode, lambda: None)
     assert window.holes == [Hole(3, 5, 3)]
-    before = WantedWindow(Wanted(FIRST_KEY[0], (3, 0), 0, 2**30), FIRST_KEY, (3, 0))
+    before = WantedWindow(WantedItems(FIRST_KEY[0], (3, 0), 0, 2**30), FIRST_KEY, (3, 0))
     assert files.load(segments, before, decode, lambda: None).holes == [Hole(3, 5, 3)]
 
 

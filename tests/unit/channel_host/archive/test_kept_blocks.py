@@ -15,13 +15,13 @@ from stampede_rt_channel_host.core.archive import (
     PlacedBlock,
     Segment,
     SegmentBlocks,
-    Wanted,
+    WantedItems,
     WantedWindow,
 )
 from stampede_rt_channel_host.core.channel import FIRST_KEY, Run, make_run
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, SEQ_END
 
-ALL = WantedWindow(Wanted(FIRST_KEY[0], LAST_KEY, 0, 2**30), FIRST_KEY, LAST_KEY)
+ALL = WantedWindow(WantedItems(FIRST_KEY[0], LAST_KEY, 0, 2**30), FIRST_KEY, LAST_KEY)
 
 
 def run_at(seq: int) -> Run:
@@ -88,7 +88,7 @@ def test_only_a_short_window_in_memory_is_read_without_a_thread(
     files.open(1)
     for number in range(1, 31):
         segments = files.write([[ArchivedRun(number, run_at(number))]], ArchiveLimits(None, None))
-    one = WantedWindow(Wanted(5, (5, SEQ_END), 0, 2**18), FIRST_KEY, LAST_KEY)
+    one = WantedWindow(WantedItems(5, (5, SEQ_END), 0, 2**18), FIRST_KEY, LAST_KEY)
     assert files.load_at_hand(segments, one, decode) is None, "no read has found the blocks yet"
     expected = files.load(segments, one, decode, lambda: None)
     found = files.load_at_hand(segments, one, decode)

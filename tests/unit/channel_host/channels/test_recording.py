@@ -17,7 +17,7 @@ from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.segment_files import SegmentFiles
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.recording import OpenedChannelArchive, Recording
-from stampede_rt_channel_host.core.archive import Wanted, WantedWindow, archived_read
+from stampede_rt_channel_host.core.archive import WantedItems, WantedWindow, archived_read
 from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Offer, Query, Run, make_run
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 from tests.unit.channel_host.archive.test_archive_files import opened, write
@@ -40,7 +40,7 @@ def test_a_long_read_of_an_archive_ends_with_its_present_window_when_its_caller_
         found = files.open(2, 7)
         channel = ChannelCore(Policy(max_items=2), incarnation=7)
         disk = DiskUse().of_channel(b"", "")
-        wanted = Wanted(FIRST_KEY[0], LAST_KEY, 0, 1, down=True)
+        wanted = WantedItems(FIRST_KEY[0], LAST_KEY, 0, 1, down=True)
         newest = await archive.load(files, found.segments, WantedWindow(wanted, FIRST_KEY, LAST_KEY))
         archived = OpenedChannelArchive(files, found, newest, disk)
         recording = Recording(archive, archived, channel, lambda body, lo, hi: body, lambda: None)
@@ -131,7 +131,7 @@ async def started(
     channel = ChannelCore(Policy(max_items=100), incarnation=incarnation, lost_before=lost_before)
     newest = None
     if found.segments:
-        wanted = Wanted(FIRST_KEY[0], LAST_KEY, 0, 2**20, down=True)
+        wanted = WantedItems(FIRST_KEY[0], LAST_KEY, 0, 2**20, down=True)
         newest = await archive.load(files, found.segments, WantedWindow(wanted, FIRST_KEY, LAST_KEY))
     archived = OpenedChannelArchive(files, found, newest, DiskUse().of_channel(b"", ""))
     return Recording(archive, archived, channel, lambda body, lo, hi: body, lambda: None), channel

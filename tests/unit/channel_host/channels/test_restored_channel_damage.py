@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.archive import (
     ArchivedRead,
     ArchivedRun,
     Segment,
-    Wanted,
+    WantedItems,
     WantedWindow,
     reaches,
     resolved,
@@ -42,7 +42,7 @@ class Restarted:
         self.found = self.files.open(2, 7)
         self.segments: tuple[Segment, ...] = self.found.segments
         self.channel = ChannelCore(Policy(max_items=100), incarnation=7)
-        wanted = Wanted(FIRST_KEY[0], LAST_KEY, 0, restored_bytes, down=True)
+        wanted = WantedItems(FIRST_KEY[0], LAST_KEY, 0, restored_bytes, down=True)
         newest = self.files.load(self.segments, WantedWindow(wanted, FIRST_KEY, LAST_KEY), decode, lambda: None)
         restore_channel(self.channel, self.found, newest, lambda body, lo, hi: body)
 

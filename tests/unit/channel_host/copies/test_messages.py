@@ -16,14 +16,14 @@ from stampede_rt_channel_host.copies.messages import (
     run_of,
     state_to,
 )
-from stampede_rt_channel_host.core.channel import FIRST_KEY, Collection, FeedPart, FeedPlace
+from stampede_rt_channel_host.core.channel import FIRST_KEY, CollectionFacts, FeedPart, FeedPlace
 
-FULL = Collection((5, 7), 3, "bytes", 4, 2**63 + 5, "age", 2, 9)
-EMPTY = Collection(FIRST_KEY, 0, "age", None, None, "age", None, None)
+FULL = CollectionFacts((5, 7), 3, "bytes", 4, 2**63 + 5, "age", 2, 9)
+EMPTY = CollectionFacts(FIRST_KEY, 0, "age", None, None, "age", None, None)
 
 
 @pytest.mark.parametrize("collection", [FULL, EMPTY])
-def test_a_decoded_feed_state_has_the_encoded_collection(collection: Collection) -> None:
+def test_a_decoded_feed_state_has_the_encoded_collection(collection: CollectionFacts) -> None:
     state = state_to(FeedPart(2, (1, 2), (), 8, collection, 6), 0)
     clamped = collection._replace(collected_end=None if collection.collected_end is None else 2**63 - 1)
     assert collection_of(pb.FeedState.FromString(state.SerializeToString())) == clamped

@@ -7,7 +7,7 @@ import pytest
 from stampede_rt.errors import ChannelFull, InvalidArgument
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.copies.owner_messages import owner_of, owner_to, put_of, put_to
-from stampede_rt_channel_host.core.channel import ConsumerPlace, Counters, FedPlaces, Growth, OwnerPart
+from stampede_rt_channel_host.core.channel import ConsumerPlace, Counters, FedPlaces, GrowingCounts, OwnerPart
 from stampede_rt_channel_host.core.dedup import KeptRun
 from stampede_rt_channel_host.core.run_outcome import ItemRefusal, RunOutcome, RunPart
 
@@ -41,7 +41,7 @@ def test_the_facts_of_an_owner_are_converted_to_the_clock_of_the_copy() -> None:
 @pytest.mark.parametrize("stamp", [None, 95])
 def test_a_put_is_converted_to_the_clock_of_the_copy(stamp: int | None) -> None:
     outcome = RunOutcome(2, 2, (RunPart(0, 22, 2, stamp),), (), 95)
-    part = OwnerPart((KeptRun(2**63 + 5, 4, outcome, "ann"),), None, Growth(24, 900), 100)
+    part = OwnerPart((KeptRun(2**63 + 5, 4, outcome, "ann"),), None, GrowingCounts(24, 900), 100)
     back = put_of(pb.FedPut.FromString(put_to(part, 100).SerializeToString()), 1000)
     assert back == part._replace(runs=(KeptRun(2**63 + 5, 4, outcome._replace(time=995), "ann"),))
 

@@ -16,7 +16,7 @@ from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
 from stampede_rt_channel_host.archive.objects.object_archive import ObjectArchive
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, WriteJob
 from stampede_rt_channel_host.archive.segment_files import OpenedArchive, SegmentFiles
-from stampede_rt_channel_host.core.archive import ArchivedPart, ArchiveWindow, Past, Segment, WantedWindow
+from stampede_rt_channel_host.core.archive import ArchivedPart, ArchiveWindow, PastArchive, Segment, WantedWindow
 from stampede_rt_channel_host.core.channel import Run
 from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_runtime.working_threads import WorkingThreads
@@ -274,7 +274,7 @@ class HostArchive:
         return [*self.folder.of_channels()]
 
     async def load(
-        self, files: SegmentFiles, segments: tuple[Segment, ...], wanted: WantedWindow, past: Past | None = None
+        self, files: SegmentFiles, segments: tuple[Segment, ...], wanted: WantedWindow, past: PastArchive | None = None
     ) -> ArchiveWindow:
         """Load a window, in a thread unless it is short and in memory.
 
@@ -286,7 +286,7 @@ class HostArchive:
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._readers, files.load, segments, wanted, self._decode, _rest, past)
 
-    async def past(self, files: SegmentFiles, segments: tuple[Segment, ...], as_of: int) -> Past:
+    async def past(self, files: SegmentFiles, segments: tuple[Segment, ...], as_of: int) -> PastArchive:
         """The segments as they were at an earlier instant. Looks at them in a thread. Raises OSError as `load`."""
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._readers, files.past, segments, as_of, self._decode)

@@ -17,14 +17,14 @@ from stampede_rt_channel_host.core.archive import (
     BlocksOf,
     CutRun,
     Hole,
-    NotAtHand,
-    Past,
+    PastArchive,
     PlacedBlock,
     ReadAt,
     Segment,
     SegmentBlocks,
     TimeRange,
     WantedWindow,
+    WindowNeedsThread,
     border_holes,
     choose,
     choose_part,
@@ -67,7 +67,7 @@ class SegmentReads:
         wanted: WantedWindow,
         decode: Callable[[bytes], Run],
         rest: Callable[[], None],
-        past: Past | None = None,
+        past: PastArchive | None = None,
     ) -> ArchiveWindow:
         """Load a window of `segments`, which may be the segments of `past`.
 
@@ -80,13 +80,13 @@ class SegmentReads:
         segments: Sequence[Segment],
         wanted: WantedWindow,
         decode: Callable[[bytes], Run],
-        past: Past | None = None,
+        past: PastArchive | None = None,
     ) -> ArchiveWindow | None:
         """The window if it is short and all its bytes are in memory; otherwise None. Does not block."""
         at_hand = wanted._replace(wanted=wanted.wanted._replace(at_hand=True))
         try:
             return self._load(segments, at_hand, decode, _go_on, past, self._known_blocks_of, self.place.at_hand)
-        except (NotAtHand, OSError):
+        except (WindowNeedsThread, OSError):
             return None
 
     def _load(
@@ -95,7 +95,7 @@ class SegmentReads:
         wanted: WantedWindow,
         decode: Callable[[bytes], Run],
         rest: Callable[[], None],
-        past: Past | None,
+        past: PastArchive | None,
         all_blocks_of: BlocksOf,
         opened: Opened,
     ) -> ArchiveWindow:
@@ -122,7 +122,7 @@ class SegmentReads:
         window = window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
         return window._replace(holes=missing, doubts=doubts)
 
-    def past(self, segments: Sequence[Segment], as_of: int, decode: Callable[[bytes], Run]) -> Past:
+    def past(self, segments: Sequence[Segment], as_of: int, decode: Callable[[bytes], Run]) -> PastArchive:
         """The segments as they were at an earlier instant."""
         return past_of(segments, self._blocks_of, partial(self._all_runs_of, decode), self._advances_of, as_of)
 
@@ -188,10 +188,10 @@ class SegmentReads:
         return None
 
     def _known_blocks_of(self, segment: Segment) -> SegmentBlocks:
-        """As `_blocks_of`. Raises NotAtHand if no read has found the blocks yet."""
+        """As `_blocks_of`. Raises WindowNeedsThread if no read has found the blocks yet."""
         found = self._kept.get(self, segment.number)
         if found.length < segment.length:
-            raise NotAtHand
+            raise WindowNeedsThread
         return found.blocks.before(segment.length)
 
     def _blocks_of(self, segment: Segment) -> SegmentBlocks:

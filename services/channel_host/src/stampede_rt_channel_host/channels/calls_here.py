@@ -33,7 +33,7 @@ from stampede_rt_channel_host.core.channel import (
     ReadAnswer,
     ReferencedBody,
     Slice,
-    Unfinished,
+    UnfinishedWork,
     WakeAt,
     first_of,
 )
@@ -90,7 +90,7 @@ def read_now(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuer
     if _reads_archive(hosted, query, asked, now):
         return None
     found = first_of(hosted.channel.reading(asked, now))
-    return None if isinstance(found, Unfinished) else _told(hosted, found, payloads=query.payloads)
+    return None if isinstance(found, UnfinishedWork) else _told(hosted, found, payloads=query.payloads)
 
 
 def at_now(store: ChannelStore, channel_id: bytes, epoch: int, instant: int) -> InProcessAnswer | None:
@@ -143,7 +143,7 @@ def read_here(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQue
         return None
     if query.wait.seconds == 0:
         found = first_of(hosted.channel.reading(asked, now))
-        tell(None if isinstance(found, Unfinished) else _told(hosted, found, payloads=query.payloads))
+        tell(None if isinstance(found, UnfinishedWork) else _told(hosted, found, payloads=query.payloads))
         return None
     pending = hosted.channel.begin(asked, now)
     polled = first_of(hosted.channel.polling(pending, now))

@@ -22,7 +22,7 @@ from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.core.channel import (
     CONSUMED_RANGE_BYTES,
     CONSUMER_BYTES,
-    Consumed,
+    ConsumptionResult,
     Counters,
     FedChannel,
     Pieces,
@@ -188,7 +188,7 @@ class HostedChannel:
         self.changed(now)
         return advanced
 
-    def consume(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int, owner: str = "") -> Consumed:
+    def consume(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int, owner: str = "") -> ConsumptionResult:
         """Consume items for one consumer, and accept the waiting puts for which there is room now.
 
         Raises InvalidArgument, and ChannelFull if all consumer places are taken. Raises Overloaded if the memory for

@@ -13,7 +13,7 @@ from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.core.archive import (
     ArchivedRead,
     NextItems,
-    Past,
+    PastArchive,
     PastFacts,
     Segment,
     is_nothing_left,
@@ -115,12 +115,12 @@ class PastReader:
         await self._load(read, past, scheduler)
         return PastAnswer(read.answer(), read.continues, summary)
 
-    async def _view(self, view: RecordedView, past: Past, scheduler: PieceScheduler) -> RecordedView:
+    async def _view(self, view: RecordedView, past: PastArchive, scheduler: PieceScheduler) -> RecordedView:
         for read in view.reads(None):
             await self._load(read, past, scheduler)
         return view
 
-    async def _past(self, as_of: int) -> tuple[Past, tuple[Segment, ...]]:
+    async def _past(self, as_of: int) -> tuple[PastArchive, tuple[Segment, ...]]:
         """The archive as of an instant, and all its segments. The past also has the next change."""
         while True:
             segments, since = self._recorder.segments, self._recorder.waiting_since
@@ -129,14 +129,14 @@ class PastReader:
                 return past, segments
             await self._archived(since)
 
-    async def _load(self, read: ArchivedRead, past: Past, scheduler: PieceScheduler) -> None:
+    async def _load(self, read: ArchivedRead, past: PastArchive, scheduler: PieceScheduler) -> None:
         await scheduler.do(read.begin())
         while (wanted := read.next_window()) is not None:
             window = await self._archive.load(self._recorder.files, past.segments, wanted, past)
             await scheduler.do(read.take(window))
 
 
-def _summary(past: Past) -> PastSummary:
+def _summary(past: PastArchive) -> PastSummary:
     items, advance = past.next_items, past.next_advance
     if items is not None and (advance is None or items.accepted <= advance):
         return PastSummary(past.advance, items.accepted, items)

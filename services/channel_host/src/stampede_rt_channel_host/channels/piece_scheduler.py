@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TypeVar
 
-from stampede_rt_channel_host.core.channel import Pieces, Unfinished, abandoning, first_of
+from stampede_rt_channel_host.core.channel import Pieces, UnfinishedWork, abandoning, first_of
 from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.quotas.accounts import unlimited
 from stampede_rt_runtime.quotas.working import CallerWork
@@ -28,12 +28,12 @@ class PieceScheduler:
     async def do(self, pieces: Pieces[Result]) -> Result:
         """Perform the work, and return its result. Performs the first piece without a wait; most work has only one."""
         found = first_of(pieces)
-        return await self.finish(found.rest) if isinstance(found, Unfinished) else found
+        return await self.finish(found.rest) if isinstance(found, UnfinishedWork) else found
 
     def begin(self, pieces: Pieces[None]) -> None:
         """Perform the first piece in this call, and the other pieces in later turns. Does not wait for them."""
         found = first_of(pieces)
-        if isinstance(found, Unfinished):
+        if isinstance(found, UnfinishedWork):
             task = asyncio.create_task(self._finish(found.rest, CallerWork(unlimited())), name="long work")
             self._begun.add(task)
             task.add_done_callback(self._begun.discard)

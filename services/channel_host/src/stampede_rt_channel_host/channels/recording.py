@@ -28,7 +28,7 @@ from stampede_rt_channel_host.core.archive import (
     ArchivedRead,
     ArchiveWindow,
     Segment,
-    Wanted,
+    WantedItems,
     WantedWindow,
     deliver,
     next_time_of,
@@ -103,7 +103,7 @@ async def _newest(archive: HostArchive, files: SegmentFiles, segments: tuple[Seg
 
 def _latest_from(low: ItemKey) -> WantedWindow:
     """The newest items, from the key `low` on."""
-    return WantedWindow(Wanted(low[0], LAST_KEY, 0, RESTORED_BYTES, down=True, bytes_limit=2**63), low, LAST_KEY)
+    return WantedWindow(WantedItems(low[0], LAST_KEY, 0, RESTORED_BYTES, down=True, bytes_limit=2**63), low, LAST_KEY)
 
 
 class Recording:

@@ -59,7 +59,7 @@ def lacks_loss(lost_before: int | None, found: OpenedArchive) -> TypeGuard[int]:
 def _loss(
     channel: ChannelCore, found: OpenedArchive, window: ArchiveWindow, end_seq: int
 ) -> tuple[int | None, int | None]:
-    """The instants from which on, and before which, items may be lost (see `Reading`). `end_seq`: of the segments."""
+    """Return `lost_from` and `lost_before`, see `QueryReader`. `end_seq`: the end of the segments."""
     since = _lost_since(found.segments, window)
     return (since, channel.lost_before) if found.stop is None else loss_after(found.stop, since, end_seq)
 

@@ -13,12 +13,12 @@ from stampede_rt_channel_host.copies.owner_messages import owner_of, owner_to, p
 from stampede_rt_channel_host.core.channel import (
     FIRST_KEY,
     FORMER_MAX,
-    Collection,
+    CollectionFacts,
     ColumnRun,
     FeedPart,
     FeedPlace,
     FormerIncarnation,
-    Growth,
+    GrowingCounts,
     ItemKey,
     Losses,
     OwnerPart,
@@ -81,7 +81,7 @@ def losses_of(message: pb.FeedOpened) -> Losses:
 def state_to(part: FeedPart, now: int) -> pb.FeedState:
     """The facts of a part, without its items and without the facts about the source itself. `now`: its clock."""
     owner = part.owner
-    is_put = owner is not None and isinstance(owner.counters, Growth)
+    is_put = owner is not None and isinstance(owner.counters, GrowingCounts)
     return pb.FeedState(
         first_seq=part.first_seq,
         next_seq=part.next_seq,
@@ -98,12 +98,12 @@ def cleared_of(state: pb.FeedState) -> ItemKey | None:
     return _key_of(state.cleared) if state.HasField("cleared") else None
 
 
-def collection_of(state: pb.FeedState) -> Collection | None:
+def collection_of(state: pb.FeedState) -> CollectionFacts | None:
     """The items that retention has collected; None: as before. Raises InvalidArgument for an unknown cause."""
     if not state.HasField("collection"):
         return None
     message = state.collection
-    return Collection(
+    return CollectionFacts(
         _key_of(message.floor) if message.HasField("floor") else FIRST_KEY,
         message.floor_resets,
         _cause_of(message.last_cause),
@@ -146,7 +146,7 @@ def _parsed(body: bytes) -> SealedColumns:
     return SealedColumns(run.first_seq, times, durations or None, array("I", run.payload_length_bytes))
 
 
-def _collection_to(collection: Collection) -> pb.FeedCollection:
+def _collection_to(collection: CollectionFacts) -> pb.FeedCollection:
     return pb.FeedCollection(
         floor=None if collection.floor == FIRST_KEY else _key_to(collection.floor),
         floor_resets=collection.floor_resets,

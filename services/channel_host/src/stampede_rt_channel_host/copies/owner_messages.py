@@ -15,7 +15,7 @@ from stampede_rt.status import from_error_message, to_error_message
 from stampede_rt.v1 import channel_pb2, channel_service_pb2, subject_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.channel_status import counters_to
-from stampede_rt_channel_host.core.channel import ConsumerPlace, Counters, FedPlaces, Growth, OwnerPart
+from stampede_rt_channel_host.core.channel import ConsumerPlace, Counters, FedPlaces, GrowingCounts, OwnerPart
 from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.run_outcome import ItemRefusal, RunOutcome, RunPart
 
@@ -43,8 +43,8 @@ def owner_of(message: pb.OwnerFacts, now: int) -> OwnerPart:
 
 
 def put_to(part: OwnerPart, now: int) -> pb.FedPut:
-    """A part with a `Growth`, as a message. `now`: the owner's clock."""
-    assert isinstance(part.counters, Growth), "see `owner_to`"
+    """A part with a `GrowingCounts`, as a message. `now`: the owner's clock."""
+    assert isinstance(part.counters, GrowingCounts), "see `owner_to`"
     (run,) = part.runs
     (accepted,) = run.outcome.parts
     return pb.FedPut(
@@ -62,7 +62,7 @@ def put_to(part: OwnerPart, now: int) -> pb.FedPut:
 
 
 def put_of(message: pb.FedPut, now: int) -> OwnerPart:
-    """A part with a `Growth`, from a message. `now` and errors: as for `owner_of`."""
+    """A part with a `GrowingCounts`, from a message. `now` and errors: as for `owner_of`."""
     items, first_seq = message.items, message.first_seq
     if not (message.producer_id and items and first_seq):
         raise InvalidArgument("the feed has a put without a producer or items; install the same release on both hosts")
@@ -70,7 +70,7 @@ def put_of(message: pb.FedPut, now: int) -> OwnerPart:
     part = RunPart(0, first_seq, items, stamp)
     outcome = RunOutcome(items, items, (part,), (), now - message.judged_ago_nanos)
     run = KeptRun(message.producer_id, message.first_number, outcome, message.owner)
-    return OwnerPart((run,), None, Growth(message.accepted, message.accepted_bytes), message.until_unix_nano)
+    return OwnerPart((run,), None, GrowingCounts(message.accepted, message.accepted_bytes), message.until_unix_nano)
 
 
 def retries_to(window: RetryWindow, now: int) -> bytes:

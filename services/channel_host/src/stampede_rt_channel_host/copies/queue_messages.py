@@ -17,7 +17,7 @@ from stampede_rt_channel_host.copies.message_histories import entries_of, items_
 from stampede_rt_channel_host.copies.owner_messages import outcome_of, run_to
 from stampede_rt_channel_host.core.dedup import KeptRun
 from stampede_rt_channel_host.core.queue import (
-    Acknowledged,
+    AcknowledgedDelivery,
     KnownMessage,
     QueuedRun,
     QueueHandoff,
@@ -111,7 +111,9 @@ class ArrivingQueue:
             ],
             held=[SeqRange(one.first_seq, one.first_seq + one.items - 1) for one in rest.held],
             items=[*items_of(rest.messages)],
-            acknowledged=[Acknowledged(one.delivery_id, one.taker_id, one.ago_nanos) for one in rest.acknowledged],
+            acknowledged=[
+                AcknowledgedDelivery(one.delivery_id, one.taker_id, one.ago_nanos) for one in rest.acknowledged
+            ],
             producers=[*chain.from_iterable(map(_runs_of, rest.producers))],
             message_ids=[KnownMessage(one.message_id, one.seq, one.ago_nanos, one.owner) for one in rest.message_ids],
         )
@@ -164,7 +166,7 @@ def _range_to(held: SeqRange) -> subject_pb2.SeqRange:
     return subject_pb2.SeqRange(first_seq=first, items=last - first + 1)
 
 
-def _acknowledgement_to(one: Acknowledged) -> pb.HandedAcknowledgement:
+def _acknowledgement_to(one: AcknowledgedDelivery) -> pb.HandedAcknowledgement:
     return pb.HandedAcknowledgement(delivery_id=one[0], taker_id=one[1], ago_nanos=one[2])
 
 

@@ -8,7 +8,7 @@ from typing import Generic, Protocol, TypeVar
 _SLACK = 64  # a heap may have this many entries more than twice the number of things with a deadline
 
 
-class Timed(Protocol):
+class DeadlineEntry(Protocol):
     """A thing with a deadline.
 
     `order` is unique and decides between equal deadlines. `due` is None while the thing has no deadline.
@@ -21,7 +21,7 @@ class Timed(Protocol):
         """The sort key of things that are due together."""
 
 
-T = TypeVar("T", bound=Timed)
+T = TypeVar("T", bound=DeadlineEntry)
 
 
 Entry = tuple[int, int, T]  # the deadline, `order`, and the thing

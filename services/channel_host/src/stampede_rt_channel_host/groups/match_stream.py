@@ -17,10 +17,10 @@ from stampede_rt_channel_host.channels.subscriptions.reader_drops import ReaderD
 from stampede_rt_channel_host.core.group import (
     OWN,
     FoundMatch,
+    ItemsNotLoaded,
     LocalTrack,
     Matcher,
-    NotLoaded,
-    RecordedOwn,
+    RecordedOwnTrack,
     RecordedTrack,
     Track,
 )
@@ -184,7 +184,7 @@ class MatchStream:
             most = MATCHES_PER_MESSAGE_MAX - len(taken) if credit > 0 else 0
             try:
                 found = self._decided(matcher, group, request, most, credit)
-            except NotLoaded as missing:
+            except ItemsNotLoaded as missing:
                 if taken:
                     return taken
                 await load(self._groups.channels, self._near[missing.channel_id], missing)
@@ -204,7 +204,7 @@ class MatchStream:
     def _decided(
         self, matcher: Matcher, group: HostedGroup, request: pb.SubscribeMatchesOpen, most: int, credit: int
     ) -> list[FoundMatch]:
-        """The next decided matches, at most `most`. Raises NotLoaded."""
+        """The next decided matches, at most `most`. Raises ItemsNotLoaded."""
         now = self._groups.channels.now()
 
         def has_passed(channel_id: bytes, instant: int) -> bool:
@@ -256,7 +256,7 @@ def _matcher(hosted: HostedChannel, request: pb.SubscribeMatchesOpen, now: int) 
         after=position_of(after.after) if request.HasField("after") else None,
         next_seq=after.next_seq or None,
         partners=partners if request.unique else None,
-        recorded=None if hosted.recording is None else RecordedOwn(hosted.channel, hosted.record.channel_id),
+        recorded=None if hosted.recording is None else RecordedOwnTrack(hosted.channel, hosted.record.channel_id),
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.core.group import OwnTimes, TimesBoard
+from stampede_rt_channel_host.core.group import OwnChannelTimes, TimesBoard
 
 
 class OwnChannel:
@@ -30,7 +30,7 @@ class OwnChannel:
         self._now = now
         self._on_change = on_change
         self._on_end = on_end
-        self._own = OwnTimes(hosted.channel, now())
+        self._own = OwnChannelTimes(hosted.channel, now())
         self.enter_times()
         hosted.group_observers[self] = None
 

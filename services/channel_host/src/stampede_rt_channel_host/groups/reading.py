@@ -24,17 +24,17 @@ from stampede_rt_channel_host.channels.recording import Recording
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.core.channel import (
-    Pending,
+    PendingGet,
     Pieces,
     Query,
     ReadAnswer,
     SavedCursor,
     SubscriptionBatch,
-    Unfinished,
+    UnfinishedWork,
     WakeAt,
     first_of,
 )
-from stampede_rt_channel_host.core.group import VisibleAll, VisibleChannel, VisibleNewest
+from stampede_rt_channel_host.core.group import VisibleAllCursor, VisibleChannel, VisibleNewestCursor
 from stampede_rt_channel_host.groups.copied_groups import CopiedGroup, CopiedGroups
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.recorded_gets import (
@@ -79,7 +79,7 @@ class GroupReads:
         view, horizon = VisibleChannel(member_of(group, hosted).channel), group.horizon(params.at)
         if reads_archive(params, hosted, query, horizon, now):
             return None
-        found: ReadAnswer | WakeAt | Unfinished[ReadAnswer] | Unfinished[ReadAnswer | WakeAt]
+        found: ReadAnswer | WakeAt | UnfinishedWork[ReadAnswer] | UnfinishedWork[ReadAnswer | WakeAt]
         if wait_nanos:
             found = first_of(view.polling(view.begin(query, horizon, now), horizon, now))
         else:
@@ -146,7 +146,7 @@ class GroupReads:
             if found.view.released_by is not None:
                 await group.reach(found.view.released_by, _left_s(deadline_s))
             else:
-                await self._get(group, hosted, PendingAt(Pending(query, within), at), deadline_s)
+                await self._get(group, hosted, PendingAt(PendingGet(query, within), at), deadline_s)
                 has_waited = True
 
     async def _read_copy(
@@ -240,7 +240,7 @@ class _All:
     skipped = 0
 
     def __init__(
-        self, group: HostedGroup | CopiedGroup, hosted: HostedChannel, cursor: VisibleAll, steps: RecordedSteps
+        self, group: HostedGroup | CopiedGroup, hosted: HostedChannel, cursor: VisibleAllCursor, steps: RecordedSteps
     ) -> None:
         self._group = group
         self._incarnation = group.record.incarnation
@@ -275,7 +275,7 @@ class _All:
 class _Newest:
     """The cursor of a subscription through a group in SUBSCRIBE_MODE_NEWEST."""
 
-    def __init__(self, group: HostedGroup | CopiedGroup, hosted: HostedChannel, cursor: VisibleNewest) -> None:
+    def __init__(self, group: HostedGroup | CopiedGroup, hosted: HostedChannel, cursor: VisibleNewestCursor) -> None:
         self._group = group
         self._incarnation = group.record.incarnation
         self._hosted = hosted
@@ -313,11 +313,11 @@ def _cursor(
 ) -> _All | _Newest:  # fmt: skip
     horizon, now = group.horizon(), channels.now()
     if is_newest(opening):
-        return _Newest(group, hosted, VisibleNewest(hosted.channel, horizon, now, **where))
+        return _Newest(group, hosted, VisibleNewestCursor(hosted.channel, horizon, now, **where))
     start, is_copy = where.get("start"), copied_archives.lacks_archive(hosted)
     if start is not None and is_copy:
         copied_archives.check_read(hosted, Query(interval=Interval(start, start)), now, horizon)
-    place = VisibleAll(hosted.channel, horizon, now, archived=is_copy or hosted.recording is not None, **where)
+    place = VisibleAllCursor(hosted.channel, horizon, now, archived=is_copy or hosted.recording is not None, **where)
     return _All(group, hosted, place, RecordedSteps(channels, place))
 
 

@@ -12,10 +12,10 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.core.archive import ArchivedRead
 from stampede_rt_channel_host.core.channel import Query
-from stampede_rt_channel_host.core.group import FoundMatch, NotLoaded, archived_item, found_item
+from stampede_rt_channel_host.core.group import FoundMatch, ItemsNotLoaded, archived_item, found_item
 
 
-async def load(channels: ChannelStore, hosted: HostedChannel, missing: NotLoaded) -> None:
+async def load(channels: ChannelStore, hosted: HostedChannel, missing: ItemsNotLoaded) -> None:
     """Load the archived items that a search needs. Raises Unavailable if the archive cannot be read."""
     reads = missing.reads()
     query = next(reads, None)
@@ -28,7 +28,7 @@ async def load(channels: ChannelStore, hosted: HostedChannel, missing: NotLoaded
 
 
 async def filled(channels: ChannelStore, near: Mapping[bytes, HostedChannel], found: FoundMatch) -> FoundMatch:
-    """The match with its archived items. If an item has left the archive, its `Nearest` in the match has no `item`.
+    """The match with its archived items. If an item has left the archive, its `NearestItem` in the match has no `item`.
 
     Raises Unavailable if an archive cannot be read.
     """

@@ -9,7 +9,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.recording import Recording
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.core.channel import Query, SubscriptionBatch
-from stampede_rt_channel_host.core.group import Horizon, RecordedStep, VisibleAll
+from stampede_rt_channel_host.core.group import Horizon, RecordedStep, VisibleAllCursor
 
 LATE_BYTES = 2**20
 """One step searches about this number of bytes of the archive for late items."""
@@ -18,7 +18,7 @@ LATE_BYTES = 2**20
 class RecordedSteps:
     """Takes the steps of one subscription that memory does not have."""
 
-    def __init__(self, channels: ChannelStore, place: VisibleAll) -> None:
+    def __init__(self, channels: ChannelStore, place: VisibleAllCursor) -> None:
         """`place`: the position of the reader."""
         self._channels, self._place = channels, place
         self._step: RecordedStep | None = None

@@ -17,20 +17,20 @@ from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.core.channel import (
     BEFORE_ALL,
     ChannelSnapshot,
-    Pending,
+    PendingGet,
     Pieces,
     ReachTracker,
     ReadAnswer,
-    Unfinished,
+    UnfinishedWork,
     WakeAt,
 )
 from stampede_rt_channel_host.core.group import Horizon, VisibleChannel, polling
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 
-Released = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer]
+Released = ReadAnswer | UnfinishedWork[ReadAnswer | WakeAt] | UnfinishedWork[ReadAnswer]
 
 
-class PendingAt(Pending):
+class PendingAt(PendingGet):
     """A blocking get through a group.
 
     `at`: the cut at which the get reads; None: the present cut. `cut`: the cut at the last look for its answer.
@@ -38,7 +38,7 @@ class PendingAt(Pending):
 
     __slots__ = ("at", "cut")
 
-    def __init__(self, pending: Pending, at: int | None) -> None:
+    def __init__(self, pending: PendingGet, at: int | None) -> None:
         super().__init__(pending.query, pending.interval)
         self.at = at
         self.cut: int | None = None
@@ -52,7 +52,7 @@ class _GroupSnapshot:
         self._snapshot = snapshot
         self._horizon = group.horizon()
 
-    def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
+    def polling(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """See `Polled`."""
         at = _at(pending)
         horizon = self._horizon if at.at is None else self._group.horizon(at.at)
@@ -131,11 +131,11 @@ class GroupGets:
             if not len(self.gets):
                 self._leave()
 
-    def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
+    def polling(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """See `Source`."""
         return self._view.polling(pending, self._horizon(pending), now)
 
-    def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
+    def giving_up(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer]:
         """See `Source`."""
         return self._view.giving_up(pending, self._horizon(pending), now)
 
@@ -157,7 +157,7 @@ class GroupGets:
         self._leave()
         self._scheduler.begin(self.gets.ending(error))
 
-    def _horizon(self, pending: Pending) -> Horizon:
+    def _horizon(self, pending: PendingGet) -> Horizon:
         at = _at(pending)
         horizon = self._group.horizon(at.at)
         at.cut = horizon.cut
@@ -173,6 +173,6 @@ class GroupGets:
         return BEFORE_ALL if cut is None else cut
 
 
-def _at(pending: Pending) -> PendingAt:
+def _at(pending: PendingGet) -> PendingAt:
     assert isinstance(pending, PendingAt), "GroupGets holds only gets through the group"
     return pending

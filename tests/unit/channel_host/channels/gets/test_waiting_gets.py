@@ -27,7 +27,7 @@ from stampede_rt_channel_host.channels.time_limits import LIMITS_PER_PIECE
 from stampede_rt_channel_host.core.channel import (
     ChannelCore,
     Offer,
-    Pending,
+    PendingGet,
     Pieces,
     Position,
     Query,
@@ -79,7 +79,7 @@ class Blocked:
 class CountingChannel(ChannelCore):
     polls = 0
 
-    def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
+    def polling(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer | WakeAt]:
         self.polls += 1
         return super().polling(pending, now)
 
@@ -216,7 +216,7 @@ async def test_an_item_whose_span_ends_in_the_future_releases_the_gets_within_th
 def kept_gets() -> int:
     """The number of waiting gets and their reads that the memory of this process has."""
     gc.collect()
-    return sum(isinstance(one, WaitingGet | Pending) for one in gc.get_objects())
+    return sum(isinstance(one, WaitingGet | PendingGet) for one in gc.get_objects())
 
 
 async def test_cancelled_gets_are_removed_from_the_list_of_waiting_gets() -> None:

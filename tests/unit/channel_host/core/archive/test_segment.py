@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 from stampede_rt_channel_host.core import archive
-from stampede_rt_channel_host.core.archive import ArchivedRun, Scan
+from stampede_rt_channel_host.core.archive import ArchivedRun, SegmentScan
 from stampede_rt_channel_host.core.channel import Run, make_run
 
 
@@ -28,7 +28,7 @@ def segment_of(blocks: int) -> tuple[bytes, list[int]]:
     return raw, ends
 
 
-def scanned(raw: bytes, *, check_contents: bool = False) -> Scan:
+def scanned(raw: bytes, *, check_contents: bool = False) -> SegmentScan:
     return archive.scan(lambda offset, length: raw[offset : offset + length], len(raw), check_contents=check_contents)
 
 

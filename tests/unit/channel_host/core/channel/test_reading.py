@@ -20,7 +20,7 @@ from stampede_rt.values.timeline import (
 from stampede_rt_channel_host.core.channel import (
     ChannelCore,
     Needs,
-    Pending,
+    PendingGet,
     Position,
     Query,
     Reach,
@@ -168,7 +168,7 @@ def test_a_position_of_another_incarnation_is_refused() -> None:
         Query(interval=parse_interval(MIN_INSTANT, NOW), limit=0)
 
 
-def instant_to_wake(channel: ChannelCore, pending: Pending) -> int | None:
+def instant_to_wake(channel: ChannelCore, pending: PendingGet) -> int | None:
     found = channel.poll(pending, CLOCK)
     assert isinstance(found, WakeAt)
     return found.instant

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.group import ChannelTimes, GroupCut, GroupDefinition, OwnTimes, TimesBoard
+from stampede_rt_channel_host.core.group import ChannelTimes, GroupCut, GroupDefinition, OwnChannelTimes, TimesBoard
 from tests.support.channel_host.group_channels import INCARNATION, NOW, channel, put
 
 A, B = b"a", b"b"
@@ -175,9 +175,9 @@ def test_an_item_that_all_consumers_consumed_before_the_group_existed_counts_for
     used = channel(100, 120, policy=Policy(consumers=1, max_items=10))
     used.consume(1, [1, 2], NOW)
     assert used.newest is None
-    assert OwnTimes(used, NOW).times(1).newest == 120
+    assert OwnChannelTimes(used, NOW).times(1).newest == 120
     put(used, 110)  # late, which consumption allows
-    assert OwnTimes(used, NOW).times(1) == ChannelTimes(1, INCARNATION, 120)
+    assert OwnChannelTimes(used, NOW).times(1) == ChannelTimes(1, INCARNATION, 120)
 
 
 def test_a_former_owner_does_not_count_and_still_receives_times() -> None:

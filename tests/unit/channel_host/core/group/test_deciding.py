@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer
-from stampede_rt_channel_host.core.group import Boundary, CutFollower, CutMember, EventDecider, KnownTimes, OwnTimes
+from stampede_rt_channel_host.core.group import (
+    Boundary,
+    CutFollower,
+    CutMember,
+    EventDecider,
+    KnownTimes,
+    OwnChannelTimes,
+)
 from stampede_rt_channel_host.core.group.deciding import PENDING_MAX
 from stampede_rt_channel_host.core.group.times import ChannelTimes
 from tests.support.channel_host.group_channels import INCARNATION, NOW, channel, put, times
@@ -72,7 +79,7 @@ def test_an_event_has_fifteen_frames_for_each_text_item() -> None:
     second, frame = 30_000_000, 2_000_000
     video, text = channel(), channel()
     follower = CutFollower(video, 0, NOW)
-    decider, of_text, of_video = EventDecider(0, second), OwnTimes(text, NOW), OwnTimes(video, NOW)
+    decider, of_text, of_video = EventDecider(0, second), OwnChannelTimes(text, NOW), OwnChannelTimes(video, NOW)
     counts = []
     for number in range(1, 61):
         clock = number * frame

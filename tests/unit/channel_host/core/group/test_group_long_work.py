@@ -13,9 +13,9 @@ from stampede_rt_channel_host.core.channel import ChannelCore, Slice, index, pie
 from stampede_rt_channel_host.core.group import (
     CutFollower,
     Horizon,
-    VisibleAll,
+    VisibleAllCursor,
     VisibleChannel,
-    VisibleNewest,
+    VisibleNewestCursor,
     following,
 )
 from tests.support.channel_host.group_channels import NOW, channel, put
@@ -103,7 +103,7 @@ def test_the_merge_of_late_items_begins_with_one_list_in_each_part(monkeypatch: 
 def test_a_read_through_a_group_reports_that_unread_items_remain() -> None:
     made = channel(1_000_000, policy=POLICY)
     horizon = Horizon(1_000_001, lambda: "held back")
-    reader, newest = VisibleAll(made, horizon, NOW), VisibleNewest(made, horizon, NOW)
+    reader, newest = VisibleAllCursor(made, horizon, NOW), VisibleNewestCursor(made, horizon, NOW)
     for time in range(ITEMS, 0, -1):
         put(made, time)
     first = reader.take(horizon, NOW, 2**20)
@@ -120,7 +120,7 @@ def test_a_subscription_through_a_group_from_the_oldest_item_on_begins_without_a
     made = channel(*range(1, ITEMS + 1), policy=POLICY)
     looked.slices = 0
     horizon = Horizon(ITEMS + 1, lambda: "held back")
-    VisibleAll(made, horizon, NOW, start=parse_interval(0, NOW).start)
+    VisibleAllCursor(made, horizon, NOW, start=parse_interval(0, NOW).start)
     assert looked.slices <= 5000
     looked.slices = 0
     assert VisibleChannel(made).hidden_items(ITEMS // 2, NOW) == ITEMS // 2 + 1

@@ -10,7 +10,7 @@ import pytest
 from stampede_rt.matching.pairing import STEPS_MAX
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import ChannelCore, Position
-from stampede_rt_channel_host.core.group import OWN, LocalTrack, Matcher, OwnTimes, RemoteTrack
+from stampede_rt_channel_host.core.group import OWN, LocalTrack, Matcher, OwnChannelTimes, RemoteTrack
 from stampede_rt_channel_host.core.group.loss_counter import LossCounter
 from stampede_rt_channel_host.core.group.tracks import TRACK_ITEMS_MAX
 from tests.support.channel_host.group_channels import INCARNATION, NOW, channel, put
@@ -19,7 +19,7 @@ RIGHT = b"right"
 
 
 def passed(right: ChannelCore) -> Callable[[bytes, int], bool]:
-    return lambda _, instant: OwnTimes(right, NOW).times(1).has_passed(instant)
+    return lambda _, instant: OwnChannelTimes(right, NOW).times(1).has_passed(instant)
 
 
 def everything(left: ChannelCore, right: ChannelCore, tolerance: int) -> Matcher:
@@ -165,7 +165,7 @@ def unique(left: ChannelCore, right: ChannelCore, tolerance: int) -> Matcher:
 
 def matched(matcher: Matcher, left: ChannelCore, right: ChannelCore) -> list[tuple[int, int | None]]:
     """The results of a match that waits for its own channel, too."""
-    times = {OWN: OwnTimes(left, NOW).times(1), RIGHT: OwnTimes(right, NOW).times(1)}
+    times = {OWN: OwnChannelTimes(left, NOW).times(1), RIGHT: OwnChannelTimes(right, NOW).times(1)}
     taken = matcher.take(lambda name, instant: times[name].has_passed(instant), NOW, 100)
     return [(one.item.slice.first_time, one.matched[RIGHT].time if RIGHT in one.matched else None) for one in taken]
 
@@ -222,7 +222,7 @@ def test_a_late_item_is_awaited_and_matched_as_the_nearest() -> None:
     own = {OWN: left, RIGHT: right}
 
     def has_passed(name: bytes, instant: int) -> bool:
-        return OwnTimes(own[name], NOW).times(1).has_passed(instant, 20)
+        return OwnChannelTimes(own[name], NOW).times(1).has_passed(instant, 20)
 
     assert late.take(has_passed, NOW, 100) == []
     assert len(matcher.take(lambda name, instant: instant < 30, NOW, 100)) == 2

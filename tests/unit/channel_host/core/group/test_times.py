@@ -5,13 +5,13 @@ from __future__ import annotations
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import MAX_INSTANT
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer
-from stampede_rt_channel_host.core.group import ChannelTimes, OwnTimes, TimesBoard
+from stampede_rt_channel_host.core.group import ChannelTimes, OwnChannelTimes, TimesBoard
 from tests.support.channel_host.group_channels import INCARNATION, NOW, channel, put
 
 A = b"a"
 
 
-def told(of: ChannelCore, follower: OwnTimes) -> tuple[int | None, int | None]:
+def told(of: ChannelCore, follower: OwnChannelTimes) -> tuple[int | None, int | None]:
     follower.observe(NOW)
     times = follower.times(1)
     assert times.incarnation == of.incarnation
@@ -20,7 +20,7 @@ def told(of: ChannelCore, follower: OwnTimes) -> tuple[int | None, int | None]:
 
 def test_the_largest_end_in_the_newest_bucket_counts_and_a_later_bucket_has_its_own() -> None:
     made = channel(10, durations=[5])
-    follower = OwnTimes(made, NOW)
+    follower = OwnChannelTimes(made, NOW)
     assert told(made, follower) == (10, 15)
     put(made, 10, 90)
     put(made, 10, 2)
@@ -34,7 +34,7 @@ def test_the_largest_end_in_the_newest_bucket_counts_and_a_later_bucket_has_its_
 
 def test_late_and_removed_items_change_no_time() -> None:
     made = channel(10, 30, durations=[5, 5], policy=Policy(max_items=2))
-    follower = OwnTimes(made, NOW)
+    follower = OwnChannelTimes(made, NOW)
     put(made, 20, 2**62)
     assert told(made, follower) == (30, 35)
     put(made, 40)
@@ -47,17 +47,17 @@ def test_a_run_is_looked_through_for_its_latest_bucket() -> None:
     made = channel()
     times, durations = [30, 10, 30, 20], [1, 500, 9, 500]
     made.put(Offer(times=times, durations=durations, lengths=[1] * 4), NOW, lambda first_seq, kept, stamped: b"")
-    assert told(made, OwnTimes(made, NOW)) == (30, 39)
+    assert told(made, OwnChannelTimes(made, NOW)) == (30, 39)
 
 
 def test_an_endless_duration_ends_at_the_greatest_instant() -> None:
     made = channel(10, durations=[2**63 - 1])
-    assert told(made, OwnTimes(made, NOW)) == (10, MAX_INSTANT)
+    assert told(made, OwnChannelTimes(made, NOW)) == (10, MAX_INSTANT)
 
 
 def test_a_late_item_or_an_advance_ends_the_silence_of_a_channel_and_a_read_does_not() -> None:
     made = channel(10, 20)
-    follower = OwnTimes(made, 5)
+    follower = OwnChannelTimes(made, 5)
     assert follower.observe(7) is False
     assert follower.silent_since == 5
     put(made, 15)

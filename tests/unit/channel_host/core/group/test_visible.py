@@ -10,7 +10,7 @@ from stampede_rt.errors import IncarnationLost
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, parse_interval
 from stampede_rt_channel_host.core.channel import Needs, Offer, Position, Query, WakeAt
-from stampede_rt_channel_host.core.group import Horizon, VisibleAll, VisibleChannel, VisibleNewest
+from stampede_rt_channel_host.core.group import Horizon, VisibleAllCursor, VisibleChannel, VisibleNewestCursor
 from tests.support.channel_host.group_channels import INCARNATION, channel, put, times
 from tests.support.channel_host.group_channels import NOW as CLOCK
 
@@ -91,7 +91,7 @@ def test_positions_of_another_incarnation_are_refused() -> None:
         VisibleChannel(channel(10)).read(query, horizon(15), CLOCK)
 
 
-def delivered(reader: VisibleAll, cut: int | None) -> list[int]:
+def delivered(reader: VisibleAllCursor, cut: int | None) -> list[int]:
     found: list[int] = []
     while (part := reader.take(horizon(cut), CLOCK, 100)).more or not part.is_empty:
         found += times([one.slice for one in part.slices])
@@ -100,7 +100,7 @@ def delivered(reader: VisibleAll, cut: int | None) -> list[int]:
 
 def test_a_subscription_brings_newly_visible_items_and_late_items() -> None:
     made = channel(10, 20, 30)
-    reader = VisibleAll(made, horizon(20), CLOCK)
+    reader = VisibleAllCursor(made, horizon(20), CLOCK)
     assert delivered(reader, 20) == []
     put(made, 15)
     assert delivered(reader, 20) == [15]
@@ -109,14 +109,14 @@ def test_a_subscription_brings_newly_visible_items_and_late_items() -> None:
 
 def test_a_subscription_with_a_start_begins_with_the_visible_items_from_the_start_on() -> None:
     made = channel(10, 20, 30)
-    reader = VisibleAll(made, horizon(25), CLOCK, start=OLDEST, start_exclusive=True)
+    reader = VisibleAllCursor(made, horizon(25), CLOCK, start=OLDEST, start_exclusive=True)
     assert delivered(reader, 25) == [20]
     assert delivered(reader, 40) == [30]
 
 
 def test_a_resumed_group_subscription_skips_nothing() -> None:
     made = channel(10, 20, 30, 15)  # the last item came late
-    reader = VisibleAll(made, horizon(40), CLOCK, after=Position(20, 2, INCARNATION))
+    reader = VisibleAllCursor(made, horizon(40), CLOCK, after=Position(20, 2, INCARNATION))
     assert delivered(reader, 40) == [15, 30]
 
 
@@ -125,12 +125,12 @@ def test_a_subscription_resumed_within_a_step_skips_no_late_item() -> None:
     seq.
     """
     made = channel(10)
-    reader = VisibleAll(made, horizon(15), CLOCK)
+    reader = VisibleAllCursor(made, horizon(15), CLOCK)
     put(made, 5)
     put(made, 20)
     first = times([one.slice for one in reader.take(horizon(25), CLOCK, 1).slices])
     assert first == [5]
-    resumed = VisibleAll(made, horizon(25), CLOCK, after=Position(5, 2, INCARNATION))
+    resumed = VisibleAllCursor(made, horizon(25), CLOCK, after=Position(5, 2, INCARNATION))
     assert delivered(resumed, 25)[-1] == 20
 
 
@@ -141,7 +141,7 @@ def test_a_subscription_resumed_within_a_run_keeps_all_granted_items() -> None:
     """
     made = channel(policy=Policy(max_items=3))
     made.put(Offer(times=[10, 20, 30], durations=None, lengths=[8] * 3), CLOCK, lambda first_seq, kept, stamped: b"")
-    reader = VisibleAll(made, horizon(15), CLOCK, after=Position(10, 1, INCARNATION))
+    reader = VisibleAllCursor(made, horizon(15), CLOCK, after=Position(10, 1, INCARNATION))
     put(made, 40)
     put(made, 50)
     part = reader.take(horizon(60), CLOCK, 10**6)
@@ -186,7 +186,7 @@ def test_a_get_from_a_future_instant_wakes_at_that_instant_unless_only_the_cut_c
 def test_counting_from_a_key_without_an_item_is_exact() -> None:
     made = channel(policy=Policy(max_items=3))
     made.put(Offer(times=[10, 20, 30], durations=None, lengths=[8] * 3), CLOCK, lambda first_seq, kept, stamped: b"")
-    reader = VisibleAll(made, horizon(15), CLOCK, after=Position(5, 2, INCARNATION))
+    reader = VisibleAllCursor(made, horizon(15), CLOCK, after=Position(5, 2, INCARNATION))
     put(made, 40)
     put(made, 50)
     assert times([one.slice for one in reader.take(horizon(60), CLOCK, 10**6).slices]) == [30, 40, 50]
@@ -197,7 +197,7 @@ def test_counting_from_a_key_without_an_item_is_exact() -> None:
 
 def test_the_lowest_owed_seq_of_a_subscription_is_that_of_a_hidden_item() -> None:
     made = channel(10, 40, 20, 30)
-    reader = VisibleAll(made, horizon(15), CLOCK)
+    reader = VisibleAllCursor(made, horizon(15), CLOCK)
     assert reader.lowest_owed_seq(CLOCK) == 2
     assert delivered(reader, 35) == [20, 30]
     assert reader.lowest_owed_seq(CLOCK) == 2
@@ -205,14 +205,14 @@ def test_the_lowest_owed_seq_of_a_subscription_is_that_of_a_hidden_item() -> Non
     assert reader.lowest_owed_seq(CLOCK) == 5
 
 
-def newest_time(reader: VisibleNewest, cut: int) -> int | None:
+def newest_time(reader: VisibleNewestCursor, cut: int) -> int | None:
     given = reader.take(horizon(cut), CLOCK)
     return given.slices[0].slice.first_time if given.slices else None
 
 
 def test_a_newest_subscription_yields_the_newest_visible_item_and_counts_skipped_and_lost_items() -> None:
     made = channel(policy=Policy(max_items=2))
-    reader = VisibleNewest(made, horizon(5), CLOCK)
+    reader = VisibleNewestCursor(made, horizon(5), CLOCK)
     for time in (10, 20, 30):
         put(made, time)
     assert newest_time(reader, 25) == 20
@@ -223,14 +223,14 @@ def test_a_newest_subscription_yields_the_newest_visible_item_and_counts_skipped
 
 def test_the_newest_begins_at_or_after_its_start() -> None:
     made = channel(10, 20)
-    assert newest_time(VisibleNewest(made, horizon(25), CLOCK, start=NEWEST), 25) == 20
-    assert newest_time(VisibleNewest(made, horizon(25), CLOCK, start=NEWEST, start_exclusive=True), 25) is None
-    assert newest_time(VisibleNewest(made, horizon(25), CLOCK), 25) is None
+    assert newest_time(VisibleNewestCursor(made, horizon(25), CLOCK, start=NEWEST), 25) == 20
+    assert newest_time(VisibleNewestCursor(made, horizon(25), CLOCK, start=NEWEST, start_exclusive=True), 25) is None
+    assert newest_time(VisibleNewestCursor(made, horizon(25), CLOCK), 25) is None
 
 
 def test_a_newest_subscription_never_goes_back_although_later_items_are_consumed() -> None:
     made = channel(10, 20, policy=Policy(consumers=1, max_items=10))
-    reader = VisibleNewest(made, horizon(15), CLOCK)
+    reader = VisibleNewestCursor(made, horizon(15), CLOCK)
     assert newest_time(reader, 25) == 20
     made.consume(1, [1, 2], CLOCK)
     put(made, 18)

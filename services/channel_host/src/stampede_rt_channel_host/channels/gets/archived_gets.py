@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 from stampede_rt_channel_host.channels.gets.open_get import OpenGet
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
-from stampede_rt_channel_host.core.channel import Pending, ReadAnswer
+from stampede_rt_channel_host.core.channel import PendingGet, ReadAnswer
 
 
-async def read_recorded(get: OpenGet, scheduler: PieceScheduler, now: Callable[[], int]) -> ReadAnswer | Pending:
+async def read_recorded(get: OpenGet, scheduler: PieceScheduler, now: Callable[[], int]) -> ReadAnswer | PendingGet:
     """The answer of a get over the archive and memory.
 
     A get that may wait, and whose items have not come, gets its interval instead (`get.pending`): the caller lets it
@@ -29,5 +29,5 @@ async def read_recorded(get: OpenGet, scheduler: PieceScheduler, now: Callable[[
     if is_over or (answer.slices and not query.complete):
         return answer
     get.continues, get.waits_for_archive = False, True
-    get.pending = Pending(query, read.within)
+    get.pending = PendingGet(query, read.within)
     return get.pending

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from stampede_rt_channel_host.channels.gets.waiting_get import WaitingGet
 from stampede_rt_channel_host.core.channel import (
-    Pending,
+    PendingGet,
     Pieces,
     Reach,
     ReadAnswer,
@@ -21,7 +21,7 @@ from stampede_rt_channel_host.core.keyed_list import KeyedList
 class Polled(Protocol):
     """An object in which blocked gets look for their answers: a `Source`, or a snapshot of one."""
 
-    def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
+    def polling(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """See `ChannelCore.polling`."""
 
 
@@ -35,7 +35,7 @@ class SourceSnapshot(Polled, Protocol):
 class Source(Polled, Protocol):
     """The source that gets wait for: a channel, or the visible part of a channel in a group."""
 
-    def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
+    def giving_up(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer]:
         """See `ChannelCore.giving_up`."""
 
     def snapshot(self, now: int) -> SourceSnapshot:

@@ -31,7 +31,7 @@ from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.channel import (
     Pieces,
     ReadAnswer,
-    Unfinished,
+    UnfinishedWork,
     WakeAt,
     emptying,
     first_of,
@@ -150,9 +150,9 @@ class GetStream:
         get.pending = hosted.channel.begin(plan.query, now)
         self._answer_or_wait(get, get.poll(now), now)
 
-    def _answer_or_wait(self, get: OpenGet, found: ReadAnswer | WakeAt | Unfinished[Any], now: int) -> None:
+    def _answer_or_wait(self, get: OpenGet, found: ReadAnswer | WakeAt | UnfinishedWork[Any], now: int) -> None:
         """Send the answer, or let the get wait, or start a task that makes a long answer in pieces."""
-        if isinstance(found, Unfinished):
+        if isinstance(found, UnfinishedWork):
             self._calls[get.call_id] = self._stream.spawn(self._finish(get, found.rest))
         elif isinstance(found, WakeAt):
             assert get.pending is not None, "only a blocking get is to wait"
@@ -184,7 +184,7 @@ class GetStream:
     async def _finish(self, get: OpenGet, pieces: Pieces[ReadAnswer | WakeAt]) -> None:
         try:
             await self._outbox.room()
-            found: ReadAnswer | WakeAt | Unfinished[Any] = await self._store.scheduler.finish(pieces)
+            found: ReadAnswer | WakeAt | UnfinishedWork[Any] = await self._store.scheduler.finish(pieces)
             self._check_served(get, found)
             now = self._store.now()
             if isinstance(found, WakeAt) and get.is_outdated:

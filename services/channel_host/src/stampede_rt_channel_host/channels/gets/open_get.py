@@ -8,7 +8,7 @@ from stampede_rt_channel_host.channels import copied_archives
 from stampede_rt_channel_host.channels.gets.get_plans import GetPlan
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.past_reads import PastSummary
-from stampede_rt_channel_host.core.channel import Pending, ReadAnswer, Unfinished, WakeAt, first_of
+from stampede_rt_channel_host.core.channel import PendingGet, ReadAnswer, UnfinishedWork, WakeAt, first_of
 
 
 class OpenGet:
@@ -30,7 +30,7 @@ class OpenGet:
         self.call_id = call_id
         self.plan = plan
         self.hosted = hosted
-        self.pending: Pending | None = None  # the query and interval of a blocking get; None for other gets
+        self.pending: PendingGet | None = None  # the query and interval of a blocking get; None for other gets
         self.continues = False  # whether the answer was cut off for its length
         self.waits_for_archive = False  # whether the answer of memory is to be completed from the archive
         self.past: PastSummary | None = None  # set for a get as of an earlier instant
@@ -69,7 +69,7 @@ class OpenGet:
             return
         raise InvalidArgument(f"as_of: {why}")
 
-    def poll(self, now: int) -> ReadAnswer | WakeAt | Unfinished[ReadAnswer | WakeAt]:
+    def poll(self, now: int) -> ReadAnswer | WakeAt | UnfinishedWork[ReadAnswer | WakeAt]:
         """Look for the answer of a blocking get.
 
         Returns the answer, or when to look again, or, if the work is long, the rest of the work.

@@ -9,15 +9,15 @@ from stampede_rt.errors import StampedeError, error_for
 from stampede_rt_channel_host.channels.time_limits import TimeLimit, TimeLimits
 from stampede_rt_channel_host.core.channel import (
     Needs,
-    Pending,
+    PendingGet,
     ReadAnswer,
-    Unfinished,
+    UnfinishedWork,
     WakeAt,
 )
 from stampede_rt_channel_host.core.keyed_list import Key
 
-Outcome = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer] | StampedeError
-"""`Unfinished`: the host has made the first piece of a long answer. The receiver of the outcome performs the rest."""
+Outcome = ReadAnswer | UnfinishedWork[ReadAnswer | WakeAt] | UnfinishedWork[ReadAnswer] | StampedeError
+"""`UnfinishedWork`: the host has made the first piece of a long answer. Its receiver performs the rest."""
 
 
 class WaitingGet:
@@ -30,7 +30,7 @@ class WaitingGet:
 
     def __init__(
         self,
-        pending: Pending,
+        pending: PendingGet,
         arrival: int,
         on_outcome: Callable[[Outcome], None],
         remove: Callable[[WaitingGet], None],
@@ -62,7 +62,7 @@ class WaitingGet:
         self._on_outcome(outcome)
 
 
-def with_interval(error: StampedeError, pending: Pending) -> StampedeError:
+def with_interval(error: StampedeError, pending: PendingGet) -> StampedeError:
     """The error for a get that waits. If the channel has moved, the error has the interval as this host resolved it.
 
     So the next owner does not resolve the meta-times of the get a second time.

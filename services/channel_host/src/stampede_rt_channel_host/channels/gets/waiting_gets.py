@@ -26,11 +26,11 @@ from stampede_rt_channel_host.core.channel import (
     AFTER_ALL,
     BEFORE_ALL,
     Needs,
-    Pending,
+    PendingGet,
     Pieces,
     ReachTracker,
     ReadAnswer,
-    Unfinished,
+    UnfinishedWork,
     WakeAt,
     first_of,
     run_to_end,
@@ -91,7 +91,7 @@ class WaitingGets:
         return len(self._waiting)
 
     def add(
-        self, pending: Pending, wake: WakeAt, wait_nanos: int, now: int, on_outcome: Callable[[Outcome], None]
+        self, pending: PendingGet, wake: WakeAt, wait_nanos: int, now: int, on_outcome: Callable[[Outcome], None]
     ) -> WaitingGet:
         """Block a get that was just polled. `wake`: the result of that poll. `wait_nanos` below 0: without limit.
 
@@ -204,7 +204,7 @@ class WaitingGets:
             self._insert(get, found)
             return 1
         get.finish(found)
-        return GETS_PER_PIECE if isinstance(found, Unfinished) else 1 + len(found.slices) // SLICES_PER_LOOK
+        return GETS_PER_PIECE if isinstance(found, UnfinishedWork) else 1 + len(found.slices) // SLICES_PER_LOOK
 
     def _insert(self, get: WaitingGet, wake: WakeAt) -> None:
         """Let a get wait, sorted by the needs and the instant that its last poll returned."""
@@ -259,5 +259,5 @@ class WaitingGets:
             if release.snapshot is not None and get.arrival <= release.arrivals and get in self._waiting:
                 self._look(get, release.snapshot, self._now())
         if get in self._waiting:
-            found: ReadAnswer | Unfinished[ReadAnswer] = first_of(self._source.giving_up(get.pending, self._now()))
+            found: ReadAnswer | UnfinishedWork[ReadAnswer] = first_of(self._source.giving_up(get.pending, self._now()))
             get.finish(found)

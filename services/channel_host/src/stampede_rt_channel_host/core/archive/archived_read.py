@@ -11,14 +11,14 @@ from stampede_rt.values.timeline import Match, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.archive.doubts import Doubt
 from stampede_rt_channel_host.core.archive.holes import Hole, WindowReach
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan, RecordedItems, earliest, latest
-from stampede_rt_channel_host.core.archive.window import ArchiveWindow, Chosen, Wanted
+from stampede_rt_channel_host.core.archive.window import ArchiveWindow, ChosenBlocks, WantedItems
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot, HoldingsSnapshot
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces
-from stampede_rt_channel_host.core.channel.reading import Reading
+from stampede_rt_channel_host.core.channel.reading import QueryReader
 from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.values import Query, ReadAnswer
 
@@ -61,13 +61,13 @@ class WantedWindow(NamedTuple):
     `limits` are the channel's; None: the reader does not ask where the archive may lack items.
     """
 
-    wanted: Wanted
+    wanted: WantedItems
     low: ItemKey
     high: ItemKey
     limits: ChannelLimits | None = None
 
 
-def reach_of(window: WantedWindow, chosen: Chosen) -> WindowReach:
+def reach_of(window: WantedWindow, chosen: ChosenBlocks) -> WindowReach:
     """The times at which a window looks, once its blocks are chosen."""
     wanted, edge = window.wanted, chosen.edge
     low = wanted.start if wanted.from_time is None else wanted.from_time
@@ -97,7 +97,7 @@ class ArchivedRead:
         self._left = query.limit
         self._pages: list[Sequence[Slice]] = []
         self._last: ReadAnswer | None = None
-        self._reading: Reading | None = None
+        self._reading: QueryReader | None = None
         self._next_time: int | None = None
         self._next_times: dict[ItemKey, int] = {}
         self._bytes = 0
@@ -132,7 +132,7 @@ class ArchivedRead:
         if self._edge is not None:
             from_time, low = self._edge, (self._edge, 0)
         high = min(border, (within.end, SEQ_END))
-        wanted = Wanted(self._start, high, self._held.overlap_nanos, size, from_time)
+        wanted = WantedItems(self._start, high, self._held.overlap_nanos, size, from_time)
         return WantedWindow(wanted, low, border, self._retention.limits)
 
     def _window_down(self, size: int) -> WantedWindow:
@@ -142,7 +142,7 @@ class ArchivedRead:
             high = border = min(border, (self._edge or 0, SEQ_END))
         if query.after is not None:
             high = min(high, (max(query.after.time, within.start), SEQ_END))
-        wanted = Wanted(self._start, high, self._held.overlap_nanos, size, down=True)
+        wanted = WantedItems(self._start, high, self._held.overlap_nanos, size, down=True)
         return WantedWindow(wanted, FIRST_KEY, border, self._retention.limits)
 
     def take(self, window: ArchiveWindow) -> Pieces[None]:
@@ -165,8 +165,8 @@ class ArchivedRead:
             self._more = answer.more
         self._go_on(window)
 
-    def _reading_of(self, items: RecordedItems) -> Reading:
-        reading = Reading(items, self._retention, self._moment.incarnation, self._moment.lost_before)
+    def _reading_of(self, items: RecordedItems) -> QueryReader:
+        reading = QueryReader(items, self._retention, self._moment.incarnation, self._moment.lost_before)
         reading.lost_from = self._moment.lost_from
         reading.advance = self._moment.advanced_to
         return reading

@@ -25,7 +25,7 @@ from stampede_rt_channel_host.core.archive.window import BlocksOf
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.pieces import Pieces
-from stampede_rt_channel_host.core.channel.reading import Reading
+from stampede_rt_channel_host.core.channel.reading import QueryReader
 from stampede_rt_channel_host.core.channel.values import Query, ReadAnswer
 
 RunsOf = Callable[[Segment, PlacedBlock], Sequence[ArchivedRun]]
@@ -45,7 +45,7 @@ class NextItems(NamedTuple):
     end: int
 
 
-class Past(NamedTuple):
+class PastArchive(NamedTuple):
     """An archive's segments with only the items that the host had accepted by an instant.
 
     `last_blocks` are the blocks of the last segment if it was cut off; otherwise None. The head of a cut block
@@ -76,9 +76,9 @@ class Past(NamedTuple):
 
 def past_of(
     segments: Sequence[Segment], blocks_of: BlocksOf, runs_of: RunsOf, advances_of: AdvancesOf, as_of: int
-) -> Past:
+) -> PastArchive:
     """The archive as it was at the instant `as_of`. Reads at most two blocks of runs and one block of advances."""
-    past, reached = Past(tuple(segments), None, None), segments
+    past, reached = PastArchive(tuple(segments), None, None), segments
     for at, segment in enumerate(segments):
         place = blocks_of(segment).first_accepted_after(as_of) if segment.last_accepted > as_of else None
         if place is not None:
@@ -89,7 +89,9 @@ def past_of(
     return past._replace(advance=advance, next_advance=next_advance, as_of=as_of)
 
 
-def _cut(before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, runs_of: RunsOf, as_of: int) -> Past:
+def _cut(
+    before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, runs_of: RunsOf, as_of: int
+) -> PastArchive:
     """The past, if the last of `blocks` has the first items that the host accepted after the instant."""
     kept, last = blocks.up_to(len(blocks) - 1), blocks[-1]
     runs = runs_of(segment, last)
@@ -100,10 +102,10 @@ def _cut(before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, run
     # the archive lacks the items between the kept items and the next items, if there are any
     if short is not None:
         short = short._replace(first_seq=segment.first_seq, end_seq=max(short.end_seq, following.first_seq))
-        return Past((*before, short), kept, following)
+        return PastArchive((*before, short), kept, following)
     if before:
         before = [*before[:-1], before[-1]._replace(end_seq=max(before[-1].end_seq, following.first_seq))]
-    return Past(tuple(before), None, following)
+    return PastArchive(tuple(before), None, following)
 
 
 def _part(block: PlacedBlock, runs: Sequence[ArchivedRun], as_of: int) -> tuple[PlacedBlock | None, NextItems]:
@@ -153,7 +155,7 @@ def _advances(
 class PastFacts(NamedTuple):
     """The facts about a channel at an earlier instant that reads need in addition to its items.
 
-    `advance` was the highest instant of an advance. `lost_before` and `lost_from`: see `Reading`.
+    `advance` was the highest instant of an advance. `lost_before` and `lost_from`: see `QueryReader`.
     """
 
     policy: Policy
@@ -163,7 +165,7 @@ class PastFacts(NamedTuple):
     lost_from: int | None
 
 
-def past_moment(facts: PastFacts, past: Past, span: ArchiveSpan, clock: int) -> ChannelSnapshot:
+def past_moment(facts: PastFacts, past: PastArchive, span: ArchiveSpan, clock: int) -> ChannelSnapshot:
     """The channel as it was at `clock`, without items in memory, because the archive has all of them. `span`: of
     `past`.
     """
@@ -176,7 +178,7 @@ def past_moment(facts: PastFacts, past: Past, span: ArchiveSpan, clock: int) -> 
     return moment
 
 
-def _may_have_lost(past: Past, lost_before: int, clock: int) -> bool:
+def _may_have_lost(past: PastArchive, lost_before: int, clock: int) -> bool:
     """Whether an item accepted by `clock` may have been lost: at a time when the host had already lost items, or had
     accepted items that it was to lose.
     """
@@ -188,13 +190,13 @@ def _may_have_lost(past: Past, lost_before: int, clock: int) -> bool:
 def read_nothing(moment: ChannelSnapshot, query: Query, within: ResolvedInterval | None) -> Pieces[ReadAnswer]:
     """The answer of a channel that had no item yet."""
     held, retention = moment.look(moment.clock)
-    reading = Reading(held, retention, moment.incarnation, moment.lost_before)
+    reading = QueryReader(held, retention, moment.incarnation, moment.lost_before)
     reading.lost_from, reading.advance = moment.lost_from, moment.advanced_to
     return (yield from reading.answer(query, within, moment.clock))
 
 
 def nothing_left(
-    segments: Sequence[Segment], past: Past, within: ResolvedInterval | None, as_of: int, incarnation: int
+    segments: Sequence[Segment], past: PastArchive, within: ResolvedInterval | None, as_of: int, incarnation: int
 ) -> ReadAnswer:
     """The answer if the archive, which has the `segments`, has dropped or lost all items that the host had accepted by
     `as_of`.
@@ -208,7 +210,7 @@ def nothing_left(
     )  # fmt: skip
 
 
-def is_nothing_left(segments: Sequence[Segment], past: Past, *, has_dropped: bool) -> bool:
+def is_nothing_left(segments: Sequence[Segment], past: PastArchive, *, has_dropped: bool) -> bool:
     """Whether the archive, which has the `segments`, has dropped or lost all items of that instant.
 
     `has_dropped`: it has dropped items (`ArchiveSpan.has_dropped`).
@@ -217,7 +219,7 @@ def is_nothing_left(segments: Sequence[Segment], past: Past, *, has_dropped: boo
     return not has_items and (has_dropped or _lacks_first(segments, past) > 0)
 
 
-def _lacks_first(segments: Sequence[Segment], past: Past) -> int:
+def _lacks_first(segments: Sequence[Segment], past: PastArchive) -> int:
     """How many items the archive lacks before the next items, if it has no item of that instant."""
     if not segments:
         return 0

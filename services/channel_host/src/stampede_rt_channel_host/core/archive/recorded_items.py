@@ -29,8 +29,8 @@ class ArchiveSpan:
     def has_dropped(self, lost_before: int | None, lost_from: int | None) -> bool:
         """Whether the archive has dropped items before the oldest one, as far as the host can know.
 
-        `lost_before`, `lost_from`: of the channel (see `Reading`). With `lost_from` the archive had items of the former
-        owners. If all items before `lost_before` may be lost, reads say LOST for them.
+        `lost_before`, `lost_from`: of the channel (see `QueryReader`). With `lost_from` the archive had items of the
+        former owners. If all items before `lost_before` may be lost, reads say LOST for them.
         """
         tells_loss = lost_before is not None and lost_from is None
         return self.is_cut or (self.begins_anew and not tells_loss)
@@ -47,7 +47,7 @@ def latest(one: int | None, other: int | None) -> int | None:
 
 
 class RecordedItems:
-    """Items of an archive and of memory as reads see them (`Readable`). The archive has the items below `border`.
+    """Items of an archive and of memory as reads see them (`ReadableItems`). The archive has the items below `border`.
 
     `held` are the items in memory at one moment. The caller must not use this object after it has closed the moment.
     """

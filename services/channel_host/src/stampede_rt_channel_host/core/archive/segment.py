@@ -37,7 +37,7 @@ class PlacedBlock(NamedTuple):
         return self.offset + self.head.length
 
 
-class Scan(NamedTuple):
+class SegmentScan(NamedTuple):
     """The blocks of a segment. `end` is the offset after its last whole block: the bytes after it are a torn tail.
 
     If nothing can be torn, `end` is the end of the file. `damaged` are the ranges of bytes in which no block could
@@ -74,7 +74,9 @@ class Segment(NamedTuple):
         return begin_of(self.first_seq, self.end_seq)
 
 
-def scan(read_at: ReadAt, length: int, *, check_contents: bool, begin: int = 0, may_be_torn: bool = True) -> Scan:
+def scan(
+    read_at: ReadAt, length: int, *, check_contents: bool, begin: int = 0, may_be_torn: bool = True
+) -> SegmentScan:
     """All blocks of a segment of `length` bytes, or the blocks from the offset `begin` on.
 
     A block that reaches beyond the end is a torn tail. If a head is damaged, the scan searches for the next head. With
@@ -101,7 +103,7 @@ def scan(read_at: ReadAt, length: int, *, check_contents: bool, begin: int = 0, 
     if not may_be_torn and end < length:
         damaged.append((end, length))
         end = length
-    return Scan(blocks, end, [one for one in damaged if one[0] < end])
+    return SegmentScan(blocks, end, [one for one in damaged if one[0] < end])
 
 
 def _next_head(read_at: ReadAt, offset: int, length: int) -> int | None:

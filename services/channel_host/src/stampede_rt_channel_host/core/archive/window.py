@@ -31,17 +31,17 @@ AT_HAND_BYTES, AT_HAND_BLOCKS = 2**19, 8
 """The most bytes and blocks of a window that is short enough to be read without a thread."""
 
 
-class NotAtHand(Exception):
+class WindowNeedsThread(Exception):
     """The next window is too long to be read without a thread, or its blocks are not known yet."""
 
 
-class Wanted(NamedTuple):
+class WantedItems(NamedTuple):
     """The items that a read wants from an archive: the items from `start` on, with the bucket before it, below `high`.
 
     `overlap` is the overlap of the channel in nanoseconds. `from_time`: the read continues at this time, and wants no
     earlier item. `down`: the read wants the latest items first. `bytes_max`: about how many bytes one window may have.
     If a window needs more than `bytes_limit`, the read fails; this happens only with very many items of one time.
-    `at_hand`: the read fails with NotAtHand if the window is too long to be read without a thread.
+    `at_hand`: the read fails with WindowNeedsThread if the window is too long to be read without a thread.
     """
 
     start: int
@@ -59,7 +59,7 @@ class Wanted(NamedTuple):
         return TimeRange(self.start, self.high[0], self.overlap)
 
 
-class Chosen(NamedTuple):
+class ChosenBlocks(NamedTuple):
     """The blocks to load, with their segments.
 
     `edge`: the time at which the read continues. In a read upwards, all buckets of this window are before `edge`; in a
@@ -75,9 +75,9 @@ class Chosen(NamedTuple):
 class ArchiveWindow(NamedTuple):
     """The items of some blocks, in time order: whole buckets, without a gap between them.
 
-    `edge` and `following`: see `Chosen`. `end`: no item at or above this key belongs to the window or comes after it;
-    None: the items in memory come after the window. `holes`: the items that the archive lacks here. `doubts`: where it
-    may lack items.
+    `edge` and `following`: see `ChosenBlocks`. `end`: no item at or above this key belongs to the window or comes after
+    it; None: the items in memory come after the window. `holes`: the items that the archive lacks here. `doubts`: where
+    it may lack items.
     """
 
     items: ChannelIndex
@@ -88,30 +88,30 @@ class ArchiveWindow(NamedTuple):
     doubts: Sequence[Doubt] = ()
 
 
-def choose(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) -> Chosen:
+def choose(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: WantedItems) -> ChosenBlocks:
     """The blocks that the read loads next."""
     low = (_low_time(segments, blocks_of, wanted), 0)
     walk = _down(segments, blocks_of, low, wanted.high) if wanted.down else _up(segments, blocks_of, low)
-    growing, edge = _Growing(wanted, low[0]), None
+    growing, edge = _GrowingWindow(wanted, low[0]), None
     for segment, block in walk:
         head = block.head
         if not wanted.down and head.low >= wanted.high:
-            return Chosen(growing.taken, None, head.low[0])
+            return ChosenBlocks(growing.taken, None, head.low[0])
         if growing.size >= wanted.bytes_max and growing.may_end(head):
             edge = head.high[0] if wanted.down else head.low[0]
             break
         growing.take(segment, block)
     following = _next_low(segments, blocks_of, wanted.high[0]) if wanted.down else edge
-    return Chosen(growing.taken, edge, following)
+    return ChosenBlocks(growing.taken, edge, following)
 
 
-class _Growing:
+class _GrowingWindow:
     """A window to which blocks are added: `taken`, of `size` bytes.
 
     A window cannot end within a bucket, so `bytes_limit` bounds it.
     """
 
-    def __init__(self, wanted: Wanted, low: int) -> None:
+    def __init__(self, wanted: WantedItems, low: int) -> None:
         """`low`: the time from which on the read needs items."""
         self.taken: list[tuple[Segment, PlacedBlock]] = []
         self.size = 0
@@ -124,7 +124,7 @@ class _Growing:
         self.taken.append((segment, block))
         self.size += block.head.length
         if self._wanted.at_hand and (self.size > AT_HAND_BYTES or len(self.taken) > AT_HAND_BLOCKS):
-            raise NotAtHand
+            raise WindowNeedsThread
         for key in (block.head.low, block.head.high):
             if key[0] >= self._first:
                 self._least = min(self._least, key[0])
@@ -151,7 +151,7 @@ class _Growing:
         return edge > start and self._least < edge
 
 
-def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: Wanted) -> int:
+def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: WantedItems) -> int:
     """The time from which on the read needs items: at or before the last bucket before `start`, whose spans may reach
     `start`.
     """
@@ -175,7 +175,7 @@ def _up(segments: Sequence[Segment], blocks_of: BlocksOf, low: ItemKey) -> Itera
     next.
     """
     due = sorted((one for one in segments if one.high is not None and one.high >= low), key=_least)
-    merging = _Merging(lambda block: block.head.low)
+    merging = _BlockMerge(lambda block: block.head.low)
     for at, segment in enumerate(due):
         merging.begin(segment, blocks_of(segment).up(low))
         yield from merging.below(_least(due[at + 1]) if at + 1 < len(due) else LAST_KEY)
@@ -187,7 +187,7 @@ def _down(
     """The blocks with keys from `low` up to `high`, by their greatest key, the last one first."""
     due = [one for one in segments if one.high is not None and one.high >= low and _least(one) < high]
     due.sort(key=_greatest, reverse=True)
-    merging = _Merging(lambda block: _mirrored(block.head.high))
+    merging = _BlockMerge(lambda block: _mirrored(block.head.high))
     for at, segment in enumerate(due):
         merging.begin(segment, blocks_of(segment).down(low, high))
         yield from merging.below(_mirrored(_greatest(due[at + 1]) if at + 1 < len(due) else FIRST_KEY))
@@ -198,7 +198,7 @@ def _mirrored(key: ItemKey) -> ItemKey:
     return -key[0], -key[1]
 
 
-class _Merging:
+class _BlockMerge:
     """Merges the blocks of several segments. `key` gives the key by which the blocks of each segment ascend."""
 
     def __init__(self, key: Callable[[PlacedBlock], ItemKey]) -> None:
@@ -240,7 +240,7 @@ def _next_low(segments: Sequence[Segment], blocks_of: BlocksOf, time: int) -> in
     return first
 
 
-def window_of(runs: Iterable[Run], chosen: Chosen, low: ItemKey, high: ItemKey, *, down: bool) -> ArchiveWindow:
+def window_of(runs: Iterable[Run], chosen: ChosenBlocks, low: ItemKey, high: ItemKey, *, down: bool) -> ArchiveWindow:
     """The items of the chosen blocks at or above `low` and below `high`, without incomplete buckets.
 
     `runs` ascend in their seqs.

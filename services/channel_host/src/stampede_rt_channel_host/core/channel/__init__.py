@@ -36,12 +36,12 @@ from stampede_rt_channel_host.core.channel.consumer_places import (
     ConsumerPlace,
     ConsumerStanding,
 )
-from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS_MAX, SEQS_MAX, Consumed
+from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS_MAX, SEQS_MAX, ConsumptionResult
 from stampede_rt_channel_host.core.channel.fed_channel import FedChannel
 from stampede_rt_channel_host.core.channel.feeding import (
     CATCH_UP_NANOS,
     ChannelFeed,
-    Collection,
+    CollectionFacts,
     FeedPart,
     FeedPlace,
     LagWatch,
@@ -53,7 +53,7 @@ from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.owner_facts import FedPlaces, OwnerFacts, OwnerPart
 from stampede_rt_channel_host.core.channel.pieces import (
     Pieces,
-    Unfinished,
+    UnfinishedWork,
     abandoning,
     batched,
     batched_keys,
@@ -62,7 +62,7 @@ from stampede_rt_channel_host.core.channel.pieces import (
     rest_of,
     run_to_end,
 )
-from stampede_rt_channel_host.core.channel.reading import Pending
+from stampede_rt_channel_host.core.channel.reading import PendingGet
 from stampede_rt_channel_host.core.channel.replicated_view import ReplicatedView
 from stampede_rt_channel_host.core.channel.run import (
     ABSENT,
@@ -82,7 +82,7 @@ from stampede_rt_channel_host.core.channel.values import (
     Counters,
     DeliveredSlice,
     Gap,
-    Growth,
+    GrowingCounts,
     Offer,
     Position,
     PutOutcome,
@@ -117,11 +117,11 @@ __all__ = [
     "ChannelFeed",
     "ChannelLimits",
     "ChannelSnapshot",
-    "Collection",
+    "CollectionFacts",
     "ColumnRun",
-    "Consumed",
     "ConsumerPlace",
     "ConsumerStanding",
+    "ConsumptionResult",
     "Counters",
     "DeliveredSlice",
     "FedChannel",
@@ -130,7 +130,7 @@ __all__ = [
     "FeedPlace",
     "FormerIncarnation",
     "Gap",
-    "Growth",
+    "GrowingCounts",
     "HoldingsSnapshot",
     "ItemKey",
     "LagWatch",
@@ -140,7 +140,7 @@ __all__ = [
     "Offer",
     "OwnerFacts",
     "OwnerPart",
-    "Pending",
+    "PendingGet",
     "Pieces",
     "Position",
     "PutOutcome",
@@ -157,7 +157,7 @@ __all__ = [
     "Slice",
     "Slicer",
     "SubscriptionBatch",
-    "Unfinished",
+    "UnfinishedWork",
     "WakeAt",
     "abandoning",
     "batched",

@@ -16,11 +16,11 @@ from stampede_rt_channel_host.core.channel.held_items import COUNT, Cut
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.limits import BLOCK, ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces
-from stampede_rt_channel_host.core.channel.reading import Reading
+from stampede_rt_channel_host.core.channel.reading import QueryReader
 from stampede_rt_channel_host.core.channel.restoring import leave_to_archive, restore
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.run import Run, Slice
-from stampede_rt_channel_host.core.channel.values import Counters, Growth, OddCounts
+from stampede_rt_channel_host.core.channel.values import Counters, GrowingCounts, OddCounts
 from stampede_rt_channel_host.core.ring_writer import RingFacts
 
 FREED_ENTRIES_PER_CALL = 32
@@ -55,7 +55,7 @@ class BaseChannel:
         self._retention = Retention(ChannelLimits.of(policy), self._held)
         self.name = name
         self._acceptance = Acceptance(self._held, self._retention, name)
-        self._reading = Reading(self._held, self._retention, incarnation, lost_before)
+        self._reading = QueryReader(self._held, self._retention, incarnation, lost_before)
         self._clock: int | None = None  # the latest `now` of a call
         self._puts_since_aging = 0  # puts since `_age_and_free` last applied the age limit
         self._aged_at: int | None = None  # the clock to which `_age_and_free` last applied the age limit
@@ -107,9 +107,9 @@ class BaseChannel:
         )
 
     @property
-    def growth(self) -> Growth:
+    def growth(self) -> GrowingCounts:
         """The counts of accepted items, as of the last call."""
-        return Growth(self._held.accepted, self._held.accepted_bytes)
+        return GrowingCounts(self._held.accepted, self._held.accepted_bytes)
 
     @property
     def odd_counts(self) -> OddCounts:
@@ -184,7 +184,7 @@ class BaseChannel:
 
         `runs` have all items later than `after`, in the order of their seqs.
         `next_seq`: the seq of the next accepted item. `loss`: from which instant on, and before which, items may be
-        lost, see `Reading`; None: without a bound, or no item was lost. `advance`: the latest one.
+        lost, see `QueryReader`; None: without a bound, or no item was lost. `advance`: the latest one.
         """
         restore(self._held, runs, after=after, next_seq=next_seq)
         self._reading.lost_from, self.lost_before = loss
@@ -233,7 +233,7 @@ class BaseChannel:
 
     @property
     def lost_from(self) -> int | None:
-        """The earliest instant of items that may have been lost; see `Reading`."""
+        """The earliest instant of items that may have been lost; see `QueryReader`."""
         return self._reading.lost_from
 
     @property

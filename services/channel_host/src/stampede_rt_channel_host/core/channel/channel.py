@@ -11,7 +11,7 @@ from stampede_rt_channel_host.core.channel.former_incarnations import FormerInca
 from stampede_rt_channel_host.core.channel.item_keys import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
-from stampede_rt_channel_host.core.channel.reading import Pending
+from stampede_rt_channel_host.core.channel.reading import PendingGet
 from stampede_rt_channel_host.core.channel.subscribing import (
     AllCursor,
     missing_from,
@@ -102,7 +102,7 @@ class ChannelCore(ConsumedChannel):
         """The answer to a read at an instant, if one item is all of it; None: `read` finds it."""
         return self._reading.at(time, self._age_and_free(self._tick(now)))
 
-    def begin(self, query: Query, now: int) -> Pending:
+    def begin(self, query: Query, now: int) -> PendingGet:
         """Begin a blocking get. The caller calls `poll` right afterwards.
 
         Resolves the meta-times of the interval now. If they need an item and the channel has none, the first poll with
@@ -110,9 +110,9 @@ class ChannelCore(ConsumedChannel):
         """
         self.check_positions(query)
         clock = self._age_and_free(self._tick(now))
-        return Pending(query, self._reading.resolve(query, clock))
+        return PendingGet(query, self._reading.resolve(query, clock))
 
-    def poll(self, pending: Pending, now: int) -> ReadAnswer | WakeAt:
+    def poll(self, pending: PendingGet, now: int) -> ReadAnswer | WakeAt:
         """The blocking get's answer, or when to poll again.
 
         Without `complete` the first matching item ends the wait. In any case the wait ends when no more items can come
@@ -120,17 +120,17 @@ class ChannelCore(ConsumedChannel):
         """
         return run_to_end(self.polling(pending, now))
 
-    def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
+    def polling(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """As `poll`, in pieces. The result is as of `now`."""
         clock = self._age_and_free(self._tick(now))
         found = yield from self._reading.poll(pending, clock)
         return WakeAt(found.instant, self._reading.needs(pending)) if isinstance(found, WakeAt) else found
 
-    def give_up(self, pending: Pending, now: int) -> ReadAnswer:
+    def give_up(self, pending: PendingGet, now: int) -> ReadAnswer:
         """The answer when the get's waiting time is over. Its reason says why the answer is empty or partial."""
         return run_to_end(self.giving_up(pending, now))
 
-    def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
+    def giving_up(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer]:
         """As `give_up`, in pieces. The answer is as of `now`."""
         clock = self._age_and_free(self._tick(now))
         return self._reading.answer(pending.query, pending.interval, clock)

@@ -11,7 +11,7 @@ from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Pieces
-from stampede_rt_channel_host.core.channel.reading import Pending, Reading
+from stampede_rt_channel_host.core.channel.reading import PendingGet, QueryReader
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.values import ReadAnswer, WakeAt
@@ -38,7 +38,7 @@ class HoldingsSnapshot:
 
     @property
     def end(self) -> ItemKey:
-        """See `Readable`: this object shows all items."""
+        """See `ReadableItems`: this object shows all items."""
         return LAST_KEY
 
     def snapshot(self) -> IndexSnapshot:
@@ -76,7 +76,7 @@ class ChannelSnapshot:
         """`clock` is the host's clock at which the channel last outdated items."""
         self.incarnation = incarnation
         self.lost_before = lost_before
-        self.lost_from: int | None = None  # see `Reading`
+        self.lost_from: int | None = None  # see `QueryReader`
         self.advanced_to = advance
         self.clock = clock
         self._held = HoldingsSnapshot(held)
@@ -86,9 +86,9 @@ class ChannelSnapshot:
         """See `ChannelCore.look`. Ignores `now`."""
         return self._held, self._retention
 
-    def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
+    def polling(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """See `ChannelCore.polling`. Ignores `now`."""
-        reading = Reading(self._held, self._retention, self.incarnation, self.lost_before)
+        reading = QueryReader(self._held, self._retention, self.incarnation, self.lost_before)
         reading.lost_from = self.lost_from
         reading.advance, reading.consumed_up_to = self.advanced_to, self._held.newest_consumed
         found = yield from reading.poll(pending, self.clock)

@@ -8,7 +8,7 @@ from stampede_rt.errors import InvalidArgument
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.base_channel import BaseChannel
 from stampede_rt_channel_host.core.channel.consumer_places import LEASE_NANOS, ConsumerPlace, ConsumerStanding
-from stampede_rt_channel_host.core.channel.consumption import Consumed, check_consumption
+from stampede_rt_channel_host.core.channel.consumption import ConsumptionResult, check_consumption
 from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
 from stampede_rt_channel_host.core.channel.values import Counters
 
@@ -18,7 +18,7 @@ class ConsumedChannel(BaseChannel):
 
     def consume(
         self, consumer_id: int, seqs: Sequence[int], now: int, *, lease_nanos: int = LEASE_NANOS, owner: str = ""
-    ) -> Consumed:
+    ) -> ConsumptionResult:
         """Consume items for one consumer, and collect the items that all consumers have consumed. Safe to repeat.
 
         Takes a place for the consumer if it has none, and keeps the place for `lease_nanos` from now (see the module

@@ -47,7 +47,7 @@ CONSUMERS_CHECKED_MAX = 512
 """After this number of looks at single consumers, a call checks no further slice."""
 
 
-class Consumed(NamedTuple):
+class ConsumptionResult(NamedTuple):
     """The number of items that the consumer had not consumed before, and the lease of its place from now on."""
 
     items: int
@@ -93,7 +93,7 @@ class Consumers:
         clock: int,
         lease: int,
         owner: str = "",
-    ) -> Consumed:
+    ) -> ConsumptionResult:
         """Note that a consumer has consumed `seqs`, and renew its place for `lease` nanoseconds.
 
         A lease of 0 gives the place up. `next_seq` is the seq of the next accepted item. `newest_seq` is the newest
@@ -103,7 +103,7 @@ class Consumers:
         """
         table = self.table
         if not lease and not seqs and not table.holds(consumer_id):
-            return Consumed(0, 0)
+            return ConsumptionResult(0, 0)
         if owner and not table.holds(consumer_id):
             table.check_share(owner)
         restart_seq = next_seq if newest_seq is None else newest_seq
@@ -122,7 +122,7 @@ class Consumers:
             self._move_up(place, done)
         else:
             table.give_up(place, clock)
-        return Consumed(items, lease)
+        return ConsumptionResult(items, lease)
 
     def _move_up(self, place: Place, done: SeqSet) -> None:
         """Join collected seqs to the seqs below `done.below`, and sort the place anew.

@@ -10,7 +10,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel.base_channel import FREED_ENTRIES_PER_CALL
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.fed_holdings import FedHoldings
-from stampede_rt_channel_host.core.channel.feeding import Collection, FeedPlace
+from stampede_rt_channel_host.core.channel.feeding import CollectionFacts, FeedPlace
 from stampede_rt_channel_host.core.channel.former_incarnations import Losses
 from stampede_rt_channel_host.core.channel.held_items import Cut
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
@@ -99,7 +99,7 @@ class FedChannel(ChannelCore):
 
     def apply(
         self, *, first_seq: int, cleared: ItemKey | None, runs: Sequence[Run], next_seq: int,
-        collection: Collection | None, advance: int | None, now: int, owner: OwnerPart | None = None,
+        collection: CollectionFacts | None, advance: int | None, now: int, owner: OwnerPart | None = None,
     ) -> None:  # fmt: skip
         """Apply the next part of the feed (see `FeedPart`). Ignores items that the copy has had before.
 

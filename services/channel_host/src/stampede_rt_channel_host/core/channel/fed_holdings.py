@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stampede_rt.values.seq_starts import given_between
-from stampede_rt_channel_host.core.channel.feeding import Collection
+from stampede_rt_channel_host.core.channel.feeding import CollectionFacts
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 from stampede_rt_channel_host.core.channel.oldest_items import OldestItems, below
@@ -11,7 +11,7 @@ from stampede_rt_channel_host.core.channel.run import Run
 
 
 class FedHoldings(Holdings):
-    """Holdings whose seqs may have gaps, and from which the feed's `Collection` takes items."""
+    """Holdings whose seqs may have gaps, and from which the feed's `CollectionFacts` takes items."""
 
     __slots__ = ()
 
@@ -38,7 +38,7 @@ class FedHoldings(Holdings):
         self.floor = max(self.floor, key)
         self._make_way()
 
-    def follow(self, collection: Collection) -> None:
+    def follow(self, collection: CollectionFacts) -> None:
         """Collect the items that the source has collected, and take over the facts about them.
 
         A copy that was the owner may have collected a few items that the source still holds. The source collects them

@@ -35,7 +35,7 @@ class FeedPlace(NamedTuple):
     owner_until: int | None = None
 
 
-class Collection(NamedTuple):
+class CollectionFacts(NamedTuple):
     """The items that retention has collected from a channel (see the attributes of `HeldItems`).
 
     All items below the key `floor` are collected. `came_up_to` bounds the frontier while the channel holds no item.
@@ -65,7 +65,7 @@ class FeedPart(NamedTuple):
     cleared: ItemKey | None
     slices: tuple[DeliveredSlice, ...]
     next_seq: int
-    collection: Collection | None
+    collection: CollectionFacts | None
     advance: int | None
     owner: OwnerPart | None = None
 
@@ -131,7 +131,7 @@ class ChannelFeed:
         self._is_exact = is_exact
         self._cursor = AllCursor(iter(()), first_seq)
         self._cleared: ItemKey | None = None
-        self._sent: tuple[Collection | None, int | None] = None, None
+        self._sent: tuple[CollectionFacts | None, int | None] = None, None
         held.tell_resets(self._note_reset)
         since = None if self.begins_anew or place is None else place.owner_until
         self.owner = None if window is None else OwnerFactsFeed(source, window, since, takes_puts=takes_puts)
@@ -161,7 +161,7 @@ class ChannelFeed:
         has_runs = self.owner is None or self.owner.is_level  # the copy must know the runs of the items that it gets
         batch = self._source.since(self._cursor, now, limit_bytes if has_runs else 0)
         held, _ = self._source.look(now)
-        collection: Collection | None = collection_of(held)
+        collection: CollectionFacts | None = collection_of(held)
         advance = self._source.advanced_to
         cleared, self._cleared = self._cleared, None
         known_collection, known_advance = self._sent
@@ -205,9 +205,9 @@ def _continues(source: ChannelCore, held: Holdings, place: FeedPlace | None, *, 
     return place.floor_resets == held.floor_resets
 
 
-def collection_of(held: Holdings) -> Collection:
+def collection_of(held: Holdings) -> CollectionFacts:
     """The items that retention has collected from a channel."""
-    return Collection(
+    return CollectionFacts(
         held.floor,
         held.floor_resets,
         held.last_cause,

@@ -174,7 +174,7 @@ class HeldItems:
 
     @property
     def end(self) -> ItemKey:
-        """See `Readable`: this object shows all items."""
+        """See `ReadableItems`: this object shows all items."""
         return LAST_KEY
 
     def snapshot(self) -> IndexSnapshot:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.consumer_places import ConsumerPlace, Place
 from stampede_rt_channel_host.core.channel.consumption import Consumers
-from stampede_rt_channel_host.core.channel.values import Counters, Growth, OddCounts
+from stampede_rt_channel_host.core.channel.values import Counters, GrowingCounts, OddCounts
 from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.window_feed import WindowFeed
 
@@ -43,21 +43,21 @@ class OwnerPart(NamedTuple):
     """The owner's facts in one part of a feed.
 
     `runs`: the runs of producers, the earliest first. `places`: None if the places have not changed. `counters`: a
-    `Growth` if only these counts have changed; then `runs` has one run, of which the owner has accepted all items.
-    `until`: with this part the copy has all runs that the owner judged before this time of its clock; None: more
+    `GrowingCounts` if only these counts have changed; then `runs` has one run, of which the owner has accepted all
+    items. `until`: with this part the copy has all runs that the owner judged before this time of its clock; None: more
     runs follow.
     """
 
     runs: tuple[KeptRun, ...]
     places: FedPlaces | None
-    counters: Counters | Growth
+    counters: Counters | GrowingCounts
     until: int | None
 
 
 class OwnerFactsFeed:
     """The source's side. `since`: the copy has all runs before this time (`OwnerPart.until`); None: it has none.
 
-    `takes_puts`: the copy understands a `Growth`.
+    `takes_puts`: the copy understands a `GrowingCounts`.
     """
 
     def __init__(self, source: ChannelCore, window: RetryWindow, since: int | None, *, takes_puts: bool) -> None:
@@ -68,7 +68,7 @@ class OwnerFactsFeed:
         self._next_round = -(2**63)
         self._clock = 0
         self._takes_puts = takes_puts
-        self._sent_counts: tuple[Growth, OddCounts | Counters] | None = None  # as of the last part
+        self._sent_counts: tuple[GrowingCounts, OddCounts | Counters] | None = None  # as of the last part
 
     @property
     def is_level(self) -> bool:
@@ -107,7 +107,7 @@ class OwnerFactsFeed:
         self._sent_counts = counts
         return OwnerPart((run,), None, growth, now)
 
-    def _counts_now(self) -> tuple[Growth, OddCounts | Counters]:
+    def _counts_now(self) -> tuple[GrowingCounts, OddCounts | Counters]:
         """The counts that the copy must get. A copy that takes puts computes the other counts."""
         source = self._source
         return source.growth, source.odd_counts if self._takes_puts else source.latest_counters()

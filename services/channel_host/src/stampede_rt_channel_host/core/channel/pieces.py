@@ -24,7 +24,7 @@ that drops the work before its end closes it, or uses `abandoning` if the work m
 """
 
 
-class Abandoned(Exception):
+class WorkAbandoned(Exception):
     """`abandoning` raises this error inside the work.
 
     The work frees the things that it has collected, in pieces, and raises the error again.
@@ -34,11 +34,11 @@ class Abandoned(Exception):
 def abandoning(pieces: Pieces[Any]) -> Pieces[None]:
     """Drop the work. Frees the things that it has collected, in pieces."""
     try:
-        pieces.throw(Abandoned())
+        pieces.throw(WorkAbandoned())
         while True:  # ends when the work has freed everything
             yield
             next(pieces)
-    except (StopIteration, Abandoned):
+    except (StopIteration, WorkAbandoned):
         return
     finally:
         pieces.close()
@@ -70,19 +70,19 @@ def run_to_end(pieces: Pieces[Result]) -> Result:
 
 
 @dataclass(frozen=True, slots=True)
-class Unfinished(Generic[Result]):
+class UnfinishedWork(Generic[Result]):
     """The rest of work that needs more than its first piece."""
 
     rest: Pieces[Result]
 
 
-def first_of(pieces: Pieces[Result]) -> Result | Unfinished[Result]:
-    """Perform the first piece. Returns the result if the work is done, and otherwise an `Unfinished`."""
+def first_of(pieces: Pieces[Result]) -> Result | UnfinishedWork[Result]:
+    """Perform the first piece. Returns the result if the work is done, and otherwise an `UnfinishedWork`."""
     try:
         next(pieces)
     except StopIteration as end:
         return end.value  # type: ignore[no-any-return]
-    return Unfinished(pieces)
+    return UnfinishedWork(pieces)
 
 
 def rest_of(pieces: Pieces[None]) -> list[Pieces[None]]:
@@ -91,7 +91,7 @@ def rest_of(pieces: Pieces[None]) -> list[Pieces[None]]:
     The list is empty if the work is done.
     """
     found = first_of(pieces)
-    return [found.rest] if isinstance(found, Unfinished) else []
+    return [found.rest] if isinstance(found, UnfinishedWork) else []
 
 
 def one_after_another(works: list[Pieces[None]]) -> Pieces[None]:

@@ -13,13 +13,13 @@ from stampede_rt_channel_host.core.channel.held_items import HeldItems
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.run import Slice
-from stampede_rt_channel_host.core.channel.selection import Readable, select
+from stampede_rt_channel_host.core.channel.selection import ReadableItems, select
 from stampede_rt_channel_host.core.channel.single_items import item_at
 from stampede_rt_channel_host.core.channel.values import Position, Query, ReadAnswer, WakeAt
 from stampede_rt_channel_host.core.channel.waiting import BEFORE_ALL, Needs
 
 
-class Pending:
+class PendingGet:
     """A blocking get that has not ended. `ChannelCore.begin` makes it.
 
     `interval` is None until the channel can resolve the meta-times of the query's interval.
@@ -32,14 +32,16 @@ class Pending:
         self.interval = interval
 
 
-class Reading:
+class QueryReader:
     """Answers queries from held items. `clock` is the host's time: no held item is too old at this time."""
 
     __slots__ = (
         "_held", "_incarnation", "_lost_before", "_retention", "advance", "consumed_up_to", "former", "lost_from",
     )  # fmt: skip
 
-    def __init__(self, held: Readable, retention: Retention, incarnation: int, lost_before: int | None = None) -> None:
+    def __init__(
+        self, held: ReadableItems, retention: Retention, incarnation: int, lost_before: int | None = None
+    ) -> None:
         self._held = held
         self._retention = retention
         self._incarnation = incarnation
@@ -148,7 +150,7 @@ class Reading:
             return self._lost_after(slices[0].first_time, region)
         return found
 
-    def poll(self, pending: Pending, clock: int) -> Pieces[ReadAnswer | WakeAt]:
+    def poll(self, pending: PendingGet, clock: int) -> Pieces[ReadAnswer | WakeAt]:
         """The answer if the get is released, or when to poll again."""
         query = pending.query
         if pending.interval is None:
@@ -163,7 +165,7 @@ class Reading:
                 return answer
         return self._wake_at(within.start + within.start_exclusive, clock)
 
-    def needs(self, pending: Pending) -> Needs:
+    def needs(self, pending: PendingGet) -> Needs:
         """The events that may release the get, apart from the passing of time."""
         if pending.interval is None:
             return Needs(time=BEFORE_ALL)

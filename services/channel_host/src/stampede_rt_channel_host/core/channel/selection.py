@@ -18,7 +18,7 @@ from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.held_items import HeldItems
 from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
 from stampede_rt_channel_host.core.channel.item_keys import SEQ_END, ItemKey
-from stampede_rt_channel_host.core.channel.pieces import Abandoned, Pieces
+from stampede_rt_channel_host.core.channel.pieces import Pieces, WorkAbandoned
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
 from stampede_rt_channel_host.core.channel.single_items import item_at, last_in
 from stampede_rt_channel_host.core.channel.slices_in_parts import SlicesInParts, emptying
@@ -28,7 +28,7 @@ Fits = Callable[[int, int], bool]
 """A test of an item's time and duration."""
 
 
-class Readable(Protocol):
+class ReadableItems(Protocol):
     """Held items as reads see them: all items of a channel, or the part that a group shows."""
 
     @property
@@ -77,7 +77,7 @@ class _KeyRange(NamedTuple):
     fits: Fits | None = None
 
 
-class Selected(NamedTuple):
+class SelectedSlices(NamedTuple):
     """The matching slices, in ascending order.
 
     `more`: the limit cut off further items. `next_time` is the time of the bucket after the last item, or None if the
@@ -90,12 +90,12 @@ class Selected(NamedTuple):
     next_times: Mapping[ItemKey, int]
 
 
-NOTHING = Selected((), False, None, NO_NEXT_TIMES)
+NOTHING = SelectedSlices((), False, None, NO_NEXT_TIMES)
 
 
 def select(
-    held: Readable, query: Query, within: ResolvedInterval, now: int, on_hold: Callable[[], object] = lambda: None
-) -> Pieces[Selected]:  # fmt: skip
+    held: ReadableItems, query: Query, within: ResolvedInterval, now: int, on_hold: Callable[[], object] = lambda: None
+) -> Pieces[SelectedSlices]:  # fmt: skip
     """The matching items, in pieces. `now` is the instant of the meta-time NOW.
 
     If there is more than one piece, calls `on_hold` at the end of the first piece.
@@ -110,7 +110,7 @@ def select(
     def next_time(time: int) -> int | None:
         return snapshot.next_time(time, held.end) if snapshot.is_held else held.next_time(time)
 
-    taking = _Taking(snapshot, query.limit, next_time, down=query.newest_first)
+    taking = _SliceSelection(snapshot, query.limit, next_time, down=query.newest_first)
     try:
         for key_range in reversed(ranges) if query.newest_first else ranges:
             if key_range.low >= key_range.high:
@@ -124,8 +124,8 @@ def select(
         slices = taking.finish()
         if not slices:
             return NOTHING
-        return Selected(slices, taking.more, next_time(slices[-1].last_time), taking.next_times)
-    except Abandoned:
+        return SelectedSlices(slices, taking.more, next_time(slices[-1].last_time), taking.next_times)
+    except WorkAbandoned:
         snapshot.close()
         yield from emptying(taking.finish())
         raise
@@ -133,21 +133,21 @@ def select(
         snapshot.close()
 
 
-def _single(held: HeldItems, query: Query, within: ResolvedInterval, now: int) -> Selected | None:
+def _single(held: HeldItems, query: Query, within: ResolvedInterval, now: int) -> SelectedSlices | None:
     """The answer of a usual read for one item, found without a walk; None: walk."""
     if query.after is not None or query.newer_than is not None:
         return None
     if query.match is Match.SPAN and within.start == within.end:
         found = item_at(held, within.start, now)
-        return None if found is None else Selected((found.part,), False, found.next_time, NO_NEXT_TIMES)
+        return None if found is None else SelectedSlices((found.part,), False, found.next_time, NO_NEXT_TIMES)
     if query.match is Match.START and query.newest_first and query.limit == 1:
         found = last_in(held, within)
         more = held.items > 1 if found is None or found.next_time is None else found.part.first_time != held.oldest
-        return None if found is None else Selected((found.part,), more, found.next_time, NO_NEXT_TIMES)
+        return None if found is None else SelectedSlices((found.part,), more, found.next_time, NO_NEXT_TIMES)
     return None
 
 
-class _Taking:
+class _SliceSelection:
     """Takes slices from ranges of keys, in one direction, until the limit is reached."""
 
     def __init__(
@@ -251,7 +251,7 @@ class _Taking:
         return SlicesInParts(self._parts) if len(self._parts) > 1 else self._parts[0] if self._parts else ()
 
 
-def _key_ranges(held: Readable, match: Match, within: ResolvedInterval, now: int) -> list[_KeyRange]:
+def _key_ranges(held: ReadableItems, match: Match, within: ResolvedInterval, now: int) -> list[_KeyRange]:
     """The ranges of keys that together hold the matching items, in ascending order."""
     low = (within.start, SEQ_END if within.start_exclusive else 0)
     high = (within.end, 0 if within.end_exclusive else SEQ_END)
@@ -262,7 +262,7 @@ def _key_ranges(held: Readable, match: Match, within: ResolvedInterval, now: int
     return _staying_in(held, within, low, now)
 
 
-def _reaching_in(held: Readable, within: ResolvedInterval, now: int) -> list[_KeyRange]:
+def _reaching_in(held: ReadableItems, within: ResolvedInterval, now: int) -> list[_KeyRange]:
     """The items that begin at or before the lower bound, and whose spans contain an instant of the interval."""
     bucket = held.last_time_up_to(within.start)
     if bucket is None:
@@ -291,7 +291,7 @@ def _reaching_over(overlap: int, start: int, bucket: int) -> list[_KeyRange]:
     ]
 
 
-def _staying_in(held: Readable, within: ResolvedInterval, low: ItemKey, now: int) -> list[_KeyRange]:
+def _staying_in(held: ReadableItems, within: ResolvedInterval, low: ItemKey, now: int) -> list[_KeyRange]:
     """The items whose whole spans lie in the interval.
 
     Without overlap, only the spans of the last bucket in the interval can end outside it.

@@ -217,7 +217,7 @@ class SubscriptionBatch:
         return not self.slices and self.gap is None
 
 
-class Growth(NamedTuple):
+class GrowingCounts(NamedTuple):
     """The two counts of `Counters` that grow with each accepted item."""
 
     accepted: int

@@ -17,8 +17,8 @@ from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, P
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.selection import behind
 from stampede_rt_channel_host.core.group.loss_counter import LossCounter
-from stampede_rt_channel_host.core.group.recorded_track import LateCounter, NotLoaded, RecordedOwn
-from stampede_rt_channel_host.core.group.tracks import LocalTrack, Nearest, Track
+from stampede_rt_channel_host.core.group.recorded_track import ItemsNotLoaded, LateCounter, RecordedOwnTrack
+from stampede_rt_channel_host.core.group.tracks import LocalTrack, NearestItem, Track
 
 CREDIT_UNLIMITED = LOOKS_UNLIMITED = 1 << 62  # limits that no `take` reaches
 OWN = b""
@@ -30,7 +30,7 @@ class FoundMatch:
     """One item, and its partner in each member. `missing` are the members that have no item within the tolerance."""
 
     item: DeliveredSlice
-    matched: Mapping[bytes, Nearest]
+    matched: Mapping[bytes, NearestItem]
     missing: tuple[bytes, ...]
 
     @property
@@ -56,7 +56,7 @@ class Matcher:
     def __init__(
         self, channel: ChannelCore, tracks: Mapping[bytes, Track], tolerance_nanos: int, now: int,
         after: Position | None = None, next_seq: int | None = None, partners: Mapping[bytes, ItemKey] | None = None,
-        recorded: RecordedOwn | None = None,
+        recorded: RecordedOwnTrack | None = None,
     ) -> None:  # fmt: skip
         """Begin with the items later than all present items or, with `after`, with the items after that position.
 
@@ -84,7 +84,7 @@ class Matcher:
         self.has_more = False
         self._looks_left = 0
         # The item at which the last `take` used up its looks, and the partners already found for this item.
-        self._begun: tuple[ItemKey, dict[bytes, Nearest | None]] | None = None
+        self._begun: tuple[ItemKey, dict[bytes, NearestItem | None]] | None = None
 
     @property
     def position(self) -> Position:
@@ -121,8 +121,8 @@ class Matcher:
         Searches a member's nearest item about `looks_max` times. If the searches for an item are not finished then, the
         next call continues them. `has_passed(member, instant)` returns True if the member can get no more items up to
         `instant` (see `ChannelTimes.has_passed`), or if matches do not wait for the member. `take` also calls it with
-        OWN. A match with an archived partner is the last of a call. Raises NotLoaded if the next match needs archived
-        items that no page has.
+        OWN. A match with an archived partner is the last of a call. Raises ItemsNotLoaded if the next match needs
+        archived items that no page has.
         """
         held, _ = self._channel.look(now)
         taken: list[FoundMatch] = []
@@ -159,10 +159,10 @@ class Matcher:
 
     def _found(
         self, key: ItemKey, has_passed: Callable[[bytes, int], bool], now: int, *, may_raise: bool
-    ) -> dict[bytes, Nearest | None] | None:  # fmt: skip
+    ) -> dict[bytes, NearestItem | None] | None:  # fmt: skip
         """The partner in each member. None if a partner is not decided yet, or if the looks are used up.
 
-        If archived items are missing, raises NotLoaded, or without `may_raise` returns None.
+        If archived items are missing, raises ItemsNotLoaded, or without `may_raise` returns None.
         """
         found = self._begun[1] if self._begun is not None and self._begun[0] == key else {}
         self._begun = None
@@ -176,7 +176,7 @@ class Matcher:
                 found[member] = self._found_in(member, track, key, has_passed, now)
             except PartnerUndecided:
                 return None
-            except NotLoaded:
+            except ItemsNotLoaded:
                 self._begun = key, found
                 self._forget_before(key[0])
                 if may_raise:
@@ -189,7 +189,7 @@ class Matcher:
 
     def _found_in(
         self, member: bytes, track: Track, key: ItemKey, has_passed: Callable[[bytes, int], bool], now: int
-    ) -> Nearest | None:
+    ) -> NearestItem | None:
         """The partner in one member. Raises PartnerUndecided if an item still to come may change the partner."""
         if self._partners is None:
             self._looks_left -= 1
@@ -201,7 +201,7 @@ class Matcher:
         finally:
             self._looks_left -= pairing.looks
 
-    def _match(self, item: DeliveredSlice, found: Mapping[bytes, Nearest | None]) -> FoundMatch:
+    def _match(self, item: DeliveredSlice, found: Mapping[bytes, NearestItem | None]) -> FoundMatch:
         """Make the match of an item, and count it if a member has no partner."""
         matched = {member: near for member, near in found.items() if near is not None}
         missing = tuple(sorted(found.keys() - matched.keys()))

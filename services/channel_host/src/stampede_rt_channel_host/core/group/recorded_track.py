@@ -1,6 +1,7 @@
 """The track of a recorded member: the items below the items in memory come from its archive, page by page. Pure.
 
-A search that needs archived items raises NotLoaded. The caller performs the reads of the error, and searches again.
+A search that needs archived items raises ItemsNotLoaded. The caller performs the reads of the error, and searches
+again.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.group.loss_counter import split_at
-from stampede_rt_channel_host.core.group.tracks import Nearest, ones
+from stampede_rt_channel_host.core.group.tracks import NearestItem, ones
 
 KEYS_MAX = 2**18
 """The most keys that a track holds, about 25 MB. Only `unique` with a large tolerance needs more than a page or two."""
@@ -31,7 +32,7 @@ Reads = Generator[Query, ArchivedRead, None]
 _UPWARDS = Query(interval=parse_interval(0, MAX_INSTANT), match=Match.START)
 
 
-class NotLoaded(Exception):
+class ItemsNotLoaded(Exception):
     """A search needs archived items of `channel_id`. `reads` load them."""
 
     def __init__(self, channel_id: bytes, reads: Callable[[], Reads]) -> None:
@@ -56,8 +57,8 @@ class RecordedTrack:
 
     def nearest(
         self, time: int, tolerance: int, now: int, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY
-    ) -> Nearest | None:
-        """See `Track`. Raises NotLoaded."""
+    ) -> NearestItem | None:
+        """See `Track`. Raises ItemsNotLoaded."""
         held, _ = self._channel.look(now)
         middle = time, SEQ_END
         earlier = self._last_below(held, min(high, middle), max(low, (time - tolerance, 0)))
@@ -69,8 +70,8 @@ class RecordedTrack:
         if key is None:
             return None
         if key < held.floor:
-            return Nearest(*key, None, is_archived=True)
-        return Nearest(*key, next(ones(held.slices(key), held.next_time)))
+            return NearestItem(*key, None, is_archived=True)
+        return NearestItem(*key, next(ones(held.slices(key), held.next_time)))
 
     def forget_before(self, time: int) -> None:
         """See `Track`."""
@@ -87,7 +88,7 @@ class RecordedTrack:
             return None
         at = bisect_left(self._keys, high)
         if not self._low <= high <= self._end or (at == 0 and self._low > low):
-            raise NotLoaded(self._channel_id, lambda: self._load(high, low, held.floor))
+            raise ItemsNotLoaded(self._channel_id, lambda: self._load(high, low, held.floor))
         return self._keys[at - 1] if at and self._keys[at - 1] >= low else None
 
     def _first_from(self, held: Holdings, low: ItemKey, high: ItemKey) -> ItemKey | None:
@@ -95,12 +96,12 @@ class RecordedTrack:
         end = min(high, held.floor)
         if low < end:
             if not self._low <= low <= self._end:
-                raise NotLoaded(self._channel_id, lambda: self._load(low, low, held.floor))
+                raise ItemsNotLoaded(self._channel_id, lambda: self._load(low, low, held.floor))
             at = bisect_left(self._keys, low)
             if at < len(self._keys):
                 return self._keys[at] if self._keys[at] < high else None
             if self._end < end:
-                raise NotLoaded(self._channel_id, lambda: self._extend(held.floor))
+                raise ItemsNotLoaded(self._channel_id, lambda: self._extend(held.floor))
         part = next(held.slices(max(low, held.floor), high), None) if max(low, held.floor) < high else None
         return None if part is None else (part.first_time, part.first_seq)
 
@@ -145,7 +146,7 @@ class RecordedTrack:
             )
 
 
-class RecordedOwn(RecordedTrack):
+class RecordedOwnTrack(RecordedTrack):
     """The items of the matched channel, if it is recorded. Holds one page of archived items.
 
     `lacked` counts the items that the archive lacks between the read ones.
@@ -160,7 +161,7 @@ class RecordedOwn(RecordedTrack):
         self._following: int | None = None  # the time of the archived bucket after the page; None: memory follows
 
     def ones(self, low: ItemKey, now: int) -> Iterator[DeliveredSlice]:
-        """The items from `low` on, one by one, up to the end of the page. Raises NotLoaded if no page has them."""
+        """The items from `low` on, one by one, up to the end of the page. Raises ItemsNotLoaded if no page has them."""
         held, _ = self._channel.look(now)
         if low >= held.floor:
             return ones(held.slices(low), held.next_time)
@@ -169,7 +170,7 @@ class RecordedOwn(RecordedTrack):
         end = (self._last_time, 0) if is_behind else self._page_end
         covers = self._begin <= low < end and (not is_behind or next(self._page.slices(low, end), None) is not None)
         if not covers:
-            raise NotLoaded(self._channel_id, lambda: self._load_page(low, held.floor))
+            raise ItemsNotLoaded(self._channel_id, lambda: self._load_page(low, held.floor))
         return self._ones_of_page(low, end, held)
 
     def _ones_of_page(self, low: ItemKey, end: ItemKey, held: Holdings) -> Iterator[DeliveredSlice]:
@@ -229,7 +230,7 @@ class LateCounter:
     A reader that continues a stream gets no count of late items that memory has lost meanwhile.
     """
 
-    def __init__(self, own: RecordedOwn, low: ItemKey, next_seq: int) -> None:
+    def __init__(self, own: RecordedOwnTrack, low: ItemKey, next_seq: int) -> None:
         self.next_seq = next_seq
         self._own, self._low = own, low
 

@@ -19,14 +19,14 @@ from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
 from stampede_rt_channel_host.core.channel.reading import region_of
 from stampede_rt_channel_host.core.channel.selection import behind
-from stampede_rt_channel_host.core.group.visible import Horizon, VisibleReading, end_of, latest_of, may_hide
+from stampede_rt_channel_host.core.group.visible import Horizon, VisibleQueryReader, end_of, latest_of, may_hide
 
 _EVERYTHING = parse_interval(MIN_INSTANT, MAX_INSTANT)
 _NO_WINDOW = ArchiveWindow(ChannelIndex(), None, None, None)
 
 
 class _ShownItems:
-    """Items of a window and of memory before a cut, with the reading methods of `Holdings` (`Readable`).
+    """Items of a window and of memory before a cut, with the reading methods of `Holdings` (`ReadableItems`).
 
     `newest` is the time of the last item before the cut, whether it is in the archive or in memory.
     """
@@ -43,7 +43,7 @@ class _ShownItems:
         self.collected_by = items.collected_by
 
     def snapshot(self) -> IndexSnapshot:
-        """See `Readable`: hidden items included."""
+        """See `ReadableItems`: hidden items included."""
         return self._items.snapshot()
 
     def next_time(self, time: int) -> int | None:
@@ -56,7 +56,7 @@ class _ShownItems:
         return self._items.last_time_up_to(min(time, self._last))
 
 
-class _Reading(VisibleReading):
+class _WindowQueryReader(VisibleQueryReader):
     """Answers from one window, with the facts about the hidden items of all windows."""
 
     def __init__(self, moment: ChannelSnapshot, shown: _ShownItems, view: RecordedView) -> None:
@@ -80,7 +80,7 @@ class _VisibleRead(ArchivedRead):
         self._start = min(self._start, end[0] - 1)  # the span of the last visible item may reach into the interval
         self._view = view
 
-    def _reading_of(self, items: RecordedItems) -> VisibleReading:
+    def _reading_of(self, items: RecordedItems) -> VisibleQueryReader:
         return self._view.reading_of(items)
 
     def take(self, window: ArchiveWindow) -> Pieces[None]:
@@ -139,9 +139,9 @@ class RecordedView:
         if waits and not self.answer.complete:
             yield from self._look_for_release(within)
 
-    def reading_of(self, items: RecordedItems) -> VisibleReading:
+    def reading_of(self, items: RecordedItems) -> VisibleQueryReader:
         """A reading of some items."""
-        return _Reading(self._moment, _ShownItems(items, self.horizon.cut, self._newest), self)
+        return _WindowQueryReader(self._moment, _ShownItems(items, self.horizon.cut, self._newest), self)
 
     def _look_for_newest(self) -> Iterator[ArchivedRead]:
         """Find the last item before the cut. If memory has none, it is in the archive."""

@@ -19,17 +19,17 @@ from stampede_rt_channel_host.core.channel import (
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss
 from stampede_rt_channel_host.core.group.recorded_steps import RecordedStep
-from stampede_rt_channel_host.core.group.visible import Horizon, VisibleHoldings, VisibleReading
+from stampede_rt_channel_host.core.group.visible import Horizon, VisibleHoldings, VisibleQueryReader
 
 STEP_BYTES_MAX = 2**20
 """A reader of the newest item gets only the number of the other items. The host counts them in parts of about this many
 bytes.
 """
 PARTS_PER_TAKE = 8
-"""The most parts of counted items that one `VisibleNewest.take` takes."""
+"""The most parts of counted items that one `VisibleNewestCursor.take` takes."""
 
 
-class VisibleAll:
+class VisibleAllCursor:
     """A subscription to all items of a channel, each once.
 
     The items between two cuts come in the order (time, seq). Late items come with the next step (see `StepPart`).
@@ -70,7 +70,7 @@ class VisibleAll:
             cut = None if cut is None else min(cut, time + 1)
             next_seq = min(seq + 1, channel.next_seq)
         elif start is not None and cut is not None:
-            low = VisibleReading(channel, horizon, now).resolve_bound(start, now)
+            low = VisibleQueryReader(channel, horizon, now).resolve_bound(start, now)
             cut = cut if low is None else min(cut, low + start_exclusive)
         self._follower = CutFollower(channel, cut, now, next_seq=next_seq, archived=archived)
 
@@ -140,7 +140,7 @@ class VisibleAll:
         return SubscriptionBatch(gap=gap)
 
 
-class VisibleNewest:
+class VisibleNewestCursor:
     """A subscription to the latest visible item by (time, seq). It never gives an item earlier than the last one.
 
     `skipped` counts the other items that became visible. The subscription begins as one of
@@ -158,34 +158,34 @@ class VisibleNewest:
         after: Position | None = None,
         saved: SavedCursor | None = None,
     ) -> None:
-        """Begin a subscription. Raises the errors of `VisibleAll`."""
+        """Begin a subscription. Raises the errors of `VisibleAllCursor`."""
         self._channel = channel
         self._last: ItemKey = FIRST_KEY  # only items above this key are given
         self.delivered = 0
         self._meant = 0  # the subscription's items that became visible, as far as they are counted
-        self._all = VisibleAll(
+        self._all = VisibleAllCursor(
             channel, horizon, now, start=start, start_exclusive=start_exclusive, after=after, saved=saved
         )
         if saved is not None:
             time, end_seq = saved.low or FIRST_KEY
             self._last = time, end_seq - 1
         elif after is not None:
-            assert after.seq is not None, "VisibleAll refuses a position without a seq"
+            assert after.seq is not None, "VisibleAllCursor refuses a position without a seq"
             self._last = after.time, after.seq
         elif start is None:
             newest = self._newest(horizon, now)
             self._last = FIRST_KEY if newest is None else (newest.last_time, newest.end_seq - 1)
-        elif (low := VisibleReading(channel, horizon, now).resolve_bound(start, now)) is not None:
+        elif (low := VisibleQueryReader(channel, horizon, now).resolve_bound(start, now)) is not None:
             self._last = (low, SEQ_END) if start_exclusive else (low, -1)
 
     @property
     def saved(self) -> SavedCursor | None:
-        """See `VisibleAll`."""
+        """See `VisibleAllCursor`."""
         kept = self._all.saved
         return None if kept is None else replace(kept, low=(self._last[0], self._last[1] + 1))
 
     def lowest_owed_seq(self, now: int) -> int:
-        """See `VisibleAll`."""
+        """See `VisibleAllCursor`."""
         return self._all.lowest_owed_seq(now)
 
     @property
@@ -229,7 +229,7 @@ class VisibleNewest:
 
 def _kept_cut(channel: ChannelCore, horizon: Horizon, now: int, saved: SavedCursor) -> int:
     """The cut of a saved cursor. Raises InvalidArgument or IncarnationLost if the cursor does not fit the channel."""
-    VisibleReading(channel, horizon, now).check_position(Position(0, None, saved.incarnation))
+    VisibleQueryReader(channel, horizon, now).check_position(Position(0, None, saved.incarnation))
     if saved.cut is None:
         raise InvalidArgument("the cursor comes from a subscription without a group; leave the group out")
     return saved.cut
@@ -237,7 +237,7 @@ def _kept_cut(channel: ChannelCore, horizon: Horizon, now: int, saved: SavedCurs
 
 def _resume(channel: ChannelCore, horizon: Horizon, now: int, start: Bound | None, after: Position) -> tuple[int, int]:
     """The time and seq of the position `after`. Raises an error if a subscription cannot begin there."""
-    VisibleReading(channel, horizon, now).check_position(after)
+    VisibleQueryReader(channel, horizon, now).check_position(after)
     if start is not None:
         raise InvalidArgument("a subscription has both start and after; give start to begin, after to resume")
     if after.seq is None:

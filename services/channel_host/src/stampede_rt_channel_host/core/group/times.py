@@ -69,7 +69,7 @@ def _order(newest: tuple[int | None, int | None]) -> tuple[bool, int, bool, int]
     return time is not None, time or 0, end is not None, end or 0
 
 
-class OwnTimes:
+class OwnChannelTimes:
     """Follows the times of one channel of this host. Call `observe` after each change of the channel.
 
     `silent_since` is the host's clock at the last put or advance, or at the start of this object.

@@ -13,7 +13,7 @@ TRACK_ITEMS_MAX = 65_536
 """The most item keys that a `RemoteTrack` holds."""
 
 
-class Nearest(NamedTuple):
+class NearestItem(NamedTuple):
     """The time and seq of a found item. `item` is None if the item is at another host, or in this host's archive."""
 
     time: int
@@ -27,7 +27,7 @@ class Track(Protocol):
 
     def nearest(
         self, time: int, tolerance: int, now: int, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY
-    ) -> Nearest | None:
+    ) -> NearestItem | None:
         """The item nearest to `time`, at most `tolerance` nanoseconds away; None if there is no such item.
 
         Of two equally near items returns the earlier one, and within a bucket the one with the lower seq. Only items at
@@ -46,7 +46,7 @@ class LocalTrack:
 
     def nearest(
         self, time: int, tolerance: int, now: int, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY
-    ) -> Nearest | None:
+    ) -> NearestItem | None:
         """See `Track`."""
         held, _ = self._channel.look(now)
         middle = time, SEQ_END
@@ -57,7 +57,7 @@ class LocalTrack:
         if found is None or part is None:
             return None
         one = Slice(part.run, part.lo, part.lo + 1)
-        return Nearest(found, one.first_seq, DeliveredSlice(one, held.next_time(found)))
+        return NearestItem(found, one.first_seq, DeliveredSlice(one, held.next_time(found)))
 
     def forget_before(self, time: int) -> None:
         """Does nothing, because retention collects the items."""
@@ -88,10 +88,10 @@ class RemoteTrack:
 
     def nearest(
         self, time: int, tolerance: int, now: int, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY
-    ) -> Nearest | None:
+    ) -> NearestItem | None:
         """See `Track`."""
         found = self._keys.nearest(time, tolerance, now, low, high)
-        return None if found is None else Nearest(*found, None)
+        return None if found is None else NearestItem(*found, None)
 
     def forget_before(self, time: int) -> None:
         """See `Track`."""

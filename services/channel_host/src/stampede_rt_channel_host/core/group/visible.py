@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.channel import (
     ChannelCore,
     ChannelSnapshot,
     HoldingsSnapshot,
-    Pending,
+    PendingGet,
     Query,
     ReadAnswer,
     Slice,
@@ -26,9 +26,9 @@ from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index_snapshot import IndexSnapshot
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
-from stampede_rt_channel_host.core.channel.reading import Reading
+from stampede_rt_channel_host.core.channel.reading import QueryReader
 from stampede_rt_channel_host.core.channel.retention import Retention
-from stampede_rt_channel_host.core.channel.selection import Readable, behind, select
+from stampede_rt_channel_host.core.channel.selection import ReadableItems, behind, select
 
 
 class Horizon(NamedTuple):
@@ -89,11 +89,11 @@ class VisibleHoldings:
         return None if self.oldest is None else self._held.last_time_up_to(min(time, self._last))
 
 
-class VisibleReading(Reading):
+class VisibleQueryReader(QueryReader):
     """Answers one query from the part of a channel before a horizon."""
 
     def __init__(
-        self, channel: ChannelCore | ChannelSnapshot, horizon: Horizon, now: int, shown: Readable | None = None
+        self, channel: ChannelCore | ChannelSnapshot, horizon: Horizon, now: int, shown: ReadableItems | None = None
     ) -> None:
         """`now` is the host's clock. The channel first outdates the items that are too old at `now`.
 
@@ -217,25 +217,25 @@ class VisibleChannel:
         reading = self._reading(query, horizon, now)
         return reading.answer(query, reading.resolve(query, now), now)
 
-    def begin(self, query: Query, horizon: Horizon, now: int) -> Pending:
+    def begin(self, query: Query, horizon: Horizon, now: int) -> PendingGet:
         """Begin a blocking get; see `ChannelCore.begin`."""
-        return Pending(query, self._reading(query, horizon, now).resolve(query, now))
+        return PendingGet(query, self._reading(query, horizon, now).resolve(query, now))
 
-    def poll(self, pending: Pending, horizon: Horizon, now: int) -> ReadAnswer | WakeAt:
+    def poll(self, pending: PendingGet, horizon: Horizon, now: int) -> ReadAnswer | WakeAt:
         """The get's answer, or when to poll again. Also poll after each change of the channel and of the cut."""
         return run_to_end(self.polling(pending, horizon, now))
 
-    def polling(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer | WakeAt]:
+    def polling(self, pending: PendingGet, horizon: Horizon, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """As `poll`, in pieces. The result is as of `now`."""
         return polling(self._channel, pending, horizon, now)
 
-    def give_up(self, pending: Pending, horizon: Horizon, now: int) -> ReadAnswer:
+    def give_up(self, pending: PendingGet, horizon: Horizon, now: int) -> ReadAnswer:
         """The answer at the end of the get's waiting time, with its reason."""
         return run_to_end(self.giving_up(pending, horizon, now))
 
-    def giving_up(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:
+    def giving_up(self, pending: PendingGet, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:
         """As `give_up`, in pieces. The answer is as of `now`."""
-        return VisibleReading(self._channel, horizon, now).answer(pending.query, pending.interval, now)
+        return VisibleQueryReader(self._channel, horizon, now).answer(pending.query, pending.interval, now)
 
     def stalled(self, floor: int, horizon: Horizon) -> ReadAnswer:
         """The answer to a reader that has seen the cut `floor`, which is later than this host can show yet.
@@ -262,18 +262,18 @@ class VisibleChannel:
         held, retention = self._channel.look(now)
         return _has_lost(held, cut) or _outlives_its_age(held, retention, cut)
 
-    def _reading(self, query: Query, horizon: Horizon, now: int) -> VisibleReading:
-        reading = VisibleReading(self._channel, horizon, now)
+    def _reading(self, query: Query, horizon: Horizon, now: int) -> VisibleQueryReader:
+        reading = VisibleQueryReader(self._channel, horizon, now)
         reading.check_position(query.after)
         reading.check_position(query.newer_than)
         return reading
 
 
 def polling(
-    channel: ChannelCore | ChannelSnapshot, pending: Pending, horizon: Horizon, now: int
+    channel: ChannelCore | ChannelSnapshot, pending: PendingGet, horizon: Horizon, now: int
 ) -> Pieces[ReadAnswer | WakeAt]:
     """See `VisibleChannel.polling`. The channel may also be a `ChannelSnapshot`."""
-    reading = VisibleReading(channel, horizon, now)
+    reading = VisibleQueryReader(channel, horizon, now)
     found = yield from reading.poll(pending, now)
     return WakeAt(found.instant, reading.needs(pending)) if isinstance(found, WakeAt) else found
 

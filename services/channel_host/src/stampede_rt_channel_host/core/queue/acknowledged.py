@@ -21,7 +21,7 @@ If takers acknowledge more than 7,000 deliveries a second, the queue remembers e
 """
 
 
-class Acknowledged(NamedTuple):
+class AcknowledgedDelivery(NamedTuple):
     """A delivery, its taker, and the time of the acknowledgement."""
 
     delivery_id: int
@@ -70,7 +70,7 @@ class AcknowledgedDeliveries:
         chunk = self._chunks.get(number)
         return chunk is not None and chunk.takers[offset] == taker_id and chunk.times[offset] > now - KEPT_NANOS
 
-    def all(self, now: int, chunks_max: int | None = None) -> Iterator[Acknowledged]:
+    def all(self, now: int, chunks_max: int | None = None) -> Iterator[AcknowledgedDelivery]:
         """The acknowledgements of the last 10 minutes, by chunks. The chunk with the latest one comes last.
 
         `chunks_max`: only the acknowledgements of the latest chunks, at most this many chunks. A chunk has up to 256
@@ -80,7 +80,7 @@ class AcknowledgedDeliveries:
         for number, chunk in islice(self._chunks.items(), first, None):
             for offset, taker_id in enumerate(chunk.takers):
                 if taker_id and chunk.times[offset] > now - KEPT_NANOS:
-                    yield Acknowledged(number * _IDS_PER_CHUNK + offset, taker_id, chunk.times[offset])
+                    yield AcknowledgedDelivery(number * _IDS_PER_CHUNK + offset, taker_id, chunk.times[offset])
 
     def _forget(self, now: int) -> None:
         while self._chunks:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stampede_rt_channel_host.core.dedup import KeptRun
-from stampede_rt_channel_host.core.queue.acknowledged import Acknowledged
+from stampede_rt_channel_host.core.queue.acknowledged import AcknowledgedDelivery
 from stampede_rt_channel_host.core.queue.items import QueuedRun, TrackedItem
 from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
 
@@ -42,7 +42,7 @@ class QueueChanges:
         self.items: dict[int, TrackedItem] = {}
         self.of_items: dict[int, ItemChange | None] = {}
         self.removed: list[int] = []
-        self.acknowledged: list[Acknowledged] = []
+        self.acknowledged: list[AcknowledgedDelivery] = []
         self.producers: list[KeptRun] = []
         self.message_ids: list[KnownMessage] = []
 

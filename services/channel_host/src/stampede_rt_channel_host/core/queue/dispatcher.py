@@ -7,7 +7,7 @@ from heapq import heappop, heappush
 from itertools import islice
 
 from stampede_rt_channel_host.core.queue.items import QueuedRun, TrackedItem
-from stampede_rt_channel_host.core.queue.leasing import Leasing
+from stampede_rt_channel_host.core.queue.leasing import QueueLeases
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
 from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import Batch, LeasedSlice
@@ -115,7 +115,7 @@ class Dispatcher:
     has reached its limit, so call `dispatch` again without a wait for a change.
     """
 
-    def __init__(self, queue_items: QueueItems, leasing: Leasing) -> None:
+    def __init__(self, queue_items: QueueItems, leasing: QueueLeases) -> None:
         self._queue_items = queue_items
         self._leasing = leasing
         self._line: OrderedDict[TakerState, None] = OrderedDict()

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from itertools import islice
 
 from stampede_rt_channel_host.core.queue.dispatcher import Dispatcher
-from stampede_rt_channel_host.core.queue.enqueuing import Enqueuing
+from stampede_rt_channel_host.core.queue.enqueuing import EnqueueLine
 from stampede_rt_channel_host.core.queue.items import TrackedItem
-from stampede_rt_channel_host.core.queue.leasing import Leasing
+from stampede_rt_channel_host.core.queue.leasing import QueueLeases
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
 
 CHECKED_PER_CALL_MAX = 256
@@ -26,8 +26,8 @@ class DueWork:
     def __init__(
         self,
         queue_items: QueueItems,
-        leasing: Leasing,
-        enqueuing: Enqueuing,
+        leasing: QueueLeases,
+        enqueuing: EnqueueLine,
         dispatcher: Dispatcher,
         may_serve: Callable[[], bool],
     ) -> None:

@@ -36,7 +36,7 @@ want to wait.
 """
 
 
-class Enqueuing:
+class EnqueueLine:
     """The line of waiting runs. A waiting run blocks all later runs.
 
     `finished` collects the runs that waited and are done, until the caller takes them. `has_more`: there may be room

@@ -13,11 +13,11 @@ from itertools import chain, groupby
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.dedup import KeptRun
-from stampede_rt_channel_host.core.queue.acknowledged import Acknowledged
+from stampede_rt_channel_host.core.queue.acknowledged import AcknowledgedDelivery
 from stampede_rt_channel_host.core.queue.changes import ItemChange
-from stampede_rt_channel_host.core.queue.enqueuing import Enqueuing
+from stampede_rt_channel_host.core.queue.enqueuing import EnqueueLine
 from stampede_rt_channel_host.core.queue.items import FailedDelivery, QueuedRun, TrackedItem
-from stampede_rt_channel_host.core.queue.leasing import Lease, Leasing
+from stampede_rt_channel_host.core.queue.leasing import Lease, QueueLeases
 from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems, QueueTally
 from stampede_rt_channel_host.core.queue.takers import TakerState
@@ -77,13 +77,13 @@ class QueueHandoff:
     runs: Sequence[QueuedRun]
     held: Sequence[SeqRange]
     items: Sequence[ItemState]
-    acknowledged: Sequence[Acknowledged]
+    acknowledged: Sequence[AcknowledgedDelivery]
     producers: Sequence[KeptRun]
     message_ids: Sequence[KnownMessage]
 
 
 def export(
-    queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int, chunks_max: int | None = None
+    queue_items: QueueItems, leasing: QueueLeases, enqueuing: EnqueueLine, now: int, chunks_max: int | None = None
 ) -> QueueHandoff:
     """The queue as of `now`. The result shares no mutable object with the queue."""
     tracked = _ranges(item.seq for item in queue_items.tracked.values())
@@ -101,7 +101,9 @@ def export(
     )
 
 
-def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int) -> None:
+def restore(
+    state: QueueHandoff, queue_items: QueueItems, leasing: QueueLeases, enqueuing: EnqueueLine, now: int
+) -> None:
     """Fill an empty queue with `state`. The next `QueueCore.tick` ends the leases and delays that are over by then."""
     queue_items.tally = replace(state.tally)
     leasing.next_delivery_id = state.next_delivery_id
@@ -193,7 +195,7 @@ def _not_leaving(queue_items: QueueItems) -> Iterator[TrackedItem]:
             yield item
 
 
-def state_of(item: TrackedItem, leasing: Leasing, now: int) -> ItemState:
+def state_of(item: TrackedItem, leasing: QueueLeases, now: int) -> ItemState:
     """A tracked message as a value."""
     leases = [leasing.leases[delivery_id] for delivery_id in item.leases.values()]
     return ItemState(
@@ -207,7 +209,7 @@ def state_of(item: TrackedItem, leasing: Leasing, now: int) -> ItemState:
     )
 
 
-def change_of(item: TrackedItem, change: ItemChange, leasing: Leasing, now: int) -> ItemState:
+def change_of(item: TrackedItem, change: ItemChange, leasing: QueueLeases, now: int) -> ItemState:
     """The change of a tracked message as a value."""
     found = {delivery_id: leasing.leases.get(delivery_id) for delivery_id in change.deliveries}
     leases = [lease for lease in found.values() if lease is not None]
@@ -228,7 +230,7 @@ def _lease_state(lease: Lease, now: int) -> LeaseState:
     return LeaseState(lease.order, taker.taker_id, taker.name, (lease.due or now) - now, now - lease.leased_at)
 
 
-def enter(queue_items: QueueItems, leasing: Leasing, state: ItemState, now: int) -> None:
+def enter(queue_items: QueueItems, leasing: QueueLeases, state: ItemState, now: int) -> None:
     """Give a tracked message the history that another host knows, in place of its own. Or change its history."""
     item = queue_items.tracked[state.seq]
     former = {one.delivery_id: leasing.leases.get(one.delivery_id) for one in state.leases}

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt_channel_host.core.queue.changes import QueueChanges
-from stampede_rt_channel_host.core.queue.enqueuing import Enqueuing
+from stampede_rt_channel_host.core.queue.enqueuing import EnqueueLine
 from stampede_rt_channel_host.core.queue.handoff import (
     ItemState,
     QueueHandoff,
@@ -26,7 +26,7 @@ from stampede_rt_channel_host.core.queue.handoff import (
     state_of,
 )
 from stampede_rt_channel_host.core.queue.items import TrackedItem
-from stampede_rt_channel_host.core.queue.leasing import Leasing
+from stampede_rt_channel_host.core.queue.leasing import QueueLeases
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
 
 JOURNAL_BYTES_MAX = 64 * 2**20
@@ -69,7 +69,7 @@ class QueueJournal:
     """
 
     def __init__(
-        self, queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, next_step: int = 1,
+        self, queue_items: QueueItems, leasing: QueueLeases, enqueuing: EnqueueLine, next_step: int = 1,
         bytes_max: int = JOURNAL_BYTES_MAX,
     ) -> None:  # fmt: skip
         self._queue_items = queue_items

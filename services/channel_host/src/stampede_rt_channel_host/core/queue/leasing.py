@@ -12,7 +12,7 @@ from itertools import islice
 
 from stampede_rt.errors import LeaseExpired
 from stampede_rt_channel_host.core.deadlines import Deadlines
-from stampede_rt_channel_host.core.queue.acknowledged import Acknowledged, AcknowledgedDeliveries
+from stampede_rt_channel_host.core.queue.acknowledged import AcknowledgedDeliveries, AcknowledgedDelivery
 from stampede_rt_channel_host.core.queue.chunked_map import ChunkedMap
 from stampede_rt_channel_host.core.queue.items import (
     GIVEN_BACK,
@@ -56,7 +56,7 @@ class Lease:
         return FailedDelivery(self.number, self.taker.taker_id, self.taker.name, ended, reason)
 
 
-class Leasing:
+class QueueLeases:
     """All leases of a queue. Delivery ids start at `first_delivery_id`, and each delivery has the next one."""
 
     def __init__(self, queue_items: QueueItems, queue_name: str, first_delivery_id: int) -> None:
@@ -195,7 +195,7 @@ class Leasing:
         item.acknowledged = (*item.acknowledged, lease.taker.taker_id)
         self.acknowledged.record(lease.order, lease.taker.taker_id, now)
         if self._queue_items.changes is not None:
-            self._queue_items.changes.acknowledged.append(Acknowledged(lease.order, lease.taker.taker_id, now))
+            self._queue_items.changes.acknowledged.append(AcknowledgedDelivery(lease.order, lease.taker.taker_id, now))
         if not self.settle_copies(item):
             self._queue_items.refresh(item)
 

@@ -12,10 +12,10 @@ from stampede_rt_channel_host.core.queue import handoff
 from stampede_rt_channel_host.core.queue.dispatcher import Dispatcher
 from stampede_rt_channel_host.core.queue.due_work import DueWork
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
-from stampede_rt_channel_host.core.queue.enqueuing import Enqueuing
+from stampede_rt_channel_host.core.queue.enqueuing import EnqueueLine
 from stampede_rt_channel_host.core.queue.handoff import QueueHandoff
 from stampede_rt_channel_host.core.queue.journal import QueueJournal
-from stampede_rt_channel_host.core.queue.leasing import Leasing
+from stampede_rt_channel_host.core.queue.leasing import QueueLeases
 from stampede_rt_channel_host.core.queue.limits import QueueLimits
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
 from stampede_rt_channel_host.core.queue.takers import TakerState
@@ -58,8 +58,8 @@ class QueueCore:
         self.incarnation = incarnation
         self._name = f"queue {name!r}" if name else "the queue"
         self._queue_items = QueueItems(limits)
-        self._leasing = Leasing(self._queue_items, self._name, first_delivery_id)
-        self._enqueuing = Enqueuing(self._queue_items, self._name)
+        self._leasing = QueueLeases(self._queue_items, self._name, first_delivery_id)
+        self._enqueuing = EnqueueLine(self._queue_items, self._name)
         self._dispatcher = Dispatcher(self._queue_items, self._leasing)
         self._due_work = DueWork(self._queue_items, self._leasing, self._enqueuing, self._dispatcher, may_serve)
 
