@@ -75,17 +75,17 @@ def callers() -> Iterator[Callers]:
 @contextmanager
 def counted_steps() -> Iterator[list[int]]:
     """A list with the number of steps that are counted."""
-    steps, charged = [0], working._Charged.send
+    steps, charged = [0], working._ChargedCoroutine.send
 
     def send(self: Any, value: Any) -> Any:
         steps[0] += 1
         return charged(self, value)
 
-    working._Charged.send = send  # type: ignore[method-assign]
+    working._ChargedCoroutine.send = send  # type: ignore[method-assign]
     try:
         yield steps
     finally:
-        working._Charged.send = charged  # type: ignore[method-assign]
+        working._ChargedCoroutine.send = charged  # type: ignore[method-assign]
 
 
 def calls_of(channel: Opened, target: str, method: str, number: int) -> Callable[[], None]:

@@ -19,7 +19,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
 from stampede_rt_supernode.core.channels.commands import OpenChannel
 from stampede_rt_supernode.core.cluster.commands import BeginTenure
-from stampede_rt_supernode.core.commands import Command, Operation, Refused
+from stampede_rt_supernode.core.commands import Command, Operation, RefusedOperation
 from stampede_rt_supernode.core.hosts.commands import RegisterHost
 from stampede_rt_supernode.core.records import Endpoint
 from stampede_rt_supernode.replica import DirectoryReplica
@@ -32,7 +32,12 @@ from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
 from stampede_rt_supernode.replication.threads.worker_thread import WorkerThread
-from stampede_rt_supernode.replication.wire.buffered_transport import Connected, Outgoing, Received, StreamOpened
+from stampede_rt_supernode.replication.wire.buffered_transport import (
+    LinkConnected,
+    MessageReceived,
+    Outgoing,
+    StreamOpened,
+)
 from stampede_rt_supernode.replication.wire.messages import InstallSnapshot
 
 BATCH = 250
@@ -110,7 +115,7 @@ class Alone:
     def apply(self, operations: list[Operation]) -> None:
         outcomes = self.propose(operations)
         self.step_until(lambda: len(outcomes) == len(operations))
-        refused = next((one for one in map(decode_result, outcomes) if isinstance(one, Refused)), None)
+        refused = next((one for one in map(decode_result, outcomes) if isinstance(one, RefusedOperation)), None)
         assert refused is None, refused
 
     def found(self) -> None:
@@ -195,7 +200,7 @@ def _received(folder: Path, leader: Alone) -> Row:
     assert stored is not None
     keeper = SnapshotKeeper(leader.replica._log, leader.machine, lambda member_id: True)
     two = Alone(folder, peers=("b", "c"))
-    two.replica.deliver(Connected("b"))
+    two.replica.deliver(LinkConnected("b"))
     two.replica.deliver(StreamOpened("b"))
     began, cpu = time.perf_counter(), time.process_time()
     is_last = False
@@ -203,7 +208,7 @@ def _received(folder: Path, leader: Alone) -> Row:
         keeper.begin_step()
         while not is_last and (chunk := keeper.next_chunk("b")) is not None:
             message = InstallSnapshot(term=1, commit_index=stored.last_log_index, chunk=chunk)
-            two.replica.deliver(Received("b", message))
+            two.replica.deliver(MessageReceived("b", message))
             is_last = chunk.is_last
         two.step()
     two.step_until(lambda: two.machine.restored > 0)

@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 from stampede_rt import errors
 from stampede_rt.cluster.request_age import age_metadata
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
-from stampede_rt_supernode.core.commands import Command, Operation, Refused, Success
+from stampede_rt_supernode.core.commands import Command, Operation, RefusedOperation, Success
 from stampede_rt_supernode.replica import DirectoryReplica
-from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable, Member, ReplicationStatus
+from stampede_rt_supernode.replication.interface import LogUnavailable, Member, OutcomeUnknown, ReplicationStatus
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.proposals import Proposal
 from stampede_rt_supernode.replication.settings import RaftTiming
@@ -78,9 +78,9 @@ class Submission:
             outcome = await wait(lambda resume, left=left: self._propose(encoded, min(left, 2.0), resume))
             if isinstance(outcome, bytes):
                 result = decode_result(outcome)
-                if not (isinstance(result, Refused) and result.reason == "NO_QUORUM"):
+                if not (isinstance(result, RefusedOperation) and result.reason == "NO_QUORUM"):
                     return _checked(result, kind)
-            ambiguous |= isinstance(outcome, Ambiguous)
+            ambiguous |= isinstance(outcome, OutcomeUnknown)
             await self._world.sleep(self._world.random_source.uniform(0.02, 0.3))
         raise errors.Unavailable("not within the time", reason="AMBIGUOUS" if ambiguous else "NO_QUORUM")
 
@@ -118,7 +118,7 @@ class Submission:
 
 
 def _checked(result: Any, kind: type[R]) -> R:
-    if isinstance(result, Refused):
+    if isinstance(result, RefusedOperation):
         raise result.error()
     assert isinstance(result, kind)
     return result

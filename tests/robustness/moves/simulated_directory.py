@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from stampede_rt.errors import Unavailable
 from stampede_rt_channel_host.cluster.records import recorded_channel
-from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, OwnedChannel, Release
-from stampede_rt_channel_host.copies.move_directory import Kept
+from stampede_rt_channel_host.copies.gathered_moves import FallbackRelease, GatheredMoves, MoveCommit, OwnedChannel
+from stampede_rt_channel_host.copies.move_directory import FormerOwnerRole
 from stampede_rt_channel_host.copies.replica_directory import FeedSource, ListedReplica, ListedReplicas
 from stampede_rt_channel_host.core.placing import OtherHost
 from stampede_rt_channel_host.core.records import RecordedChannel
@@ -105,17 +105,21 @@ class SimulatedDirectory(GatheredMoves):
             if one.host_id != self.host.identity.host_id
         ]
 
-    async def kept_here(self, channel_id: bytes) -> Kept:
+    async def kept_here(self, channel_id: bytes) -> FormerOwnerRole:
         await self._reach()
         return self._kept_at(channel_id, self.host.identity.host_id)
 
-    def _kept_at(self, channel_id: bytes, host_id: bytes) -> Kept:
+    def _kept_at(self, channel_id: bytes, host_id: bytes) -> FormerOwnerRole:
         if self.world.record_of(channel_id).host_id == host_id:
-            return Kept.FALLBACK
+            return FormerOwnerRole.FALLBACK
         kinds = [one.kind for one in self._copies(channel_id) if one.host_id == host_id]
-        return {ReplicaKind.MOVE: Kept.FALLBACK, ReplicaKind.WARM: Kept.REPLICA}[kinds[0]] if kinds else Kept.NO
+        return (
+            {ReplicaKind.MOVE: FormerOwnerRole.FALLBACK, ReplicaKind.WARM: FormerOwnerRole.REPLICA}[kinds[0]]
+            if kinds
+            else FormerOwnerRole.NO
+        )
 
-    async def commit_one(self, move: Commit) -> RecordedChannel:
+    async def commit_one(self, move: MoveCommit) -> RecordedChannel:
         await self._ask_for_commit([move])
         if (before := self.world.commits.get(move.request_id)) is not None:
             return before
@@ -129,7 +133,7 @@ class SimulatedDirectory(GatheredMoves):
         await self._answer_commit()
         return record
 
-    async def commit_all(self, moves: Sequence[Commit]) -> list[RecordedChannel]:
+    async def commit_all(self, moves: Sequence[MoveCommit]) -> list[RecordedChannel]:
         await self._ask_for_commit(moves)
         operation = CommitMoves(
             to_host_id=self.host.identity.host_id, to_boot_incarnation=self.host.identity.boot_incarnation,
@@ -140,7 +144,7 @@ class SimulatedDirectory(GatheredMoves):
         await self._answer_commit()
         return [recorded_channel(channel_record(one)) for one in done.channels]
 
-    async def _ask_for_commit(self, moves: Sequence[Commit]) -> None:
+    async def _ask_for_commit(self, moves: Sequence[MoveCommit]) -> None:
         self.permits += [one.permit for one in moves if one.permit]
         if self.world.is_destination(self.host):
             self.world.at("commit is asked for")
@@ -151,7 +155,7 @@ class SimulatedDirectory(GatheredMoves):
             self.world.at("committed")
         await self._reach()  # the answer may be lost
 
-    async def release_all(self, moves: Sequence[Release]) -> set[bytes]:
+    async def release_all(self, moves: Sequence[FallbackRelease]) -> set[bytes]:
         self.world.at("removal is asked for")
         await self._reach()
         asked = tuple(MoveToRelease(channel_id=one.channel_id, epoch=one.epoch) for one in moves)

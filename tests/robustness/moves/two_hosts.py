@@ -31,7 +31,7 @@ from stampede_rt_runtime.access.move_permits import KEY_BYTES
 from stampede_rt_runtime.clock import HostClock, SystemClock
 from stampede_rt_supernode.codecs.record_codec import channel_record
 from stampede_rt_supernode.core.cluster.feature_levels import MOVES_LEVEL
-from stampede_rt_supernode.core.commands import Operation, Refused
+from stampede_rt_supernode.core.commands import Operation, RefusedOperation
 from tests.robustness.moves.links import Connection, Link
 from tests.robustness.moves.simulated_directory import SimulatedDirectory
 from tests.support.supernode.operations import Log, add_replica, expire, id_of, open_channel, register
@@ -159,7 +159,7 @@ class World:
 
     def apply(self, operation: Operation) -> Any:
         done = self.log.apply(operation)
-        if isinstance(done, Refused):
+        if isinstance(done, RefusedOperation):
             raise error_for(done.reason, done.message, dict(done.metadata))
         return done
 

@@ -16,9 +16,9 @@ import grpc.aio
 
 from stampede_rt_supernode.replication import (
     CHANNEL_OPTIONS,
-    Ambiguous,
     LogUnavailable,
     Member,
+    OutcomeUnknown,
     ReplicationSettings,
     open_replicated_log,
 )
@@ -52,7 +52,7 @@ async def serve(member_id: str, folder: Path, ids: list[str]) -> None:
             else:
                 await log.confirm_read(timeout=10.0)
                 answer = " ".join(command.decode() for _, command in machine.entries)
-        except Ambiguous:
+        except OutcomeUnknown:
             answer = UNKNOWN_OUTCOME
         except LogUnavailable:
             answer = REFUSED

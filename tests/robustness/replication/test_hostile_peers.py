@@ -23,11 +23,11 @@ from stampede_rt_supernode.replication.rules.proposals import Proposal
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.wire.buffered_transport import (
-    Connected,
-    Introduced,
+    LinkConnected,
     MembersReported,
+    MessageReceived,
+    NodeIntroduced,
     Outgoing,
-    Received,
     StreamOpened,
 )
 from stampede_rt_supernode.replication.wire.codec import decode_message
@@ -134,7 +134,7 @@ class Victim:
             random_source=self._random_source,
         )
         for name in "bc":
-            replica.deliver(Connected(name))
+            replica.deliver(LinkConnected(name))
             replica.deliver(StreamOpened(name))
         return replica
 
@@ -142,7 +142,7 @@ class Victim:
         """Take a message as the servicer does: an unreadable or too large one ends the stream."""
         try:
             told = decode_message(pb.RaftMessage.FromString(message.SerializeToString()))
-            self.replica.deliver(Received(sender, told, message.ByteSize()))
+            self.replica.deliver(MessageReceived(sender, told, message.ByteSize()))
         except (MalformedMessage, InboxFull):
             self.replica.deliver(StreamOpened(sender))
 
@@ -201,15 +201,17 @@ class Outsider:
         name = f"outsider{self._random_source.randint(0, 40)}"
         member = Member(member_id=name, address=f"{name}:1")
         if name not in replica.roster.peers:  # as a refused hello is, and remembered
-            replica.deliver(Introduced(name, member))
+            replica.deliver(NodeIntroduced(name, member))
             return
         self.heard += 1
-        replica.deliver(Connected(name))
+        replica.deliver(LinkConnected(name))
         replica.deliver(StreamOpened(name))
         replica.deliver(MembersReported(name, (member, Member(member_id=f"{name}'", address="elsewhere:1"))))
         try:
             message = Liar(self._random_source, replica).message()
-            replica.deliver(Received(name, decode_message(pb.RaftMessage.FromString(message.SerializeToString()))))
+            replica.deliver(
+                MessageReceived(name, decode_message(pb.RaftMessage.FromString(message.SerializeToString())))
+            )
         except (MalformedMessage, InboxFull):
             pass
 

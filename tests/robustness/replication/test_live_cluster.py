@@ -15,9 +15,9 @@ import pytest
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication import (
     COMMAND_BYTES_MAX,
-    Ambiguous,
     LogUnavailable,
     Member,
+    OutcomeUnknown,
     RaftTiming,
     ReplicationSettings,
     open_replicated_log,
@@ -158,7 +158,7 @@ async def test_a_failure_in_the_state_machine_is_fatal_and_never_answered(tmp_pa
         server,
         on_fatal=lambda error: loop.call_soon_threadsafe(failed.set_result, error),
     )
-    with pytest.raises(Ambiguous):
+    with pytest.raises(OutcomeUnknown):
         await log.propose(b"boom", timeout=0.5)
     assert isinstance(await failed, ZeroDivisionError)
     await log.close()

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from stampede_rt_supernode.replication import (
-    Ambiguous,
     ChangeRefused,
     ChangeUnderWay,
     LogUnavailable,
     NotLeading,
+    OutcomeUnknown,
     ReplicatedLog,
 )
 from stampede_rt_supernode.replication.rules import member_changes
@@ -44,7 +44,7 @@ class Load:
             command = b"load %d" % number
             try:
                 await running(member).propose(command, timeout=2.0)
-            except (Ambiguous, LogUnavailable, AssertionError):
+            except (OutcomeUnknown, LogUnavailable, AssertionError):
                 continue
             self.acknowledged.append(command)
 
@@ -116,7 +116,7 @@ async def test_a_removed_member_is_told_so_and_never_comes_back(tmp_path: Path) 
         await until(lambda: running(removed).status().removed)
         with pytest.raises(ChangeRefused, match="never used again"):
             await cluster.on_leader(lambda log: log.add_member(removed.member, timeout=5.0))
-        with pytest.raises((LogUnavailable, Ambiguous)):
+        with pytest.raises((LogUnavailable, OutcomeUnknown)):
             await running(removed).propose(b"from the grave", timeout=0.5)
 
 
@@ -131,7 +131,7 @@ async def test_only_the_leader_changes_members_and_one_at_a_time(tmp_path: Path)
         await until(lambda: second.member.member_id in cluster.all[0].log._replica.roster.peers)  # type: ignore[union-attr]
         with pytest.raises(ChangeUnderWay):
             await leader.add_member(first.member, timeout=1.0)
-        with pytest.raises(Ambiguous, match="still under way"):
+        with pytest.raises(OutcomeUnknown, match="still under way"):
             await leader.add_member(second.member, timeout=0.1)
         under_way.cancel()
 

@@ -8,7 +8,7 @@ import random
 from collections.abc import Callable, Sequence
 
 from stampede_rt.v1 import raft_service_pb2 as pb
-from stampede_rt_supernode.replication.interface import TOO_OLD, Ambiguous, LogUnavailable, Member
+from stampede_rt_supernode.replication.interface import TOO_OLD, LogUnavailable, Member, OutcomeUnknown
 from stampede_rt_supernode.replication.network.hello import introduced_member, introduction
 from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
@@ -17,11 +17,11 @@ from stampede_rt_supernode.replication.rules.member_change import ChangeOutcome,
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.settings import RaftTiming
 from stampede_rt_supernode.replication.wire.buffered_transport import (
-    Connected,
-    Disconnected,
-    Introduced,
+    LinkConnected,
+    LinkDisconnected,
     MembersReported,
-    Received,
+    MessageReceived,
+    NodeIntroduced,
     StreamEnded,
     StreamOpened,
 )
@@ -132,7 +132,7 @@ class World:
     def _arrive(self, sender: str, to: str, generation: int, data: bytes) -> None:
         replica = self.members[to].replica
         if replica is not None and self.wires[sender, to].generation == generation:
-            replica.deliver(Received(sender, decode_message(pb.RaftMessage.FromString(data))))
+            replica.deliver(MessageReceived(sender, decode_message(pb.RaftMessage.FromString(data))))
             self._answer(sender, to, replica)
 
     def _answer(self, sender: str, to: str, receiver: RaftReplica) -> None:
@@ -156,7 +156,7 @@ class World:
         wire.generation += 1
         replica = self.members[ends[0]].replica
         if replica is not None:
-            replica.deliver(Disconnected(ends[1]))
+            replica.deliver(LinkDisconnected(ends[1]))
         self._stream_ends(ends)
         self._plan_connect(ends)
 
@@ -203,11 +203,11 @@ class World:
                 highest_level=sender.highest_level,
             )
             if (member := introduced_member(hello, self.members[ends[1]].settings)) is not None:
-                receiver.deliver(Introduced(member.member_id, member))
+                receiver.deliver(NodeIntroduced(member.member_id, member))
             self._plan_connect(ends)
             return
         wire.up = True
-        sender.deliver(Connected(ends[1]))
+        sender.deliver(LinkConnected(ends[1]))
         receiver.deliver(StreamOpened(ends[0], sender.highest_level))
 
     def _refuse(self, member: SimMember) -> None:
@@ -265,7 +265,7 @@ class World:
             elif isinstance(outcome, LogUnavailable):
                 self.history.refuse(command)
             else:
-                assert isinstance(outcome, Ambiguous)
+                assert isinstance(outcome, OutcomeUnknown)
 
         assert member.replica is not None
         later = Proposal(command, self.now + timeout, lambda outcome: member.after_disk(lambda: done(outcome)))

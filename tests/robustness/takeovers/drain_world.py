@@ -12,7 +12,7 @@ from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.copies.drain_requests import METHOD
-from stampede_rt_channel_host.copies.draining import Drained, Draining
+from stampede_rt_channel_host.copies.draining import DrainResult, HostDrain
 from stampede_rt_channel_host.copies.migration_servicer import MigrationServicer
 from stampede_rt_supernode.core.commands import Operation
 from stampede_rt_supernode.core.hosts.commands import ExpireHost, RegisterHost
@@ -32,7 +32,7 @@ class DrainedHost(LeasedHost):
         super().__init__(world, number, boot)
         none: Any = SimpleNamespace(all=list)  # a host without queues
         allow = self.outgoing.allowed.allow
-        self.draining = Draining(
+        self.draining = HostDrain(
             self.store, none, self.directory, lambda channel_id: [], self.dial, self._dial_stream, allow
         )
         servicer = MigrationServicer(
@@ -44,7 +44,7 @@ class DrainedHost(LeasedHost):
             await servicer.MoveEachHere(requests, context)
 
         self.methods = {METHOD: Method(move_each_here, pb.MoveEachHereRequest.FromString)}
-        self.drains: set[asyncio.Task[Drained]] = set()
+        self.drains: set[asyncio.Task[DrainResult]] = set()
 
     def _dial_stream(self, target: str) -> Any:
         assert isinstance(self.world, DrainCluster)
@@ -54,7 +54,7 @@ class DrainedHost(LeasedHost):
     def tasks(self) -> list[asyncio.Task[Any]]:
         return [*super().tasks(), *self.drains]
 
-    async def drain(self, seconds: float) -> Drained:
+    async def drain(self, seconds: float) -> DrainResult:
         """Drain this host, as an operator does."""
         drain = asyncio.create_task(self.draining.run(seconds))
         self.drains.add(drain)

@@ -13,11 +13,11 @@ import grpc.aio
 
 from stampede_rt_supernode.replication import (
     CHANNEL_OPTIONS,
-    Ambiguous,
     ChangeUnderWay,
     LogUnavailable,
     Member,
     NotLeading,
+    OutcomeUnknown,
     RaftTiming,
     ReplicatedLog,
     ReplicationSettings,
@@ -178,7 +178,7 @@ async def until(condition: Callable[[], bool], *, within: float = 10.0) -> None:
 async def proposed(member: LiveMember, command: bytes) -> bytes:
     """Propose until the command is acknowledged. If the leader changes, the log may have the command twice."""
     while True:  # ends with the test's time limit
-        with contextlib.suppress(Ambiguous, LogUnavailable):
+        with contextlib.suppress(OutcomeUnknown, LogUnavailable):
             return await running(member).propose(command, timeout=ACKNOWLEDGED_SECONDS)
 
 

@@ -14,7 +14,7 @@ from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.store import MemoryStore, Store
 from stampede_rt_supernode.replication.threads.worker_thread import RunInBackground, run_inline
-from stampede_rt_supernode.replication.wire.buffered_transport import Connected, Received
+from stampede_rt_supernode.replication.wire.buffered_transport import LinkConnected, MessageReceived
 from stampede_rt_supernode.replication.wire.codec import decode_message, encode_message
 from stampede_rt_supernode.replication.wire.messages import (
     AppendEntries,
@@ -67,11 +67,11 @@ class LoneNode:
             run_in_background=run_in_background,
         )
         for member in members[1:]:
-            self.node.transport.deliver(Connected(member.member_id))
+            self.node.transport.deliver(LinkConnected(member.member_id))
 
     def receive(self, sender: str, message: Message) -> list[tuple[str, Message]]:
         """Give the node a message, and return its answers."""
-        self.node.transport.deliver(Received(sender, message))
+        self.node.transport.deliver(MessageReceived(sender, message))
         return self.said()
 
     def said(self) -> list[tuple[str, Message]]:

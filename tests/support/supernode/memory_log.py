@@ -8,9 +8,9 @@ from enum import Enum
 
 from stampede_rt_runtime.metrics.families import Durations
 from stampede_rt_supernode.replication.interface import (
-    Ambiguous,
     LogUnavailable,
     Member,
+    OutcomeUnknown,
     ReplicationStatus,
     StateMachine,
     TakenSnapshot,
@@ -63,7 +63,7 @@ class MemoryLog:
         if outcome is ProposalOutcome.REFUSED or not self.quorum:
             raise LogUnavailable("told so")
         if outcome is ProposalOutcome.LOST:
-            raise Ambiguous("told so")
+            raise OutcomeUnknown("told so")
         if self.holds:
             self.holds = False
             self.held.append(command)
@@ -72,7 +72,7 @@ class MemoryLog:
         self.index += 1
         result = self.machine.apply(self.index, command)
         if outcome is ProposalOutcome.DONE_UNHEARD:
-            raise Ambiguous("told so")
+            raise OutcomeUnknown("told so")
         return result
 
     def apply_held(self) -> list[bytes]:

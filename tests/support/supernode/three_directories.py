@@ -7,7 +7,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from stampede_rt_supernode.codecs.command_codec import decode_command, encode_command, encode_result
 from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, decode_snapshot, encode_snapshot
 from stampede_rt_supernode.core.cluster.commands import MarkTime
-from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result
+from stampede_rt_supernode.core.commands import Command, Operation, RefusedOperation, Result
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.kept_answers import KeptAnswers
 from tests.support.supernode.operations import id_of
@@ -36,7 +36,7 @@ class ThreeDirectories(RuleBasedStateMachine):
         again = decode_command(encode_command(command))
         assert encode_result(self.twin.apply(self.index, again)) == encode_result(result)
         assert encode_result(self.restored.apply(self.index, command)) == encode_result(result)
-        if isinstance(result, Refused):
+        if isinstance(result, RefusedOperation):
             assert self.without_index(before) == self.without_index(encode_snapshot(self.directory))
         return result
 

@@ -6,13 +6,13 @@ import asyncio
 import signal
 import threading
 
-from stampede_rt_channel_host.turns import Turns
+from stampede_rt_channel_host.turns import LoopTurns
 
 STEPS, LOOKS = 300, 50
 
 
 def test_a_thread_sees_only_complete_steps_and_repeated_looks_do_not_stop_the_loop() -> None:
-    turns, ended = Turns(), threading.Event()
+    turns, ended = LoopTurns(), threading.Event()
     state = [0, 0]
     looks: list[bool] = []
 
@@ -43,7 +43,7 @@ def test_a_thread_sees_only_complete_steps_and_repeated_looks_do_not_stop_the_lo
 
 
 def test_after_the_end_of_the_loop_no_call_waits_for_it() -> None:
-    turns = Turns()
+    turns = LoopTurns()
     with asyncio.Runner(loop_factory=turns.loop) as runner:
         runner.run(asyncio.sleep(0))
     turns.loop_ended()
@@ -52,7 +52,7 @@ def test_after_the_end_of_the_loop_no_call_waits_for_it() -> None:
 
 
 def test_a_call_knows_whether_it_interrupts_a_step_of_the_loop_or_a_look() -> None:
-    turns = Turns()
+    turns = LoopTurns()
 
     async def step() -> bool:
         return turns.is_mine
@@ -66,7 +66,7 @@ def test_a_call_knows_whether_it_interrupts_a_step_of_the_loop_or_a_look() -> No
 
 
 def test_a_signal_handler_looks_while_its_thread_looks() -> None:
-    turns = Turns()
+    turns = LoopTurns()
     looked: list[bool] = []
 
     def look(number: int, frame: object) -> None:

@@ -22,7 +22,7 @@ from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.dial import Dialer, dial
 from stampede_rt_runtime.health_check import main as health_check
 from stampede_rt_runtime.identity import Role
-from stampede_rt_runtime.listen import NotAllowed
+from stampede_rt_runtime.listen import AddressNotAllowed
 from stampede_rt_runtime.server import serving
 from stampede_rt_runtime.tls import ServiceTls, load_tls
 
@@ -272,6 +272,6 @@ async def test_no_error_names_certificates_if_they_are_valid_or_no_service_answe
 async def test_with_certificates_a_service_may_listen_everywhere(own: ServiceTls) -> None:
     async with serving(lambda _: None, listen="0.0.0.0:0", tls=own) as server:
         assert server.address.startswith("0.0.0.0:")
-    with pytest.raises(NotAllowed):
+    with pytest.raises(AddressNotAllowed):
         async with serving(lambda _: None, listen="0.0.0.0:0"):
             pass

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from stampede_rt_runtime.listen import CannotListen, NotAllowed, check_listen
+from stampede_rt_runtime.listen import AddressNotAllowed, CannotListen, check_listen
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def test_loopback_is_always_allowed(listen: str) -> None:
 
 @pytest.mark.parametrize("listen", ["0.0.0.0:0", "[::]:0", "192.0.2.1:0"])
 def test_an_address_beyond_loopback_is_refused_and_the_error_names_the_flag(listen: str) -> None:
-    with pytest.raises(NotAllowed, match="add --allow-insecure-anywhere"):
+    with pytest.raises(AddressNotAllowed, match="add --allow-insecure-anywhere"):
         check_listen(listen, allow_insecure_anywhere=False)
 
 

@@ -11,7 +11,7 @@ import grpc
 import pytest
 
 from stampede_rt_runtime import pacing
-from stampede_rt_runtime.pacing import STREAMS_PER_TURN, AtOnceBudget, PacedContext, PacingInterceptor, TurnGate
+from stampede_rt_runtime.pacing import STREAMS_PER_TURN, PacedContext, PacingInterceptor, SameTurnBudget, TurnGate
 from stampede_rt_runtime.quotas import loop_shares
 from stampede_rt_runtime.quotas.accounts import Account
 from stampede_rt_runtime.quotas.limits import DEFAULTS
@@ -21,7 +21,7 @@ STREAMS = 200
 ONE, OTHER = Account("one", DEFAULTS), Account("other", DEFAULTS)
 
 
-class LoopTurns:
+class TurnCounter:
     """Counts the turns of the event loop, and the streams that continue in each."""
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class LoopTurns:
 
 
 async def test_a_few_callers_continue_in_each_turn_in_the_order_of_arrival() -> None:
-    gate, turns, order = TurnGate(), LoopTurns(), list[int]()
+    gate, turns, order = TurnGate(), TurnCounter(), list[int]()
 
     async def pass_through(number: int) -> None:
         if not gate.admits(ONE):
@@ -61,7 +61,7 @@ async def test_a_few_callers_continue_in_each_turn_in_the_order_of_arrival() -> 
 
 
 async def test_many_waiting_streams_of_one_caller_do_not_delay_a_stream_of_another_one() -> None:
-    gate, turns = TurnGate(), LoopTurns()
+    gate, turns = TurnGate(), TurnCounter()
     crowd = [asyncio.ensure_future(gate.turn(ONE)) for _ in range(STREAMS) if not gate.admits(ONE)]
     assert len(crowd) == STREAMS - STREAMS_PER_TURN
     for _ in range(3):  # one request after the other
@@ -126,7 +126,7 @@ async def test_a_long_message_that_was_read_counts_for_its_caller(monkeypatch: p
 
 @pytest.mark.parametrize("operation", ["read", "write"])
 async def test_streams_whose_messages_need_no_wait_continue_a_few_in_each_turn(operation: str) -> None:
-    turns, reads, writes, done = LoopTurns(), TurnGate(), TurnGate(), list[Any]()
+    turns, reads, writes, done = TurnCounter(), TurnGate(), TurnGate(), list[Any]()
 
     async def serve() -> None:
         context = PacedContext(Stream(), reads, writes)  # type: ignore[arg-type]
@@ -245,7 +245,7 @@ async def test_streams_whose_callers_disconnect_together_end_a_few_in_each_turn(
     calls = [asyncio.create_task(handler(None, Stream())) for _ in range(STREAMS)]
     for _ in range(3):
         await asyncio.sleep(0)
-    turns = LoopTurns()
+    turns = TurnCounter()
     for call in calls:
         call.cancel()
     await turns.until(lambda: ended == STREAMS)
@@ -277,7 +277,7 @@ async def test_streams_that_yield_their_responses_continue_and_end_a_few_in_each
             ended += 1
             turns.note()
 
-    handler, streams, turns = await _handler(behavior), [Stream() for _ in range(STREAMS)], LoopTurns()
+    handler, streams, turns = await _handler(behavior), [Stream() for _ in range(STREAMS)], TurnCounter()
     calls = [asyncio.create_task(handler(None, stream)) for stream in streams]
     while not all(stream.written == [b"one", b"two"] for stream in streams):  # noqa: ASYNC110  (no event)
         await asyncio.sleep(0)
@@ -290,8 +290,8 @@ async def test_streams_that_yield_their_responses_continue_and_end_a_few_in_each
 
 
 async def test_messages_are_answered_immediately_for_a_bounded_time_in_each_turn() -> None:
-    now, turns, step = 0, LoopTurns(), pacing.AT_ONCE_NANOS // 4
-    budget = AtOnceBudget(lambda: now)
+    now, turns, step = 0, TurnCounter(), pacing.AT_ONCE_NANOS // 4
+    budget = SameTurnBudget(lambda: now)
 
     def answer() -> None:
         nonlocal now
@@ -311,7 +311,7 @@ async def test_messages_are_answered_immediately_for_a_bounded_time_in_each_turn
 
 async def test_a_loop_with_pauses_answers_every_message_immediately() -> None:
     now = 0
-    budget = AtOnceBudget(lambda: now)
+    budget = SameTurnBudget(lambda: now)
     for _ in range(100):
         assert budget.is_left()
         now += pacing.AT_ONCE_NANOS // 2  # the answer
@@ -329,7 +329,7 @@ async def test_a_caller_beyond_its_share_is_not_answered_immediately_and_answers
     spent: list[int] = []
     monkeypatch.setattr(CallerWork, "spend", lambda _work, nanos: spent.append(nanos))
     socket: Any = Socket()
-    PacedContext(socket, TurnGate(), TurnGate(), ONE, AtOnceBudget()).answer_at_once(lambda message, write: True)
+    PacedContext(socket, TurnGate(), TurnGate(), ONE, SameTurnBudget()).answer_at_once(lambda message, write: True)
     assert socket.take(b"x", print)
     assert len(spent) == 1
     monkeypatch.setattr(CallerWork, "must_wait", property(lambda _work: True))

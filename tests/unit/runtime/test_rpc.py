@@ -8,7 +8,7 @@ import grpc
 import pytest
 
 from stampede_rt.errors import ChannelNotFound
-from stampede_rt_runtime.rpc import Begun, Context, errors_as_status
+from stampede_rt_runtime.rpc import Context, StartedCoroutine, errors_as_status
 
 
 class Aborted(Exception):
@@ -93,7 +93,7 @@ async def test_the_first_step_runs_immediately_and_the_rest_when_it_is_awaited()
         await asyncio.sleep(0)
         steps.append("third")
 
-    begun = Begun(work())
+    begun = StartedCoroutine(work())
     assert (steps, begun.is_done) == (["first"], False)
     waits.set_result(None)
     await begun
@@ -102,7 +102,7 @@ async def test_the_first_step_runs_immediately_and_the_rest_when_it_is_awaited()
 
 
 async def test_a_coroutine_that_need_not_wait_is_done() -> None:
-    assert Begun(_nothing()).is_done
+    assert StartedCoroutine(_nothing()).is_done
 
 
 async def _nothing() -> None:
@@ -118,7 +118,7 @@ async def _fail(waits: asyncio.Future[None] | None) -> None:
 @pytest.mark.parametrize("is_late", [False, True])
 async def test_an_error_comes_when_the_rest_is_awaited(is_late: bool) -> None:
     waits = asyncio.get_running_loop().create_future() if is_late else None
-    begun = Begun(_fail(waits))
+    begun = StartedCoroutine(_fail(waits))
     assert not begun.is_done
     if waits is not None:
         waits.set_result(None)
@@ -137,10 +137,10 @@ async def test_a_cancellation_reaches_the_coroutine() -> None:
             ended.append("cancelled")
             raise
 
-    async def rest(begun: Begun) -> None:
+    async def rest(begun: StartedCoroutine) -> None:
         await begun
 
-    task = asyncio.create_task(rest(Begun(work())))
+    task = asyncio.create_task(rest(StartedCoroutine(work())))
     await asyncio.sleep(0)
     task.cancel()
     with pytest.raises(asyncio.CancelledError):

@@ -28,7 +28,7 @@ LIST = "/stampede_rt.v1.DirectoryService/ListChannels"
 WATCH = "/stampede_rt.v1.DirectoryService/Watch"
 RESOLVE = "/stampede_rt.v1.DirectoryService/ResolveChannel"
 LIMIT_S = 20.0
-SERVED = {"RPCState", "_ServicerContext", "CallerWork", "_Charged"}  # the objects that a server has for a call
+SERVED = {"RPCState", "_ServicerContext", "CallerWork", "_ChargedCoroutine"}  # the objects that a server has for a call
 UPDATE = "/stampede_rt.v1.DirectoryService/UpdateChannel"
 
 

@@ -10,7 +10,7 @@ import pytest
 from stampede_rt_channel_host.cluster.identity import load_host_id
 from stampede_rt_runtime.auth import make_secret_file
 from stampede_rt_runtime.written import naming
-from stampede_rt_supernode.joining.founding import FILE_NAME, Founding, write_founding
+from stampede_rt_supernode.joining.founding import FILE_NAME, FoundingRecord, write_founding
 
 
 def no_room(_descriptor: int) -> None:
@@ -32,7 +32,7 @@ def test_a_host_or_supernode_whose_folder_is_on_a_full_disk_names_it(
     monkeypatch.setattr("os.fsync", no_room)
     with pytest.raises(OSError, match="host-id"):
         load_host_id(tmp_path / "h")
-    founding = Founding(supernode_id="s1", address="localhost:1", members={})
+    founding = FoundingRecord(supernode_id="s1", address="localhost:1", members={})
     with pytest.raises(OSError, match=FILE_NAME):
         write_founding(tmp_path / "s", founding)
     assert make_secret_file(tmp_path / "secret").text

@@ -16,7 +16,7 @@ import uvicorn
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.escaping import escaped
-from stampede_rt_runtime.listen import CannotListen, NotAllowed, check_listen
+from stampede_rt_runtime.listen import AddressNotAllowed, CannotListen, check_listen
 from stampede_rt_runtime.logs import log_defects, set_up_logging
 from stampede_rt_runtime.main import announce
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings
@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except HelpRequested as asked:
         print(asked, end="")
         return 0
-    except NotAllowed:
+    except AddressNotAllowed:
         return _complain(
             f"{settings.listen} can be reached from other machines; beyond loopback the page needs --tls-certificate, "
             "--tls-key and --token-file",

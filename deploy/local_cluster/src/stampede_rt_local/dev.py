@@ -20,7 +20,7 @@ from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.kept_directory import check_hosts
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
 from stampede_rt_local.settings import DEFAULT_ADDRESS, PAGE_MODULE, DevSettings
-from stampede_rt_runtime.listen import CannotListen, NotAllowed, check_listen
+from stampede_rt_runtime.listen import AddressNotAllowed, CannotListen, check_listen
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings
 
 PAGE_SECONDS = 20.0  # for the start of the page
@@ -36,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except HelpRequested as asked:
         print(asked, end="")
         return 0
-    except (SettingsError, NotAllowed) as error:
+    except (SettingsError, AddressNotAllowed) as error:
         return _complain(error, EXIT_BAD_SETTINGS)
     except CannotListen as error:
         return _complain(error, 1)

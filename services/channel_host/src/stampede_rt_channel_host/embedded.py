@@ -25,12 +25,12 @@ from stampede_rt.values.reading import ReadQuery
 from stampede_rt_channel_host.channels.calls_here import at_now, newest_now, put_here, read_here, read_now
 from stampede_rt_channel_host.channels.gets.waiting_get import WaitingGet
 from stampede_rt_channel_host.channels.puts.held_acks import HeldAck
-from stampede_rt_channel_host.channels.puts_here import PutsHere, takes_runs
+from stampede_rt_channel_host.channels.puts_here import InProcessPutStream, takes_runs
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.embedded_settings import MISUSES, cannot_host, credentials_of, settings_of
 from stampede_rt_channel_host.forked_sockets import close_copies
 from stampede_rt_channel_host.served_host import ServedHost
-from stampede_rt_channel_host.turns import Turns
+from stampede_rt_channel_host.turns import LoopTurns
 from stampede_rt_runtime.settings import SettingsError
 from stampede_rt_runtime.working_threads import WorkingThreads
 
@@ -57,9 +57,9 @@ class EmbeddedHost:
         self._is_leaving = False  # also before the loop runs
         self._has_ended = False
         self._asked: set[Future[Any]] = set()  # calls that the loop has still to answer
-        self._puts: set[PutsHere] = set()  # the open streams of producers
+        self._puts: set[InProcessPutStream] = set()  # the open streams of producers
         self._started: Future[None] = Future()
-        self._turns = Turns()
+        self._turns = LoopTurns()
         # not a daemon: when the program ends without a close, the interpreter waits until the host has left
         self._thread = threading.Thread(target=self._run, name="stampede host", daemon=False)
 
@@ -131,7 +131,7 @@ class EmbeddedHost:
         ack: int,
         on_acks: Callable[[Any], None],
         on_end: Callable[[StampedeError], None],
-    ) -> PutsHere | None:
+    ) -> InProcessPutStream | None:
         """Open a producer's stream of runs. None: the host has ended, or the channel needs a stream over the wire."""
         loop, served = self._loop, self._served
         try:
@@ -140,7 +140,7 @@ class EmbeddedHost:
             return None
         if not takes or loop is None or served is None:
             return None
-        opened = PutsHere(loop, served.host.store, (channel_id, epoch), (producer_id, ack), on_acks, on_end)
+        opened = InProcessPutStream(loop, served.host.store, (channel_id, epoch), (producer_id, ack), on_acks, on_end)
         self._puts.add(opened)
         opened.on_over = partial(self._puts.discard, opened)
         return opened

@@ -15,12 +15,12 @@ from stampede_rt_runtime.archive_places import parse_archive
 from stampede_rt_runtime.auth import Secret, load_secret
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
-from stampede_rt_runtime.listen import CannotListen, NotAllowed
+from stampede_rt_runtime.listen import AddressNotAllowed, CannotListen
 from stampede_rt_runtime.settings import SettingsError
 from stampede_rt_runtime.tls import load_tls
 from stampede_rt_runtime.values import parse_address_text, parse_target
 
-MISUSES = (CannotListen, NotAllowed, SettingsError, ValueError)
+MISUSES = (CannotListen, AddressNotAllowed, SettingsError, ValueError)
 """The errors of a host that cannot start with its arguments."""
 
 

@@ -35,7 +35,7 @@ from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_queue
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
-from stampede_rt_channel_host.copies.draining import Draining
+from stampede_rt_channel_host.copies.draining import HostDrain
 from stampede_rt_channel_host.copies.feed_callers import FeedCallers
 from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
@@ -180,7 +180,7 @@ class ChannelHost:
         )
         self._queues_here = QueueArrivals(self.identity, self.queues, self._move_directory, self._dial)
         self.store.copies.on_inherited = self.groups.exchange.inherit_floors
-        self.draining = Draining(
+        self.draining = HostDrain(
             self.store, self.queues, self._move_directory, self.groups.ids_of, self._dial, self._dial_streams,
             self.moves_away.allowed.allow,
         )  # fmt: skip

@@ -31,7 +31,7 @@ from stampede_rt_channel_host.settings import HostSettings
 from stampede_rt_runtime.access.move_permits import KEY_BYTES
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.dial import Dialer
-from stampede_rt_runtime.listen import CannotListen, NotAllowed
+from stampede_rt_runtime.listen import AddressNotAllowed, CannotListen
 from stampede_rt_runtime.routes import address_towards
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import SettingsError
@@ -80,7 +80,7 @@ class ServedHost:
     async def listen(self) -> None:
         """Listen, at a Unix socket and the TCP port for data, too.
 
-        Raises CannotListen, NotAllowed, SettingsError, PermissionDenied.
+        Raises CannotListen, AddressNotAllowed, SettingsError, PermissionDenied.
         """
         settings, tls = self._settings, self._credentials.tls
         if self._objects is not None:
@@ -198,12 +198,12 @@ def where_to_listen(settings: HostSettings, *, secured: bool) -> str:
     """The address at which a host without `--listen` listens: this machine's address towards the front-ends, any port.
 
     The address is "localhost" if all front-ends are on this machine. `secured`: the host has certificates. Raises
-    NotAllowed if other machines could call the host without certificates and no setting allows it. Raises CannotListen
-    if no route leads to a front-end.
+    AddressNotAllowed if other machines could call the host without certificates and no setting allows it. Raises
+    CannotListen if no route leads to a front-end.
     """
     own = address_towards(settings.frontend)
     if own != "localhost" and not (secured or settings.allow_insecure_anywhere):
-        raise NotAllowed(
+        raise AddressNotAllowed(
             f"a front-end ({', '.join(settings.frontend)}) is on another machine, so this host must listen at {own}, "
             "where others can call it, and without certificates everything, the secret included, would cross the "
             "network in clear text; give it certificates (--tls-ca and the others), or, on a network that you trust, "

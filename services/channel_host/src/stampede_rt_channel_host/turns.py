@@ -14,7 +14,7 @@ import time
 _GIVE_WAY_SECONDS = 0.0001
 
 
-class Turns:
+class LoopTurns:
     """The turns of one loop. `loop` makes it, on the thread that runs it. Other threads take `lock` to look."""
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class Turns:
 class _GivingSelector(selectors.DefaultSelector):  # type: ignore[misc, valid-type, unused-ignore]  # one of several
     """A selector that releases the lock of `turns` while it waits."""
 
-    def __init__(self, turns: Turns) -> None:
+    def __init__(self, turns: LoopTurns) -> None:
         super().__init__()
         self._turns = turns
 

@@ -54,21 +54,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-class Done(NamedTuple):
+class VerbResult(NamedTuple):
     """The outcome of a verb: `lines` for people, and `facts` for programs."""
 
     lines: list[str]
     facts: dict[str, Any]
 
 
-def _print(done: Done, form: str) -> None:
+def _print(done: VerbResult, form: str) -> None:
     if form == "table":
         sys.stdout.writelines(escaped(line) + "\n" for line in done.lines)
     else:
         sys.stdout.write(json_text(done.facts, form) + "\n")
 
 
-def _init(arguments: argparse.Namespace) -> Done:
+def _init(arguments: argparse.Namespace) -> VerbResult:
     folder: Path = arguments.folder
     Identity(arguments.cluster, Role.CLIENT, "any")  # checks the cluster's name
     made = make_authority(arguments.cluster, now=datetime.now(UTC), lifetime=timedelta(days=arguments.days))
@@ -85,10 +85,10 @@ def _init(arguments: argparse.Namespace) -> Done:
         f"Next, a certificate for each part: stampede certs issue{_from(folder)} --name NAME --role ROLE",
         f"(ROLE: {', '.join(Role)}; an operator adds and removes supernodes)",
     ]
-    return Done(lines, {"cluster": arguments.cluster, "certificate": str(certificate), "key": str(key)})
+    return VerbResult(lines, {"cluster": arguments.cluster, "certificate": str(certificate), "key": str(key)})
 
 
-def _issue(arguments: argparse.Namespace) -> Done:
+def _issue(arguments: argparse.Namespace) -> VerbResult:
     folder: Path = arguments.dir
     authority = _authority(folder)
     identity = Identity(cluster_of(authority.certificate), Role(arguments.role), arguments.name)
@@ -103,7 +103,7 @@ def _issue(arguments: argparse.Namespace) -> Done:
     until = f"{contents.not_after:%Y-%m-%d %H:%M} UTC"
     lines = [f"{certificate}: {identity}{reached}, until {until}", f"{key}: its private key", ""]
     lines += _how_to_use(identity, folder / "ca.pem", certificate, key)
-    return Done(lines, _facts(certificate, contents) | {"key": str(key)})
+    return VerbResult(lines, _facts(certificate, contents) | {"key": str(key)})
 
 
 def _authority(folder: Path) -> IssuedCertificate:
@@ -115,7 +115,7 @@ def _authority(folder: Path) -> IssuedCertificate:
     return IssuedCertificate((folder / "ca.pem").read_bytes(), (folder / "ca.key").read_bytes())
 
 
-def _renew(arguments: argparse.Namespace) -> Done:
+def _renew(arguments: argparse.Namespace) -> VerbResult:
     """Renew certificates. Makes all new ones before it replaces any."""
     authority, now = _authority(arguments.dir), datetime.now(UTC)
     made = [(file, *_renewed(authority, file, now)) for file in arguments.files]
@@ -125,7 +125,7 @@ def _renew(arguments: argparse.Namespace) -> Done:
         contents = describe(issued.certificate)[0]
         lines.append(f"{file}: {identity}, until {contents.not_after:%Y-%m-%d %H:%M} UTC")
         renewed.append(_facts(file, contents))
-    return Done(lines, {"certificates": renewed})
+    return VerbResult(lines, {"certificates": renewed})
 
 
 def _renewed(authority: IssuedCertificate, file: Path, now: datetime) -> tuple[Identity, IssuedCertificate]:
@@ -167,11 +167,11 @@ def _own_addresses() -> tuple[str, ...]:
     return tuple(dict.fromkeys((socket.gethostname(), "localhost", "127.0.0.1", "::1")))
 
 
-def _show(arguments: argparse.Namespace) -> Done:
+def _show(arguments: argparse.Namespace) -> VerbResult:
     now = datetime.now(UTC)
     shown = [(file, one) for file in arguments.files for one in _described(file)]
     lines = [f"{file}: {_line(one, now)}" for file, one in shown]
-    return Done(lines, {"certificates": [_facts(file, one) for file, one in shown]})
+    return VerbResult(lines, {"certificates": [_facts(file, one) for file, one in shown]})
 
 
 def _facts(file: Path, one: CertificateContents) -> dict[str, Any]:
@@ -197,7 +197,7 @@ def _described(file: Path) -> list[CertificateContents]:
         raise CertificateError(f"{file}: {error}") from error
 
 
-def _revoke(arguments: argparse.Namespace) -> Done:
+def _revoke(arguments: argparse.Namespace) -> VerbResult:
     """Revoke the given certificates. If none is given, list all revoked serial numbers.
 
     The caller must prove the role `operator` by a certificate or token, or have the cluster's secret.
@@ -208,14 +208,14 @@ def _revoke(arguments: argparse.Namespace) -> Done:
     with reached(arguments.url, None) as cluster:
         if not serials:
             listed = list(cluster.revoked_serials())
-            return Done(listed or ["no certificate or token is revoked"], {"revoked": listed})
+            return VerbResult(listed or ["no certificate or token is revoked"], {"revoked": listed})
         version = max([cluster.revoke(serial) for serial in serials])
         try:
             behind = [f"not in force yet at {name}: {why}" for name, why in cluster.parts_behind(version).items()]
         except PermissionDenied as own:
             behind = [own.message]
     lines = [f"{one} is revoked: the streams of its bearers end, and the services refuse it" for one in serials]
-    return Done(lines + behind, {"revoked": serials, "behind": behind})
+    return VerbResult(lines + behind, {"revoked": serials, "behind": behind})
 
 
 def serial_of(text: str) -> str:

@@ -17,19 +17,19 @@ class CannotListen(Exception):
     """The service cannot listen at the address. The text is one line with the reason."""
 
 
-class NotAllowed(CannotListen):
+class AddressNotAllowed(CannotListen):
     """Other machines can reach the address, and no setting allows that."""
 
 
 def check_listen(text: str, *, allow_insecure_anywhere: bool, flag: str = "--listen") -> Address:
     """The address, if it is loopback or allowed, and free. May block for a moment, to resolve a name.
 
-    `flag`: the flag of the address, for error texts. Raises NotAllowed or CannotListen.
+    `flag`: the flag of the address, for error texts. Raises AddressNotAllowed or CannotListen.
     """
     address = parse_address(text)
     socket_addresses = _resolve(address)
     if not allow_insecure_anywhere and not all(_is_loopback(socket_address) for _, socket_address in socket_addresses):
-        raise NotAllowed(
+        raise AddressNotAllowed(
             f"{address} can be reached from other machines, and without certificates everything, the secret included, "
             f"would cross the network in clear text; listen at localhost:{address.port}, or, on a network that you "
             "trust, add --allow-insecure-anywhere"

@@ -16,7 +16,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.escaping import escaped
 from stampede_rt.security.tls import CLIENT_VARIABLES
 from stampede_rt_runtime import open_files
-from stampede_rt_runtime.listen import CannotListen, NotAllowed
+from stampede_rt_runtime.listen import AddressNotAllowed, CannotListen
 from stampede_rt_runtime.logs import log_defects, set_up_logging
 from stampede_rt_runtime.memory import allocator
 from stampede_rt_runtime.service_settings import ServiceSettings
@@ -55,7 +55,7 @@ def run_service(
     _tell_of_clients_certificates(settings, service)
     try:
         return run_loop(serve(settings)) or 0
-    except (NotAllowed, SettingsError) as error:
+    except (AddressNotAllowed, SettingsError) as error:
         return _complain(service, error, EXIT_BAD_SETTINGS)
     except (CannotListen, StampedeError) as error:
         return _complain(service, error, EXIT_FAILED)

@@ -13,7 +13,7 @@ logger = logging.getLogger(__name__)
 LOG_PERIOD_NANOS = 10 * 10**9
 
 
-class Overload:
+class OverloadCounter:
     """Counts items or calls that a service refused as Overloaded.
 
     `now`: nanoseconds of a clock that never goes back.
@@ -44,7 +44,7 @@ class RefusedCalls:
     """Calls, and reads in streams, that were refused or ended as Overloaded. `steady_nanos` never goes back."""
 
     def __init__(self, steady_nanos: Callable[[], int] = time.monotonic_ns) -> None:
-        self._overload = Overload()
+        self._overload = OverloadCounter()
         self._steady_nanos = steady_nanos
 
     def note(self, error: Overloaded) -> None:

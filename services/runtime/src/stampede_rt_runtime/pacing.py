@@ -74,7 +74,7 @@ class TurnGate:
             asyncio.get_running_loop().call_soon(self._begin_turn)
 
 
-class AtOnceBudget:
+class SameTurnBudget:
     """Limits the time for which messages are answered in the turn of the event loop in which they come.
 
     Beyond AT_ONCE_NANOS in one turn, messages go to their streams. The gates let a few streams run in each turn. Pauses
@@ -114,7 +114,7 @@ class PacedContext:
         reads: TurnGate,
         writes: TurnGate,
         caller: Account | None = None,
-        at_once: AtOnceBudget | None = None,
+        at_once: SameTurnBudget | None = None,
     ) -> None:
         """`caller`: None for one without quotas. `at_once`: None if all messages go to the stream."""
         self._context = context
@@ -159,7 +159,7 @@ class PacedContext:
 
     def _take_at_once(
         self,
-        budget: AtOnceBudget,
+        budget: SameTurnBudget,
         take: Callable[[bytes | memoryview, Callable[[bytes], None]], bool],
         message: bytes | memoryview,
         write: Callable[[bytes], None],
@@ -188,7 +188,7 @@ class PacingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
 
     def __init__(self) -> None:
         self._reads, self._writes, self._ends = TurnGate(), TurnGate(), TurnGate()
-        self._at_once = AtOnceBudget()
+        self._at_once = SameTurnBudget()
 
     async def intercept_service(
         self,

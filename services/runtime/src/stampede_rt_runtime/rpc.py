@@ -42,7 +42,7 @@ def write_now(context: Context) -> Callable[[bytes], None] | None:
     return write
 
 
-class Begun(Awaitable[None]):
+class StartedCoroutine(Awaitable[None]):
     """A coroutine whose first step has run. Await this object for the rest and for any error, also of the first step.
 
     `is_done`: there is no rest, and no error. The coroutine must not ask for its task.

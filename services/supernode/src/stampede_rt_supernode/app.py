@@ -32,7 +32,7 @@ from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
 from stampede_rt_supernode.background import background
 from stampede_rt_supernode.core.access.queries import access_state, things_of_callers
 from stampede_rt_supernode.joining.copied_folder import OwnAddress
-from stampede_rt_supernode.joining.founding import Founding, misplaced, note_started, read_founding
+from stampede_rt_supernode.joining.founding import FoundingRecord, misplaced, note_started, read_founding
 from stampede_rt_supernode.joining.members import Members, why_diverged
 from stampede_rt_supernode.joining.preparing import PREPARING, prepare
 from stampede_rt_supernode.joining.probe import Probe
@@ -147,7 +147,7 @@ class _Parts:
 
 def _assemble(
     settings: SupernodeSettings,
-    founding: Founding,
+    founding: FoundingRecord,
     log: ReplicatedLog,
     replica: DirectoryReplica,
     credentials: Dialer,
@@ -194,7 +194,7 @@ def _register(parts: _Parts, server: ServiceServer) -> None:
 @contextlib.asynccontextmanager
 async def _open_log(
     settings: SupernodeSettings,
-    founding: Founding,
+    founding: FoundingRecord,
     server: ServiceServer,
     credentials: Dialer,
     replica: DirectoryReplica,
@@ -217,7 +217,7 @@ async def _open_log(
 
 
 def _work(
-    settings: SupernodeSettings, founding: Founding, parts: _Parts, server: ServiceServer, credentials: Dialer
+    settings: SupernodeSettings, founding: FoundingRecord, parts: _Parts, server: ServiceServer, credentials: Dialer
 ) -> list[Coroutine[Any, Any, None]]:
     """The work that runs as long as the supernode serves."""
     work: list[Coroutine[Any, Any, None]] = [
@@ -299,7 +299,7 @@ def _end_watches(parts: _Parts, status: ReplicationStatus) -> None:
     )
 
 
-async def _watch_founding(server: ServiceServer, parts: _Parts, founding: Founding) -> None:
+async def _watch_founding(server: ServiceServer, parts: _Parts, founding: FoundingRecord) -> None:
     """End the service if the other founders of its cluster got another list of members."""
     while founding.listed and not server.stopping.is_set():
         if parts.replica.read(lambda directory: directory.tenure > 0):

@@ -14,7 +14,7 @@ from stampede_rt.errors import StampedeError, VersionMismatch
 from stampede_rt_supernode.codecs.command_codec import decode_command, encode_result, kind_in, level_needed
 from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, decode_snapshot
 from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL, may_be_used
-from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.commands import RefusedOperation
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.replication.interface import ReleaseTooOld
 
@@ -54,10 +54,10 @@ class DirectoryReplica:
                 result = self._directory.apply(index, decoded)
             except StampedeError as error:
                 self._directory.skip(index)
-                result = Refused.because(error)
+                result = RefusedOperation.because(error)
             self._check_release(self._directory)
             encoded = encode_result(result)
-            if not isinstance(result, Refused):
+            if not isinstance(result, RefusedOperation):
                 self._directory.note_done(index, encoded)
         self._listener()
         return encoded

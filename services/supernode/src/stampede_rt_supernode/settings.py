@@ -18,7 +18,7 @@ from stampede_rt_runtime.values import parse_address, parse_address_text, parse_
 from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS
 
 if TYPE_CHECKING:
-    from stampede_rt_supernode.joining.founding import Founding
+    from stampede_rt_supernode.joining.founding import FoundingRecord
 
 DEFAULT_ID = "supernode-1"
 MEMBERS_MAX = 9  # with more members, each majority costs more than the added safety is worth
@@ -126,7 +126,7 @@ class SupernodeSettings(ServiceSettings):
                 f"--listen is {self.listen}; with --members name the port that the list has for this supernode"
             )
 
-    def founding(self, listening_at: str) -> Founding:
+    def founding(self, listening_at: str) -> FoundingRecord:
         """Returns how this supernode begins: as its folder was prepared, by the list of members, or as the only one.
 
         Raises StampedeError if it would begin as the only one in a folder that was never prepared and that holds no
@@ -176,20 +176,22 @@ class SupernodeSettings(ServiceSettings):
                     f"with --id {member_id} and the same --members"
                 )
 
-    def _listed(self, name: str, address: str, members: dict[str, str]) -> Founding:
+    def _listed(self, name: str, address: str, members: dict[str, str]) -> FoundingRecord:
         """Returns how a founder in the list of members begins.
 
         The cluster id comes from the store, if there is one, because the list may change later. Without a store it
         comes from the list.
         """
-        from stampede_rt_supernode.joining.founding import Founding
+        from stampede_rt_supernode.joining.founding import FoundingRecord
         from stampede_rt_supernode.replication import StoreDamaged, StoreRefused, holds_store, read_identity
 
         cluster_id = listed_cluster_id(members)
         if self.data_dir is not None and holds_store(self.data_dir):
             with contextlib.suppress(StoreDamaged, StoreRefused):  # the opening of the store reports these
                 cluster_id, _ = read_identity(self.data_dir)
-        return Founding(supernode_id=name, address=address, members=members, log_cluster_id=cluster_id, listed=True)
+        return FoundingRecord(
+            supernode_id=name, address=address, members=members, log_cluster_id=cluster_id, listed=True
+        )
 
     def _pairs(self) -> Iterator[tuple[str, str]]:
         for member in self.members:

@@ -27,7 +27,7 @@ from stampede_rt_runtime.certificates import (
     make_authority,
 )
 from stampede_rt_runtime.identity import Identity, Role
-from stampede_rt_supernode.joining.founding import Founding, read_founding, write_founding
+from stampede_rt_supernode.joining.founding import FoundingRecord, read_founding, write_founding
 from stampede_rt_supernode.replication import Member
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.log_entries import Entry
@@ -90,7 +90,7 @@ def backup(source: ByteSource) -> None:
 
 def founding(source: ByteSource) -> None:
     with folder() as place:
-        write_founding(place, Founding(supernode_id="s1", address="localhost:1", members={"s1": "localhost:1"}))
+        write_founding(place, FoundingRecord(supernode_id="s1", address="localhost:1", members={"s1": "localhost:1"}))
         (file,) = place.iterdir()
         file.write_bytes(content(source, file.read_bytes()))
         found = read_founding(place)

@@ -36,7 +36,7 @@ from stampede_rt_runtime.certificates import (
 from stampede_rt_runtime.identity import Identity, Role
 from stampede_rt_runtime.settings import SettingsError, load_settings
 from stampede_rt_supernode.joining.founding import FILE_NAME as FOUNDING_NAME
-from stampede_rt_supernode.joining.founding import Founding, read_founding, write_founding
+from stampede_rt_supernode.joining.founding import FoundingRecord, read_founding, write_founding
 from stampede_rt_supernode.replication.storage.backups import MAGIC, read_backup
 from stampede_rt_supernode.replication.storage.known_stores import FILE_NAME as KNOWN_STORES_NAME
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
@@ -121,7 +121,7 @@ def test_malformed_notes_of_stores_are_refused(body: bytes, tmp_path: Path) -> N
 
 @pytest.mark.parametrize(("old", "new"), [('"s1"', '"s2"'), ('"localhost:1"', "1"), ("{", "[" * 100_000), ("{", "")])
 def test_a_members_file_that_contradicts_itself_is_refused(old: str, new: str, tmp_path: Path) -> None:
-    write_founding(tmp_path, Founding(supernode_id="s1", address="localhost:1", members={"s1": "localhost:1"}))
+    write_founding(tmp_path, FoundingRecord(supernode_id="s1", address="localhost:1", members={"s1": "localhost:1"}))
     file = tmp_path / FOUNDING_NAME
     file.write_text(file.read_text().replace(old, new, 1))
     with pytest.raises(StampedeError, match=r"supernode\.json"):

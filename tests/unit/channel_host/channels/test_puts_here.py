@@ -13,7 +13,7 @@ from stampede_rt.errors import InvalidArgument, Overloaded, StaleBinding, Stampe
 from stampede_rt.status import from_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.batching import NumberedRun, RunBuilder
-from stampede_rt_channel_host.channels.puts_here import STEP_BYTES_MAX, PutsHere
+from stampede_rt_channel_host.channels.puts_here import STEP_BYTES_MAX, InProcessPutStream
 from stampede_rt_channel_host.core.channel import ReferencedBody
 
 
@@ -71,7 +71,7 @@ class Stream:
         self.acked: Callable[[], None] = lambda: None
         loop = asyncio.get_running_loop()
         told = self._on_acks, self.ends.append
-        self.puts = PutsHere(loop, cast(Any, self.store), (b"c", 3), (11, 0), *told)
+        self.puts = InProcessPutStream(loop, cast(Any, self.store), (b"c", 3), (11, 0), *told)
 
     def _on_acks(self, response: pb.PutResponse) -> None:
         self.acks += response.acks
@@ -195,6 +195,6 @@ async def test_a_cancelled_stream_puts_no_further_run_and_sends_no_ack() -> None
 def test_a_stopped_host_accepts_no_runs() -> None:
     loop = asyncio.new_event_loop()
     loop.close()
-    puts = PutsHere(loop, cast(Any, Store()), (b"c", 3), (11, 0), lambda acks: None, lambda error: None)
+    puts = InProcessPutStream(loop, cast(Any, Store()), (b"c", 3), (11, 0), lambda acks: None, lambda error: None)
     with pytest.raises(Unavailable):
         puts.send(runs_of([b"x"]))

@@ -25,7 +25,7 @@ from stampede_rt.v1 import migration_service_pb2_grpc
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels.refusals import SHUTTING_DOWN
 from stampede_rt_channel_host.copies import draining
-from stampede_rt_channel_host.copies.draining import Drained, Draining
+from stampede_rt_channel_host.copies.draining import DrainResult, HostDrain
 from stampede_rt_channel_host.core.placing import OtherHost
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.server import serving
@@ -91,7 +91,7 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
                 await context.write(pb.MoveEachHereResponse(outcomes=[outcome]))
 
 
-async def drained(channels: int, *hosts: Host, recorded: bool = False, name: str = "cam/{}") -> Drained:
+async def drained(channels: int, *hosts: Host, recorded: bool = False, name: str = "cam/{}") -> DrainResult:
     """Drain `channels` channels without groups to these hosts. Returns the outcome."""
     async with AsyncExitStack() as servers:
         others: list[OtherHost] = []
@@ -118,19 +118,19 @@ async def drained(channels: int, *hosts: Host, recorded: bool = False, name: str
         directory: Any = SimpleNamespace(other_hosts=other_hosts)
         queues: Any = SimpleNamespace(all=list)
         dial = grpc.aio.insecure_channel
-        drain = Draining(store, queues, directory, lambda channel_id: [], dial, dial, allow)
+        drain = HostDrain(store, queues, directory, lambda channel_id: [], dial, dial, allow)
         return await drain.run(SECONDS_MAX)
 
 
 async def test_a_drained_channel_goes_to_another_host_if_the_first_has_no_room() -> None:
     full, free = Host(always=FULL), Host()
-    assert await drained(3, full, free) == Drained(3, {})
+    assert await drained(3, full, free) == DrainResult(3, {})
     assert sorted(free.taken) == [b"c0", b"c1", b"c2"]
 
 
 async def test_a_drain_asks_a_host_with_too_many_moves_again_later() -> None:
     busy = Host(*[FULL] * 5)
-    assert await drained(3, busy) == Drained(3, {})
+    assert await drained(3, busy) == DrainResult(3, {})
     assert sorted(busy.taken) == [b"c0", b"c1", b"c2"]
 
 
@@ -144,7 +144,7 @@ async def test_a_drain_asks_a_host_with_too_many_moves_again_later() -> None:
 async def test_a_drain_asks_again_if_its_host_has_ended_a_move_or_has_another_epoch(error: StampedeError) -> None:
     """In an earlier version, the drain gave a channel up after the link to the other host had broken."""
     host = Host(error)
-    assert await drained(1, host) == Drained(1, {})
+    assert await drained(1, host) == DrainResult(1, {})
     assert host.taken == [b"c0"]
 
 
@@ -160,30 +160,30 @@ async def test_a_drain_ends_if_all_other_hosts_are_silent_and_lets_its_host_do_o
 
 async def test_a_drain_leaves_a_channel_that_no_host_may_take() -> None:
     host = Host(always=PermissionDenied("a rule denies it"))
-    assert await drained(1, host) == Drained(0, {"cam/0": "a rule denies it"})
+    assert await drained(1, host) == DrainResult(0, {"cam/0": "a rule denies it"})
 
 
 async def test_all_channels_of_a_drain_are_named_in_one_stream() -> None:
     host = Host()
-    assert await drained(40, host) == Drained(40, {})
+    assert await drained(40, host) == DrainResult(40, {})
     assert host.streams == 1
 
 
 async def test_a_drain_calls_a_host_of_an_older_release_for_each_channel() -> None:
     older, full = Host(is_older=True), Host(always=FULL)
-    assert await drained(5, older, full) == Drained(5, {})
+    assert await drained(5, older, full) == DrainResult(5, {})
     assert sorted(older.taken) == [b"c0", b"c1", b"c2", b"c3", b"c4"]
 
 
 async def test_a_drain_whose_stream_breaks_opens_another_one() -> None:
     host = Host(breaks=2)
-    assert await drained(5, host) == Drained(5, {})
+    assert await drained(5, host) == DrainResult(5, {})
     assert host.streams == 3
 
 
 async def test_a_recorded_channel_is_drained_only_to_a_host_with_an_archive() -> None:
     plain, archiving = Host(), Host(has_archive=True)
-    assert await drained(3, plain, archiving, recorded=True) == Drained(3, {})
+    assert await drained(3, plain, archiving, recorded=True) == DrainResult(3, {})
     assert (len(plain.taken), len(archiving.taken)) == (0, 3)
     moved, left = await drained(1, Host(), recorded=True)
     assert (moved, [*left.values()]) == (0, ["it is recorded (archive), and no other live host has an archive"])
@@ -191,14 +191,14 @@ async def test_a_recorded_channel_is_drained_only_to_a_host_with_an_archive() ->
 
 async def test_a_drain_moves_no_channel_to_a_host_that_also_stops() -> None:
     stopping, free = Host(always=SHUTTING_DOWN), Host()
-    assert await drained(3, stopping, free) == Drained(3, {})
+    assert await drained(3, stopping, free) == DrainResult(3, {})
     assert len(free.taken) == 3
 
 
 async def test_a_frozen_host_delays_no_channel(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(draining, "BEGIN_SECONDS_MAX", 1.0)  # on a busy machine a host that runs needs some time
     frozen, free = Host(is_frozen=True), Host()
-    assert await drained(20, frozen, free) == Drained(20, {})
+    assert await drained(20, frozen, free) == DrainResult(20, {})
     assert len({*free.taken}) == 20  # the drain may repeat a call that was late on a busy machine
 
 
@@ -218,5 +218,5 @@ async def test_a_drain_reports_a_channel_that_cannot_move_but_not_a_deleted_one(
 
 async def test_two_channels_with_the_same_name_are_both_drained() -> None:
     host = Host()
-    assert await drained(2, host, name="cam") == Drained(2, {})
+    assert await drained(2, host, name="cam") == DrainResult(2, {})
     assert sorted(host.taken) == [b"c0", b"c1"]

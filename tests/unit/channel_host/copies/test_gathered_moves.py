@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from stampede_rt.errors import ChannelNotFound, StaleBinding
-from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, Release
+from stampede_rt_channel_host.copies.gathered_moves import FallbackRelease, GatheredMoves, MoveCommit
 
 
 class Directory(GatheredMoves):
@@ -29,7 +29,7 @@ class Directory(GatheredMoves):
         self.asked.append([*channel_ids])
         return [(SimpleNamespace(channel_id=one), "owner") for one in channel_ids if one != b"gone"]
 
-    async def commit_one(self, move: Commit) -> Any:
+    async def commit_one(self, move: MoveCommit) -> Any:
         self.begun += 1
         if self.begun == 4:
             self.all_begun.set()
@@ -37,10 +37,10 @@ class Directory(GatheredMoves):
             await self.all_begun.wait()
         raise StaleBinding(f"no {move.channel_id.decode()}", reason="WRONG_EPOCH")
 
-    async def commit_all(self, moves: Sequence[Commit]) -> Sequence[Any]:
+    async def commit_all(self, moves: Sequence[MoveCommit]) -> Sequence[Any]:
         return []
 
-    async def release_all(self, moves: Sequence[Release]) -> set[bytes]:
+    async def release_all(self, moves: Sequence[FallbackRelease]) -> set[bytes]:
         raise NotImplementedError
 
     async def released_of(self, channel_ids: Sequence[bytes]) -> set[bytes]:

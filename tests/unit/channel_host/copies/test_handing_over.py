@@ -10,7 +10,7 @@ from stampede_rt.wire.runs import encode_run
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
-from stampede_rt_channel_host.copies.handing_over import IDLE_NANOS, HandingOver
+from stampede_rt_channel_host.copies.handing_over import IDLE_NANOS, HandoffDecision
 from stampede_rt_channel_host.core.channel import ChannelCore, ChannelFeed
 
 MOST_BYTES = 2**20
@@ -28,7 +28,7 @@ class Source:
         self.feed = ChannelFeed(self.channel, None, self.now, self.puts.retries)
         self.move: Any = SimpleNamespace(is_held=False, permit=b"permit", hold=self._hold)
         hosted: Any = SimpleNamespace(puts=self.puts, replication=None)
-        self.handing_over = HandingOver(hosted, self.move, self.feed, when_idle=True)
+        self.handing_over = HandoffDecision(hosted, self.move, self.feed, when_idle=True)
 
     def _hold(self) -> None:
         self.puts.hold()

@@ -36,7 +36,7 @@ from stampede_rt_supernode.core.cluster.commands import (
     TimeMarked,
 )
 from stampede_rt_supernode.core.command_table import KINDS
-from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
+from stampede_rt_supernode.core.commands import Command, Operation, RefusedOperation, Result, Success
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import GroupDeleted, GroupOpened, GroupUpdated
 from stampede_rt_supernode.core.hosts.commands import (
@@ -47,7 +47,7 @@ from stampede_rt_supernode.core.hosts.commands import (
     NoteHostLoads,
     ReportedLoad,
 )
-from stampede_rt_supernode.core.kept_answers import Answer
+from stampede_rt_supernode.core.kept_answers import KeptAnswer
 from stampede_rt_supernode.core.moves.commands import (
     CommitMove,
     CommitMoves,
@@ -277,7 +277,7 @@ PEER = PeerRecord(
 BARE_PEER = PeerRecord(peer_id=id_of(8), name="", boot_incarnation=8, registered_unix_nano=1, registered_index=9)
 OWNED_PEER = replace(BARE_PEER, owner="")
 RESULTS: list[Result] = [
-    Refused(reason="NO_HOST", message="none", metadata={"channel": "cam"}),
+    RefusedOperation(reason="NO_HOST", message="none", metadata={"channel": "cam"}),
     ChannelOpened(channel=CHANNEL, host=HOST, created=True),
     ChannelUpdated(channel=CHANNEL),
     ChannelDeleted(channel=CHANNEL),
@@ -345,12 +345,12 @@ def test_every_kind_of_command_has_one_row_in_the_table_of_codecs_and_one_in_the
 
 def test_every_row_of_the_command_table_is_among_the_round_trips() -> None:
     assert {type(operation) for operation in OPERATIONS} == {row.operation for row in KINDS}
-    assert {type(result) for result in RESULTS} == {Refused, *(row.result for row in KINDS)}
+    assert {type(result) for result in RESULTS} == {RefusedOperation, *(row.result for row in KINDS)}
 
 
 def test_a_snapshot_holds_the_kept_answer_to_every_kind_of_command() -> None:
     done = [result for result in RESULTS if isinstance(result, Success)]
-    answers = [Answer(id_of(number), number, "subject", result) for number, result in enumerate(done, 1)]
+    answers = [KeptAnswer(id_of(number), number, "subject", result) for number, result in enumerate(done, 1)]
     assert {type(result) for result in done} == {row.result for row in KINDS}
     assert list(decode_snapshot(encode_snapshot(Directory(index=99, answers=answers))).kept_answers) == answers
 
@@ -391,7 +391,7 @@ def test_the_greatest_command_fits_the_log() -> None:
 def test_an_unreadable_entry_is_refused_and_later_entries_are_applied(entry: bytes, reason: str) -> None:
     replica = DirectoryReplica()
     result = decode_result(replica.apply(4, entry))
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     assert result.reason == reason
     assert replica.read(lambda directory: directory.applied_index) == 4
 
@@ -401,7 +401,7 @@ def test_an_unknown_value_of_on_full_is_refused() -> None:
     message.open_channel.name = "cam"
     message.open_channel.spec.on_full = 9  # type: ignore[assignment]
     result = decode_result(DirectoryReplica().apply(1, message.SerializeToString()))
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     assert "on_full" in result.message
 
 
@@ -414,7 +414,7 @@ def test_a_group_that_this_version_cannot_read_is_refused(field: str, value: Any
     message.open_group.spec.channel_ids.append(id_of(1))
     setattr(message.open_group.spec, field, value)
     result = decode_result(DirectoryReplica().apply(1, message.SerializeToString()))
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     assert field in result.message
 
 

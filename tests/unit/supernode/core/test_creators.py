@@ -9,7 +9,7 @@ import pytest
 from stampede_rt.errors import Overloaded
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
 from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
-from stampede_rt_supernode.core.commands import Creation, Refused, Result
+from stampede_rt_supernode.core.commands import Creation, RefusedOperation, Result
 from stampede_rt_supernode.core.creators import Creators
 from stampede_rt_supernode.core.groups import transitions as group_transitions
 from stampede_rt_supernode.core.tables import Tables
@@ -43,7 +43,7 @@ def log_with_a_host(feature_level: int = GROUPS_AND_PEERS_LEVEL) -> Log:
 
 
 def refusal(result: Result) -> Overloaded:
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     error = result.error()
     assert isinstance(error, Overloaded)
     return error
@@ -60,15 +60,15 @@ def test_a_caller_makes_as_many_channels_as_its_quota_and_deletions_make_room() 
     )
     assert error.metadata == {"quota": "channels", "subject": "cam", "used": "2", "limit": "2"}
     log.apply(delete(log.directory.tables.channel_ids["c10"]))
-    assert not isinstance(log.apply(by("cam", open_channel("c13"))), Refused)
+    assert not isinstance(log.apply(by("cam", open_channel("c13"))), RefusedOperation)
 
 
 def test_an_existing_channel_opens_under_any_quota_and_channels_of_others_do_not_count() -> None:
     log = log_with_a_host()
     log.apply(by("cam", open_channel("mine"), 1))
-    assert not isinstance(log.apply(by("cam", open_channel("mine"), 1)), Refused)
-    assert not isinstance(log.apply(by("other", open_channel("others"), 1)), Refused)
-    assert not isinstance(log.apply(by("cam", open_channel("more"), None)), Refused)
+    assert not isinstance(log.apply(by("cam", open_channel("mine"), 1)), RefusedOperation)
+    assert not isinstance(log.apply(by("other", open_channel("others"), 1)), RefusedOperation)
+    assert not isinstance(log.apply(by("cam", open_channel("more"), None)), RefusedOperation)
 
 
 def test_queues_have_a_quota_of_their_own() -> None:
@@ -77,7 +77,7 @@ def test_queues_have_a_quota_of_their_own() -> None:
     log.apply(by("cam", open_queue("q"), 1))
     assert refusal(log.apply(by("cam", open_queue("r"), 1))).metadata["quota"] == "queues"
     log.apply(delete_queue(log.directory.tables.queues.ids["q"]))
-    assert not isinstance(log.apply(by("cam", open_queue("s"), 1)), Refused)
+    assert not isinstance(log.apply(by("cam", open_queue("s"), 1)), RefusedOperation)
 
 
 def test_groups_have_a_quota_of_their_own_and_a_group_deleted_with_its_channel_makes_room() -> None:
@@ -89,9 +89,9 @@ def test_groups_have_a_quota_of_their_own_and_a_group_deleted_with_its_channel_m
     error = refusal(log.apply(by("cam", open_group("i", (channel,)))))
     assert error.metadata == {"quota": "groups", "subject": "cam", "used": "2", "limit": "2"}
     assert not error.retryable
-    assert not isinstance(log.apply(by("cam", open_group("g", (channel,)))), Refused), "the group exists"
+    assert not isinstance(log.apply(by("cam", open_group("g", (channel,)))), RefusedOperation), "the group exists"
     log.apply(delete_group(log.directory.tables.groups.ids["g"]))
-    assert not isinstance(log.apply(by("cam", open_group("i", (channel,)))), Refused)
+    assert not isinstance(log.apply(by("cam", open_group("i", (channel,)))), RefusedOperation)
     log.apply(delete(channel))
     assert log.directory.tables.groups.creators["cam"] == 0
 
@@ -106,10 +106,10 @@ def test_live_peers_have_a_quota_and_a_peer_that_registers_again_counts_once() -
         "raise the quota (stampede quota set cam peers=LIMIT)"
     )
     assert error.retryable, "the lease of a peer may end"
-    assert not isinstance(log.apply(by("cam", register_peer(4, "one", proof=1, boot=2))), Refused)
-    assert not isinstance(log.apply(by("other", register_peer(5), 1)), Refused)
+    assert not isinstance(log.apply(by("cam", register_peer(4, "one", proof=1, boot=2))), RefusedOperation)
+    assert not isinstance(log.apply(by("other", register_peer(5), 1)), RefusedOperation)
     log.apply(deregister_peer(2))
-    assert not isinstance(log.apply(by("cam", register_peer(3))), Refused)
+    assert not isinstance(log.apply(by("cam", register_peer(3))), RefusedOperation)
     log.apply(expire_peers((3, log.directory.tables.peers.by_id[id_of(3)].registered_index)))
     assert log.directory.tables.peers.creators["cam"] == 1
 
@@ -130,9 +130,9 @@ def test_one_caller_cannot_use_up_the_groups_of_a_channel(monkeypatch: pytest.Mo
     group_id = log.directory.tables.groups.ids["c"]
     assert "the limit for one caller" in refusal(log.apply(update_group(group_id, add=(shared,)))).message
     for name, caller in (("d", "other"), ("e", "@clients"), ("f", "@clients"), ("g", "@clients")):
-        assert not isinstance(log.apply(by(caller, open_group(name, (shared,)), None)), Refused)
+        assert not isinstance(log.apply(by(caller, open_group(name, (shared,)), None)), RefusedOperation)
     log.apply(delete_group(log.directory.tables.groups.ids["a"]))
-    assert not isinstance(log.apply(update_group(group_id, add=(shared,))), Refused)
+    assert not isinstance(log.apply(update_group(group_id, add=(shared,))), RefusedOperation)
 
 
 def test_groups_and_peers_have_no_quota_below_the_feature_level_of_these_quotas(
@@ -142,8 +142,8 @@ def test_groups_and_peers_have_no_quota_below_the_feature_level_of_these_quotas(
     log = log_with_a_host(GROUPS_AND_PEERS_LEVEL - 1)
     log.apply(by("cam", open_channel("c")))
     channel = log.directory.tables.channel_ids["c"]
-    assert not isinstance(log.apply(by("cam", open_group("g", (channel,)), 0)), Refused)
-    assert not isinstance(log.apply(by("cam", register_peer(1), 0)), Refused)
+    assert not isinstance(log.apply(by("cam", open_group("g", (channel,)), 0)), RefusedOperation)
+    assert not isinstance(log.apply(by("cam", register_peer(1), 0)), RefusedOperation)
     assert log.directory.tables.peers.creators["cam"] == 0, "a replica of an earlier release does not count the peer"
 
 

@@ -23,7 +23,7 @@ from stampede_rt.v1 import queue_directory_service_pb2 as queues_pb
 from stampede_rt_supernode.codecs.command_codec import decode_result
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened
 from stampede_rt_supernode.core.cluster.feature_levels import FREED_GROUPS_LEVEL
-from stampede_rt_supernode.core.commands import Operation, Refused, Result
+from stampede_rt_supernode.core.commands import Operation, RefusedOperation, Result
 from stampede_rt_supernode.core.groups.commands import GroupOpened
 from stampede_rt_supernode.core.kept_answers import MARKS_KEPT
 from stampede_rt_supernode.core.queues.commands import QueueOpened
@@ -70,7 +70,7 @@ async def test_an_entry_proposed_before_the_deletion_does_not_create_the_channel
     first.cancel()
     await open_and_delete(node, request)
     (late,) = (decode_result(result) for result in node.log.apply_held())
-    assert isinstance(late, Refused)
+    assert isinstance(late, RefusedOperation)
     assert (late.reason, late.metadata["channel"]) == ("AMBIGUOUS", "cam")
     assert not await is_there(node)
 
@@ -170,9 +170,9 @@ def test_an_open_is_late_if_its_channel_was_deleted_after_the_request(log: Log, 
     asked = log.directory.applied_index
     log.apply(deletion_of(log, log.apply(opening)))
     late = log.apply(opening, as_of_index=asked)
-    assert isinstance(late, Refused)
+    assert isinstance(late, RefusedOperation)
     assert (late.reason, late.metadata) == ("AMBIGUOUS", {kind: "x"})
-    assert not isinstance(log.apply(opening, as_of_index=log.directory.applied_index), Refused)
+    assert not isinstance(log.apply(opening, as_of_index=log.directory.applied_index), RefusedOperation)
 
 
 @pytest.mark.parametrize("kind", ["channel", "group", "queue"])
@@ -192,7 +192,7 @@ def test_the_deletion_of_another_name_does_not_make_an_open_late(log: Log, kind:
     asked = log.directory.applied_index
     log.apply(deletion_of(log, log.apply(make[kind]("y"))))
     log.apply(delete(gone))
-    assert not isinstance(log.apply(make[kind]("x"), as_of_index=asked), Refused)
+    assert not isinstance(log.apply(make[kind]("x"), as_of_index=asked), RefusedOperation)
 
 
 def test_a_group_that_was_deleted_with_its_last_channel_is_not_made_again(log: Log) -> None:
@@ -204,7 +204,7 @@ def test_a_group_that_was_deleted_with_its_last_channel_is_not_made_again(log: L
     log.apply(open_group("x", (gone.channel.channel_id,)))
     log.apply(delete(gone.channel.channel_id))
     late = log.apply(open_group("x", (kept.channel.channel_id,)), as_of_index=asked)
-    assert isinstance(late, Refused)
+    assert isinstance(late, RefusedOperation)
     assert late.reason == "AMBIGUOUS"
 
 
@@ -215,7 +215,7 @@ def test_below_the_level_of_freed_groups_every_deletion_may_have_freed_the_name(
     assert isinstance(gone, ChannelOpened)
     asked = log.directory.applied_index
     assert log.apply(delete(gone.channel.channel_id)) == ChannelDeleted(channel=gone.channel)
-    assert isinstance(log.apply(open_group("x", (kept.channel.channel_id,)), as_of_index=asked), Refused)
+    assert isinstance(log.apply(open_group("x", (kept.channel.channel_id,)), as_of_index=asked), RefusedOperation)
 
 
 def test_an_open_is_late_if_its_kept_answer_may_have_been_dropped(log: Log) -> None:
@@ -223,7 +223,7 @@ def test_an_open_is_late_if_its_kept_answer_may_have_been_dropped(log: Log) -> N
     for _ in range(MARKS_KEPT):
         log.mark_time()
     late = log.apply(open_channel("x"), as_of_index=asked)
-    assert isinstance(late, Refused)
+    assert isinstance(late, RefusedOperation)
     assert late.reason == "AMBIGUOUS"
     assert isinstance(log.apply(open_channel("x"), as_of_index=log.directory.applied_index), ChannelOpened)
 

@@ -9,7 +9,7 @@ from stampede_rt_supernode.core import kept_answers
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened
 from stampede_rt_supernode.core.cluster.commands import MarkTime, RaiseFeatureLevel, TenureBegun, TimeMarked
 from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
-from stampede_rt_supernode.core.commands import Refused, Result
+from stampede_rt_supernode.core.commands import RefusedOperation, Result
 from stampede_rt_supernode.core.kept_answers import (
     FORGOTTEN_AT_ONCE,
     FORGOTTEN_BY_MARK,
@@ -44,7 +44,7 @@ def test_a_repeated_deletion_does_not_delete_a_new_channel_of_the_same_name() ->
 
 def test_a_refusal_is_not_kept_because_it_changed_nothing() -> None:
     log = Log()
-    assert isinstance(log.apply(open_channel("cam"), op_id=id_of(1)), Refused)
+    assert isinstance(log.apply(open_channel("cam"), op_id=id_of(1)), RefusedOperation)
     log.apply(register(1))
     assert isinstance(log.apply(open_channel("cam"), op_id=id_of(1)), ChannelOpened)
 
@@ -53,11 +53,11 @@ def test_a_request_id_used_for_something_else_is_refused() -> None:
     log = Log()
     log.apply(register(1), op_id=id_of(1))
     result = log.apply(open_channel("cam"), op_id=id_of(1))
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     assert result.reason == "INVALID_ARGUMENT"
     assert "request id" in result.message
     short = log.apply(open_channel("cam"), op_id=b"x")
-    assert isinstance(short, Refused)
+    assert isinstance(short, RefusedOperation)
     assert "16" in short.message
 
 
@@ -117,7 +117,7 @@ def test_a_command_that_two_time_marks_have_overtaken_is_refused_without_effect(
     assert isinstance(log.apply(open_channel("in-time"), as_of_index=asked), ChannelOpened)
     log.mark_time()
     late = log.apply(open_channel("late"), as_of_index=asked)
-    assert isinstance(late, Refused)
+    assert isinstance(late, RefusedOperation)
     assert (late.reason, "within 30 s" in late.message) == ("AMBIGUOUS", True)
     assert "late" not in log.directory.tables.channel_ids
     assert isinstance(log.apply(open_channel("late"), as_of_index=log.directory.applied_index), ChannelOpened)
@@ -138,7 +138,7 @@ def test_a_command_whose_answer_was_dropped_is_not_performed_again() -> None:
                 if number < applied_after:
                     log.mark_time()
             again = log.apply(open_channel("cam/1"), op_id=request_id(1), as_of_index=as_of)
-            assert again == opened or isinstance(again, Refused), (applied_after, taken_in_after)
+            assert again == opened or isinstance(again, RefusedOperation), (applied_after, taken_in_after)
             assert "cam/1" not in log.directory.tables.channel_ids
 
 
@@ -154,9 +154,9 @@ def test_a_command_whose_answer_cannot_be_kept_is_refused_without_effect(monkeyp
     monkeypatch.setattr(kept_answers, "BYTES_MAX", 4 * kept_answers.ANSWER_BYTES)
     log = Log()
     log.apply(register(1))
-    assert [type(done(log, number)) for number in range(3)] == [ChannelOpened, ChannelOpened, Refused]
+    assert [type(done(log, number)) for number in range(3)] == [ChannelOpened, ChannelOpened, RefusedOperation]
     full = done(log, 3)
-    assert isinstance(full, Refused)
+    assert isinstance(full, RefusedOperation)
     assert full.reason == "OVERLOADED"
     assert isinstance(log.apply(begin_tenure(2)), TenureBegun)
     for _ in range(MARKS_KEPT):
@@ -185,7 +185,7 @@ def test_one_caller_cannot_use_up_the_room_for_kept_answers(monkeypatch: pytest.
         assert isinstance(log.apply(open_channel(f"cam/{number}"), caller="greedy"), ChannelOpened)
     log.directory = decode_snapshot(encode_snapshot(log.directory))
     refused = log.apply(open_channel("cam/3"), caller="greedy")
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedOperation)
     assert "answers to the updates of greedy in the last minute take 1536 bytes" in refused.message
     assert refused.metadata["subject"] == "greedy"
     for caller in ("good", ""):

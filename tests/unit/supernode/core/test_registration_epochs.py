@@ -13,7 +13,7 @@ from functools import partial
 import pytest
 
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
-from stampede_rt_supernode.core.commands import Operation, Refused, Result
+from stampede_rt_supernode.core.commands import Operation, RefusedOperation, Result
 from stampede_rt_supernode.core.hosts.commands import HostRegistered
 from stampede_rt_supernode.core.peers.commands import PeerRegistered
 from stampede_rt_supernode.core.records import HostRecord, PeerRecord
@@ -54,7 +54,7 @@ def epoch_in(result: Result) -> int:
 
 
 def assert_stale(result: Result, *, reached: int, alive: bool = True) -> None:
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     assert result.reason == "STALE_REGISTRATION"
     reported = result.metadata["registration_epoch"], result.metadata["alive"]
     assert reported == (str(reached), "true" if alive else "false")
@@ -138,7 +138,7 @@ def test_a_late_registration_is_refused_by_its_name_if_the_newer_process_has_ano
 def test_the_error_for_a_used_name_shows_no_epoch_to_another_caller(log: Log) -> None:
     log.apply(register_peer(1, "it", boot=1, proof=5))
     refused = log.apply(register_peer(2, "it", boot=2, epoch=7, proof=6))
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedOperation)
     assert (refused.reason, "registration_epoch" in refused.metadata) == ("PEER_EXISTS", False)
 
 
@@ -153,5 +153,5 @@ def test_a_snapshot_keeps_the_registration_epoch(log: Log, made: Make) -> None:
 @pytest.mark.parametrize("epoch", [-1, 2**63])
 def test_a_registration_epoch_beyond_the_limit_is_refused(log: Log, made: Make, epoch: int) -> None:
     refused = log.apply(made(boot=3, epoch=epoch))
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedOperation)
     assert (refused.reason, refused.metadata["field"]) == ("INVALID_ARGUMENT", "registration_epoch")

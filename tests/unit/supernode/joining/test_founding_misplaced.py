@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.errors import StampedeError
-from stampede_rt_supernode.joining.founding import Founding, check_unused, misplaced, restoring
+from stampede_rt_supernode.joining.founding import FoundingRecord, check_unused, misplaced, restoring
 from stampede_rt_supernode.replication import StoreRefused, restore_from
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME
@@ -34,7 +34,7 @@ FOUNDER = Member(member_id="r", address="r:1")
 def test_a_supernode_that_listens_at_an_unlisted_address_reports_it(
     told: str, here: str, advertise: str, is_misplaced: bool
 ) -> None:
-    founding = Founding(supernode_id="a", address=told, members={"a": told})
+    founding = FoundingRecord(supernode_id="a", address=told, members={"a": told})
     words = misplaced(founding, here, advertise)
     assert (f"listens at {here}, but the others call it at {told}" in words) is is_misplaced
 

@@ -18,7 +18,7 @@ from stampede_rt.v1 import membership_service_pb2 as pb
 from stampede_rt.v1 import membership_service_pb2_grpc
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
-from stampede_rt_supernode.joining.founding import Founding, read_founding, write_founding
+from stampede_rt_supernode.joining.founding import FoundingRecord, read_founding, write_founding
 from stampede_rt_supernode.joining.volunteering import REFUSED_SECONDS_MAX, seconds_before_asking, volunteer
 from stampede_rt_supernode.replication.interface import too_old
 
@@ -71,7 +71,9 @@ async def test_a_refused_new_member_logs_this_and_tries_again_at_growing_interva
     leader = Leader()
     register = membership_service_pb2_grpc.add_MembershipServiceServicer_to_server
     async with serving(lambda server: register(leader, server)) as server:
-        founding = Founding(supernode_id="new", address="h:1", members={"a": server.address}, joining=True, token="t")
+        founding = FoundingRecord(
+            supernode_id="new", address="h:1", members={"a": server.address}, joining=True, token="t"
+        )
         write_founding(tmp_path, founding)
         assert [await started(leader, server.address, tmp_path) for _ in range(5)] == [[], [1.0], [2.0], [4.0], [8.0]]
         noted = read_founding(tmp_path)
@@ -91,7 +93,9 @@ async def test_a_new_member_of_an_older_release_is_refused_and_joins_with_the_ne
     leader.refusal = VersionMismatch(too_old("new", 1, 2))
     register = membership_service_pb2_grpc.add_MembershipServiceServicer_to_server
     async with serving(lambda server: register(leader, server)) as server:
-        founding = Founding(supernode_id="new", address="h:1", members={"a": server.address}, joining=True, token="t")
+        founding = FoundingRecord(
+            supernode_id="new", address="h:1", members={"a": server.address}, joining=True, token="t"
+        )
         write_founding(tmp_path, founding)
         with pytest.raises(
             StampedeError, match="at level 2; start it with the release of the others and the same data"

@@ -20,7 +20,13 @@ from stampede_rt_runtime.server import serving
 from stampede_rt_supernode import replication
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
 from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
-from stampede_rt_supernode.joining.founding import Founding, check_unused, note_started, read_founding, write_founding
+from stampede_rt_supernode.joining.founding import (
+    FoundingRecord,
+    check_unused,
+    note_started,
+    read_founding,
+    write_founding,
+)
 from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_MAX, JoinTokens, log_cluster_of, valid_until
 from stampede_rt_supernode.replication import Member
 from stampede_rt_supernode.servicers.membership_servicer import SNAPSHOTS_MAX, MembershipServicer
@@ -181,7 +187,7 @@ async def test_a_supernode_whose_state_differs_gives_no_snapshot_not_even_a_stal
         (replication.TicketSpent("x"), "UNAUTHENTICATED"),
         (replication.ReleaseOutdated("x"), "VERSION_MISMATCH"),
         (replication.LogUnavailable("x"), "NO_QUORUM"),
-        (replication.Ambiguous("x"), "AMBIGUOUS"),
+        (replication.OutcomeUnknown("x"), "AMBIGUOUS"),
     ],
 )
 async def test_the_outcome_of_a_change_of_members_reaches_the_caller(
@@ -229,7 +235,7 @@ async def first_refused(pending: list[asyncio.Future[Any]]) -> StampedeError:
     return await reason_of(done.pop())
 
 
-FOUNDING = Founding(supernode_id="a", address="h:1", members={"a": "h:1"}, log_cluster_id="c", token="t")
+FOUNDING = FoundingRecord(supernode_id="a", address="h:1", members={"a": "h:1"}, log_cluster_id="c", token="t")
 
 
 def test_a_founding_file_is_read_as_it_was_written_and_only_its_user_can_read_it(tmp_path: Path) -> None:

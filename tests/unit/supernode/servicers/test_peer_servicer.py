@@ -146,7 +146,7 @@ async def test_a_leader_updates_leases_after_changes_of_peers_a_few_in_each_turn
     noted: list[int] = []
     note, turn = lease.LeaseTable.note, 0
 
-    def counted(table: lease.LeaseTable, holder: lease.Registered, now: int) -> object:
+    def counted(table: lease.LeaseTable, holder: lease.RegisteredHolder, now: int) -> object:
         if isinstance(holder, PeerRecord):
             noted.append(turn)
         return note(table, holder, now)

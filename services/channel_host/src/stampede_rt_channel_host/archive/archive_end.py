@@ -14,7 +14,7 @@ from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 logger = logging.getLogger(__name__)
 
 
-class InWriter(Protocol):
+class WriterCall(Protocol):
     """A function that performs a call in the thread of the writes."""
 
     def __call__(self, call: Callable[..., None], *arguments: object) -> Awaitable[None]:
@@ -32,7 +32,7 @@ class ArchiveEnd:
     def __init__(
         self,
         folder: ArchiveFolder,
-        in_writer: InWriter,
+        in_writer: WriterCall,
         write: Callable[[Sequence[ChannelRecorder]], Awaitable[None]],
         note_failure: Callable[[ChannelRecorder, OSError], None],
         mover: SegmentMover | None,

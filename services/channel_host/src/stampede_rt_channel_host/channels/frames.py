@@ -129,7 +129,7 @@ _Key = tuple[tuple[DeliveredSlice, ...], bytes, bool]  # runs compare by identit
 
 
 @dataclass(slots=True)
-class _Shared:
+class _SharedDelivery:
     """A kept delivery, the bytes that it keeps in memory, and how many readers have not taken it yet."""
 
     delivery: Delivery
@@ -146,7 +146,7 @@ class SharedDeliveries:
 
     def __init__(self, bytes_max: int = SHARED_BYTES_MAX) -> None:
         self._bytes_max = bytes_max
-        self._shared: dict[_Key, _Shared] = {}
+        self._shared: dict[_Key, _SharedDelivery] = {}
         self.kept_bytes = 0
         """The bytes of the kept messages, and of the runs that they keep in memory."""
         self.encodings = 0
@@ -186,7 +186,7 @@ class SharedDeliveries:
         kept_bytes = delivery.length_bytes + run_bytes + KEPT_DELIVERY_BYTES
         while self._shared and self.kept_bytes + kept_bytes > self._bytes_max:
             self._forget(next(iter(self._shared)))
-        self._shared[key] = _Shared(delivery, kept_bytes, readers_left)
+        self._shared[key] = _SharedDelivery(delivery, kept_bytes, readers_left)
         self.kept_bytes += kept_bytes
 
     def _forget(self, key: _Key) -> None:

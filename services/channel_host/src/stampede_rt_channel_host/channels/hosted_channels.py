@@ -12,12 +12,12 @@ from stampede_rt_channel_host.channels.fed_copies import FedCopies
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.gets.waiting_gets import WaitingGets
 from stampede_rt_channel_host.channels.limits.memory import Charge, MemoryBudget
-from stampede_rt_channel_host.channels.moving import Moving
+from stampede_rt_channel_host.channels.moving import MoveUnderWay
 from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore, core_of_replica, new_core, replication_of
 from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
 from stampede_rt_channel_host.channels.recording import Recording
-from stampede_rt_channel_host.channels.replication import Kind, Replication, kind_of, own_again
+from stampede_rt_channel_host.channels.replication import Replication, ReplicationKind, kind_of, own_again
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.core.channel import (
     CONSUMED_RANGE_BYTES,
@@ -45,7 +45,7 @@ class HostedChannel:
 
     ring: ChannelRing | None = None
     """The newest part of the channel in shared memory, while a process of this machine reads it."""
-    moving: Moving | None = None
+    moving: MoveUnderWay | None = None
     """The move of the channel away from this host, or to it, while one is under way."""
     is_inherited = False
     """Whether another object of this host has taken the items over: a copy became the owner, or the reverse."""
@@ -91,7 +91,7 @@ class HostedChannel:
         self.copy: CopyState | None = begun.state if isinstance(begun, NewCopy) else None
         # `core` takes puts, consumption and advances; readers see `channel`. Without replicas they are the same.
         self.core = new_core(record, now(), begun)
-        if self.copy is None and kind_of(record.policy) is not Kind.NONE:
+        if self.copy is None and kind_of(record.policy) is not ReplicationKind.NONE:
             self.replication = replication_of(self.core, now, self._announce, record, begun)
         self.channel = self.core if self.replication is None else self.replication.shown
         self._begin, self._limits, self._charge = begin, limits, memory.charge_for(record.created_by)
@@ -114,9 +114,9 @@ class HostedChannel:
             begin(self.replication.filling())
 
     @property
-    def kind_of_replicas(self) -> Kind:
+    def kind_of_replicas(self) -> ReplicationKind:
         """How the channel has replicas."""
-        return Kind.NONE if self.replication is None else self.replication.kind
+        return ReplicationKind.NONE if self.replication is None else self.replication.kind
 
     @property
     def is_ready(self) -> bool:
@@ -286,9 +286,9 @@ class HostedChannel:
         self._charge.set(self.footprint_bytes())
         return min((one for one in due if one is not None), default=None)
 
-    def begin_move(self) -> Moving:
+    def begin_move(self) -> MoveUnderWay:
         """Note that a move of the channel is under way."""
-        self.moving = Moving(self.record.name, self.puts, self._begin)
+        self.moving = MoveUnderWay(self.record.name, self.puts, self._begin)
         return self.moving
 
     def end_move(self) -> None:

@@ -25,7 +25,7 @@ class HeldPuts(Protocol):
         """Refuse the puts that wait now."""
 
 
-class Moving:
+class MoveUnderWay:
     """A move under way. `elsewhere`: the error that sends callers to the new owner, as soon as there is one."""
 
     def __init__(self, name: str, puts: HeldPuts, begin: Callable[[Pieces[None]], None]) -> None:

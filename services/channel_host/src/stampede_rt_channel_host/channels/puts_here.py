@@ -30,7 +30,7 @@ Tell = Callable[[Any], None]
 
 
 def takes_runs(store: ChannelStore, channel_id: bytes, epoch: int) -> bool:
-    """Whether `PutsHere` can put into the channel: no put may have to wait for room. Raises the errors of `find`."""
+    """Whether `InProcessPutStream` can put into the channel: no put may wait for room. Raises as `find`."""
     hosted = find_here(store, channel_id, epoch)
     return hosted is not None and not hosted.puts.may_wait
 
@@ -43,14 +43,14 @@ def _find(store: ChannelStore, channel_id: bytes, epoch: int) -> HostedChannel:
     return hosted
 
 
-class _Stated(NamedTuple):
+class _StatedAck(NamedTuple):
     """The acknowledgement that a producer wants for each run (`WantedAck`)."""
 
     ack: int
     wait_nanos: int | None = None
 
 
-class PutsHere:
+class InProcessPutStream:
     """A stream of runs. Any thread may call `send` and `cancel`, which do not wait. The host's thread puts the runs.
 
     A payload that is a run of its own stays the object that was put.
@@ -70,7 +70,7 @@ class PutsHere:
         `on_acks` gets each PutResponse, and `on_end` the error that ends the stream.
         """
         self._loop, self._store, self._channel = loop, store, channel
-        self._producer_id, self._stated = producer[0], _Stated(producer[1])
+        self._producer_id, self._stated = producer[0], _StatedAck(producer[1])
         self._on_acks, self._on_end = on_acks, on_end
         self._sent: deque[RunToPut] = deque()  # the producer bounds the unacknowledged bytes
         self._held = HeldAcks(self._on_due, self._spawn)  # the acks that wait for the disk, and the acks after them

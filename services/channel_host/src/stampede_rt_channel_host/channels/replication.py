@@ -26,7 +26,7 @@ class ReplicaFeed(OwnersFeed, Protocol):
         """Note that the host no longer feeds the replica over this stream."""
 
 
-class Kind(Enum):
+class ReplicationKind(Enum):
     """How a channel has replicas."""
 
     NONE = "none"
@@ -34,11 +34,11 @@ class Kind(Enum):
     WAITED_FOR = "waited for"
 
 
-def kind_of(policy: Policy) -> Kind:
+def kind_of(policy: Policy) -> ReplicationKind:
     """How a channel with this policy has replicas."""
     if policy.ack == "replica":
-        return Kind.WAITED_FOR
-    return Kind.LAGGING if policy.replicas else Kind.NONE
+        return ReplicationKind.WAITED_FOR
+    return ReplicationKind.LAGGING if policy.replicas else ReplicationKind.NONE
 
 
 class Replication(OwnedReplicas[ReplicaFeed]):
@@ -59,7 +59,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         `is_replicated`: the channel has moved here, and its former owner had all items replicated.
         """
         self.kind = kind_of(core.policy)
-        may_lag, least = self.kind is Kind.LAGGING, _least(core.policy)
+        may_lag, least = self.kind is ReplicationKind.LAGGING, _least(core.policy)
         in_sync = ReplicasInSync(core.next_seq, least, is_replicated=is_replicated, may_lag=may_lag)
         super().__init__(in_sync, epoch, steady_nanos)
         self._core = core

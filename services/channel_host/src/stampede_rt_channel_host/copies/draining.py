@@ -44,14 +44,14 @@ RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.05, 1.0
 BEGIN_SECONDS_MAX = 2.0  # the drain tries another host if one has not begun a move by then
 
 
-class Drained(NamedTuple):
+class DrainResult(NamedTuple):
     """The number of channels and queues that have moved, and the others by name, with the reasons."""
 
     moved: int
     left: dict[str, str]
 
 
-class _Own(Protocol):
+class _OwnSubject(Protocol):
     """A channel or queue that this host owns."""
 
     id: bytes
@@ -113,7 +113,7 @@ class _OwnQueue:
         return self._hosted.moving is not None
 
 
-class Draining:
+class HostDrain:
     """Moves the channels and queues of one host away.
 
     `groups_of` returns the groups of a channel, `dial` opens connections, and `dial_streams` opens connections for one
@@ -133,7 +133,7 @@ class Draining:
         self._dial, self._dial_streams = dial, dial_streams
         self._allow = allow
 
-    async def run(self, seconds: float) -> Drained:
+    async def run(self, seconds: float) -> DrainResult:
         """Move all channels and queues away. Ends after `seconds`, even if some have not moved. Raises nothing."""
         own = self._own()
         left = dict.fromkeys(own, "the time was over")
@@ -145,19 +145,19 @@ class Draining:
                 pass
             except StampedeError as error:
                 left = dict.fromkeys(left, str(error))
-        drained = Drained(len(own) - len(left), {own[one].name: why for one, why in left.items()})
+        drained = DrainResult(len(own) - len(left), {own[one].name: why for one, why in left.items()})
         self._tell(drained)
         return drained
 
-    def _own(self) -> dict[bytes, _Own]:
+    def _own(self) -> dict[bytes, _OwnSubject]:
         """The channels and queues that this host owns, by id."""
         channels = (one for one in self._store.all() if one.copy is None and not one.is_fallback and one.epoch)
         queues = (one for one in self._queues.all() if one.epoch)
-        own: list[_Own] = [_OwnChannel(self._store, one) for one in channels]
+        own: list[_OwnSubject] = [_OwnChannel(self._store, one) for one in channels]
         own += [_OwnQueue(self._queues, one) for one in queues]
         return {one.id: one for one in own}
 
-    def _tell(self, drained: Drained) -> None:
+    def _tell(self, drained: DrainResult) -> None:
         if drained.left:
             names = ", ".join([*drained.left][:NAMES_LOGGED_MAX])
             extra = {"event": "channels_not_moved", "channels": names, "count": len(drained.left)}
@@ -166,7 +166,7 @@ class Draining:
             extra = {"event": "host_drained", "channels": drained.moved}
             logger.info("all channels have moved to other hosts", extra=extra)
 
-    async def _move_all(self, own: dict[bytes, _Own], left: dict[bytes, str]) -> None:
+    async def _move_all(self, own: dict[bytes, _OwnSubject], left: dict[bytes, str]) -> None:
         """Move the channels.
 
         Removes each moved channel from `left`, and notes there the reason for each other channel.
@@ -176,7 +176,7 @@ class Draining:
             left.update(dict.fromkeys(left, "there is no other live host"))
             return
         places = spread(together({one: self._groups_of(one) for one in own}), hosts)
-        others = _Others(hosts, self._dial, self._dial_streams, self._allow)
+        others = _OtherHosts(hosts, self._dial, self._dial_streams, self._allow)
         try:
             async with asyncio.TaskGroup() as moves:
                 for each, place in ((one, places[one.id]) for one in own.values()):
@@ -185,7 +185,7 @@ class Draining:
             await others.aclose()
 
 
-class _Others:
+class _OtherHosts:
     """The other hosts during one drain, and the connections to them."""
 
     def __init__(
@@ -199,7 +199,7 @@ class _Others:
         self._connections: dict[str, grpc.aio.Channel] = {}
         self._requests: dict[str, DrainRequests] = {}
 
-    async def move(self, own: _Own, host: OtherHost) -> OtherHost:
+    async def move(self, own: _OwnSubject, host: OtherHost) -> OtherHost:
         """Have a host take a channel or queue over, as soon as the limits allow another move.
 
         Returns another host to try instead, if `host` has turned out to be silent meanwhile; otherwise `host`. Raises
@@ -213,7 +213,7 @@ class _Others:
                 self._room.answered(host.host_id)
         return other or host
 
-    async def _ask(self, own: _Own, host: OtherHost) -> None:
+    async def _ask(self, own: _OwnSubject, host: OtherHost) -> None:
         while True:  # the source ends a move whose destination is silent; each request joins the move
             self._allow(own.id, own.epoch, host.host_id)
             try:
@@ -225,7 +225,7 @@ class _Others:
                     self._silent.add(host.host_id)
                     raise
 
-    async def _take_over(self, own: _Own, target: str) -> None:
+    async def _take_over(self, own: _OwnSubject, target: str) -> None:
         """Ask once. Channels go in one stream for all. A queue has a call of its own, and so has each channel at a host
         of an older release.
         """
@@ -244,11 +244,11 @@ class _Others:
         """Stop choosing this host, because it stops. Idempotent."""
         self._hosts = [one for one in self._hosts if one is not host]
 
-    def first(self, own: _Own, host: OtherHost) -> OtherHost | None:
+    def first(self, own: _OwnSubject, host: OtherHost) -> OtherHost | None:
         """`host`, or another host if this one cannot have the channel. None: no host can have it."""
         return host if host.has_archive or not own.needs_archive else self.after(own, host)
 
-    def after(self, own: _Own, host: OtherHost) -> OtherHost | None:
+    def after(self, own: _OwnSubject, host: OtherHost) -> OtherHost | None:
         """The host to try after `host`. Each host has its turn; silent hosts come last. None: there is no host."""
         fitting = [one for one in self._hosts if one.has_archive or not own.needs_archive]
         hosts = [one for one in fitting if one.host_id not in self._silent] or fitting
@@ -263,7 +263,7 @@ class _Others:
             await connection.close(None)
 
 
-async def _move(own: _Own, place: OtherHost, others: _Others, left: dict[bytes, str]) -> None:
+async def _move(own: _OwnSubject, place: OtherHost, others: _OtherHosts, left: dict[bytes, str]) -> None:
     """Move one channel or queue.
 
     Tries one host after the other while they have no room, have too many moves, or do not answer.
@@ -271,7 +271,7 @@ async def _move(own: _Own, place: OtherHost, others: _Others, left: dict[bytes, 
     delay_s, host = RETRY_SECONDS_MIN, others.first(own, place)
     if host is None:
         left[own.id] = "it is recorded (archive), and no other live host has an archive"
-    while host is not None and own.is_here:  # paced by the sleep; `Draining.run` ends it
+    while host is not None and own.is_here:  # paced by the sleep; `HostDrain.run` ends it
         try:
             if (other := await others.move(own, host)) is host:
                 break

@@ -25,7 +25,7 @@ from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
 from stampede_rt_channel_host.cluster.identity import ID_BYTES
 from stampede_rt_channel_host.copies.feed_responses import FeedResponses
-from stampede_rt_channel_host.copies.handing_over import HandingOver
+from stampede_rt_channel_host.copies.handing_over import HandoffDecision
 from stampede_rt_channel_host.copies.messages import opened_to, place_of
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
 from stampede_rt_channel_host.core.channel import CATCH_UP_NANOS, ChannelCore, ChannelFeed, FeedPart, LagWatch
@@ -70,7 +70,7 @@ class FeedStream:
         self._lag = LagWatch()
         self._moves = moves
         self._move: OutgoingMove | None = None
-        self._handing_over: HandingOver | None = None  # of the move
+        self._handing_over: HandoffDecision | None = None  # of the move
         self._opened: pb.FeedOpened | None = None  # goes into the next message
         self._is_released = False
 
@@ -115,7 +115,7 @@ class FeedStream:
             )
             if opening.move_id:
                 self._move = self._moves.begin(hosted, opening.host_id, opening.target)
-                self._handing_over = HandingOver(hosted, self._move, feed, when_idle=opening.hand_over_when_idle)
+                self._handing_over = HandoffDecision(hosted, self._move, feed, when_idle=opening.hand_over_when_idle)
             else:
                 hosted.fed.add(copy)
             self._observe(hosted, opening, feed)

@@ -24,7 +24,7 @@ OWNER_SECONDS = 0.01  # the least time between two questions for owners, before 
 DROP_SECONDS = 0.1  # the least time between two questions of a former owner, which has its items until then
 
 
-class Commit(NamedTuple):
+class MoveCommit(NamedTuple):
     """The commit of one move, see `GatheredMoves.commit`."""
 
     channel_id: bytes
@@ -33,7 +33,7 @@ class Commit(NamedTuple):
     permit: bytes
 
 
-class Release(NamedTuple):
+class FallbackRelease(NamedTuple):
     """A channel whose new owner needs no fallback. `epoch` is the channel's epoch since the move."""
 
     channel_id: bytes
@@ -62,12 +62,12 @@ class GatheredMoves(ABC):
 
         `permit` is the present owner's permit; empty if this host is the owner.
         """
-        move = Commit(channel_id, epoch, request_id, permit)
+        move = MoveCommit(channel_id, epoch, request_id, permit)
         return await (self._commits.ask(move) if permit else self.commit_one(move))
 
     async def remove_fallback(self, channel_id: bytes, epoch: int) -> None:
         """Remove the fallback of this host, unless it is a replica. Idempotent. Raises StaleBinding."""
-        await self._releases.ask(Release(channel_id, epoch))
+        await self._releases.ask(FallbackRelease(channel_id, epoch))
 
     async def is_released(self, channel_id: bytes) -> bool:
         """Whether the directory names this host, the former owner, neither as fallback nor as replica of a channel.
@@ -85,15 +85,15 @@ class GatheredMoves(ABC):
         """The channels that exist, and their owners."""
 
     @abstractmethod
-    async def commit_one(self, move: Commit) -> RecordedChannel:
+    async def commit_one(self, move: MoveCommit) -> RecordedChannel:
         """Commit one move."""
 
     @abstractmethod
-    async def commit_all(self, moves: Sequence[Commit]) -> Sequence[RecordedChannel]:
+    async def commit_all(self, moves: Sequence[MoveCommit]) -> Sequence[RecordedChannel]:
         """Commit moves. Returns the channels of which this host is the owner now."""
 
     @abstractmethod
-    async def release_all(self, moves: Sequence[Release]) -> Collection[bytes]:
+    async def release_all(self, moves: Sequence[FallbackRelease]) -> Collection[bytes]:
         """Remove the fallbacks of channels. Returns the channels that have no fallback now."""
 
     @abstractmethod
@@ -106,7 +106,7 @@ class GatheredMoves(ABC):
         found = {one[0].channel_id: one for one in await self.owners_of(channel_ids)}
         return [found.get(one) or _unknown(one) for one in channel_ids]
 
-    async def _commit_each(self, moves: Sequence[Commit]) -> list[RecordedChannel | StampedeError]:
+    async def _commit_each(self, moves: Sequence[MoveCommit]) -> list[RecordedChannel | StampedeError]:
         if len(moves) == 1:
             return [await self.commit_one(moves[0])]
         committed = {one.channel_id: one for one in await self.commit_all(moves)}
@@ -114,14 +114,14 @@ class GatheredMoves(ABC):
         why = dict(zip(others, await asyncio.gather(*map(self._outcome, others)), strict=True))
         return [committed.get(one.channel_id) or why[one] for one in moves]
 
-    async def _outcome(self, move: Commit) -> RecordedChannel | StampedeError:
+    async def _outcome(self, move: MoveCommit) -> RecordedChannel | StampedeError:
         """Learn why the common entry has not committed a move. The caller asks for all such moves at the same time."""
         try:
             return await self.commit_one(move)
         except StampedeError as error:
             return error
 
-    async def _release_each(self, moves: Sequence[Release]) -> list[StampedeError | None]:
+    async def _release_each(self, moves: Sequence[FallbackRelease]) -> list[StampedeError | None]:
         released = await self.release_all(moves)
         return [None if one.channel_id in released else _lost(one) for one in moves]
 
@@ -134,7 +134,7 @@ def _unknown(channel_id: bytes) -> StampedeError:
     return ChannelNotFound(f"no channel has the id {channel_id.hex()}", metadata={"channel_id": channel_id.hex()})
 
 
-def _lost(move: Release) -> StampedeError:
+def _lost(move: FallbackRelease) -> StampedeError:
     return StaleBinding(
         f"channel {move.channel_id.hex()} has another owner or epoch than {move.epoch} since its move; resolve it "
         "again",

@@ -11,7 +11,7 @@ IDLE_NANOS = 1_000_000_000
 """A channel is idle if no producer has put for this time."""
 
 
-class HandingOver:
+class HandoffDecision:
     """Decides which message of a feed hands the channel over."""
 
     def __init__(self, hosted: HostedChannel, move: OutgoingMove, feed: ChannelFeed, *, when_idle: bool) -> None:

@@ -40,7 +40,7 @@ WIDE_WINDOWS_MAX = 8  # of the moves under way. The others have NARROW_WINDOW_BY
 NARROW_WINDOW_BYTES = WINDOW_BYTES // 4
 
 
-class Moved(NamedTuple):
+class MovedChannel(NamedTuple):
     """A channel that has moved here. `blackout_nanos`: the time for which puts waited; 0 if this host was the owner."""
 
     hosted: HostedChannel
@@ -61,22 +61,24 @@ class IncomingMoves:
         self._keeper = keeper
         self._streams = MoveStreams(dial)
         self._bytes_per_second = bytes_per_second
-        self._moves: dict[bytes, asyncio.Task[Moved]] = {}  # by channel
+        self._moves: dict[bytes, asyncio.Task[MovedChannel]] = {}  # by channel
         self._slots = MoveSlots(f"to host {identity.name}")
         self._early = EarlyHolds()
         self._is_closing = False
 
-    async def move_here(self, record: RecordedChannel, source: FeedSource, *, is_of_drain: bool = False) -> Moved:
+    async def move_here(
+        self, record: RecordedChannel, source: FeedSource, *, is_of_drain: bool = False
+    ) -> MovedChannel:
         """Make this host the owner of a channel, which `source` owns. Joins a move of this channel that is under way.
 
         `is_of_drain`: the source holds the channel early if it is idle, because other channels wait for their turn. The
         move continues if the caller is cancelled. Raises the errors of MigrationService.MoveHere.
         """
         if record.host_id == self._identity.host_id:
-            return Moved(await self._store.bind(record.channel_id, record.epoch), 0)
+            return MovedChannel(await self._store.bind(record.channel_id, record.epoch), 0)
         return await asyncio.shield(self._moves.get(record.channel_id) or self._begun(record, source, is_of_drain))
 
-    def _begun(self, record: RecordedChannel, source: FeedSource, is_of_drain: bool) -> asyncio.Task[Moved]:
+    def _begun(self, record: RecordedChannel, source: FeedSource, is_of_drain: bool) -> asyncio.Task[MovedChannel]:
         if self._is_closing:
             raise refusals.SHUTTING_DOWN
         if not source.target:
@@ -88,7 +90,7 @@ class IncomingMoves:
         move.add_done_callback(lambda done: self._over(record, done))
         return move
 
-    def _over(self, record: RecordedChannel, move: asyncio.Task[Moved]) -> None:
+    def _over(self, record: RecordedChannel, move: asyncio.Task[MovedChannel]) -> None:
         self._moves.pop(record.channel_id, None)
         self._slots.give_back(record)
         failure = None if move.cancelled() else move.exception()
@@ -112,7 +114,7 @@ class IncomingMoves:
         is_slow = bool(self._bytes_per_second) or not self._early.may(source.target, time.monotonic())
         return not (is_slow or record.policy.is_recorded or record.policy.replicas)
 
-    async def _move(self, record: RecordedChannel, source: FeedSource, is_of_drain: bool) -> Moved:
+    async def _move(self, record: RecordedChannel, source: FeedSource, is_of_drain: bool) -> MovedChannel:
         state = self._keeper.pause(record.channel_id)
         is_early = is_of_drain and self._may_hold_early(record, source)
         feed = MoveFeed(
@@ -151,7 +153,7 @@ class IncomingMoves:
 
     async def _take_over(
         self, record: RecordedChannel, source: FeedSource, state: CopyState, feed: MoveFeed, feeding: asyncio.Task[None]
-    ) -> Moved:
+    ) -> MovedChannel:
         await _unless_ended(feeding, asyncio.ensure_future(state.caught_up_once()))
         if not feed.handoff.done():
             await self._prepare_archive(record, state)
@@ -171,7 +173,7 @@ class IncomingMoves:
         feed.released()
         await asyncio.wait({feeding}, timeout=RELEASED_SECONDS_MAX)  # so that the source learns that the move is over
         logger.info("a channel has moved here", extra={"event": "channel_moved_here", "channel": record.name})
-        return Moved(hosted, blackout_nanos)
+        return MovedChannel(hosted, blackout_nanos)
 
     async def _prepare_archive(self, record: RecordedChannel, state: CopyState) -> None:
         """Open the archive of a recorded channel, unless it is open. Raises InvalidArgument and Unavailable."""

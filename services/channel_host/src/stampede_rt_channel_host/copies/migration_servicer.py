@@ -13,8 +13,8 @@ from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.cluster.records import channel_message, queue_message
-from stampede_rt_channel_host.copies.draining import Draining
-from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves, Moved
+from stampede_rt_channel_host.copies.draining import HostDrain
+from stampede_rt_channel_host.copies.incoming_moves import IncomingMoves, MovedChannel
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
 from stampede_rt_channel_host.copies.moves_of_drains import MovesOfDrain
 from stampede_rt_channel_host.copies.queue_arrivals import QueueArrivals
@@ -38,7 +38,7 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
 
     def __init__(
         self, moves: IncomingMoves, queues: QueueArrivals, handovers: QueueHandovers, directory: MoveDirectory,
-        draining: Draining, feeds: QueueFeeds, identity: HostIdentity, allow: Callable[[bytes, int, bytes], None],
+        draining: HostDrain, feeds: QueueFeeds, identity: HostIdentity, allow: Callable[[bytes, int, bytes], None],
         streams: OpenStreams,
     ) -> None:  # fmt: skip
         """`feeds`: the feeds of the replicas of queues at this host.
@@ -110,7 +110,7 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
             blackout_nanos=blackout_nanos,
         )
 
-    async def _move_channel_here(self, channel_id: bytes, *, is_of_drain: bool = False) -> Moved:
+    async def _move_channel_here(self, channel_id: bytes, *, is_of_drain: bool = False) -> MovedChannel:
         _check_channel_id(channel_id)
         record, source = await self._directory.owner_of(channel_id)
         check_known(AccessKind.CHANNEL, record.name, by_id=True)

@@ -26,7 +26,7 @@ from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_queue
 from stampede_rt_channel_host.cluster.supernodes import Supernodes, is_unknown_call
-from stampede_rt_channel_host.copies.gathered_moves import Commit, GatheredMoves, OwnedChannel, Release
+from stampede_rt_channel_host.copies.gathered_moves import FallbackRelease, GatheredMoves, MoveCommit, OwnedChannel
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.placing import OtherHost
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedQueue
@@ -34,7 +34,7 @@ from stampede_rt_channel_host.core.records import RecordedChannel, RecordedQueue
 CALL_SECONDS_MAX = 4.0
 
 
-class Kept(Enum):
+class FormerOwnerRole(Enum):
     """The part that the directory still has of a channel at its former owner.
 
     FALLBACK: the former owner is the owner again, or will be if the present owner is lost soon. REPLICA: the former
@@ -113,7 +113,7 @@ class MoveDirectory(GatheredMoves):
             if one.host_id != self._identity.host_id and not one.load.private
         ]
 
-    async def kept_here(self, channel_id: bytes) -> Kept:
+    async def kept_here(self, channel_id: bytes) -> FormerOwnerRole:
         """The part that the directory still has of a channel at this host, its former owner."""
         request = replicas_pb.ListReplicasRequest(subject=subject_pb2.Subject(channel_id=channel_id))
         host_id = self._identity.host_id
@@ -121,11 +121,11 @@ class MoveDirectory(GatheredMoves):
         found: replicas_pb.ListReplicasResponse = await self._call("ListReplicas", request, stub)
         kinds = [one.kind for one in found.replicas if one.host_id == host_id]
         if replica_pb2.REPLICA_KIND_WARM in kinds:
-            return Kept.REPLICA
+            return FormerOwnerRole.REPLICA
         is_fallback = replica_pb2.REPLICA_KIND_MOVE in kinds or found.owner_host_id == host_id
-        return Kept.FALLBACK if is_fallback else Kept.NO
+        return FormerOwnerRole.FALLBACK if is_fallback else FormerOwnerRole.NO
 
-    async def commit_one(self, move: Commit) -> RecordedChannel:
+    async def commit_one(self, move: MoveCommit) -> RecordedChannel:
         """Commit one move."""
         request = pb.CommitMoveRequest(
             request_id=move.request_id,
@@ -137,7 +137,7 @@ class MoveDirectory(GatheredMoves):
         )
         return recorded_channel((await self._call("CommitMove", request)).channel)
 
-    async def commit_all(self, moves: Sequence[Commit]) -> list[RecordedChannel]:
+    async def commit_all(self, moves: Sequence[MoveCommit]) -> list[RecordedChannel]:
         """Commit moves with one entry of the log."""
         request = pb.CommitMovesRequest(
             request_id=secrets.token_bytes(16),
@@ -149,7 +149,7 @@ class MoveDirectory(GatheredMoves):
         )
         return [recorded_channel(one) for one in (await self._call("CommitMoves", request)).channels]
 
-    async def release_all(self, moves: Sequence[Release]) -> set[bytes]:
+    async def release_all(self, moves: Sequence[FallbackRelease]) -> set[bytes]:
         """Remove fallbacks with one entry of the log."""
         request = pb.ReleaseMovesRequest(
             request_id=secrets.token_bytes(16),

@@ -11,12 +11,12 @@ from typing import Any
 from stampede_rt.errors import ChannelNotFound, StaleBinding, StampedeError
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX, Moving
+from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX, MoveUnderWay
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.allowed_moves import AllowedMoves
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
-from stampede_rt_channel_host.copies.move_directory import Kept, MoveDirectory
+from stampede_rt_channel_host.copies.move_directory import FormerOwnerRole, MoveDirectory
 from stampede_rt_channel_host.copies.move_slots import MoveSlots
 
 logger = logging.getLogger(__name__)
@@ -82,7 +82,7 @@ class OutgoingMove:
     """One move away. The stream that feeds the destination calls a method for each step, `feed_ended` last."""
 
     def __init__(
-        self, moves: OutgoingMoves, hosted: HostedChannel, moving: Moving, host_id: bytes, target: str
+        self, moves: OutgoingMoves, hosted: HostedChannel, moving: MoveUnderWay, host_id: bytes, target: str
     ) -> None:
         self._moves = moves
         self._hosted = hosted
@@ -217,8 +217,10 @@ class OutgoingMove:
         error: StampedeError = self._moving.elsewhere or refusals.moved(name, self._host_id)
         try:
             directory = self._moves.directory
-            kept = Kept.NO if await directory.is_released(channel_id) else await directory.kept_here(channel_id)
-            if kept is not Kept.NO:
+            kept = (
+                FormerOwnerRole.NO if await directory.is_released(channel_id) else await directory.kept_here(channel_id)
+            )
+            if kept is not FormerOwnerRole.NO:
                 return await self._has_demoted(kept)
         except ChannelNotFound:
             error = refusals.deleted(name)
@@ -226,7 +228,7 @@ class OutgoingMove:
             self._moves.store.forget(channel_id, error)
         return True
 
-    async def _has_demoted(self, kept: Kept) -> bool:
+    async def _has_demoted(self, kept: FormerOwnerRole) -> bool:
         """Serve the channel again if this host owns it again, or keep a replica of it. Returns whether this host keeps
         a replica, or no longer has the channel as this move knows it.
         """
@@ -236,6 +238,6 @@ class OutgoingMove:
         if present.host_id == self._moves.identity.host_id:
             self._moves.store.adopt(present)
             return False
-        if kept is Kept.REPLICA:
+        if kept is FormerOwnerRole.REPLICA:
             self._moves.keeper.demote(self._hosted, present)
-        return kept is Kept.REPLICA
+        return kept is FormerOwnerRole.REPLICA

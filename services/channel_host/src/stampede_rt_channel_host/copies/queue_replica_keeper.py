@@ -13,7 +13,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.queue_feed import QueueFeedStream, feed_until_gone
 from stampede_rt_channel_host.copies.replica_directory import ListedReplica, ListedReplicas, ReplicaDirectory
-from stampede_rt_channel_host.copies.replica_keeper import KeepingTasks, KeptReplicas
+from stampede_rt_channel_host.copies.replica_keeper import KeeperTasks, KeptReplicas
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_replication import QueueReplication
 from stampede_rt_channel_host.queues.queue_store import QueueStore
@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 UNHEARD_SECONDS = 5.0  # if its owner was silent for this time, a copy may be obsolete
 
 
-class QueueReplicaKeeper(KeepingTasks):
+class QueueReplicaKeeper(KeeperTasks):
     """Keeps the replicas of the queues of one host."""
 
     def __init__(

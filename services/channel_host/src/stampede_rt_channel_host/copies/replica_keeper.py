@@ -25,7 +25,7 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import gatekeeper_service_pb2, gatekeeper_service_pb2_grpc
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.owned_replicas import OwnedReplicas
-from stampede_rt_channel_host.channels.replication import Kind
+from stampede_rt_channel_host.channels.replication import ReplicationKind
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.replica_directory import ListedReplica, ListedReplicas, ReplicaDirectory
@@ -203,7 +203,7 @@ class KeptReplicas(ABC):
             logger.info("a replica is out of sync", extra={"event": "replica_out_of_sync"} | facts)
 
 
-class KeepingTasks:
+class KeeperTasks:
     """A task for each channel or queue whose replicas this host keeps."""
 
     def __init__(self) -> None:
@@ -233,7 +233,7 @@ def _log_defect(task: asyncio.Task[None]) -> None:
         logger.error("the keeper of replicas has ended with a defect", exc_info=failure, extra=extra)
 
 
-class ReplicaKeeper(KeepingTasks):
+class ReplicaKeeper(KeeperTasks):
     """Keeps the replicas of the channels that one host owns."""
 
     def __init__(
@@ -262,7 +262,7 @@ class KeptChannel(KeptReplicas):
     @property
     def waits(self) -> bool:
         """Whether puts wait for the replicas."""
-        return self._hosted.kind_of_replicas is Kind.WAITED_FOR
+        return self._hosted.kind_of_replicas is ReplicationKind.WAITED_FOR
 
     @property
     def name(self) -> str:

@@ -33,7 +33,7 @@ BOUNDARIES_MAX = 256  # the most boundaries that the host has received and not a
 _TIMER_SECONDS_MIN = 0.0001
 
 
-class _Followed:
+class _FollowedMember:
     """A member at this host: the channel, and the subscription's place in the channel."""
 
     def __init__(self, hosted: HostedChannel, follower: CutFollower) -> None:
@@ -59,7 +59,7 @@ class CutEvents:
         self._generation = 0  # the group's generation as of the last look
         self._incarnation = 0  # the group's, at the beginning of the subscription
         self._spec_version = 0  # the group's, at the beginning of the subscription
-        self._followed: dict[bytes, _Followed] = {}
+        self._followed: dict[bytes, _FollowedMember] = {}
         # the reader's cursors at the opening; None after the subscription has begun
         self._kept: dict[bytes, pb.ChannelCursor] | None = {}
         self._boundaries: deque[Boundary] = deque()  # received and not answered yet
@@ -149,7 +149,7 @@ class CutEvents:
             if own is not None and (held is None or held.hosted is not own.hosted):
                 self._take_up(own.hosted, held)
 
-    def _take_up(self, hosted: HostedChannel, held: _Followed | None) -> None:
+    def _take_up(self, hosted: HostedChannel, held: _FollowedMember | None) -> None:
         channel_id = hosted.record.channel_id
         cursor = self._kept_cursor(hosted) if held is None else held.cursor()
         follower = CutFollower(
@@ -162,7 +162,7 @@ class CutEvents:
         if held is not None:
             held.hosted.group_readers.pop(self, None)
         hosted.group_readers[self] = None
-        self._followed[channel_id] = _Followed(hosted, follower)
+        self._followed[channel_id] = _FollowedMember(hosted, follower)
 
     def _kept_cursor(self, hosted: HostedChannel) -> pb.ChannelCursor | None:
         """The reader's cursor of a channel, None if it has none.
@@ -259,7 +259,7 @@ class CutEvents:
         )
         await self._writer.write(pb.SubscribeCutsResponse(boundary=end).SerializeToString())
 
-    async def _send_part(self, followed: _Followed, cut: int, *, without_payloads: bool) -> None:
+    async def _send_part(self, followed: _FollowedMember, cut: int, *, without_payloads: bool) -> None:
         follower = followed.follower
         follower.begin(cut)
         while follower.under_way:

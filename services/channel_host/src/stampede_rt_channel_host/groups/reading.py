@@ -45,7 +45,7 @@ from stampede_rt_channel_host.groups.recorded_gets import (
 )
 from stampede_rt_channel_host.groups.recorded_subscriptions import RecordedSteps, resolved_start
 from stampede_rt_channel_host.groups.store import GroupStore
-from stampede_rt_channel_host.groups.waiting_gets import GroupGets, PendingAt
+from stampede_rt_channel_host.groups.waiting_gets import GroupGets, PendingGroupGet
 from stampede_rt_runtime.access.control import check_access
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 
@@ -113,7 +113,7 @@ class GroupReads:
         if reads_archive(params, hosted, query, group.horizon(params.at), self._groups.channels.now()):
             return await self._get_recorded(group, hosted, params.at, query, deadline_s)
         begun = VisibleChannel(hosted.channel).begin(query, group.horizon(params.at), self._groups.channels.now())
-        return await self._get(group, hosted, PendingAt(begun, params.at), deadline_s)
+        return await self._get(group, hosted, PendingGroupGet(begun, params.at), deadline_s)
 
     async def _read_past(
         self, params: GroupReadParams, hosted: HostedChannel, query: Query, check: Callable[[str], None]
@@ -146,7 +146,7 @@ class GroupReads:
             if found.view.released_by is not None:
                 await group.reach(found.view.released_by, _left_s(deadline_s))
             else:
-                await self._get(group, hosted, PendingAt(PendingGet(query, within), at), deadline_s)
+                await self._get(group, hosted, PendingGroupGet(PendingGet(query, within), at), deadline_s)
                 has_waited = True
 
     async def _read_copy(
@@ -172,7 +172,7 @@ class GroupReads:
         return GroupAnswer(found, horizon.cut)
 
     async def _get(
-        self, group: HostedGroup, hosted: HostedChannel, pending: PendingAt, deadline_s: float | None
+        self, group: HostedGroup, hosted: HostedChannel, pending: PendingGroupGet, deadline_s: float | None
     ) -> GroupAnswer:
         """Look for the answer. Without an answer, wait until the get is released or `deadline_s` has come."""
         if len(hosted.group_gets) >= WAITING_GETS_MAX:
@@ -234,7 +234,7 @@ class GroupReads:
             raise refusals.wrong_epoch(hosted.record.name, hosted.epoch, found.epoch)
 
 
-class _All:
+class _AllModeCursor:
     """The cursor of a subscription through a group in SUBSCRIBE_MODE_ALL."""
 
     skipped = 0
@@ -272,7 +272,7 @@ class _All:
         return pb.SubscriptionProgress(next_seq=self._cursor.lowest_owed_seq(now), dropped=self._cursor.dropped)
 
 
-class _Newest:
+class _NewestModeCursor:
     """The cursor of a subscription through a group in SUBSCRIBE_MODE_NEWEST."""
 
     def __init__(self, group: HostedGroup | CopiedGroup, hosted: HostedChannel, cursor: VisibleNewestCursor) -> None:
@@ -310,15 +310,15 @@ class _Newest:
 def _cursor(
     group: HostedGroup | CopiedGroup, hosted: HostedChannel, opening: pb.SubscribeOpen, where: dict[str, Any],
     channels: ChannelStore,
-) -> _All | _Newest:  # fmt: skip
+) -> _AllModeCursor | _NewestModeCursor:  # fmt: skip
     horizon, now = group.horizon(), channels.now()
     if is_newest(opening):
-        return _Newest(group, hosted, VisibleNewestCursor(hosted.channel, horizon, now, **where))
+        return _NewestModeCursor(group, hosted, VisibleNewestCursor(hosted.channel, horizon, now, **where))
     start, is_copy = where.get("start"), copied_archives.lacks_archive(hosted)
     if start is not None and is_copy:
         copied_archives.check_read(hosted, Query(interval=Interval(start, start)), now, horizon)
     place = VisibleAllCursor(hosted.channel, horizon, now, archived=is_copy or hosted.recording is not None, **where)
-    return _All(group, hosted, place, RecordedSteps(channels, place))
+    return _AllModeCursor(group, hosted, place, RecordedSteps(channels, place))
 
 
 def member_of(group: HostedGroup | CopiedGroup, hosted: HostedChannel) -> HostedChannel:

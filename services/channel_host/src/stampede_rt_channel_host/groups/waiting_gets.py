@@ -30,7 +30,7 @@ from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 Released = ReadAnswer | UnfinishedWork[ReadAnswer | WakeAt] | UnfinishedWork[ReadAnswer]
 
 
-class PendingAt(PendingGet):
+class PendingGroupGet(PendingGet):
     """A blocking get through a group.
 
     `at`: the cut at which the get reads; None: the present cut. `cut`: the cut at the last look for its answer.
@@ -53,7 +53,7 @@ class _GroupSnapshot:
         self._horizon = group.horizon()
 
     def polling(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer | WakeAt]:
-        """See `Polled`."""
+        """See `PolledSource`."""
         at = _at(pending)
         horizon = self._horizon if at.at is None else self._group.horizon(at.at)
         at.cut = horizon.cut
@@ -102,7 +102,7 @@ class GroupGets:
         waiting = group.gets.get(hosted)
         return waiting if isinstance(waiting, cls) else cls(group, hosted, now, check, scheduler, limits)
 
-    async def wait(self, pending: PendingAt, wake: WakeAt, wait_nanos: int) -> tuple[Released, int | None]:
+    async def wait(self, pending: PendingGroupGet, wake: WakeAt, wait_nanos: int) -> tuple[Released, int | None]:
         """Wait until the get, which was just polled, is released or `wait_nanos` are over; below 0: without limit.
 
         `wake`: the result of that poll. Returns the answer, or the rest of the work on a long answer, and the cut at
@@ -173,6 +173,6 @@ class GroupGets:
         return BEFORE_ALL if cut is None else cut
 
 
-def _at(pending: PendingGet) -> PendingAt:
-    assert isinstance(pending, PendingAt), "GroupGets holds only gets through the group"
+def _at(pending: PendingGet) -> PendingGroupGet:
+    assert isinstance(pending, PendingGroupGet), "GroupGets holds only gets through the group"
     return pending

@@ -26,10 +26,10 @@ def printed(family: AnyFamily) -> bytes:
 
 def printed_metric(metric: Metric) -> bytes:
     """The lines of a metric of the library."""
-    return generate_latest(_Single(metric))
+    return generate_latest(_SingleMetric(metric))
 
 
-class _Single(Collector):
+class _SingleMetric(Collector):
     """A collector of one metric."""
 
     def __init__(self, metric: Metric) -> None:

@@ -157,10 +157,10 @@ class CallerWork:
 
 def charged(account: Account, work: Coroutine[Any, Any, Result]) -> Coroutine[Any, Any, Result]:
     """A coroutine that runs `work`. Each of its steps, from one wait to the next, counts for the account."""
-    return work if account.loop_share is None else _Charged(account.loop_share, work)
+    return work if account.loop_share is None else _ChargedCoroutine(account.loop_share, work)
 
 
-class _Charged(Coroutine[Any, Any, Result]):
+class _ChargedCoroutine(Coroutine[Any, Any, Result]):
     """Runs a coroutine, and measures the processor time of each step. The measurement takes about a microsecond.
 
     A clock would also count the time in which the system ran other threads, and delay a caller that used little.

@@ -21,7 +21,7 @@ To close one takes about 50 us: its transport, its stream's task, its slot.
 """
 
 
-class _Watched(NamedTuple):
+class _WatchedSocket(NamedTuple):
     socket: Any
     close: Callable[[], object]
 
@@ -35,7 +35,7 @@ class HangupWatcher:
     def __init__(self) -> None:
         self._epoll: Any = None
         # By the number of the socket's file. The system may give the number of a closed socket to a new socket.
-        self._watched: dict[int, _Watched] = {}
+        self._watched: dict[int, _WatchedSocket] = {}
         self._numbers: dict[int, int] = {}  # by the identity of the socket
         self._gone: deque[Callable[[], object]] = deque()  # the calls that close the sockets whose peers have gone
 
@@ -47,7 +47,7 @@ class HangupWatcher:
             self._epoll = select.epoll()
             asyncio.get_running_loop().add_reader(self._epoll.fileno(), self._look)
         number = self._numbers[id(one)] = one.fileno()
-        self._watched[number] = _Watched(one, close)
+        self._watched[number] = _WatchedSocket(one, close)
         with contextlib.suppress(FileExistsError):
             self._epoll.register(number, select.EPOLLRDHUP)
 

@@ -25,7 +25,7 @@ from stampede_rt_supernode.codecs import (
 from stampede_rt_supernode.codecs.kind_codec import KindCodec
 from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
 from stampede_rt_supernode.core.command_table import FEATURE_LEVELS
-from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
+from stampede_rt_supernode.core.commands import Command, Operation, RefusedOperation, Result, Success
 
 CODECS: tuple[KindCodec[Any, Any, Any, Any], ...] = (
     *access_kinds.CODECS,
@@ -105,7 +105,7 @@ def _read_operation(message: pb.DirectoryCommand) -> Operation:
 
 def result_message(result: Result) -> pb.DirectoryResult:
     """The message of a result."""
-    if isinstance(result, Refused):
+    if isinstance(result, RefusedOperation):
         refused = pb.RefusedResult(reason=result.reason, message=result.message, metadata=dict(result.metadata))
         return pb.DirectoryResult(refused=refused)
     codec = _BY_RESULT[type(result)]
@@ -122,7 +122,7 @@ def read_result(message: pb.DirectoryResult) -> Result:
     """The result of a message. Raises StampedeError for an unknown outcome."""
     if message.HasField("refused"):
         refused = message.refused
-        return Refused(reason=refused.reason, message=refused.message, metadata=dict(refused.metadata))
+        return RefusedOperation(reason=refused.reason, message=refused.message, metadata=dict(refused.metadata))
     codec = _BY_OUTCOME.get(message.WhichOneof("outcome"))
     if codec is None:
         raise StampedeError("the replicated log gave a result that this supernode does not know; report this")

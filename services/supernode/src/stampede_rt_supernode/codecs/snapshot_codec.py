@@ -28,10 +28,10 @@ from stampede_rt_supernode.codecs.queue_codec import queue_from, queue_record
 from stampede_rt_supernode.codecs.record_codec import channel_from, channel_record
 from stampede_rt_supernode.codecs.replica_codec import replica_from, replica_record
 from stampede_rt_supernode.core.access.table import AccessTable
-from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.commands import RefusedOperation
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.table import GroupWithWitnesses
-from stampede_rt_supernode.core.kept_answers import Answer
+from stampede_rt_supernode.core.kept_answers import KeptAnswer
 from stampede_rt_supernode.core.records import (
     ChangeKind,
     ChannelRecord,
@@ -66,7 +66,7 @@ class SnapshotWriter:
         )
         self._queues: _Parts[QueueRecord] = _Parts(lambda one: pb.DirectorySnapshot(queues=[queue_record(one)]))
         self._peers: _Parts[PeerRecord] = _Parts(lambda one: pb.DirectorySnapshot(peers=[peer_entry(one)]))
-        self._answers: _Parts[Answer] = _Parts(
+        self._answers: _Parts[KeptAnswer] = _Parts(
             lambda answer: pb.DirectorySnapshot(remembered_operations=[_remembered(answer)])
         )
 
@@ -175,7 +175,7 @@ def _format_of(tables: Tables) -> int:
     return FORMAT_VERSION_WITH_GROUPS if tables.groups or tables.replicas else FORMAT_VERSION
 
 
-def _remembered(answer: Answer) -> pb.RememberedOperation:
+def _remembered(answer: KeptAnswer) -> pb.RememberedOperation:
     return pb.RememberedOperation(
         op_id=answer.op_id,
         log_index=answer.index,
@@ -233,8 +233,8 @@ def _directory(message: pb.DirectorySnapshot) -> Directory:
     )
 
 
-def _answer(operation: pb.RememberedOperation) -> Answer:
+def _answer(operation: pb.RememberedOperation) -> KeptAnswer:
     result = read_result(operation.result)
-    if isinstance(result, Refused):
+    if isinstance(result, RefusedOperation):
         raise StampedeError("the snapshot remembers a refusal, which no supernode writes; it is damaged")
-    return Answer(operation.op_id, operation.log_index, operation.subject, result, intern(operation.caller))
+    return KeptAnswer(operation.op_id, operation.log_index, operation.subject, result, intern(operation.caller))

@@ -54,7 +54,7 @@ class Command:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Refused:
+class RefusedOperation:
     """The result of a refused operation, which changed nothing.
 
     The fields have the values of the StampedeError that refused it.
@@ -65,7 +65,7 @@ class Refused:
     metadata: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
 
     @classmethod
-    def because(cls, error: StampedeError) -> Refused:
+    def because(cls, error: StampedeError) -> RefusedOperation:
         """The refusal for `error`."""
         return cls(reason=error.reason, message=error.message, metadata=MappingProxyType(error.metadata))
 
@@ -74,4 +74,4 @@ class Refused:
         return error_for(self.reason, self.message, self.metadata)
 
 
-Result: TypeAlias = Refused | Success
+Result: TypeAlias = RefusedOperation | Success

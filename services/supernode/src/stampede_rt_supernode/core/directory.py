@@ -13,8 +13,8 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
 from stampede_rt_supernode.core.command_kinds import CommandKind
 from stampede_rt_supernode.core.command_table import kind_of, subject_of
-from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
-from stampede_rt_supernode.core.kept_answers import Answer
+from stampede_rt_supernode.core.commands import Command, Operation, RefusedOperation, Result, Success
+from stampede_rt_supernode.core.kept_answers import KeptAnswer
 from stampede_rt_supernode.core.state import DIGEST_BYTES, DirectoryState
 from stampede_rt_supernode.core.validation import check_id
 
@@ -29,7 +29,7 @@ class Directory(DirectoryState):
         try:
             return self._answer(index, command)
         except StampedeError as error:
-            return Refused.because(error)
+            return RefusedOperation.because(error)
         finally:
             self.tables.note_index(index)
 
@@ -61,5 +61,5 @@ class Directory(DirectoryState):
             self.kept_answers.check_room(caller)
         kind.check_not_late(self, command.operation, command.as_of_index)
         result = kind.apply(self, command.operation, command.time_unix_nano)
-        self.kept_answers.remember(Answer(command.op_id, index, subject, result, caller))
+        self.kept_answers.remember(KeptAnswer(command.op_id, index, subject, result, caller))
         return result

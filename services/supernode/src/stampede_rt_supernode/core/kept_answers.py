@@ -36,7 +36,7 @@ FORGOTTEN_BY_MARK = 4096  # the most answers that each mark forgets
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class KeptAnswer:
     """The answer to an operation. `index`: the log position of its command.
 
     `subject`: see `command_table.subject_of`. `caller`: the caller whose share of the memory the answer takes up; empty
@@ -62,21 +62,21 @@ class Answer:
 class KeptAnswers:
     """The answers to the operations since the oldest mark. Refusals are not kept, because they changed nothing."""
 
-    def __init__(self, answers: Iterable[Answer] = (), marks: Iterable[int] = ()) -> None:
+    def __init__(self, answers: Iterable[KeptAnswer] = (), marks: Iterable[int] = ()) -> None:
         self.marks = tuple(marks)  # the log positions of the last marks, ascending
-        self._answers: dict[bytes, Answer] = {}  # by operation id, in the order of log positions
+        self._answers: dict[bytes, KeptAnswer] = {}  # by operation id, in the order of log positions
         self._size_bytes = 0
         self._size_of: Counter[str] = Counter()  # by caller, for callers with a name
         for answer in answers:
             self.remember(answer)
 
-    def __iter__(self) -> Iterator[Answer]:
+    def __iter__(self) -> Iterator[KeptAnswer]:
         return iter(self._answers.values())
 
     def __len__(self) -> int:
         return len(self._answers)
 
-    def newest_first(self) -> Iterator[Answer]:
+    def newest_first(self) -> Iterator[KeptAnswer]:
         """The answers, in descending order of log positions."""
         return reversed(self._answers.values())
 
@@ -133,12 +133,12 @@ class KeptAnswers:
                 metadata={"subject": caller, "used": str(used), "limit": str(CALLER_BYTES_MAX)},
             )
 
-    def remember(self, answer: Answer) -> None:
+    def remember(self, answer: KeptAnswer) -> None:
         """Keep `answer`. Its log position must be the highest, and its operation id new."""
         self._answers[answer.op_id] = answer
         self._count(answer, answer.size_bytes)
 
-    def _count(self, answer: Answer, more_bytes: int) -> None:
+    def _count(self, answer: KeptAnswer, more_bytes: int) -> None:
         self._size_bytes += more_bytes
         if answer.caller:
             self._size_of[answer.caller] += more_bytes

@@ -24,7 +24,7 @@ MAX_INDEX = 2**63  # above all log positions
 STALL_FRACTION = 2
 
 
-class Registered(Protocol):
+class RegisteredHolder(Protocol):
     """The holder of a lease: one registration of a host or peer."""
 
     @property
@@ -69,7 +69,7 @@ class LeaseTable:
         self._walks = 0  # the number of the last walk over all live holders
         self._looked_nanos = 0  # when `due` was last called
 
-    def lead(self, tenure: int, live: Iterable[Registered], now: int, *, ttl_nanos: int) -> None:
+    def lead(self, tenure: int, live: Iterable[RegisteredHolder], now: int, *, ttl_nanos: int) -> None:
         """Begin a committed tenure: every live holder gets a full TTL from `now`."""
         self.tenure = tenure
         self.ttl_nanos = ttl_nanos
@@ -102,7 +102,7 @@ class LeaseTable:
                 self._forgotten.pop()
             yield
 
-    def follow(self, live: Iterable[Registered], now: int) -> None:
+    def follow(self, live: Iterable[RegisteredHolder], now: int) -> None:
         """Take over the live holders: a new registration gets a full TTL, and a holder that is gone is dropped.
 
         The call may come later than a registration; the lease is then only longer.
@@ -110,7 +110,7 @@ class LeaseTable:
         for _ in self.following(list(live), MAX_INDEX, now):
             pass
 
-    def following(self, live: Sequence[Registered], as_of_index: int, now: int) -> Iterator[None]:
+    def following(self, live: Sequence[RegisteredHolder], as_of_index: int, now: int) -> Iterator[None]:
         """As `follow`, in pieces. `live`: the holders that live at log position `as_of_index`.
 
         The caller reports later changes by `note` and `note_gone`.
@@ -131,7 +131,7 @@ class LeaseTable:
                     self.note_gone(holder_id, as_of_index)
             yield
 
-    def note(self, holder: Registered, now: int) -> _Lease:
+    def note(self, holder: RegisteredHolder, now: int) -> _Lease:
         """Note a live holder.
 
         Its registration gets a full TTL, unless the table has a lease of this registration or of a later one. Returns
@@ -152,7 +152,7 @@ class LeaseTable:
             del self._leases[holder_id]
             self._ending.pop(holder_id, None)
 
-    def renew(self, holder: Registered, received: int, clock: ClockOffset | None = None) -> bool:
+    def renew(self, holder: RegisteredHolder, received: int, clock: ClockOffset | None = None) -> bool:
         """Prolong the lease of a live holder's registration to `received` + TTL.
 
         Returns False if the end of the lease is already proposed: then only a new registration helps. `clock` is the
@@ -166,12 +166,12 @@ class LeaseTable:
         held.clock = clock
         return True
 
-    def note_clock(self, holder: Registered, clock: ClockOffset, now: int) -> None:
+    def note_clock(self, holder: RegisteredHolder, clock: ClockOffset, now: int) -> None:
         """Note the clock report in a live holder's registration."""
         if self.tenure:
             self.note(holder, now).clock = clock
 
-    def clock(self, holder: Registered) -> ClockOffset | None:
+    def clock(self, holder: RegisteredHolder) -> ClockOffset | None:
         """The last clock report of a holder to this leader; None if it made none."""
         held = self._leases.get(holder.holder_id)
         return held.clock if held is not None and held.registered_index == holder.registered_index else None

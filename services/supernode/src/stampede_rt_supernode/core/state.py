@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from stampede_rt.errors import Unavailable
 from stampede_rt_supernode.core.access.table import AccessTable
 from stampede_rt_supernode.core.cluster.feature_levels import FIRST_LEVEL
-from stampede_rt_supernode.core.kept_answers import Answer, KeptAnswers
+from stampede_rt_supernode.core.kept_answers import KeptAnswer, KeptAnswers
 from stampede_rt_supernode.core.records import (
     ChannelRecord,
     GroupRecord,
@@ -42,7 +42,7 @@ class DirectoryState:
         replicas: Iterable[ReplicaRecord] = (),
         queues: Iterable[QueueRecord] = (),
         peers: Iterable[PeerRecord] = (),
-        answers: Iterable[Answer] = (),
+        answers: Iterable[KeptAnswer] = (),
         time_marks: Iterable[int] = (),
         former_cluster_ids: Iterable[str] = (),
         join_key: bytes = b"",

@@ -31,7 +31,7 @@ ANYWHERE = ("0.0.0.0", "::")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Founding:
+class FoundingRecord:
     """The contents of the file: how a member starts for the first time, and which steps are done.
 
     `address`: the address at which the other members reach this member.
@@ -70,14 +70,14 @@ class Founding:
         )
 
 
-def read_founding(data_dir: Path) -> Founding | None:
+def read_founding(data_dir: Path) -> FoundingRecord | None:
     """The contents of the folder's file; None if neither `init` nor `join` has prepared it. Raises StampedeError."""
     path = data_dir / FILE_NAME
     try:
         facts: dict[str, Any] = json.loads(path.read_text())
         if facts.pop("format_version", None) != FORMAT_VERSION:
             raise StampedeError(f"{path} is of another version; run the version that wrote it")
-        founding = Founding(**facts)
+        founding = FoundingRecord(**facts)
         founding.replication_settings(data_dir)  # also checks the contents
         return founding
     except FileNotFoundError:
@@ -88,7 +88,7 @@ def read_founding(data_dir: Path) -> Founding | None:
         ) from error
 
 
-def write_founding(data_dir: Path, founding: Founding) -> None:
+def write_founding(data_dir: Path, founding: FoundingRecord) -> None:
     """Write the file, whole or not at all, and readable only by the user of the process. Blocks. Raises OSError."""
     data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     text = json.dumps({"format_version": FORMAT_VERSION, **asdict(founding)}, indent=2) + "\n"
@@ -101,7 +101,7 @@ def write_founding(data_dir: Path, founding: Founding) -> None:
     draft.replace(data_dir / FILE_NAME)
 
 
-def note_started(data_dir: Path, founding: Founding) -> Founding:
+def note_started(data_dir: Path, founding: FoundingRecord) -> FoundingRecord:
     """Note in the file that the store exists. Returns the new contents of the file."""
     if founding.started:
         return founding
@@ -142,7 +142,7 @@ def check_restored(data_dir: Path) -> None:
         )
 
 
-def misplaced(founding: Founding, listening_at: str, advertise: str) -> str:
+def misplaced(founding: FoundingRecord, listening_at: str, advertise: str) -> str:
     """The warning for a supernode that does not listen at the address at which callers reach it; empty if it does.
 
     With --advertise there is no warning, because the user knows that calls to that address come here.

@@ -20,7 +20,7 @@ from stampede_rt.security.tls import CLIENT_VARIABLES
 from stampede_rt.values.policy import parse_name
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_target
 from stampede_rt_runtime.written import naming
-from stampede_rt_supernode.joining.founding import ANYWHERE, Founding, check_unused, restoring, write_founding
+from stampede_rt_supernode.joining.founding import ANYWHERE, FoundingRecord, check_unused, restoring, write_founding
 from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_DEFAULT, log_cluster_of
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import Member, ReleaseTooOld, StoreDamaged, StoreRefused, restore_from
@@ -81,7 +81,7 @@ def _run_init(arguments: argparse.Namespace) -> int:
     check_unused(arguments.data_dir)
     name, address = _name(arguments), _address(arguments)
     cluster_id = secrets.token_hex(16)
-    founding = Founding(supernode_id=name, address=address, members={name: address}, log_cluster_id=cluster_id)
+    founding = FoundingRecord(supernode_id=name, address=address, members={name: address}, log_cluster_id=cluster_id)
     if arguments.take_over and arguments.restore is None:
         raise ValueError("--take-over needs --restore: without it there is no former cluster")
     if arguments.restore is not None:
@@ -94,7 +94,7 @@ def _run_init(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _restored(arguments: argparse.Namespace, founding: Founding) -> Founding:
+def _restored(arguments: argparse.Namespace, founding: FoundingRecord) -> FoundingRecord:
     """Take over the directory of a backup or of a lost member's folder."""
     founder = Member(member_id=founding.supernode_id, address=founding.address)
     try:
@@ -127,7 +127,7 @@ def _run_join(arguments: argparse.Namespace) -> int:
     if name in members:
         raise StampedeError(f"{name} is a member already; give a new id, also to a supernode that has lost its folder")
     _check_callable(address, members)
-    founding = Founding(
+    founding = FoundingRecord(
         supernode_id=name,
         address=address,
         members=members,
@@ -142,7 +142,7 @@ def _run_join(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _done(arguments: argparse.Namespace, founding: Founding, text: str) -> None:
+def _done(arguments: argparse.Namespace, founding: FoundingRecord, text: str) -> None:
     """Print the outcome and the command that starts the supernode."""
     if arguments.output == "table":
         _say(f"{text} Start this supernode:", "", _start(arguments))

@@ -17,7 +17,7 @@ from stampede_rt.v1 import directory_pb2, membership_service_pb2_grpc
 from stampede_rt.v1 import membership_service_pb2 as pb
 from stampede_rt_runtime.version import software_version
 from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
-from stampede_rt_supernode.joining.founding import Founding, read_founding, write_founding
+from stampede_rt_supernode.joining.founding import FoundingRecord, read_founding, write_founding
 from stampede_rt_supernode.replication import ReplicatedLog
 
 logger = logging.getLogger(__name__)
@@ -34,7 +34,7 @@ NEWER_RELEASE = "start it with the release of the others and the same data folde
 
 
 async def volunteer(
-    founding: Founding,
+    founding: FoundingRecord,
     data_dir: Path,
     log: ReplicatedLog,
     dial: Callable[[str], grpc.aio.Channel],
@@ -74,7 +74,7 @@ async def volunteer(
     logger.info("joined", extra={"event": "joined", "supernode": founding.supernode_id})
 
 
-async def _wait_after_refusals(founding: Founding, sleep: Callable[[float], Awaitable[None]]) -> None:
+async def _wait_after_refusals(founding: FoundingRecord, sleep: Callable[[float], Awaitable[None]]) -> None:
     if founding.refused:
         pause_seconds = seconds_before_asking(founding.refusals)
         logger.warning(
@@ -97,7 +97,7 @@ def seconds_before_asking(refusals: int) -> float:
     return float(min(2 ** min(refusals - 1, 30), REFUSED_SECONDS_MAX)) if refusals else 0.0
 
 
-def _note_refusal(data_dir: Path, founding: Founding, why: str) -> None:
+def _note_refusal(data_dir: Path, founding: FoundingRecord, why: str) -> None:
     noted = read_founding(data_dir) or founding
     write_founding(data_dir, replace(noted, refused=why, refusals=founding.refusals + 1))
 
@@ -111,7 +111,7 @@ def _is_member(log: ReplicatedLog) -> bool:
     return any(member.member_id == status.self_id for member in status.members)
 
 
-async def _ask(address: str, founding: Founding, dial: Callable[[str], grpc.aio.Channel], *, zone: str) -> None:
+async def _ask(address: str, founding: FoundingRecord, dial: Callable[[str], grpc.aio.Channel], *, zone: str) -> None:
     request = pb.AddSupernodeRequest(
         supernode_id=founding.supernode_id,
         endpoint=directory_pb2.Endpoint(target=founding.address, zone=zone),

@@ -12,12 +12,12 @@ At the end, close the log before the server stops.
 """
 
 from stampede_rt_supernode.replication.interface import (
-    Ambiguous,
     ChangeRefused,
     ChangeUnderWay,
     LogUnavailable,
     Member,
     NotLeading,
+    OutcomeUnknown,
     ReleaseOutdated,
     ReleaseTooOld,
     ReplicatedLog,
@@ -38,7 +38,6 @@ from stampede_rt_supernode.replication.storage.store import StoreDamaged, StoreR
 __all__ = [
     "CHANNEL_OPTIONS",
     "COMMAND_BYTES_MAX",
-    "Ambiguous",
     "Backup",
     "BackupHeader",
     "ChangeRefused",
@@ -47,6 +46,7 @@ __all__ = [
     "LogUnavailable",
     "Member",
     "NotLeading",
+    "OutcomeUnknown",
     "RaftTiming",
     "ReleaseOutdated",
     "ReleaseTooOld",

@@ -13,7 +13,7 @@ from stampede_rt_supernode.replication.rules.member_change import MemberChange
 from stampede_rt_supernode.replication.rules.proposals import Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
-from stampede_rt_supernode.replication.wire.buffered_transport import NetworkEvent, Received
+from stampede_rt_supernode.replication.wire.buffered_transport import MessageReceived, NetworkEvent
 
 # The most changes of the members, and the most requests for a snapshot, that wait.
 CHANGES_MAX = 100
@@ -40,7 +40,7 @@ class Arrivals:
 
     def add_event(self, event: NetworkEvent) -> None:
         """Queue a network event. Raises InboxFull if too many messages of that member wait. Other events always fit."""
-        if isinstance(event, Received):
+        if isinstance(event, MessageReceived):
             self._inbox.count_received(event)
         self.events.append(event)
 
@@ -73,7 +73,7 @@ class Arrivals:
     def take_events(self) -> Iterator[NetworkEvent]:
         """The waiting events, in order. Events that come during the call wait for the next call."""
         for event in taken_from(self.events):
-            if isinstance(event, Received):
+            if isinstance(event, MessageReceived):
                 self._inbox.count_taken(event)
             yield event
 
@@ -96,7 +96,7 @@ class _InboxShares:
         self._came: dict[str, tuple[int, int]] = {}
         self._taken: dict[str, tuple[int, int]] = {}
 
-    def count_received(self, event: Received) -> None:
+    def count_received(self, event: MessageReceived) -> None:
         """Count a message that came. Raises InboxFull if the member has too many waiting messages."""
         items, size = self._came.get(event.member_id, (0, 0))
         items_out, size_out = self._taken.get(event.member_id, (0, 0))
@@ -104,7 +104,7 @@ class _InboxShares:
             raise InboxFull(f"{items - items_out} messages of {event.member_id} wait for the log's thread")
         self._came[event.member_id] = items + 1, size + event.size_bytes
 
-    def count_taken(self, event: Received) -> None:
+    def count_taken(self, event: MessageReceived) -> None:
         """Count a message that was taken."""
         items, size = self._taken.get(event.member_id, (0, 0))
         self._taken[event.member_id] = items + 1, size + event.size_bytes

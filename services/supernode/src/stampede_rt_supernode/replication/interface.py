@@ -189,7 +189,7 @@ class ReleaseOutdated(ChangeRefused):
     """The newcomer's release does not know the cluster's feature level."""
 
 
-class Ambiguous(Exception):
+class OutcomeUnknown(Exception):
     """The command, or the change of the members, may or may not take effect. Do not report that it has failed.
 
     Propose the command again with the same operation id, or ask for the same change again.
@@ -202,8 +202,8 @@ class ReplicatedLog(Protocol):
     async def propose(self, command: bytes, *, timeout: float) -> bytes:
         """Replicate `command` (64 KiB at most) and return the result of `apply`. Waits `timeout` seconds at most.
 
-        Works on every replica: a follower passes the command on to the leader. Raises LogUnavailable or Ambiguous, and
-        ValueError for a larger command.
+        Works on every replica: a follower passes the command on to the leader. Raises LogUnavailable or OutcomeUnknown,
+        and ValueError for a larger command.
         """
 
     async def confirm_read(self, *, timeout: float) -> int:
@@ -219,7 +219,7 @@ class ReplicatedLog(Protocol):
         If it is a member already, returns the last applied position. The replica becomes a member as soon as it has
         caught up. Idempotent: a repeated call waits for the addition under way, which continues after `timeout`. A
         `ticket` lets in one member. Raises NotLeading, ChangeUnderWay, ChangeRefused (TicketSpent if the ticket is used
-        up, ReleaseOutdated if the newcomer's release is too old), LogUnavailable or Ambiguous.
+        up, ReleaseOutdated if the newcomer's release is too old), LogUnavailable or OutcomeUnknown.
         """
 
     async def remove_member(self, member_id: str, *, timeout: float) -> int:

@@ -14,9 +14,9 @@ import grpc.aio
 from stampede_rt.v1.raft_service_pb2 import RaftHello
 from stampede_rt_runtime.metrics.families import Durations
 from stampede_rt_supernode.replication.interface import (
-    Ambiguous,
     LogUnavailable,
     Member,
+    OutcomeUnknown,
     ReplicationStatus,
     StateMachine,
     TakenSnapshot,
@@ -102,7 +102,7 @@ class PySyncObjLog:
         except TimeoutError:
             proposal.abandoned = True
             if proposal.submitted:
-                raise Ambiguous(f"no answer within {timeout} s; the command may still be applied") from None
+                raise OutcomeUnknown(f"no answer within {timeout} s; the command may still be applied") from None
             raise LogUnavailable(f"no leader took the command within {timeout} s") from None
         except asyncio.CancelledError:
             proposal.abandoned = True
@@ -165,7 +165,7 @@ class PySyncObjLog:
             async with asyncio.timeout(timeout):
                 outcome = await answer
         except TimeoutError:
-            raise Ambiguous(f"the change was not done within {timeout} s; it is still under way") from None
+            raise OutcomeUnknown(f"the change was not done within {timeout} s; it is still under way") from None
         if isinstance(outcome, int):
             return outcome
         raise outcome
@@ -196,7 +196,7 @@ class PySyncObjLog:
         return TakenSnapshot(log_index=outcome.last_log_index, record=outcome.record)
 
     async def close(self) -> None:
-        """See ReplicatedLog. Waiting calls end with LogUnavailable or Ambiguous. Safe to call twice."""
+        """See ReplicatedLog. Waiting calls end with LogUnavailable or OutcomeUnknown. Safe to call twice."""
         if self._closed:
             return
         self._closed = True

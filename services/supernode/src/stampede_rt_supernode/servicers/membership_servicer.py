@@ -189,7 +189,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             raise InvalidArgument(str(error)) from error
         except replication.LogUnavailable as error:
             raise Unavailable(str(error), reason="NO_QUORUM") from error
-        except replication.Ambiguous as error:
+        except replication.OutcomeUnknown as error:
             raise Unavailable(f"{error}; repeat it, or ask ListSupernodes", reason="AMBIGUOUS") from error
 
     def _cluster_id(self) -> str:

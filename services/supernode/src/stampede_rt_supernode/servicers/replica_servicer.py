@@ -130,7 +130,7 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
+class _FoundReplicas:
     thing: Copied
     replicas: tuple[ReplicaRecord, ...]
     hosts: tuple[HostRecord, ...]  # the owner, then the hosts of the copies
@@ -146,9 +146,9 @@ def _check_has_host(directory: Directory, operation: AddReplica, request_id: byt
         check_has_host(directory.tables, operation)
 
 
-def _find(directory: Directory, thing_id: bytes, *, is_of_queue: bool) -> _Found:
+def _find(directory: Directory, thing_id: bytes, *, is_of_queue: bool) -> _FoundReplicas:
     tables = directory.tables
     thing = copied_by_id(tables, thing_id, is_of_queue=is_of_queue)
     replicas = tables.replicas.of(thing_id)
     host_ids = (thing.host_id, *(replica.host_id for replica in replicas))
-    return _Found(thing, replicas, tuple(tables.hosts[one] for one in host_ids), directory.applied_index)
+    return _FoundReplicas(thing, replicas, tuple(tables.hosts[one] for one in host_ids), directory.applied_index)

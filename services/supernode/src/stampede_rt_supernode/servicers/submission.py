@@ -12,10 +12,10 @@ from typing import TypeVar
 
 from stampede_rt import errors
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
-from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
+from stampede_rt_supernode.core.commands import Command, Operation, RefusedOperation, Result, Success
 from stampede_rt_supernode.joining.members import why_diverged
 from stampede_rt_supernode.replica import DirectoryReplica
-from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable, ReplicatedLog, ReplicationStatus
+from stampede_rt_supernode.replication.interface import LogUnavailable, OutcomeUnknown, ReplicatedLog, ReplicationStatus
 
 ATTEMPT_SECONDS_MAX = 2.0
 BACKOFF_SECONDS_MIN = 0.02
@@ -92,7 +92,7 @@ class Submission:
             await self.confirm(seconds=seconds)  # the level may have risen, while this supernode lags behind
             self._check_level(encoded)
         result = await self._persist(lambda timeout: self._propose(encoded, timeout), seconds, deadline)
-        if isinstance(result, Refused):
+        if isinstance(result, RefusedOperation):
             raise result.error()
         if not isinstance(result, kind):
             raise errors.StampedeError(f"a {type(operation).__name__} gave a {type(result).__name__}; report this")
@@ -113,7 +113,7 @@ class Submission:
 
     async def _propose(self, encoded: bytes, timeout: float) -> Result:
         result = decode_result(await self._log.propose(encoded, timeout=timeout))
-        if isinstance(result, Refused) and result.reason == "NO_QUORUM":
+        if isinstance(result, RefusedOperation) and result.reason == "NO_QUORUM":
             raise LogUnavailable(result.message)  # the directory says that it is too early
         return result
 
@@ -141,7 +141,7 @@ class Submission:
                 return await attempt(min(left, ATTEMPT_SECONDS_MAX))
             except LogUnavailable:
                 pass  # certainly not done by this attempt; an earlier attempt may still be under way
-            except Ambiguous:
+            except OutcomeUnknown:
                 ambiguous = True
             left = deadline - time.monotonic()
             await asyncio.sleep(max(0.0, min(left, backoff * random.uniform(0.5, 1.0))))

@@ -10,7 +10,7 @@ from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_
 from stampede_rt_supernode.core.access.queries import access_state
 from stampede_rt_supernode.core.access.quota_commands import QuotasRemoved, QuotasSet, RemoveQuotas, SetQuotas
 from stampede_rt_supernode.core.command_table import check_operation
-from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.commands import RefusedOperation
 from tests.support.supernode.operations import Log
 
 STREAMS = QuotaSetting("cam-*", Quota.STREAMS, 5)
@@ -57,7 +57,7 @@ def test_the_number_of_quota_settings_has_a_limit() -> None:
     for at in range(0, SETTINGS_MAX, 100):
         log.apply(SetQuotas(settings=tuple(QuotaSetting(str(at + n), Quota.STREAMS, 1) for n in range(100))))
     refused = log.apply(SetQuotas(settings=(STREAMS,)))
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedOperation)
     assert isinstance(refused.error(), InvalidArgument)
     assert isinstance(log.apply(SetQuotas(settings=(QuotaSetting("7", Quota.STREAMS, 2),))), QuotasSet)
     assert len(settings(log)) == SETTINGS_MAX

@@ -23,7 +23,7 @@ from stampede_rt_supernode.core.access.effects import AccessEffect, effects_on, 
 from stampede_rt_supernode.core.access.queries import access_state
 from stampede_rt_supernode.core.access.transitions import REVOKED_MAX
 from stampede_rt_supernode.core.cluster.commands import BeginTenure, RaiseFeatureLevel
-from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result
+from stampede_rt_supernode.core.commands import Command, Operation, RefusedOperation, Result
 from stampede_rt_supernode.core.peers.commands import PeerRegistered, RegisterPeer
 from stampede_rt_supernode.core.records import AccessChange
 from stampede_rt_supernode.replica import DirectoryReplica
@@ -60,7 +60,7 @@ def test_the_number_of_access_rules_has_a_limit() -> None:
     for number in range(RULES_MAX):
         log.apply(AddAccessRule(rule=replace(PUT, who=str(number))))
     refused = log.apply(AddAccessRule(rule=PUT))
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedOperation)
     assert isinstance(refused.error(), InvalidArgument)
     assert len(log.directory.access.rules.rules) == RULES_MAX
 
@@ -108,7 +108,7 @@ def test_below_the_feature_level_of_rules_the_directory_stores_neither_rules_nor
     replica = DirectoryReplica()
     commands: list[Operation] = [begin_tenure(1), register(1), AddAccessRule(rule=PUT), owned_peer("robot")]
     results = [applied(replica, index, one) for index, one in enumerate(commands, start=1)]
-    assert isinstance(results[2], Refused)
+    assert isinstance(results[2], RefusedOperation)
     assert results[2].reason == "VERSION_MISMATCH"
     assert isinstance(results[3], PeerRegistered)
     assert results[3].peer.owner is None
@@ -136,7 +136,7 @@ def test_no_other_client_takes_the_name_of_a_peer_with_any_proof() -> None:
     log.apply(register(1))
     log.apply(replace(register_peer(7, "robot", proof=5), owner="cam"))
     thief = log.apply(replace(register_peer(7, "robot", proof=5, boot=9), owner="thief"))
-    assert isinstance(thief, Refused)
+    assert isinstance(thief, RefusedOperation)
     assert thief.reason == "PERMISSION_DENIED"
     for owner in ("cam", ""):
         assert isinstance(log.apply(replace(register_peer(7, "robot", proof=5, boot=9), owner=owner)), PeerRegistered)
@@ -166,5 +166,5 @@ def test_revoked_certificates_are_kept_in_snapshots_and_are_bounded() -> None:
     for number in range(1, REVOKED_MAX):
         log.apply(RevokeCredential(serial=f"{number:x}a1"))
     refused = log.apply(RevokeCredential(serial="b2"))
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedOperation)
     assert len(log.directory.access.revoked_serials) == REVOKED_MAX

@@ -5,7 +5,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt_supernode.core.channels import transitions
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened, ChannelUpdated
 from stampede_rt_supernode.core.channels.policies import check_ranges
-from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.commands import RefusedOperation
 from stampede_rt_supernode.core.queues.specs import check_queue_spec
 from stampede_rt_supernode.core.records import QueueSpec
 from tests.support.supernode.operations import Log, delete, deregister, id_of, open_channel, register, update
@@ -25,9 +25,9 @@ def opened(log: Log, *args: str, **kwargs: object) -> ChannelOpened:
     return result
 
 
-def refused(log: Log, *args: str, **kwargs: object) -> Refused:
+def refused(log: Log, *args: str, **kwargs: object) -> RefusedOperation:
     result = log.apply(open_channel(*args, **kwargs))  # type: ignore[arg-type]
-    assert isinstance(result, Refused), result
+    assert isinstance(result, RefusedOperation), result
     return result
 
 
@@ -187,7 +187,7 @@ def test_an_update_changes_only_the_stated_fields_and_checks_the_whole_policy(lo
     assert result.channel.policy == Policy(max_items=5, max_age_nanos=7)
     assert result.channel.policy_version == 2
     bad = log.apply(update(channel.channel_id, channel.epoch, on_full="nonsense"))
-    assert isinstance(bad, Refused)
+    assert isinstance(bad, RefusedOperation)
 
 
 def test_whether_items_overlap_is_fixed_when_the_channel_is_created(log: Log) -> None:
@@ -202,7 +202,7 @@ def test_whether_items_overlap_is_fixed_when_the_channel_is_created(log: Log) ->
     result = refused(log, "scenes", overlap_nanos=6)
     assert "configure()" not in result.message
     changed = log.apply(update(channel.channel_id, channel.epoch, overlap_nanos=6))
-    assert isinstance(changed, Refused)
+    assert isinstance(changed, RefusedOperation)
     assert "fixed" in changed.message
     assert isinstance(log.apply(update(channel.channel_id, channel.epoch, overlap_nanos=5)), ChannelUpdated)
     assert refused(log, "too/long", overlap_nanos=3_600_000_000_001).reason == "INVALID_ARGUMENT"
@@ -211,7 +211,7 @@ def test_whether_items_overlap_is_fixed_when_the_channel_is_created(log: Log) ->
 def test_an_update_under_another_epoch_is_refused(log: Log) -> None:
     channel = opened(log, "cam/left").channel
     result = log.apply(update(channel.channel_id, channel.epoch + 1, max_items=1))
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     assert result.reason == "WRONG_EPOCH"
 
 
@@ -219,7 +219,7 @@ def test_the_name_of_a_deleted_channel_can_be_used_again(log: Log) -> None:
     first = opened(log, "cam/left").channel
     assert isinstance(log.apply(delete(first.channel_id)), ChannelDeleted)
     again = log.apply(delete(first.channel_id))
-    assert isinstance(again, Refused)
+    assert isinstance(again, RefusedOperation)
     assert again.reason == "CHANNEL_NOT_FOUND"
     second = opened(log, "cam/left", max_items=3)
     assert second.created

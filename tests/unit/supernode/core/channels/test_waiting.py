@@ -11,7 +11,7 @@ from stampede_rt_supernode.core.channels.commands import ChannelOpened
 from stampede_rt_supernode.core.channels.waiting import awaited_host
 from stampede_rt_supernode.core.cluster.commands import RaiseFeatureLevel
 from stampede_rt_supernode.core.cluster.feature_levels import ARCHIVE_LEVEL
-from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.commands import RefusedOperation
 from stampede_rt_supernode.core.hosts.commands import RegisterHost
 from tests.support.supernode.operations import Log, deregister, id_of, open_channel, register
 
@@ -38,14 +38,14 @@ def log() -> Log:
 def opened_at(log: Log, name: str = "recorded", waited_for: int = 0) -> str:
     """The host at which the channel is opened, or the reason of the refusal."""
     result = log.apply(replace(open_channel(name), waited_for_index=waited_for))
-    assert isinstance(result, Refused | ChannelOpened)
-    return result.reason if isinstance(result, Refused) else result.host.name
+    assert isinstance(result, RefusedOperation | ChannelOpened)
+    return result.reason if isinstance(result, RefusedOperation) else result.host.name
 
 
 def test_only_recorded_channels_wait_for_their_host(log: Log) -> None:
     assert opened_at(log) == "NO_HOST"
     refused = log.apply(open_channel("recorded", host="host-2"))
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedOperation)
     assert "waits for host host-1" in refused.message
     assert "start host host-1 again; 3600 s after the first call" in refused.message
     assert opened_at(log, "plain") == "host-2"

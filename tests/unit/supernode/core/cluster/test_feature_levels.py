@@ -15,7 +15,7 @@ from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_
 from stampede_rt_supernode.core.channels.commands import ChannelUpdated, UpdateChannel
 from stampede_rt_supernode.core.cluster.commands import BeginTenure, RaiseFeatureLevel
 from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
-from stampede_rt_supernode.core.commands import Command, Operation, Refused
+from stampede_rt_supernode.core.commands import Command, Operation, RefusedOperation
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import ReleaseTooOld
@@ -59,7 +59,7 @@ def test_no_replica_of_any_release_applies_a_command_above_the_clusters_level() 
     command = cap(older)
     for replica in (older, newer):
         result = decode_result(replica.apply(4, command))
-        assert isinstance(result, Refused)
+        assert isinstance(result, RefusedOperation)
         assert result.reason == "VERSION_MISMATCH"
         replica.apply(5, more)
     assert older.digest() == newer.digest()

@@ -7,7 +7,7 @@ import pytest
 from stampede_rt.v1 import directory_command_pb2
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
 from stampede_rt_supernode.core.channels.commands import ChannelOpened
-from stampede_rt_supernode.core.commands import Operation, Refused
+from stampede_rt_supernode.core.commands import Operation, RefusedOperation
 from stampede_rt_supernode.core.groups import transitions as group_transitions
 from stampede_rt_supernode.core.groups.commands import GroupOpened, GroupUpdated
 from stampede_rt_supernode.core.groups.queries import group_page, group_view
@@ -45,9 +45,9 @@ def group(log: Log, name: str, *members: bytes, incarnation: int = 88, **spec: A
     return opened.group
 
 
-def refusal(log: Log, operation: Operation) -> Refused:
+def refusal(log: Log, operation: Operation) -> RefusedOperation:
     result = log.apply(operation)
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     return result
 
 

@@ -13,7 +13,7 @@ from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_
 from stampede_rt_supernode.core.channels.commands import ChannelOpened
 from stampede_rt_supernode.core.cluster.commands import RaiseFeatureLevel
 from stampede_rt_supernode.core.cluster.feature_levels import LOADS_LEVEL
-from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.commands import RefusedOperation
 from stampede_rt_supernode.core.hosts.commands import HostLoadsNoted, NoteHostLoads, ReportedLoad
 from stampede_rt_supernode.core.hosts.placement import (
     CHANNELS_PER_HOST_MAX,
@@ -147,7 +147,7 @@ def test_a_host_gets_no_more_channels_than_it_can_own(named: str) -> None:
     tables = log.directory.tables
     tables.hosts[id_of(1)] = replace(tables.hosts[id_of(1)], channels=CHANNELS_PER_HOST_MAX)
     refused = log.apply(open_channel("one-more", host=named))
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedOperation)
     assert "host-1 owns 100000 channels, and a host owns at most 100000" in refused.message
     log.apply(register(2))
     assert opened_at(log, "one-more") == "host-2"
@@ -233,7 +233,7 @@ def test_a_channel_that_cannot_be_beside_another_is_refused(host: str, beside: s
     log = log_with_hosts(1)
     log.apply(open_channel("left"))
     refused = log.apply(replace(open_channel("right", host=host), beside=beside))
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedOperation)
     assert refused.reason == reason
     assert text in refused.message
 

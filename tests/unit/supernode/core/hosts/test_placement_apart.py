@@ -9,7 +9,7 @@ import pytest
 from stampede_rt_supernode.core.channels.commands import ChannelOpened
 from stampede_rt_supernode.core.cluster.commands import RaiseFeatureLevel
 from stampede_rt_supernode.core.cluster.feature_levels import LOADS_LEVEL
-from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.commands import RefusedOperation
 from stampede_rt_supernode.core.replicas.commands import ReplicaAdded
 from tests.support.supernode.operations import Log, add_replica, id_of, open_channel, register
 
@@ -45,7 +45,7 @@ def test_a_private_host_gets_a_replica_only_if_the_caller_names_the_host() -> No
     log = log_of(a="m1", b_private="m2")
     channel_id = opened(log, "cam", host="host-1").channel.channel_id
     refused = log.apply(add_replica(channel_id, warm=True))
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedOperation)
     assert (refused.reason, "or is private" in refused.message) == ("NO_HOST", True)
     named = log.apply(add_replica(channel_id, 2, warm=True))
     assert isinstance(named, ReplicaAdded)

@@ -8,7 +8,7 @@ from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_
 from stampede_rt_supernode.core.channels.commands import ChannelOpened
 from stampede_rt_supernode.core.cluster.commands import RaiseFeatureLevel
 from stampede_rt_supernode.core.cluster.feature_levels import ARCHIVE_LEVEL, LOADS_LEVEL
-from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.commands import RefusedOperation
 from stampede_rt_supernode.core.hosts.commands import RegisterHost
 from stampede_rt_supernode.core.records import ChannelRecord, HostLoad
 from tests.support.supernode.operations import Log, deregister, id_of, open_channel, register
@@ -51,12 +51,12 @@ def test_a_new_recorded_channel_is_refused_immediately_where_no_host_can_record_
     log = log_at(ARCHIVE_LEVEL)
     log.apply(register(1))
     refused = log.apply(open_channel("recorded", archive_nanos=HOUR))
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedOperation)
     assert refused.reason == "INVALID_ARGUMENT"
     assert "no live host has an archive; start one with `stampede host --archive FOLDER` or" in refused.message
     log.apply(with_archive(2))
     named = log.apply(open_channel("recorded", host="host-1", archive_nanos=HOUR))
-    assert isinstance(named, Refused)
+    assert isinstance(named, RefusedOperation)
     assert "host host-1 has no archive" in named.message
 
 
@@ -67,7 +67,7 @@ def test_a_recorded_channel_whose_host_is_away_waits_for_a_host_with_an_archive(
     opened(log, "recorded", archive_nanos=HOUR)
     log.apply(deregister(2))
     waits = log.apply(open_channel("recorded"))
-    assert isinstance(waits, Refused)
+    assert isinstance(waits, RefusedOperation)
     assert waits.reason == "NO_HOST"
     log.apply(with_archive(3))
     assert opened(log, "recorded").host.name == "host-3"

@@ -5,7 +5,7 @@ import pytest
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
 from stampede_rt_supernode.core.channels.commands import ChannelOpened
 from stampede_rt_supernode.core.cluster.commands import TenureBegun
-from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.commands import RefusedOperation
 from stampede_rt_supernode.core.hosts import transitions
 from stampede_rt_supernode.core.hosts.commands import HostDeregistered, HostExpired, HostRegistered, RegisterHost
 from stampede_rt_supernode.core.queries import host_page
@@ -37,7 +37,7 @@ def now(log: Log, channel: ChannelRecord) -> ChannelRecord:
 def test_no_host_can_register_before_the_cluster_is_founded() -> None:
     log = Log(founded=False)
     result = log.apply(register(1))
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     assert result.reason == "NO_QUORUM"
     log.apply(begin_tenure(1))
     registered(log, register(1))
@@ -73,13 +73,13 @@ def test_a_registration_with_the_same_boot_id_does_not_change_the_channels(log: 
 def test_a_name_belongs_to_one_live_host_at_a_time(log: Log) -> None:
     registered(log, register(1, name="rig"))
     result = log.apply(register(2, name="rig"))
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     assert result.reason == "HOST_EXISTS"
     assert "rig" in result.message
     log.apply(deregister(1))
     assert registered(log, register(2, name="rig")).alive
     taken = log.apply(register(1, name="rig"))
-    assert isinstance(taken, Refused)
+    assert isinstance(taken, RefusedOperation)
 
 
 def test_a_host_may_take_another_name_and_frees_the_old_one(log: Log) -> None:
@@ -101,7 +101,7 @@ def test_the_record_of_a_host_that_has_left_stays_while_the_host_owns_channels(l
 def test_only_the_same_process_can_deregister_a_host(log: Log) -> None:
     registered(log, register(1, boot=2))
     result = log.apply(deregister(1, boot=1))
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     assert result.reason == "LEASE_EXPIRED"
 
 
@@ -145,7 +145,9 @@ def test_a_lost_host_that_registers_or_leaves_is_no_longer_reported_as_lost(log:
     lost(log, 1)
     assert not registered(log, register(1)).is_lost
     lost(log, 2)
-    assert isinstance(log.apply(deregister(2, boot=9)), Refused), "another process of the host may not deregister it"
+    assert isinstance(log.apply(deregister(2, boot=9)), RefusedOperation), (
+        "another process of the host may not deregister it"
+    )
     log.apply(deregister(2))
     assert set(log.directory.tables.hosts) == {id_of(1)}
     assert log.directory.tables.lost == set()
@@ -216,7 +218,7 @@ def test_a_registration_out_of_range_is_refused(log: Log, change: dict[str, obje
     from dataclasses import replace
 
     result = log.apply(replace(register(1), **change))  # type: ignore[arg-type]
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     assert result.reason in ("INVALID_ARGUMENT", "INVALID_NAME")
 
 
@@ -224,6 +226,6 @@ def test_the_number_of_hosts_is_bounded(log: Log, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(transitions, "HOSTS_MAX", 1)
     registered(log, register(1))
     result = log.apply(register(2))
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     assert result.reason == "OVERLOADED"
     registered(log, register(1, boot=2))

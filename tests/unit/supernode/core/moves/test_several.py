@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.commands import RefusedOperation
 from stampede_rt_supernode.core.moves.commands import (
     CommitMoves,
     MovesCommitted,
@@ -131,7 +131,7 @@ def test_an_entry_names_a_limited_number_of_channels(log: Log, count: int) -> No
         log.apply(CommitMoves(to_host_id=id_of(2), to_boot_incarnation=1, moves=moves)),
         log.apply(ReleaseMoves(host_id=id_of(2), moves=releases)),
     ):
-        assert isinstance(done, Refused)
+        assert isinstance(done, RefusedOperation)
         assert f"names {count} channels; name 1 to 32" in done.message
     with pytest.raises(InvalidArgument):
         released(log.directory.tables, id_of(1), ids)

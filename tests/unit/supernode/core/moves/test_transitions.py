@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.commands import RefusedOperation
 from stampede_rt_supernode.core.moves.commands import CommitMove, MoveCommitted
 from stampede_rt_supernode.core.records import ChannelRecord, ReplicaKind, ReplicaRecord
 from tests.support.supernode.operations import (
@@ -36,11 +36,11 @@ def cam(log: Log) -> ChannelRecord:
     return found
 
 
-def move(log: Log, host: int, epoch: int, boot: int | None = None) -> ChannelRecord | Refused:
+def move(log: Log, host: int, epoch: int, boot: int | None = None) -> ChannelRecord | RefusedOperation:
     done = log.apply(
         CommitMove(channel_id=cam(log).channel_id, epoch=epoch, to_host_id=id_of(host), to_boot_incarnation=boot or 1)
     )
-    assert isinstance(done, MoveCommitted | Refused), done
+    assert isinstance(done, MoveCommitted | RefusedOperation), done
     return done.channel if isinstance(done, MoveCommitted) else done
 
 
@@ -48,8 +48,8 @@ def copies(log: Log) -> tuple[ReplicaRecord, ...]:
     return log.directory.tables.replicas.of(cam(log).channel_id)
 
 
-def reason(done: ChannelRecord | Refused) -> str:
-    assert isinstance(done, Refused)
+def reason(done: ChannelRecord | RefusedOperation) -> str:
+    assert isinstance(done, RefusedOperation)
     return done.reason
 
 

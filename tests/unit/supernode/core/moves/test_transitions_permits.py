@@ -6,7 +6,7 @@ import pytest
 
 from stampede_rt_runtime.access.move_permits import move_permit
 from stampede_rt_supernode.core.cluster.feature_levels import MOVES_LEVEL
-from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.commands import RefusedOperation
 from stampede_rt_supernode.core.moves.commands import CommitMove, CommitQueueMove, MoveCommitted, QueueMoveCommitted
 from tests.support.supernode.operations import Log, id_of, open_channel, open_queue, register
 
@@ -39,7 +39,7 @@ def permit_for(log: Log, to: int, epoch: int = 1, key: int = 1) -> bytes:
 
 
 def denied(done: object) -> bool:
-    return isinstance(done, Refused) and done.reason == "PERMISSION_DENIED"
+    return isinstance(done, RefusedOperation) and done.reason == "PERMISSION_DENIED"
 
 
 def test_the_host_with_the_permit_gets_the_channel(log: Log) -> None:
@@ -91,5 +91,5 @@ def test_a_move_of_a_queue_also_needs_a_permit(log: Log) -> None:
 
 def test_a_key_of_another_length_is_refused(log: Log) -> None:
     done = log.apply(register(4, move_key=b"short"))
-    assert isinstance(done, Refused)
+    assert isinstance(done, RefusedOperation)
     assert done.reason == "INVALID_ARGUMENT"

@@ -9,7 +9,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import initialize, invariant, rule
 
-from stampede_rt_supernode.core.commands import Refused, Result
+from stampede_rt_supernode.core.commands import RefusedOperation, Result
 from stampede_rt_supernode.core.peers.commands import (
     DeregisterPeer,
     ExpirePeers,
@@ -43,7 +43,7 @@ class Owners:
                 del self.living[one.peer_id]
             self.living[operation.peer_id] = operation
             self.registered[operation.peer_id] = result.peer.registered_index
-        elif isinstance(result, Refused):
+        elif isinstance(result, RefusedOperation):
             assert not (may and result.reason == "PEER_EXISTS"), "a peer was refused a place that was its own"
 
     def end(self, operation: DeregisterPeer | ExpirePeers, tenure: int) -> set[bytes]:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
-from stampede_rt_supernode.core.commands import Operation, Refused
+from stampede_rt_supernode.core.commands import Operation, RefusedOperation
 from stampede_rt_supernode.core.peers import table, transitions
 from stampede_rt_supernode.core.peers.commands import PeerRegistered, PeersExpired
 from stampede_rt_supernode.core.peers.queries import BEGINNING, peer_page
@@ -46,9 +46,9 @@ def mailbox(log: Log, number: int, name: str, **how: Any) -> QueueRecord:
     return made
 
 
-def refusal(log: Log, operation: Operation) -> Refused:
+def refusal(log: Log, operation: Operation) -> RefusedOperation:
     result = log.apply(operation)
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     return result
 
 

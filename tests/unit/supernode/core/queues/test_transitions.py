@@ -8,7 +8,7 @@ import pytest
 
 from stampede_rt.v1 import directory_command_pb2
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
-from stampede_rt_supernode.core.commands import Operation, Refused
+from stampede_rt_supernode.core.commands import Operation, RefusedOperation
 from stampede_rt_supernode.core.queues import transitions
 from stampede_rt_supernode.core.queues.commands import QueueOpened, QueueUpdated
 from stampede_rt_supernode.core.queues.queries import BEGINNING, queue_page
@@ -41,9 +41,9 @@ def queue(log: Log, name: str, **how: Any) -> QueueRecord:
     return opened.queue
 
 
-def refusal(log: Log, operation: Operation) -> Refused:
+def refusal(log: Log, operation: Operation) -> RefusedOperation:
     result = log.apply(operation)
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     return result
 
 

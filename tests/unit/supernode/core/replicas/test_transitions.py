@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from stampede_rt_supernode.core.channels.commands import ChannelOpened
-from stampede_rt_supernode.core.commands import Operation, Refused
+from stampede_rt_supernode.core.commands import Operation, RefusedOperation
 from stampede_rt_supernode.core.records import ChannelRecord, ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas import transitions as replica_transitions
 from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, ReplicaInSyncSet, ReplicaRemoved
@@ -52,9 +52,9 @@ def added(log: Log, operation: Operation) -> ReplicaRecord:
     return result.replica
 
 
-def refusal(log: Log, operation: Operation) -> Refused:
+def refusal(log: Log, operation: Operation) -> RefusedOperation:
     result = log.apply(operation)
-    assert isinstance(result, Refused)
+    assert isinstance(result, RefusedOperation)
     return result
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from stampede_rt_supernode.core.commands import Operation, Refused
+from stampede_rt_supernode.core.commands import Operation, RefusedOperation
 from stampede_rt_supernode.core.moves.commands import CommitQueueMove
 from stampede_rt_supernode.core.records import QueueRecord, ReplicaRecord
 from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, ReplicaInSyncSet
@@ -59,7 +59,7 @@ def add(log: Log, host: int, queue: QueueRecord | None = None) -> ReplicaRecord:
 
 def reason(log: Log, operation: Operation) -> str:
     result = log.apply(operation)
-    assert isinstance(result, Refused), result
+    assert isinstance(result, RefusedOperation), result
     return result.reason
 
 

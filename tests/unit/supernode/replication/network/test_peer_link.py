@@ -22,9 +22,9 @@ from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, RaftTim
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
 from stampede_rt_supernode.replication.storage.store import Promise
 from stampede_rt_supernode.replication.wire.buffered_transport import (
-    Connected,
+    LinkConnected,
+    MessageReceived,
     NetworkEvent,
-    Received,
     StreamEnded,
     StreamOpened,
 )
@@ -100,12 +100,12 @@ async def test_a_members_stream_ends_when_a_newer_one_replaces_it() -> None:
         new = await opened_stream(channel)
         assert await old.code() is grpc.StatusCode.UNAVAILABLE
         await new.write(pb.RaftServiceExchangeRequest(messages=[timeout_now(7)]))
-        await inbox.heard(Received)
+        await inbox.heard(MessageReceived)
         new.cancel()
         await inbox.heard(StreamEnded)
     await server.stop(None)
     kinds = [type(event) for event in inbox.events]
-    assert kinds == [StreamOpened, StreamOpened, Received, StreamEnded]
+    assert kinds == [StreamOpened, StreamOpened, MessageReceived, StreamEnded]
 
 
 async def greeted_by_an_older_copy(channel: grpc.aio.Channel) -> str:
@@ -132,7 +132,7 @@ async def test_a_refused_copy_of_a_connected_member_is_logged_once_and_does_not_
             inbox.promise = Promise(1, promised)
             told.add(await greeted_by_an_older_copy(channel))
         await call.write(pb.RaftServiceExchangeRequest(messages=[timeout_now(7)]))
-        await inbox.heard(Received)
+        await inbox.heard(MessageReceived)
         call.cancel()
         await inbox.heard(StreamEnded)
         assert servicer.refused() == {}
@@ -176,7 +176,7 @@ async def test_messages_that_wait_on_a_broken_stream_are_not_sent_on_the_next_on
 
     def deliver(event: NetworkEvent) -> None:
         nonlocal connections
-        if isinstance(event, Connected):
+        if isinstance(event, LinkConnected):
             connections += 1
             for term in (1, 1, 1) if connections == 1 else (2,):
                 link.enqueue(timeout_now(term))

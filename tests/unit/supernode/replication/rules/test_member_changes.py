@@ -9,7 +9,7 @@ import pytest
 from stampede_rt_supernode.replication.interface import Member, ReleaseOutdated, too_old
 from stampede_rt_supernode.replication.rules.member_change import ChangeOutcome, MemberChange
 from stampede_rt_supernode.replication.rules.member_changes import MemberChanges
-from stampede_rt_supernode.replication.wire.buffered_transport import Connected, StreamOpened
+from stampede_rt_supernode.replication.wire.buffered_transport import LinkConnected, StreamOpened
 from tests.support.supernode.list_machine import ListMachine
 from tests.support.supernode.lone_node import LoneNode, acknowledgement
 
@@ -40,7 +40,7 @@ class Leader(LoneNode):
     def let_in(self, knows: int | None) -> ChangeOutcome:
         """Let the newcomer join with the whole log. It has reported the level `knows`; None: it has reported none."""
         self.changes.add(MemberChange(NEWCOMER, False, self.outcomes.append))
-        self.node.transport.deliver(Connected(NEWCOMER.member_id))
+        self.node.transport.deliver(LinkConnected(NEWCOMER.member_id))
         if knows is not None:
             self.node.transport.deliver(StreamOpened(NEWCOMER.member_id, knows))
         self._all_acknowledge(NEWCOMER.member_id)

@@ -8,7 +8,7 @@ from stampede_rt_supernode.replication.interface import ChangeRefused, ChangeUnd
 from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver
 from stampede_rt_supernode.replication.rules.member_change import ChangeOutcome, MemberChange
 from stampede_rt_supernode.replication.rules.member_changes import MemberChanges
-from stampede_rt_supernode.replication.wire.buffered_transport import Connected, StreamOpened
+from stampede_rt_supernode.replication.wire.buffered_transport import LinkConnected, StreamOpened
 from stampede_rt_supernode.replication.wire.messages import TimeoutNow
 from tests.support.supernode.lone_node import LoneNode, acknowledgement
 
@@ -103,7 +103,7 @@ def test_the_leader_hands_over_to_a_member_that_has_answered_in_this_term() -> N
 def test_a_new_member_that_fell_silent_becomes_a_voter_only_after_it_answers_again() -> None:
     leader = Leader("b", "c")
     leader.changes.add(MemberChange(Member(member_id="new", address="new:1"), False, lambda outcome: None))
-    leader.node.transport.deliver(Connected("new"))
+    leader.node.transport.deliver(LinkConnected("new"))
     for member_id in ("b", "c", "new"):
         leader.node.transport.deliver(StreamOpened(member_id, leader.machine.highest_level))
     leader.receive("new", acknowledgement(leader.term, leader.node.log.last_index + 1))

@@ -7,7 +7,7 @@ import pytest
 from stampede_rt_supernode.replication.interface import ChangeUnderWay, Member
 from stampede_rt_supernode.replication.rules.member_change import ChangeOutcome, MemberChange
 from stampede_rt_supernode.replication.rules.member_changes import GIVES_WAY_SECONDS, JOIN_SECONDS_MAX, MemberChanges
-from stampede_rt_supernode.replication.wire.buffered_transport import Connected
+from stampede_rt_supernode.replication.wire.buffered_transport import LinkConnected
 from tests.support.supernode.lone_node import LoneNode, acknowledgement, command
 
 SLOW, OTHER, THIRD = (Member(member_id=name, address=f"{name}:1") for name in ("slow", "other", "third"))
@@ -32,7 +32,7 @@ class Leader(LoneNode):
     def add(self, member: Member) -> list[ChangeOutcome]:
         outcomes: list[ChangeOutcome] = []
         self.changes.add(MemberChange(member, False, outcomes.append))
-        self.node.transport.deliver(Connected(member.member_id))
+        self.node.transport.deliver(LinkConnected(member.member_id))
         return outcomes
 
     def let_pass(self, seconds: float, *, progress_of: Member) -> None:

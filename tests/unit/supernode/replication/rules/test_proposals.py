@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable
+from stampede_rt_supernode.replication.interface import LogUnavailable, OutcomeUnknown
 from stampede_rt_supernode.replication.library.node import ProposalDone, ProposalFailure
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal, Proposals
 
@@ -64,7 +64,7 @@ def test_a_command_with_an_unknown_outcome_is_ambiguous_and_not_tried_again() ->
     library.handed[0][1](ProposalFailure.UNKNOWN)
     library.advance(2.0)
     assert len(library.handed) == 1
-    assert isinstance(library.outcomes[0], Ambiguous)
+    assert isinstance(library.outcomes[0], OutcomeUnknown)
 
 
 def test_a_command_without_an_answer_is_ambiguous_at_its_deadline_and_makes_room() -> None:
@@ -74,7 +74,7 @@ def test_a_command_without_an_answer_is_ambiguous_at_its_deadline_and_makes_room
     library.advance(1.0)
     assert [command for command, _ in library.handed] == [b"c"]
     library.advance(10.0)
-    assert isinstance(library.outcomes[0], Ambiguous)
+    assert isinstance(library.outcomes[0], OutcomeUnknown)
     assert [command for command, _ in library.handed] == [b"c", b"next"]
     library.handed[0][1](b"late")
     assert len(library.outcomes) == 1
@@ -93,4 +93,4 @@ def test_closing_ends_every_command_with_its_known_outcome() -> None:
     library.propose()
     library.advance(1.0)
     library.proposals.close()
-    assert {type(outcome) for outcome in library.outcomes} == {Ambiguous, LogUnavailable}
+    assert {type(outcome) for outcome in library.outcomes} == {OutcomeUnknown, LogUnavailable}

@@ -15,7 +15,12 @@ from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import TERMS_AHEAD_MAX
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.storage.store import Promise
-from stampede_rt_supernode.replication.wire.buffered_transport import Connected, Introduced, MembersReported, Received
+from stampede_rt_supernode.replication.wire.buffered_transport import (
+    LinkConnected,
+    MembersReported,
+    MessageReceived,
+    NodeIntroduced,
+)
 from stampede_rt_supernode.replication.wire.messages import (
     AppendReply,
     ForwardedCommandReply,
@@ -93,8 +98,8 @@ def test_an_acknowledgement_beyond_the_end_of_the_log_is_ignored() -> None:
 def test_a_caller_that_is_not_a_member_neither_votes_nor_deposes_the_leader() -> None:
     lone = LoneNode()
     term = lone.lead()
-    lone.node.transport.deliver(Introduced("x", X))
-    lone.node.transport.deliver(Connected("x"))
+    lone.node.transport.deliver(NodeIntroduced("x", X))
+    lone.node.transport.deliver(LinkConnected("x"))
     assert lone.receive("x", vote_request(term + 5)) == []
     assert lone.receive("x", append(term + 5, (1, 0), [])) == []
     assert (lone.node.is_leader, lone.node.term) == (True, term)
@@ -103,10 +108,10 @@ def test_a_caller_that_is_not_a_member_neither_votes_nor_deposes_the_leader() ->
 
 def test_a_member_without_a_known_leader_accepts_messages_of_unknown_members() -> None:
     lone = LoneNode()
-    lone.node.transport.deliver(Introduced("x", X))
+    lone.node.transport.deliver(NodeIntroduced("x", X))
     locked_out(lone)
     assert "x" in lone.node.peers
-    lone.node.transport.deliver(Connected("x"))
+    lone.node.transport.deliver(LinkConnected("x"))
     lone.receive("x", append(3, (1, 0), [(2, 3)]))
     lone.node.before_tick()
     assert lone.node.leader.id == "x"
@@ -118,7 +123,7 @@ def test_a_member_without_a_known_leader_accepts_messages_of_unknown_members() -
 
 def test_a_member_that_only_a_non_member_names_is_not_accepted() -> None:
     lone = LoneNode()
-    lone.node.transport.deliver(Introduced("x", X))
+    lone.node.transport.deliver(NodeIntroduced("x", X))
     locked_out(lone)
     lone.node.transport.deliver(MembersReported("x", (Member(member_id="y", address="y:1"),)))
     lone.receive("b", append(4, (1, 0), []))
@@ -132,7 +137,7 @@ def test_a_node_remembers_only_a_few_unknown_members() -> None:
     lone = LoneNode()
     for number in range(1000):
         name = f"x{number}"
-        lone.node.transport.deliver(Introduced(name, Member(member_id=name, address=f"{name}:1")))
+        lone.node.transport.deliver(NodeIntroduced(name, Member(member_id=name, address=f"{name}:1")))
     locked_out(lone)
     assert len(lone.node.peers) < 20
     assert {"b", "c"} <= set(lone.node.peers)
@@ -162,7 +167,7 @@ def test_a_node_whose_store_a_member_refuses_neither_votes_nor_becomes_a_candida
 
 def test_a_refusal_by_a_non_member_has_no_effect() -> None:
     lone = LoneNode()
-    lone.node.transport.deliver(Introduced("x", X))
+    lone.node.transport.deliver(NodeIntroduced("x", X))
     locked_out(lone)
     lone.node.on_disputed("x", "an older copy")
     assert lone.node.disputed_by == {}
@@ -202,7 +207,7 @@ def test_false_positions_of_a_leader_keep_a_bounded_number_of_callers_waiting() 
 def test_a_member_that_asks_repeatedly_waits_only_for_the_last_answer() -> None:
     lone = LoneNode()
     for number in range(1000):
-        lone.node.transport.deliver(Received("b", ReadIndexRequest(request_id=number)))
+        lone.node.transport.deliver(MessageReceived("b", ReadIndexRequest(request_id=number)))
     lone.node.reads.start_round()
     assert [message.request_id for _, message in lone.said()] == [999]
 

@@ -11,7 +11,7 @@ import pytest
 
 from stampede_rt_supernode.replication import ReplicationSettings, StoreRefused, open_replicated_log, restore_from
 from stampede_rt_supernode.replication.configuration import Configuration
-from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable, Member
+from stampede_rt_supernode.replication.interface import LogUnavailable, Member, OutcomeUnknown
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.backups import BackupHeader, make_backup
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
@@ -24,7 +24,7 @@ from tests.support.supernode.live_cluster import QUICK, LiveCluster, LiveMember,
 async def done(ask: Callable[[], Awaitable[object]]) -> None:
     """Repeat `ask` until the log performs it. The leader may change at any time."""
     while True:
-        with suppress(Ambiguous, LogUnavailable):
+        with suppress(OutcomeUnknown, LogUnavailable):
             await ask()
             return
 

@@ -10,7 +10,7 @@ from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 WAIT_SECONDS_MIN, WAIT_SECONDS_MAX = 0.5, 600.0
 
 
-class _Expected(NamedTuple):
+class _ExpectedLook(NamedTuple):
     due: float  # the time of the next look, by the clock of the event loop
     wait_s: float
     is_former: bool
@@ -20,11 +20,11 @@ class FormerOwners:
     """Says when to look at the object store: at growing intervals, until the archive of the channel has no hole."""
 
     def __init__(self) -> None:
-        self._expected: dict[MovingFiles, _Expected] = {}
+        self._expected: dict[MovingFiles, _ExpectedLook] = {}
 
     def expect(self, files: MovingFiles, *, is_former: bool = True) -> None:
         """Look for the last items of a former owner. `is_former` False: one look is enough."""
-        self._expected[files] = _Expected(_clock() + WAIT_SECONDS_MIN, WAIT_SECONDS_MIN, is_former)
+        self._expected[files] = _ExpectedLook(_clock() + WAIT_SECONDS_MIN, WAIT_SECONDS_MIN, is_former)
 
     def hurry(self) -> None:
         """Look at all of them now."""

@@ -14,7 +14,7 @@ _FILE = "objects"
 _DROPPED = "dropped"  # stands in place of a name, before the number of the last segment that has left the archive
 
 
-class Known(NamedTuple):
+class ObjectListing(NamedTuple):
     """The objects of a channel, by their names, with their bytes. `epoch`: of the channel at the host that noted them.
 
     These are all objects of the channel if no other host has owned the channel since. `dropped_to`: all segments up to
@@ -43,7 +43,7 @@ class KnownObjects:
         """Whether there is a list. A new channel has none."""
         return self._path.exists()
 
-    def read(self) -> Known | None:
+    def read(self) -> ObjectListing | None:
         """The list, or None if there is none, it is damaged, or it is of another store. Raises OSError."""
         try:
             *lines, rest = self._path.read_text(errors="replace").split("\n")
@@ -63,9 +63,9 @@ class KnownObjects:
                 objects[name] = number
             else:
                 objects.pop(name, None)
-        return Known(epoch, objects, dropped_to)
+        return ObjectListing(epoch, objects, dropped_to)
 
-    def replace(self, known: Known) -> None:
+    def replace(self, known: ObjectListing) -> None:
         """Write the list, unless the file has it in this form. Raises OSError if it cannot be deleted either."""
         self.changes = 0
         dropped = {_DROPPED: known.dropped_to} if known.dropped_to else {}

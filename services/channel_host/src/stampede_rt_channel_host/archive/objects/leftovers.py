@@ -22,7 +22,7 @@ EPOCH_MAX = 2**63
 _DELETED_FILE = "deleted"
 
 
-class InThread(Protocol):
+class ThreadCall(Protocol):
     """A function that performs a call in a thread."""
 
     def __call__(self, call: Callable[[], list[str]]) -> Awaitable[list[str]]:
@@ -107,7 +107,7 @@ class Leftovers:
         """Note that the channel was deleted, for `delete_condemned`."""
         self._condemned.append(channel_id)
 
-    async def delete_condemned(self, in_thread: InThread) -> None:
+    async def delete_condemned(self, in_thread: ThreadCall) -> None:
         """Delete the objects and folders of deleted channels. Raises OSError."""
         while self._condemned:
             channel_id = self._condemned[0]

@@ -11,7 +11,7 @@ from pathlib import Path
 from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.archive.clean_stop import CleanStop, OwnPart, read_stop
 from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
-from stampede_rt_channel_host.archive.objects.stored_segments import Packed, StoredSegments
+from stampede_rt_channel_host.archive.objects.stored_segments import PackedSegment, StoredSegments
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
 from stampede_rt_channel_host.core.archive import CutRun, Segment
 from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment, first_number
@@ -105,7 +105,7 @@ class MovingFiles(SegmentFiles):
             at -= 1
         return segments[at:]
 
-    def settle(self, packed: Packed) -> tuple[Segment, ...]:
+    def settle(self, packed: PackedSegment) -> tuple[Segment, ...]:
         """Note that a segment is in the store, and delete its file. Returns all segments. Raises OSError."""
         number = packed.segment.number
         if not self.is_left:
@@ -184,7 +184,7 @@ class MovingFiles(SegmentFiles):
         """The bytes of the segments in the folder."""
         return sum(one.length for one in self._local())
 
-    def check_same(self, packed: Packed) -> None:
+    def check_same(self, packed: PackedSegment) -> None:
         """Check that the object that exists already is this segment. Raises OSError. Any thread may call it."""
         if not self.stored.has_object(packed.name, len(packed.content)):
             text = f"the object {packed.name} exists with other bytes; move it, and find out which program wrote it"

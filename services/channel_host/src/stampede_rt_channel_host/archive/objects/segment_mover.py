@@ -13,7 +13,7 @@ from stampede_rt_channel_host.archive.objects.former_owners import FormerOwners
 from stampede_rt_channel_host.archive.objects.leftovers import Leftovers
 from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore, StoreError
-from stampede_rt_channel_host.archive.objects.stored_segments import Packed
+from stampede_rt_channel_host.archive.objects.stored_segments import PackedSegment
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
 from stampede_rt_channel_host.core.archive import Segment
@@ -245,7 +245,7 @@ class SegmentMover:
         if recorder is not None:
             recorder.keep(segments)
 
-    async def _create(self, packed: Packed) -> bool:
+    async def _create(self, packed: PackedSegment) -> bool:
         """Make the object of a segment. Raises StoreError, also if this takes too long for its size."""
         seconds_max = UPLOAD_SECONDS_LEAST + len(packed.content) / UPLOAD_BYTES_PER_SECOND
         try:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from stampede_rt_channel_host.archive.clean_stop import CleanStop, name_of_stop, stop_named
 from stampede_rt_channel_host.archive.objects.chunk_cache import ChunkCache
-from stampede_rt_channel_host.archive.objects.known_objects import Known, KnownObjects
+from stampede_rt_channel_host.archive.objects.known_objects import KnownObjects, ObjectListing
 from stampede_rt_channel_host.archive.objects.segment_store import LaterOwner, SegmentStore
 from stampede_rt_channel_host.archive.segment_folder import SegmentFolder
 from stampede_rt_channel_host.core.archive import PlacedBlock, ReadAt, Segment, scan
@@ -30,7 +30,7 @@ OUTDATED_MAX = 1000
 CHANGES_LEAST = 1000  # the list on the disk is written anew after this many changes, or twice as many as objects
 
 
-class Packed(NamedTuple):
+class PackedSegment(NamedTuple):
     """A closed segment in the form of an object. `name`: the name of the object."""
 
     segment: Segment
@@ -113,7 +113,7 @@ class StoredSegments(SegmentFolder):
         """
         known = self._known.read()
         if known is None and epoch == 1 and not self.path.exists():  # a new channel
-            known = Known(epoch, {})
+            known = ObjectListing(epoch, {})
         if known is None or not (is_whole or known.epoch in (epoch - 1, epoch)):
             return None
         return self._segments_of(known.objects.items())
@@ -146,7 +146,9 @@ class StoredSegments(SegmentFolder):
     def note(self, epoch: int) -> None:
         """Note on the disk which segments the store has. `epoch`: of the channel now. Raises OSError."""
         self._epoch = epoch
-        self._known.replace(Known(epoch, {one.name: one.bytes for one in self._stored.values()}, self._limited_to))
+        self._known.replace(
+            ObjectListing(epoch, {one.name: one.bytes for one in self._stored.values()}, self._limited_to)
+        )
 
     def note_epoch(self, epoch: int) -> None:
         """Note the epoch of the channel on the disk, if the list there is of an earlier one. Raises OSError."""
@@ -205,7 +207,7 @@ class StoredSegments(SegmentFolder):
         """The number of the channel's segments in the store."""
         return len(self._stored)
 
-    def pack(self, segment: Segment) -> Packed:
+    def pack(self, segment: Segment) -> PackedSegment:
         """A closed segment of the folder with its index. Raises OSError."""
         with self.opened(segment.number) as read_at:
             content = bytearray(read_at(0, segment.length))
@@ -213,9 +215,9 @@ class StoredSegments(SegmentFolder):
             raise OSError(errno.EIO, f"the file of segment {segment.number} is shorter than it was")
         blocks = scan(lambda at, size: bytes(content[at : at + size]), segment.length, check_contents=False).blocks
         content += encode_index(up_to(blocks, segment.length, segment.end_seq))
-        return Packed(segment, self.prefix + object_name(segment), content)
+        return PackedSegment(segment, self.prefix + object_name(segment), content)
 
-    def settle(self, packed: Packed) -> None:
+    def settle(self, packed: PackedSegment) -> None:
         """Note that the store has a segment, and delete its file. Raises OSError."""
         segment = packed.segment
         if segment.number not in self._stored:

@@ -18,21 +18,21 @@ from stampede_rt_channel_host.core.channel import (
 from stampede_rt_channel_host.core.keyed_list import KeyedList
 
 
-class Polled(Protocol):
+class PolledSource(Protocol):
     """An object in which blocked gets look for their answers: a `Source`, or a snapshot of one."""
 
     def polling(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """See `ChannelCore.polling`."""
 
 
-class SourceSnapshot(Polled, Protocol):
+class SourceSnapshot(PolledSource, Protocol):
     """A `Source` as it was at one moment."""
 
     def close(self) -> None:
         """Free the snapshot. The host polls no get with it any more."""
 
 
-class Source(Polled, Protocol):
+class Source(PolledSource, Protocol):
     """The source that gets wait for: a channel, or the visible part of a channel in a group."""
 
     def giving_up(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer]:

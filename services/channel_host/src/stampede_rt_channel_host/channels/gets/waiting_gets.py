@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable
 
 from stampede_rt.errors import Overloaded, StampedeError
-from stampede_rt_channel_host.channels.gets.get_release import GetRelease, Polled, Source
+from stampede_rt_channel_host.channels.gets.get_release import GetRelease, PolledSource, Source
 from stampede_rt_channel_host.channels.gets.waiting_get import (
     NEED_KEYS,
     Outcome,
@@ -188,7 +188,7 @@ class WaitingGets:
         while self._releases:
             self._releases.pop(0).close()
 
-    def _look_at(self, gets: deque[WaitingGet], where: Polled, now: int) -> None:
+    def _look_at(self, gets: deque[WaitingGet], where: PolledSource, now: int) -> None:
         """Look at the next gets until the work of one piece is done. The other gets stay in `gets`."""
         left = GETS_PER_PIECE
         while gets and left > 0:
@@ -196,7 +196,7 @@ class WaitingGets:
             if get in self._waiting:  # an outcome may have cancelled other gets
                 left -= self._look(get, where, now)
 
-    def _look(self, get: WaitingGet, where: Polled, now: int) -> int:
+    def _look(self, get: WaitingGet, where: PolledSource, now: int) -> int:
         """Poll a get. Returns the cost of the poll. A poll that leaves the get blocked costs 1."""
         self.looked_at += 1
         found = first_of(where.polling(get.pending, now))

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.channels.limits.consumption_shares import ConsumptionShares
 from stampede_rt_channel_host.channels.limits.request_room import RequestRooms
-from stampede_rt_runtime.overload import Overload
+from stampede_rt_runtime.overload import OverloadCounter
 from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import Quota
 
@@ -42,7 +42,7 @@ class MemoryBudget:
         self._accounts = accounts
         self.used_bytes = 0
         self.bytes_max = bytes_max
-        self.overload = Overload()
+        self.overload = OverloadCounter()
         self.refused_for_archive = False
         """Whether the limit of the archive's disk, and not of the memory, refused the last items."""
         self.requests = RequestRooms()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.puts.held_acks import HELD_ACKS_MAX, HeldAck, HeldAcks, Spawn
 from stampede_rt_runtime.access.control import current_work
-from stampede_rt_runtime.rpc import Begun, Context
+from stampede_rt_runtime.rpc import Context, StartedCoroutine
 
 # The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refused items,
 # the message stays below its size limit.
@@ -29,7 +29,7 @@ class AckWriter:
         self._acks: list[pb.PutAck] = []
         self._held = HeldAcks(self._on_due, spawn)
         self._is_writing = self._is_closed = False
-        self._begun: Begun | None = None  # a write, of which the task awaits the rest
+        self._begun: StartedCoroutine | None = None  # a write, of which the task awaits the rest
         self._news = asyncio.Event()  # there are acks to write, or no more acks come
         self._room = asyncio.Event()  # a write has taken the acks
         self._task: asyncio.Task[None] | None = spawn(self._run())
@@ -105,7 +105,7 @@ class AckWriter:
         """
         if at_once and not self._is_writing:
             self._work.spend_write()
-            begun = Begun(self._context.write(self._encode(self._take())))
+            begun = StartedCoroutine(self._context.write(self._encode(self._take())))
             if begun.is_done:
                 self.wake()
             else:

@@ -17,7 +17,7 @@ from stampede_rt_channel_host.channels.puts.held_acks import (
     not_archived,
 )
 from stampede_rt_channel_host.channels.puts.read_ahead import left_nanos
-from stampede_rt_channel_host.channels.replication import Kind, Replication
+from stampede_rt_channel_host.channels.replication import Replication, ReplicationKind
 
 _KNOWN = frozenset(channel_pb2.Ack.values())
 
@@ -70,8 +70,8 @@ def held_ack(ack: pb.PutAck, hosted: HostedChannel, put: WantedAck, received_s: 
         return AckOfDisk(ack, name, recording, _left_nanos(put, received_s))
     if replication is None:
         return ack
-    waits = put.ack == channel_pb2.ACK_REPLICA or (not put.ack and replication.kind is Kind.WAITED_FOR)
-    if not waits and (replication.kind is Kind.WAITED_FOR or replication.is_within_lag):
+    waits = put.ack == channel_pb2.ACK_REPLICA or (not put.ack and replication.kind is ReplicationKind.WAITED_FOR)
+    if not waits and (replication.kind is ReplicationKind.WAITED_FOR or replication.is_within_lag):
         return ack
     explain, is_enough = (
         partial(_not_replicated, name, replication),

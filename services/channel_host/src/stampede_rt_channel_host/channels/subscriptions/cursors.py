@@ -22,7 +22,7 @@ from stampede_rt_channel_host.core.channel import (
 )
 
 
-class _All:
+class _AllModeCursor:
     """The cursor of a subscription in SUBSCRIBE_MODE_ALL."""
 
     skipped = 0
@@ -50,7 +50,7 @@ class _All:
         return pb.SubscriptionProgress(next_seq=self._cursor.next_seq, dropped=self._cursor.dropped)
 
 
-class _Newest:
+class _NewestModeCursor:
     """The cursor of a subscription in SUBSCRIBE_MODE_NEWEST."""
 
     def __init__(self, channel: ChannelCore, cursor: NewestCursor) -> None:
@@ -89,10 +89,10 @@ def open_cursor(hosted: HostedChannel, opening: pb.SubscribeOpen, now: int) -> P
     """
     where, channel = beginning_of(opening), hosted.channel
     if is_newest(opening):
-        return _Newest(channel, channel.subscribe_newest(now, **where))
+        return _NewestModeCursor(channel, channel.subscribe_newest(now, **where))
     start = where.get("start")
     if hosted.recording is not None:
         where = hosted.recording.beginning(where, now)
     elif start is not None:
         copied_archives.check_read(hosted, Query(interval=Interval(start, start)), now)
-    return _All(channel, (yield from channel.subscribing_all(now, **where)))
+    return _AllModeCursor(channel, (yield from channel.subscribing_all(now, **where)))

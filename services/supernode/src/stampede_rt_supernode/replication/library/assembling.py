@@ -15,7 +15,7 @@ from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
 from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTransport
 
 
-class Assembly:
+class LibraryCopy:
     """One private copy of the library. `make_member` makes the library's node for the id of a member."""
 
     def __init__(self, *, clock: Callable[[], float], random_source: RandomSource) -> None:

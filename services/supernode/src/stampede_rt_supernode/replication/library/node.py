@@ -56,7 +56,7 @@ _REASON_UNKNOWN = 7
 _REASONS_UNKNOWN = frozenset((5, _REASON_UNKNOWN))
 
 
-class _Private(Generic[T]):
+class _PrivateAttribute(Generic[T]):
     """A private attribute of the library under another name."""
 
     def __init__(self, name: str) -> None:
@@ -77,30 +77,30 @@ class LibraryNode:
     is a node of the library with an `id`. Sets and dictionaries of members leave this node out.
     """
 
-    term = _Private[int]("raftCurrentTerm")
-    voted_for = _Private[str | None]("votedForNodeId")
-    votes_count = _Private[int]("votesCount")
+    term = _PrivateAttribute[int]("raftCurrentTerm")
+    voted_for = _PrivateAttribute[str | None]("votedForNodeId")
+    votes_count = _PrivateAttribute[int]("votesCount")
     # FOLLOWER, CANDIDATE or LEADER.
-    role = _Private[int]("raftState")
+    role = _PrivateAttribute[int]("raftState")
     # The leader that this node follows, itself, or None.
-    leader = _Private[MemberNode | None]("raftLeader")
+    leader = _PrivateAttribute[MemberNode | None]("raftLeader")
     # All members that vote, without this node.
-    other_voters = _Private[set[MemberNode]]("otherNodes")
+    other_voters = _PrivateAttribute[set[MemberNode]]("otherNodes")
     # The members to which messages can be sent at present.
-    connected = _Private[set[MemberNode]]("connectedNodes")
+    connected = _PrivateAttribute[set[MemberNode]]("connectedNodes")
     # When this node stands for election, by the clock given to `load_library`.
-    election_deadline = _Private[float]("raftElectionDeadline")
-    commit_index = _Private[int]("raftCommitIndex")
+    election_deadline = _PrivateAttribute[float]("raftElectionDeadline")
+    commit_index = _PrivateAttribute[int]("raftCommitIndex")
     # The commit index in the leader's last message.
-    leader_commit_index = _Private[int]("leaderCommitIndex")
-    last_applied = _Private[int]("raftLastApplied")
+    leader_commit_index = _PrivateAttribute[int]("leaderCommitIndex")
+    last_applied = _PrivateAttribute[int]("raftLastApplied")
     # A leader's knowledge of each member: the next entry to send to it, the last entry that it has acknowledged, and
     # when it last answered.
-    next_index = _Private[dict[MemberNode, int]]("raftNextIndex")
-    match_index = _Private[dict[MemberNode, int]]("raftMatchIndex")
-    last_response_time = _Private[dict[MemberNode, float]]("lastResponseTime")
+    next_index = _PrivateAttribute[dict[MemberNode, int]]("raftNextIndex")
+    match_index = _PrivateAttribute[dict[MemberNode, int]]("raftMatchIndex")
+    last_response_time = _PrivateAttribute[dict[MemberNode, float]]("lastResponseTime")
     # The position of the first entry that this node has written as the leader of its term.
-    first_index_of_term = _Private[int | None]("noopIDx")
+    first_index_of_term = _PrivateAttribute[int | None]("noopIDx")
 
     state_machine: StateMachine
     clock: Callable[[], float]

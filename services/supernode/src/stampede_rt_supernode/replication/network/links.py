@@ -18,10 +18,10 @@ from stampede_rt_supernode.replication.raft_replica import MemberRoster
 from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
 from stampede_rt_supernode.replication.wire.buffered_transport import (
-    Connected,
-    Disputed,
+    LinkConnected,
     NetworkEvent,
     Outgoing,
+    StoreDisputed,
 )
 from stampede_rt_supernode.replication.wire.codec import encode_message
 
@@ -112,10 +112,10 @@ class PeerLinks:
         member_id = member.member_id
 
         def deliver_first(event: NetworkEvent) -> None:
-            if isinstance(event, Connected):
+            if isinstance(event, LinkConnected):
                 self.outdated.accepted(member_id)
                 if self.refusals.accepted(member_id):
-                    deliver(Disputed(member_id, ""))
+                    deliver(StoreDisputed(member_id, ""))
             deliver(event)
 
         def on_refused(why: str) -> None:
@@ -132,7 +132,7 @@ class PeerLinks:
         elif grounds is not None:
             self.outdated.accepted(member_id)
             if member_id not in self.refusals.by:
-                deliver(Disputed(member_id, why))
+                deliver(StoreDisputed(member_id, why))
             if self._count(self.refusals, member_id, why, REFUSED_FOLLOWS):
                 self.on_refusal_confirmed(self.refusals.why)
 

@@ -22,8 +22,8 @@ from stampede_rt_supernode.replication.network.refusals import grounds_of
 from stampede_rt_supernode.replication.network.reports import ReportLimiter
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.wire.buffered_transport import (
-    Connected,
-    Disconnected,
+    LinkConnected,
+    LinkDisconnected,
     MembersReported,
     NetworkEvent,
 )
@@ -167,7 +167,7 @@ class PeerLink:
 
     async def _pump(self, call: Any) -> None:
         self._open = True
-        self._deliver(Connected(self._member.member_id))
+        self._deliver(LinkConnected(self._member.member_id))
         tasks = [asyncio.ensure_future(each) for each in (self._listen(call), self._write(call), self._watch())]
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -175,7 +175,7 @@ class PeerLink:
                 task.result()
         finally:
             self._drop_queue()
-            self._deliver(Disconnected(self._member.member_id))
+            self._deliver(LinkDisconnected(self._member.member_id))
             call.cancel()
             for task in tasks:
                 task.cancel()

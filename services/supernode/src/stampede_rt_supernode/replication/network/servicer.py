@@ -34,7 +34,12 @@ from stampede_rt_supernode.replication.network.reports import ReportLimiter
 from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
-from stampede_rt_supernode.replication.wire.buffered_transport import Introduced, Received, StreamEnded, StreamOpened
+from stampede_rt_supernode.replication.wire.buffered_transport import (
+    MessageReceived,
+    NodeIntroduced,
+    StreamEnded,
+    StreamOpened,
+)
 from stampede_rt_supernode.replication.wire.codec import decode_message
 from stampede_rt_supernode.replication.wire.records import MalformedMessage, encode_members
 
@@ -166,7 +171,7 @@ class RaftServicer:
             return
         if refusal.sends_members:
             if (member := introduced_member(hello, self._settings)) is not None:
-                self._replica.deliver(Introduced(member.member_id, member))
+                self._replica.deliver(NodeIntroduced(member.member_id, member))
             # The caller may not know the members that already know the caller.
             await context.write(self._greeting(knows_caller=False))
         await context.abort(refusal.code, refusal.why)
@@ -215,7 +220,7 @@ class RaftServicer:
             if request.HasField("hello") or len(request.messages) > REQUEST_MESSAGES_MAX:
                 raise MalformedMessage("a second hello, or too many messages in one request")
             for message in request.messages:
-                self._replica.deliver(Received(member_id, decode_message(message), message.ByteSize()))
+                self._replica.deliver(MessageReceived(member_id, decode_message(message), message.ByteSize()))
             if loop.time() - answered_at >= ANSWER_SECONDS:
                 answered_at = loop.time()
                 await context.write(self._greeting(knows_caller=True))

@@ -42,7 +42,7 @@ class _Round:
 
 
 @dataclass(slots=True)
-class _Asked:
+class _AskedReads:
     """The reads that wait for the leader's answer to one request. At `give_up_at` they begin again."""
 
     request_id: int
@@ -104,7 +104,7 @@ class ConfirmedReads:
         # By member id: the newest round that the member has echoed in the present term.
         self._echoes: dict[str, int] = {}
         # The present request to the leader; None if there is none.
-        self._asked: _Asked | None = None
+        self._asked: _AskedReads | None = None
         # (log position, reads): the reads that wait until this replica has applied the position.
         self._confirmed: list[tuple[int, list[ConfirmedRead]]] = []
 
@@ -204,7 +204,7 @@ class ConfirmedReads:
             return
         self._next_request_id += 1
         self._transport.send(leader, ReadIndexRequest(request_id=self._next_request_id))
-        self._asked = _Asked(self._next_request_id, self._new, self._clock() + self._retry_seconds, leader.id)
+        self._asked = _AskedReads(self._next_request_id, self._new, self._clock() + self._retry_seconds, leader.id)
         self._new = []
 
     def _refuse(self, requests: list[tuple[MemberNode, int]]) -> None:

@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import assert_never
 
 from stampede_rt_supernode.replication.library.node import CANDIDATE
-from stampede_rt_supernode.replication.rules.following import Following
-from stampede_rt_supernode.replication.rules.leading import Leading
+from stampede_rt_supernode.replication.rules.following import FollowerRole
+from stampede_rt_supernode.replication.rules.leading import LeaderRole
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.wire.buffered_transport import MemberNode
 from stampede_rt_supernode.replication.wire.messages import (
@@ -40,7 +40,7 @@ TERMS_STEP_MAX = 1000
 TERM_MAX = 1 << 61
 
 
-class RaftRules(Following, Leading):
+class RaftRules(FollowerRole, LeaderRole):
     """Passes every message to its rule, and votes. Tick thread only."""
 
     # A term, and the ids of the members that have voted for this node in that term. A repeated vote counts once.

@@ -13,7 +13,7 @@ from stampede_rt_supernode.replication.wire.buffered_transport import MemberNode
 from stampede_rt_supernode.replication.wire.messages import AppendEntries, AppendReply, FromLeader, InstallSnapshot
 
 
-class Following(Membership):
+class FollowerRole(Membership):
     """Handles the messages of leaders. Tick thread only."""
 
     # The id of the member that has sent the snapshot that is being opened.

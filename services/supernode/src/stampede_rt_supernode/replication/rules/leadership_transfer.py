@@ -19,7 +19,7 @@ class HandOver:
 
 
 @dataclass(slots=True)
-class _Leaving:
+class _SuccessorSearch:
     """The search for a successor, which ends at `until`. New proposals wait meanwhile.
 
     As soon as a member has all entries, the leader asks this member to lead. `asked` is then True.
@@ -49,7 +49,7 @@ class LeadershipTransfer:
         self._clock = clock
         self._finish_later = finish
         self._alive_seconds = alive_seconds
-        self._leaving: _Leaving | None = None
+        self._leaving: _SuccessorSearch | None = None
 
     @property
     def under_way(self) -> bool:
@@ -65,7 +65,7 @@ class LeadershipTransfer:
             self._answer([request], not self._node.is_leader)
             return
         if self._leaving is None:
-            self._leaving = _Leaving(self._clock() + HAND_OVER_SECONDS)
+            self._leaving = _SuccessorSearch(self._clock() + HAND_OVER_SECONDS)
         self._leaving.callers.append(request)
 
     def advance(self) -> None:

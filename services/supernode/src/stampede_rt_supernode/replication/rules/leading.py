@@ -20,7 +20,7 @@ BATCHES_PER_ROUND = 4
 APPEND_BATCH_BYTES = 1 << 20
 
 
-class Leading(Membership):
+class LeaderRole(Membership):
     """Handles the answers of followers, and sends to them. Tick thread only."""
 
     def _on_append_reply(self, node: MemberNode, message: AppendReply) -> None:

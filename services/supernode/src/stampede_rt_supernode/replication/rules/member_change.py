@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 from stampede_rt_supernode.replication.configuration import MEMBERS_MAX, Configuration
 from stampede_rt_supernode.replication.interface import (
-    Ambiguous,
     ChangeRefused,
     ChangeUnderWay,
     LogUnavailable,
     Member,
     NotLeading,
+    OutcomeUnknown,
     TicketSpent,
 )
 
-ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | LogUnavailable
+ChangeOutcome = int | OutcomeUnknown | ChangeRefused | ChangeUnderWay | NotLeading | LogUnavailable
 
 
 @dataclass(slots=True)

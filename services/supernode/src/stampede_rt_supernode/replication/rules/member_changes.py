@@ -13,11 +13,11 @@ from collections.abc import Callable
 
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import (
-    Ambiguous,
     ChangeRefused,
     ChangeUnderWay,
     LogUnavailable,
     NotLeading,
+    OutcomeUnknown,
     ReleaseOutdated,
     too_old,
 )
@@ -295,7 +295,7 @@ class MemberChanges:
         applied = self._node.last_applied >= committing.log_index
         if applied and self._node.term_at(committing.log_index) == committing.term:
             return committing.log_index
-        return Ambiguous("the leader changed during the change; list the members (stampede supernode status)")
+        return OutcomeUnknown("the leader changed during the change; list the members (stampede supernode status)")
 
     def _finish(self, callers: list[MemberChange], outcome: ChangeOutcome) -> None:
         for caller in callers:

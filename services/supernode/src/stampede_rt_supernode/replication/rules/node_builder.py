@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import StateMachine
-from stampede_rt_supernode.replication.library.assembling import Assembly
+from stampede_rt_supernode.replication.library.assembling import LibraryCopy
 from stampede_rt_supernode.replication.library.node import RandomSource
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedReads
 from stampede_rt_supernode.replication.rules.digests import DigestPoll, Digests
@@ -35,7 +35,7 @@ def build_node(
     of our rules. It comes before the library's class in the method resolution order. Raises LibraryMismatch if another
     version of the library is installed.
     """
-    assembly = Assembly(clock=clock, random_source=random_source)
+    assembly = LibraryCopy(clock=clock, random_source=random_source)
     self_id = settings.self_member.member_id
     peers = {member.member_id: member for member in settings.initial_members if member.member_id != self_id}
     others = [assembly.make_member(member_id) for member_id in peers]

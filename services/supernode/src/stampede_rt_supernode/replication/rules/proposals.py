@@ -6,10 +6,10 @@ import heapq
 from collections import deque
 from collections.abc import Callable
 
-from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable
+from stampede_rt_supernode.replication.interface import LogUnavailable, OutcomeUnknown
 from stampede_rt_supernode.replication.library.node import ProposalDone, ProposalFailure
 
-Outcome = bytes | LogUnavailable | Ambiguous
+Outcome = bytes | LogUnavailable | OutcomeUnknown
 
 
 class Proposal:
@@ -86,7 +86,7 @@ class Proposals:
             return
         if proposal.submitted:
             self._submitted -= 1
-            self._finish(proposal, Ambiguous("the log did not answer in time; the command may still be applied"))
+            self._finish(proposal, OutcomeUnknown("the log did not answer in time; the command may still be applied"))
         else:
             self._finish(proposal, LogUnavailable("no leader was found in time; the command was not taken"))
 
@@ -109,7 +109,7 @@ class Proposals:
             proposal.submitted = False
             self._waiting.append(proposal)
         elif answer is ProposalFailure.UNKNOWN:
-            self._finish(proposal, Ambiguous("the leader changed during the command, which may still be applied"))
+            self._finish(proposal, OutcomeUnknown("the leader changed during the command, which may still be applied"))
         else:
             self._finish(proposal, answer)
 
@@ -118,11 +118,11 @@ class Proposals:
         self._finish_later(lambda: proposal.done(outcome))
 
     def close(self) -> None:
-        """Finish all proposals with LogUnavailable or Ambiguous."""
+        """Finish all proposals with LogUnavailable or OutcomeUnknown."""
         for _, _, proposal in self._deadlines:
             if proposal.finished:
                 continue
-            what = Ambiguous if proposal.submitted else LogUnavailable
+            what = OutcomeUnknown if proposal.submitted else LogUnavailable
             self._finish(proposal, what("this replica is closing"))
         self._deadlines.clear()
         self._waiting.clear()

@@ -20,7 +20,7 @@ from stampede_rt_supernode.replication.wire.messages import SnapshotChunk
 
 
 @dataclass
-class _Incoming:
+class _IncomingSnapshot:
     """The pieces received so far. Invariant: `data` is the beginning of the snapshot."""
 
     last_log_index: int
@@ -30,7 +30,7 @@ class _Incoming:
 
 
 @dataclass(frozen=True, slots=True)
-class _Decoded:
+class _DecodedSnapshot:
     """A complete snapshot, and the function that makes it the state of the state machine."""
 
     stored: StoredSnapshot
@@ -43,10 +43,10 @@ class UnreadableSnapshot(Exception):
 
 
 @dataclass(slots=True)
-class _Opening:
+class _SnapshotInstallation:
     """A complete snapshot that another thread decodes, and that then goes to the disk in pieces."""
 
-    decoded: Result[_Decoded | UnreadableSnapshot | ReleaseTooOld]
+    decoded: Result[_DecodedSnapshot | UnreadableSnapshot | ReleaseTooOld]
     pieces_written: int = 0
 
 
@@ -57,8 +57,8 @@ class SnapshotReceiver:
         self._log = log
         self._state_machine = state_machine
         self._run_in_background = run_in_background
-        self._incoming: _Incoming | None = None
-        self._opening: _Opening | None = None
+        self._incoming: _IncomingSnapshot | None = None
+        self._opening: _SnapshotInstallation | None = None
 
     @property
     def is_opening(self) -> bool:
@@ -72,7 +72,7 @@ class SnapshotReceiver:
         replica still lacks the entries.
         """
         if chunk.offset_bytes == 0:
-            self._incoming = _Incoming(chunk.last_log_index, chunk.total_bytes, chunk.sha256, bytearray())
+            self._incoming = _IncomingSnapshot(chunk.last_log_index, chunk.total_bytes, chunk.sha256, bytearray())
         incoming = self._incoming
         if incoming is None or not _continues(incoming, chunk):
             self._incoming = None
@@ -90,7 +90,7 @@ class SnapshotReceiver:
     def open(self, received: StoredSnapshot) -> None:
         """Begin to open a snapshot. Call it only while `is_opening` is False."""
 
-        def decode() -> _Decoded | UnreadableSnapshot | ReleaseTooOld:
+        def decode() -> _DecodedSnapshot | UnreadableSnapshot | ReleaseTooOld:
             try:
                 snapshot = records.decode_snapshot(received.record)
                 restore = self._state_machine.prepare_restore(snapshot.state)
@@ -98,9 +98,9 @@ class SnapshotReceiver:
                 return error  # the snapshot is sound, so its sender is not at fault
             except Exception as error:  # noqa: BLE001 - a peer has made it, and no content may end this process
                 return UnreadableSnapshot(f"it cannot be read: {error!r}")
-            return _Decoded(replace(received, last_log_index=snapshot.last.log_index), snapshot, restore)
+            return _DecodedSnapshot(replace(received, last_log_index=snapshot.last.log_index), snapshot, restore)
 
-        self._opening = _Opening(self._run_in_background(decode))
+        self._opening = _SnapshotInstallation(self._run_in_background(decode))
 
     def advance(self, *, newer_than: int, term_max: int) -> Entry | None:
         """Continue to open the snapshot: each call writes at most one piece to the disk.
@@ -136,7 +136,7 @@ class SnapshotReceiver:
         return snapshot.last
 
 
-def _continues(incoming: _Incoming, chunk: SnapshotChunk) -> bool:
+def _continues(incoming: _IncomingSnapshot, chunk: SnapshotChunk) -> bool:
     return (
         chunk.offset_bytes == len(incoming.data)
         and chunk.last_log_index == incoming.last_log_index

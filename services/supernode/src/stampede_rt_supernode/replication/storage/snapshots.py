@@ -17,7 +17,7 @@ from stampede_rt_supernode.replication.wire.messages import SnapshotChunk
 
 
 @dataclass(slots=True)
-class _Taking:
+class _SnapshotUnderWay:
     """A snapshot that is being encoded, and that then goes to the disk in pieces."""
 
     encoded: Result[StoredSnapshot]
@@ -28,7 +28,7 @@ class _Taking:
 
 
 @dataclass(slots=True)
-class _Sending:
+class _SnapshotTransfer:
     """A snapshot that is being sent to a member. A newer snapshot does not replace it, so that the transfer ends."""
 
     snapshot: StoredSnapshot
@@ -58,9 +58,9 @@ class SnapshotKeeper:
         self._chunks_left = chunks_per_step
         self._run_in_background = run_in_background
         # The snapshot that is being taken; None if there is none.
-        self._taking: _Taking | None = None
+        self._taking: _SnapshotUnderWay | None = None
         # Member id -> the snapshot that this node is sending to the member.
-        self._sending: dict[str, _Sending] = {}
+        self._sending: dict[str, _SnapshotTransfer] = {}
         self._receiver = SnapshotReceiver(log, state_machine, run_in_background)
 
     def begin_step(self) -> None:
@@ -114,7 +114,7 @@ class SnapshotKeeper:
             record = records.encode_snapshot(previous=previous, last=last, configuration=configuration, state=state)
             return StoredSnapshot.of(last.log_index, record)
 
-        self._taking = _Taking(self._run_in_background(encode), previous, last, configuration)
+        self._taking = _SnapshotUnderWay(self._run_in_background(encode), previous, last, configuration)
 
     def open_at_once(self, stored: StoredSnapshot) -> records.SnapshotContents:
         """Replace the state machine's state by a snapshot, whatever the log holds. Returns the snapshot's parts."""
@@ -186,7 +186,7 @@ class SnapshotKeeper:
             data=data,
         )
 
-    def _sending_to(self, member_id: str) -> _Sending | None:
+    def _sending_to(self, member_id: str) -> _SnapshotTransfer | None:
         """The snapshot that is being sent to a member; None if this node has no snapshot.
 
         Begins to send the present snapshot if none is being sent, or if the log no longer has the entries that follow
@@ -197,7 +197,7 @@ class SnapshotKeeper:
             return sending
         if present is None:
             return None
-        self._sending[member_id] = _Sending(present)
+        self._sending[member_id] = _SnapshotTransfer(present)
         return self._sending[member_id]
 
     def sent_bytes(self, member_id: str) -> int:

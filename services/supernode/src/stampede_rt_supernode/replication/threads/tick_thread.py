@@ -51,7 +51,7 @@ def end_process(error: BaseException) -> NoReturn:
     os._exit(code)
 
 
-class Ticked(Protocol):
+class TickedReplica(Protocol):
     """The object that the thread drives: a replica of the log."""
 
     def step(self) -> bool:
@@ -86,7 +86,7 @@ class TickThread:
         """Have the thread take the next step now. Never blocks."""
         self._work.set()
 
-    def start(self, replica: Ticked) -> None:
+    def start(self, replica: TickedReplica) -> None:
         """Begin to tick. From now on the replica belongs to this thread."""
         self._thread = threading.Thread(target=self._run, args=(replica,), name="replicated-log", daemon=True)
         self._thread.start()
@@ -99,7 +99,7 @@ class TickThread:
         if self._thread is not None:
             self._thread.join()
 
-    def _run(self, replica: Ticked) -> None:
+    def _run(self, replica: TickedReplica) -> None:
         try:
             while not self._stopping:
                 # cleared before the step, so that an arrival during the step causes the next one immediately

@@ -15,14 +15,14 @@ from stampede_rt_supernode.replication.wire.messages import Message
 
 
 @dataclass(frozen=True, slots=True)
-class Connected:
+class LinkConnected:
     """The link to a member is up: messages can be sent to it."""
 
     member_id: str
 
 
 @dataclass(frozen=True, slots=True)
-class Disconnected:
+class LinkDisconnected:
     """The link to a member is gone, with all messages queued on it."""
 
     member_id: str
@@ -47,7 +47,7 @@ class StreamEnded:
 
 
 @dataclass(frozen=True, slots=True)
-class Received:
+class MessageReceived:
     """A checked message from a member."""
 
     member_id: str
@@ -64,7 +64,7 @@ class MembersReported:
 
 
 @dataclass(frozen=True, slots=True)
-class Introduced:
+class NodeIntroduced:
     """An unknown node has said that it is a member of this cluster, and its address."""
 
     member_id: str
@@ -72,7 +72,7 @@ class Introduced:
 
 
 @dataclass(frozen=True, slots=True)
-class Disputed:
+class StoreDisputed:
     """A member refuses this node's store, for the reason `why`. If `why` is empty, that member accepts it again."""
 
     member_id: str
@@ -80,7 +80,14 @@ class Disputed:
 
 
 NetworkEvent = (
-    Connected | Disconnected | StreamOpened | StreamEnded | Received | MembersReported | Introduced | Disputed
+    LinkConnected
+    | LinkDisconnected
+    | StreamOpened
+    | StreamEnded
+    | MessageReceived
+    | MembersReported
+    | NodeIntroduced
+    | StoreDisputed
 )
 # The id of the receiver, and the message.
 Outgoing = tuple[str, Message]
@@ -97,7 +104,7 @@ class MemberNode(Protocol):
         """A hash that is the same in every process."""
 
 
-class Handler(Protocol):
+class EventHandler(Protocol):
     """The receiver of the events: a node of the log. `node` is the member concerned."""
 
     def receive(self, node: MemberNode, message: Message) -> None:
@@ -135,42 +142,42 @@ class BufferedTransport:
         # By member id: the highest feature level of the member's release, as it said when it opened a stream.
         self.highest_levels: dict[str, int] = {}
         self._outbox: list[Outgoing] = []
-        self._handler: Handler | None = None
+        self._handler: EventHandler | None = None
 
-    def attach(self, handler: Handler) -> None:
+    def attach(self, handler: EventHandler) -> None:
         """Pass incoming events to this node. Call it once."""
         self._handler = handler
 
     def deliver(self, event: NetworkEvent) -> None:
-        """Pass one network event to the node. Drops every event about an unknown member, except Introduced."""
+        """Pass one network event to the node. Drops every event about an unknown member, except NodeIntroduced."""
         self._note_links(event)
         if self._handler is None:
             return
-        if isinstance(event, Introduced):
+        if isinstance(event, NodeIntroduced):
             self._handler.on_introduced(event.member)
         elif (node := self._nodes.get(event.member_id)) is not None:
             self._dispatch(self._handler, node, event)
 
-    def _dispatch(self, handler: Handler, node: MemberNode, event: NetworkEvent) -> None:
+    def _dispatch(self, handler: EventHandler, node: MemberNode, event: NetworkEvent) -> None:
         match event:
-            case Received():
+            case MessageReceived():
                 handler.receive(node, event.message)
-            case Connected():
+            case LinkConnected():
                 handler.on_connected(node)
-            case Disconnected():
+            case LinkDisconnected():
                 handler.on_disconnected(node)
             case StreamOpened():
                 handler.on_stream_opened(node)
-            case Disputed():
+            case StoreDisputed():
                 handler.on_disputed(event.member_id, event.why)
             case MembersReported():
                 handler.on_members_reported(event.member_id, event.members)
 
     def _note_links(self, event: NetworkEvent) -> None:
         match event:
-            case Connected():
+            case LinkConnected():
                 self._connected.add(event.member_id)
-            case Disconnected():
+            case LinkDisconnected():
                 self._connected.discard(event.member_id)
             case StreamOpened():
                 self._heard.add(event.member_id)
