@@ -23,7 +23,7 @@ TWINS = re.compile(r"_(async|sync)\.py$")
 
 
 @dataclass(frozen=True)
-class Accepted:
+class AcceptedNames:
     """The names that several classes may have, each with the number of classes."""
 
     allowed: Mapping[str, int]
@@ -58,7 +58,7 @@ def duplicates(modules: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
     return {name: sorted(found.values()) for name, found in sorted(places.items()) if len(found) > 1}
 
 
-def complaints(found: Mapping[str, list[str]], accepted: Accepted) -> list[str]:
+def complaints(found: Mapping[str, list[str]], accepted: AcceptedNames) -> list[str]:
     """Return the differences between the found duplicates and the accepted ones."""
     lines = [
         f"{name} is both allowed and to be renamed; keep one entry"
@@ -74,13 +74,13 @@ def complaints(found: Mapping[str, list[str]], accepted: Accepted) -> list[str]:
     return lines
 
 
-def read_lists(text: str) -> Accepted:
+def read_lists(text: str) -> AcceptedNames:
     """Read the accepted names; an allowed name without a reason raises ValueError."""
     tables = tomllib.loads(text)
     for name, entry in tables["allowed"].items():
         if not entry["why"].strip():
             raise ValueError(f"the allowed class name {name} needs a reason")
-    return Accepted({name: entry["places"] for name, entry in tables["allowed"].items()}, tables["to_rename"])
+    return AcceptedNames({name: entry["places"] for name, entry in tables["allowed"].items()}, tables["to_rename"])
 
 
 def main() -> int:

@@ -36,7 +36,7 @@ ENVIRONMENT = {
 }
 
 
-class _Captured(BaseException):
+class _ParserCaptured(BaseException):
     """Carries the parser that a command was about to use."""
 
     def __init__(self, parser: argparse.ArgumentParser) -> None:
@@ -47,12 +47,12 @@ def captured(main: Callable[[list[str]], object], words: list[str]) -> argparse.
     """Return the parser that `main` uses for `words`, without running the command."""
 
     def stop(parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
-        raise _Captured(parser)
+        raise _ParserCaptured(parser)
 
     with patch.object(argparse.ArgumentParser, "parse_known_args", stop):
         try:
             main(words)
-        except _Captured as caught:
+        except _ParserCaptured as caught:
             return caught.parser
     raise SystemExit(f"{main} has used no parser")
 

@@ -36,7 +36,7 @@ IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnItem:
     """One item on its lane, in seconds since the beginning.
 
     If `end_s` is None, the span lasts up to now. `row`: the number of items of its bucket above it. `visible`: a reader
@@ -56,7 +56,7 @@ class Lane:
 
     label: str
     colour: str
-    items: Sequence[Drawn]
+    items: Sequence[DrawnItem]
 
 
 @dataclass(frozen=True)
@@ -75,18 +75,18 @@ class Picture:
 
 def drawn(
     items: Sequence[st.Item], base: int, texts: bool = True, shown: Sequence[st.Item] | None = None
-) -> list[Drawn]:
+) -> list[DrawnItem]:
     """Return the drawing of items in the order of the read. Items of one time are below each other.
 
     `shown`: the items that a group shows.
     """
     visible = {item.seq for item in (items if shown is None else shown)}
-    found: list[Drawn] = []
+    found: list[DrawnItem] = []
     for item in items:
         row = sum(one.start_s == (item.time - base) / SECOND for one in found)
         end_s = None if item.end is None else (item.end - base) / SECOND
         text = (item.payload or b"").decode() if texts else ""
-        found.append(Drawn((item.time - base) / SECOND, end_s, text, row, item.seq in visible))
+        found.append(DrawnItem((item.time - base) / SECOND, end_s, text, row, item.seq in visible))
     return found
 
 
@@ -190,7 +190,7 @@ def _draw_lane(axes: Axes, picture: Picture, lane: Lane, top: float) -> None:
         _draw_item(axes, picture, lane.colour, item, top, HEIGHT / rows)
 
 
-def _draw_item(axes: Axes, picture: Picture, colour: str, item: Drawn, top: float, height: float) -> None:
+def _draw_item(axes: Axes, picture: Picture, colour: str, item: DrawnItem, top: float, height: float) -> None:
     """Draw a box with a mark at its beginning. If the span has no end, the box is open there."""
     end_s = picture.now_s if item.end_s is None else item.end_s
     low = top - height * (item.row + 1)
@@ -213,7 +213,7 @@ def _draw_item(axes: Axes, picture: Picture, colour: str, item: Drawn, top: floa
         _draw_text(axes, item, width, low + height / 2)
 
 
-def _draw_text(axes: Axes, item: Drawn, width: float, middle: float) -> None:
+def _draw_text(axes: Axes, item: DrawnItem, width: float, middle: float) -> None:
     narrow = width <= HOLDS_S
     place = item.start_s + (0.09 if narrow else width / 2)
     axes.text(place, middle, item.text, ha="left" if narrow else "center", va="center", fontweight="bold", zorder=5)

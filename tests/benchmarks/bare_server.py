@@ -25,7 +25,7 @@ OPTIONS = (
 )
 
 
-class Bare(grpc.GenericRpcHandler):
+class BareServer(grpc.GenericRpcHandler):
     """Acks the sent messages, sends the requested ones, and relays one stream to another."""
 
     def __init__(self) -> None:
@@ -63,7 +63,7 @@ class Bare(grpc.GenericRpcHandler):
 async def main() -> None:
     """Serve on a free port, which is printed, until standard input ends."""
     server = grpc.aio.server(options=OPTIONS)
-    server.add_generic_rpc_handlers((Bare(),))
+    server.add_generic_rpc_handlers((BareServer(),))
     port = server.add_insecure_port("127.0.0.1:0")
     await server.start()
     print(port, flush=True)

@@ -26,14 +26,14 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_runtime.access import control
 from stampede_rt_runtime.main import run_loop
 from stampede_rt_runtime.quotas import working
-from tests.support.channel_host.rig import Opened, run_of, running_host
+from tests.support.channel_host.rig import OpenedChannel, run_of, running_host
 
 SERVICE = "/stampede_rt.v1.ChannelService"
 PAYLOAD = b"x" * 100
 
 
 @dataclass
-class Measured:
+class CallTimes:
     """The processor time of one call in microseconds, by round."""
 
     counted_us: list[float] = field(default_factory=list)
@@ -88,7 +88,7 @@ def counted_steps() -> Iterator[list[int]]:
         working._ChargedCoroutine.send = charged  # type: ignore[method-assign]
 
 
-def calls_of(channel: Opened, target: str, method: str, number: int) -> Callable[[], None]:
+def calls_of(channel: OpenedChannel, target: str, method: str, number: int) -> Callable[[], None]:
     """A function that makes the given number of calls on a new stream, one after the other."""
     known = {"channel_id": channel.channel_id, "epoch": channel.epoch}
     put = pb.PutRequest(**known, puts=[run_of(PAYLOAD)]).SerializeToString()
@@ -116,9 +116,9 @@ async def cpu_us(work: Callable[[], None], number: int) -> float:
     return (time.thread_time() - began_s) / number * 1e6
 
 
-async def measure(method: str, number: int, rounds: int) -> Measured:
+async def measure(method: str, number: int, rounds: int) -> CallTimes:
     """Measure the rounds. The host counts the calls of every second round."""
-    found = Measured()
+    found = CallTimes()
     with callers() as all_callers:
         async with running_host() as rig:
             channel = await rig.open()

@@ -61,7 +61,7 @@ class Host:
         channel.puts.put(IncomingRun(encoded, producer_id=0, first_number=0, wait_nanos=None), self.now)
 
 
-class Shown:
+class GroupedSource:
     """A channel as a group shows it: a `Source` whose cut does not move."""
 
     def __init__(self, channel: HostedChannel, cut: int) -> None:
@@ -94,7 +94,7 @@ def puts_beside_group_gets(others: int) -> list[float]:
     host = Host()
     channel = host.open(max_items=100)
     host.put(channel, START)
-    shown = Shown(channel, START + 1)
+    shown = GroupedSource(channel, START + 1)
     gets = WaitingGets(shown, ReachTracker(channel.channel), lambda: host.now, lambda: START + 1)
     channel.group_observers[_Follower(gets, host)] = None
     query = Query(

@@ -49,7 +49,7 @@ Row = tuple[str, str]
 
 
 @dataclass
-class Alone:
+class LoneReplica:
     """A replica that commits alone, or follows a leader that the benchmark plays."""
 
     folder: Path
@@ -168,14 +168,14 @@ def _opening(number: int) -> OpenChannel:
 
 def snapshots(folder: Path, channels: int) -> list[Row]:
     """Open `channels` channels in a directory, and measure its snapshots. Blocks for a while."""
-    one = Alone(folder / "one")
+    one = LoneReplica(folder / "one")
     one.found()
     one.open_channels(channels)
     one.snapshot()
     one.close()
     gc.disable()
     began, cpu = time.perf_counter(), time.process_time()
-    again = Alone(folder / "one", proposed=one.proposed)
+    again = LoneReplica(folder / "one", proposed=one.proposed)
     rows = [("start of a log: store read, directory decoded", _took(began, cpu))]
     gc.freeze()  # in a supernode its event loop does the rest; this benchmark has no event loop
     again.step_until(lambda: again.replica.status().is_leader)
@@ -186,7 +186,7 @@ def snapshots(folder: Path, channels: int) -> list[Row]:
     return [*rows, _received(folder / "two", again)]
 
 
-def _taken(one: Alone, name: str) -> Row:
+def _taken(one: LoneReplica, name: str) -> Row:
     one.open_channels(1)
     one.forget()
     began, cpu = time.perf_counter(), time.process_time()
@@ -194,12 +194,12 @@ def _taken(one: Alone, name: str) -> Row:
     return name, f"{_took(began, cpu)}, {len(taken.record) / 1e6:.1f} MB, {one.ticks()}"
 
 
-def _received(folder: Path, leader: Alone) -> Row:
+def _received(folder: Path, leader: LoneReplica) -> Row:
     """The time of a follower that gets a snapshot, from its last piece on."""
     stored = leader.replica._log.snapshot
     assert stored is not None
     keeper = SnapshotKeeper(leader.replica._log, leader.machine, lambda member_id: True)
-    two = Alone(folder, peers=("b", "c"))
+    two = LoneReplica(folder, peers=("b", "c"))
     two.replica.deliver(LinkConnected("b"))
     two.replica.deliver(StreamOpened("b"))
     began, cpu = time.perf_counter(), time.process_time()

@@ -45,7 +45,7 @@ Age = tuple[int, int]  # the time of a put, and its age when a reader had it, in
 
 
 @dataclass(frozen=True)
-class Part:
+class RoundPart:
     """One part of a round.
 
     The puts from `began` to `ended`, the host's CPU for each reader and put, and the greatest growth of the host's
@@ -92,7 +92,7 @@ class Putter:
         self._items = items
         self._payload = bytes(size)
 
-    def put_for(self, seconds: float, readers: int) -> Part:
+    def put_for(self, seconds: float, readers: int) -> RoundPart:
         """Put items for `seconds`."""
         began, cpu_s, resident = st.now(), self._host.cpu_s(), self._host.resident_bytes()
         puts, most, due_s = 0, resident, time.monotonic()
@@ -107,7 +107,7 @@ class Putter:
                 most = max(most, self._host.resident_bytes())
                 time.sleep(max(0.0, due_s - time.monotonic()))
         cpu_us = (self._host.cpu_s() - cpu_s) / puts / readers * 1e6
-        return Part(began=began, ended=st.now(), cpu_us=cpu_us, grown_bytes=most - resident)
+        return RoundPart(began=began, ended=st.now(), cpu_us=cpu_us, grown_bytes=most - resident)
 
 
 class Child:
@@ -141,7 +141,7 @@ def measure(cluster: LocalCluster, work: str, readers: int, rounds: int, seconds
         stalling = stack.enter_context(_child(AS_STALLED, cluster.address, name, 1))
         putter = Putter(channel, host, *WORKS[work])
         putter.put_for(WARM_S, readers)
-        parts: dict[bool, list[Part]] = {False: [], True: []}
+        parts: dict[bool, list[RoundPart]] = {False: [], True: []}
         for number in range(rounds):
             for stalled in (True, False) if number % 2 else (False, True):
                 stalling.tell("subscribe" if stalled else "leave")
@@ -154,7 +154,7 @@ def measure(cluster: LocalCluster, work: str, readers: int, rounds: int, seconds
     yield _cost(work, parts[True], of_parts)
 
 
-def ages_of(part: Part, ages: Sequence[Age]) -> Ages:
+def ages_of(part: RoundPart, ages: Sequence[Age]) -> Ages:
     """The ages of the puts that came in this part."""
     found = statistics.quantiles((age / 1e6 for time_ns, age in ages if part.began <= time_ns < part.ended), n=100)
     return Ages(p50=found[49], p99=found[98])
@@ -216,14 +216,14 @@ async def _stall(address: str, name: str) -> None:
                     await anext(subscription)
 
 
-def _row(work: str, stalled: bool, parts: Sequence[Part], ages: Sequence[Ages]) -> Sequence[str]:
+def _row(work: str, stalled: bool, parts: Sequence[RoundPart], ages: Sequence[Ages]) -> Sequence[str]:
     cpus = _spread([part.cpu_us for part in parts], "{:,.0f}")
     medians, tails = [_spread([getattr(one, name) for one in ages], "{:,.1f}") for name in ("p50", "p99")]
     grown = max(part.grown_bytes for part in parts) / MIB
     return (work, "yes" if stalled else "no", cpus, medians, tails, f"{grown:,.1f}")
 
 
-def _cost(work: str, stalled: Sequence[Part], ages: Mapping[bool, Sequence[Ages]]) -> Sequence[str]:
+def _cost(work: str, stalled: Sequence[RoundPart], ages: Mapping[bool, Sequence[Ages]]) -> Sequence[str]:
     longer = longer_by_round(ages)
     ratio, grown = statistics.median(longer), max(part.grown_bytes for part in stalled)
     held = "goal met" if ratio <= LONGER_MAX and grown <= GROWN_BYTES_MAX else "GOAL MISSED"

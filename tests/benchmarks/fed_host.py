@@ -1,9 +1,9 @@
 """A channel host that feeds its own channels on command: `python -m tests.benchmarks.fed_host HOST_FLAGS`.
 
 A line on stdin, `PERIOD_SECONDS SECONDS GROUP_ID`, puts an item into every channel in each period, for `SECONDS`. The
-answer is a line of JSON, a `Fed`. GROUP_ID, in hexadecimal digits or `-`, names the group whose cut is observed. The
-items go directly into the cores, because clients that put 6400 items a second would use up the machine. The rest of the
-host is as usual.
+answer is a line of JSON, a `FedRates`. GROUP_ID, in hexadecimal digits or `-`, names the group whose cut is observed.
+The items go directly into the cores, because clients that put 6400 items a second would use up the machine. The rest of
+the host is as usual.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ NO_GROUP = "-"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fed:
+class FedRates:
     """The work of this process meanwhile: items put, CPU, messages sent to other hosts, and the median lag of the cut.
 
     `behind_ms` is None without a group, and if the host had no cut of the group.
@@ -82,7 +82,7 @@ async def _heed(host: ChannelHost) -> None:
         print(json.dumps(asdict(await _feed(host, float(period_s), float(seconds), group_id))), flush=True)
 
 
-async def _feed(host: ChannelHost, period_s: float, seconds: float, group_id: bytes | None) -> Fed:
+async def _feed(host: ChannelHost, period_s: float, seconds: float, group_id: bytes | None) -> FedRates:
     hosted = sorted(host.store.all(), key=lambda one: one.record.name)
     step_s = period_s / STEPS_PER_PERIOD
     items, lags_ms = 0, list[float]()
@@ -92,7 +92,7 @@ async def _feed(host: ChannelHost, period_s: float, seconds: float, group_id: by
         if group_id is not None and number % LAG_STEPS == 0:
             lags_ms += _lags_ms(host, group_id)
         await asyncio.sleep(max(0.0, began + (number + 1) * step_s - time.monotonic()))
-    return Fed(
+    return FedRates(
         items=items,
         cpu_s=time.process_time() - cpu,
         wall_s=time.monotonic() - began,

@@ -35,14 +35,14 @@ CHANNEL_ITEMS = 4096
 
 
 @dataclass(frozen=True)
-class Measured:
+class PathRate:
     """Items per second, and the median time of one operation in microseconds."""
 
     items_per_second: float
     p50_us: float
 
 
-def measure(operation: Callable[[], int], seconds: float) -> Measured:
+def measure(operation: Callable[[], int], seconds: float) -> PathRate:
     """Repeat `operation`, which says how many items it moved, for `seconds`."""
     durations, items = [], 0
     end = time.perf_counter() + seconds
@@ -52,7 +52,7 @@ def measure(operation: Callable[[], int], seconds: float) -> Measured:
         after = time.perf_counter()
         durations.append(after - now)
         now = after
-    return Measured(items / (now - started), statistics.median(durations) * 1e6)
+    return PathRate(items / (now - started), statistics.median(durations) * 1e6)
 
 
 class BareClient:

@@ -29,10 +29,10 @@ LEASED = 4  # the messages that the taker always holds
 Span = tuple[float, float]
 
 
-class Seen:
+class SeenLog:
     """The seqs that one reader or producer has seen, and when."""
 
-    def __init__(self, run: Callable[[Seen], None]) -> None:
+    def __init__(self, run: Callable[[SeenLog], None]) -> None:
         self.seqs: list[int] = []
         self.times_s: list[float] = []
         self.stopped = threading.Event()
@@ -58,8 +58,8 @@ class Seen:
         self.thread.join(20)
 
 
-def producing(put: Callable[[int], int]) -> Callable[[Seen], None]:
-    def run(seen: Seen) -> None:
+def producing(put: Callable[[int], int]) -> Callable[[SeenLog], None]:
+    def run(seen: SeenLog) -> None:
         due_s = time.monotonic()
         while not seen.stopped.wait(max(0.0, due_s - time.monotonic())):
             seen.note(put(len(seen.seqs)))
@@ -68,16 +68,16 @@ def producing(put: Callable[[int], int]) -> Callable[[Seen], None]:
     return run
 
 
-def subscribing(subscription: Any) -> Callable[[Seen], None]:
-    def run(seen: Seen) -> None:
+def subscribing(subscription: Any) -> Callable[[SeenLog], None]:
+    def run(seen: SeenLog) -> None:
         for item in subscription:
             seen.note(item.seq)
 
     return run
 
 
-def following_cuts(subscription: Any, channel: Any) -> Callable[[Seen], None]:
-    def run(seen: Seen) -> None:
+def following_cuts(subscription: Any, channel: Any) -> Callable[[SeenLog], None]:
+    def run(seen: SeenLog) -> None:
         for cut in subscription:
             for item in (*cut.late[channel], *cut[channel]):
                 seen.note(item.seq)
@@ -85,8 +85,8 @@ def following_cuts(subscription: Any, channel: Any) -> Callable[[Seen], None]:
     return run
 
 
-def getting(channel: Any) -> Callable[[Seen], None]:
-    def run(seen: Seen) -> None:
+def getting(channel: Any) -> Callable[[SeenLog], None]:
+    def run(seen: SeenLog) -> None:
         last = channel.newest()
         while not seen.stopped.is_set():
             for item in channel.get(st.OLDEST, 2**62, after=last, timeout=1):
@@ -96,8 +96,8 @@ def getting(channel: Any) -> Callable[[Seen], None]:
     return run
 
 
-def taking(queue: Any) -> Callable[[Seen], None]:
-    def run(seen: Seen) -> None:
+def taking(queue: Any) -> Callable[[SeenLog], None]:
+    def run(seen: SeenLog) -> None:
         leased: deque[Any] = deque()
         while not seen.stopped.is_set():
             message = queue.get(timeout=0.2)
@@ -123,13 +123,13 @@ class Load:
         self.channel.put(FRAME)
         self._streams = [self.channel.subscribe() for _ in range(readers)]
         self._cuts = group.subscribe()
-        self.putting = Seen(producing(lambda number: int(self.channel.put(FRAME).seq)))
-        self.sounds = Seen(producing(lambda number: int(other.put(b"a sound").seq)))
-        self.jobs = Seen(producing(lambda number: int(self.queue.put(b"%d" % number).seq)))
-        self.subscribed = [Seen(subscribing(one)) for one in self._streams]
-        self.got = [Seen(getting(self.channel)) for _ in range(readers)]
-        self.cut = Seen(following_cuts(self._cuts, self.channel))
-        self.taken = Seen(taking(self.queue))
+        self.putting = SeenLog(producing(lambda number: int(self.channel.put(FRAME).seq)))
+        self.sounds = SeenLog(producing(lambda number: int(other.put(b"a sound").seq)))
+        self.jobs = SeenLog(producing(lambda number: int(self.queue.put(b"%d" % number).seq)))
+        self.subscribed = [SeenLog(subscribing(one)) for one in self._streams]
+        self.got = [SeenLog(getting(self.channel)) for _ in range(readers)]
+        self.cut = SeenLog(following_cuts(self._cuts, self.channel))
+        self.taken = SeenLog(taking(self.queue))
         readers_of_all = (*self.subscribed, *self.got, self.cut, self.taken)
         wait_until(lambda: all(one.seqs for one in readers_of_all), "all readers have begun")
 
@@ -194,7 +194,7 @@ def timed(held: list[float], move: Callable[[], Any]) -> Span:
     return begun_s, over_s
 
 
-def pauses(those: Iterable[Seen], spans: list[Span]) -> list[float]:
+def pauses(those: Iterable[SeenLog], spans: list[Span]) -> list[float]:
     """The pause of each reader or producer at each move."""
     return [one.pause_s(span) for one in those for span in spans]
 

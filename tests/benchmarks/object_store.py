@@ -40,7 +40,7 @@ EVERYTHING, LOOKS = ArchiveLimits(None, None), 50
 CHANNEL = "00" * 16
 
 
-class Stored(NamedTuple):
+class StoredFiles(NamedTuple):
     """The files of one channel, and the store and the cache behind them."""
 
     files: MovingFiles
@@ -48,7 +48,7 @@ class Stored(NamedTuple):
     cache: ChunkCache
 
 
-def stored_at(folder: Path, cache_bytes_max: int) -> Stored:
+def stored_at(folder: Path, cache_bytes_max: int) -> StoredFiles:
     """A channel without files yet."""
     store = OpenedStore(f"s3://{BUCKET}/{folder.name}")
     cache = ChunkCache(store, folder / "cache", cache_bytes_max)
@@ -56,7 +56,7 @@ def stored_at(folder: Path, cache_bytes_max: int) -> Stored:
     place = folder / CHANNEL
     files = MovingFiles(place, {}, StoredSegments(place, cache, store), slice_run)
     files.open_found(1, 1, {})
-    return Stored(files, store, cache)
+    return StoredFiles(files, store, cache)
 
 
 def fill(files: MovingFiles, segments: int) -> int:
@@ -72,7 +72,7 @@ def fill(files: MovingFiles, segments: int) -> int:
     return seq
 
 
-async def move(stored: Stored) -> None:
+async def move(stored: StoredFiles) -> None:
     """Move all closed segments, as the host does."""
     for segment in stored.files.waiting:
         packed = await asyncio.to_thread(stored.files.stored.pack, segment)
@@ -93,7 +93,7 @@ def look_at(files: MovingFiles, instant: int) -> None:
     files.load(files.segments, WantedWindow(window, FIRST_KEY, LAST_KEY), run_of, _go_on)
 
 
-class Plain:
+class PlainObstore:
     """The same objects with obstore alone."""
 
     def __init__(self, names: list[str], size: int) -> None:
@@ -144,7 +144,7 @@ def one_round(folder: Path, segments: int, figures: Figures) -> None:
     stored = stored_at(folder, 2 * segments * SEGMENT_BYTES)
     end_seq = fill(stored.files, segments)
     size = sum(one.length for one in stored.files.segments)
-    plain = Plain([f"{number}" for number in range(segments)], size // segments)
+    plain = PlainObstore([f"{number}" for number in range(segments)], size // segments)
     figures.rate("upload, obstore", plain.bytes, lambda: asyncio.run(plain.upload()))
     figures.rate("upload, host", size, lambda: asyncio.run(move(stored)))
     figures.rate("read, obstore", plain.bytes, plain.read)

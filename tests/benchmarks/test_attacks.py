@@ -14,8 +14,8 @@ import pytest
 
 from tests.benchmarks.attacks import __main__ as command
 from tests.benchmarks.attacks.catalogue import CASES
-from tests.benchmarks.attacks.own_process import Unfinished, in_own_process
-from tests.benchmarks.attacks.trial import AttackResult, Good
+from tests.benchmarks.attacks.own_process import WorkNotFinished, in_own_process
+from tests.benchmarks.attacks.trial import AttackResult, GoodCalls
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -26,8 +26,8 @@ def test_each_attack_has_a_row_in_the_table_of_the_docs() -> None:
 
 
 def test_puts_without_an_answer_raise_the_quantiles() -> None:
-    assert Good().quantile_ms(99) == math.inf
-    good = Good([1.0] * 10)
+    assert GoodCalls().quantile_ms(99) == math.inf
+    good = GoodCalls([1.0] * 10)
     good.note(0.5)
     good.note(9000.0)
     assert good.puts_ms == [1.0] * 10 + [9000.0]
@@ -54,7 +54,7 @@ def one_whose_process_ends() -> None:
     ],
 )
 def test_work_that_hangs_or_fails_is_reported(work: Any, why: str) -> None:
-    with pytest.raises(Unfinished, match=why):
+    with pytest.raises(WorkNotFinished, match=why):
         in_own_process(work, seconds=0.1 if work is one_that_hangs else 30.0)
 
 
@@ -63,8 +63,8 @@ def test_attacks_that_were_not_measured_are_named_and_the_others_are_in_the_tabl
 ) -> None:
     def measured(work: Any, name: str, *_: Any, seconds: float) -> AttackResult:
         if name == "resets":
-            raise Unfinished("it was killed after 192 s")
-        return AttackResult(name, Good([1.0]), Good([2.0, 3.0]))
+            raise WorkNotFinished("it was killed after 192 s")
+        return AttackResult(name, GoodCalls([1.0]), GoodCalls([2.0, 3.0]))
 
     monkeypatch.setattr(command, "in_own_process", measured)
     monkeypatch.setattr(sys, "argv", ["attacks", "--markdown"])

@@ -20,7 +20,7 @@ import stampede_rt as st
 from stampede_rt_bench.clusters import SECRET_VARIABLE, running
 from stampede_rt_bench.measuring import Spread
 from stampede_rt_bench.tables import Table, spread
-from tests.benchmarks.fed_host import NO_GROUP, Fed
+from tests.benchmarks.fed_host import NO_GROUP, FedRates
 
 CHANNELS, ITEMS_PER_SECOND = 64, 100
 HOSTS = (1, 2, 3, 4, 6)
@@ -36,13 +36,13 @@ class FedHosts:
     def __init__(self, processes: Sequence[subprocess.Popen[str]]) -> None:
         self._processes = processes
 
-    def feed(self, seconds: float, group: st.Group | None = None) -> list[Fed]:
+    def feed(self, seconds: float, group: st.Group | None = None) -> list[FedRates]:
         """Feed every channel for `seconds`, and observe the group's cut. Returns the work of each host meanwhile."""
         watched = NO_GROUP if group is None else group.info.group_id.hex()
         for process in self._processes:
             assert process.stdin is not None
             print(1 / ITEMS_PER_SECOND, seconds, watched, file=process.stdin, flush=True)
-        return [Fed(**json.loads(_line(process))) for process in self._processes]
+        return [FedRates(**json.loads(_line(process))) for process in self._processes]
 
 
 @contextmanager
@@ -88,7 +88,7 @@ class Cost:
     behind_ms: float
 
     @classmethod
-    def of(cls, feds: Sequence[Fed]) -> Cost:
+    def of(cls, feds: Sequence[FedRates]) -> Cost:
         """The sum over the hosts."""
         items, wall_s = sum(fed.items for fed in feds), max(fed.wall_s for fed in feds)
         return cls(

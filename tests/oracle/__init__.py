@@ -4,7 +4,7 @@ The oracle looks at every item for every answer. It has no index, and keeps only
 sets of instants as sets over continuous time. Tests compare the product with the oracle, over each transport.
 """
 
-from tests.oracle.channel import Item, OracleChannel, Refused, Waits
+from tests.oracle.channel import Item, MustWait, OracleChannel, RefusedItem
 from tests.oracle.consumers import OracleConsumers
 from tests.oracle.reading import OracleAnswer, OracleGet, OracleReader
 from tests.oracle.runs import Ack, OracleRetries, put_run
@@ -13,6 +13,7 @@ from tests.oracle.subscription import OracleNewest, OracleSubscription
 __all__ = [
     "Ack",
     "Item",
+    "MustWait",
     "OracleAnswer",
     "OracleChannel",
     "OracleConsumers",
@@ -21,7 +22,6 @@ __all__ = [
     "OracleReader",
     "OracleRetries",
     "OracleSubscription",
-    "Refused",
-    "Waits",
+    "RefusedItem",
     "put_run",
 ]

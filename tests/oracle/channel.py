@@ -24,12 +24,12 @@ class Item:
 
 
 @dataclass(frozen=True)
-class Refused:
+class RefusedItem:
     reason: str
 
 
 @dataclass(frozen=True)
-class Waits:
+class MustWait:
     """The verdict that a put has to wait.
 
     At the instant `retry_at`, age or the end of a lease makes room. None: neither of them ever makes room.
@@ -38,7 +38,7 @@ class Waits:
     retry_at: int | None
 
 
-Verdict = Item | Refused | Waits
+Verdict = Item | RefusedItem | MustWait
 
 
 class OracleChannel:
@@ -186,11 +186,11 @@ class OracleChannel:
         if reason is None and not self.drops_oldest and not self._fits(min(waiting, item), clock):
             in_vain = self.policy.consumers is None and self.oldest == self.newest == waiting.time
             if self.policy.on_full == "block" and not in_vain:
-                return Waits(self._retry_at(waiting))
+                return MustWait(self._retry_at(waiting))
             reason = "CHANNEL_FULL"
         if reason is not None:
             self.rejected[reason] += 1
-            return Refused(reason)
+            return RefusedItem(reason)
         self.log[item.seq] = item
         self._insert(item)
         self.retain(clock)

@@ -13,7 +13,7 @@ from tests.oracle.reading import OracleReader, _remaining
 
 
 @dataclass(frozen=True)
-class Told:
+class ReportedTimes:
     """The times of a channel, as its owner told them at one moment.
 
     `end`: the largest time + duration in its newest bucket.
@@ -48,21 +48,21 @@ class OracleMember:
             if one.duration is not None:
                 self.ends[one.time] = max(one.time + one.duration, self.ends.get(one.time, one.time))
 
-    def says(self) -> Told:
+    def says(self) -> ReportedTimes:
         """The present times. Collection takes nothing back: collected items still count."""
         newest = max((one.time for one in self.channel.log.values()), default=None)
         end = None if newest is None else self.ends.get(newest)
-        return Told(self.epoch, self.incarnation, newest, end, self.channel.advanced_to)
+        return ReportedTimes(self.epoch, self.incarnation, newest, end, self.channel.advanced_to)
 
 
 @dataclass
 class OracleHeard:
     """Everything that the owners of a channel have told one host. `known_until` None: this host is the owner."""
 
-    said: Told
+    said: ReportedTimes
     silent_since: int
     known_until: int | None
-    told: list[Told] = field(default_factory=list)  # everything that was told, in order
+    told: list[ReportedTimes] = field(default_factory=list)  # everything that was told, in order
 
     @property
     def mark(self) -> int | None:
@@ -77,7 +77,7 @@ class OracleHeard:
         return max(cuts, default=None)
 
 
-def all_in_all(told: list[Told]) -> Told:
+def all_in_all(told: list[ReportedTimes]) -> ReportedTimes:
     """The times of a channel from all reports about its present incarnation.
 
     Items of earlier incarnations are lost.
@@ -88,7 +88,7 @@ def all_in_all(told: list[Told]) -> Told:
     newest = max((one.newest for one in valid if one.newest is not None), default=None)
     end = max((one.end for one in valid if one.end is not None and one.newest == newest), default=None)
     advance = max((one.advance for one in valid if one.advance is not None), default=None)
-    return Told(epoch, life, newest, end, advance)
+    return ReportedTimes(epoch, life, newest, end, advance)
 
 
 class OracleBoard:
@@ -104,7 +104,7 @@ class OracleBoard:
         """Note that the owner has told all that it knows."""
         self._enter(channel_id, owner.said, owner.silent_since, clock)
 
-    def _enter(self, channel_id: bytes, told: Told, silent_since: int, known_until: int | None) -> None:
+    def _enter(self, channel_id: bytes, told: ReportedTimes, silent_since: int, known_until: int | None) -> None:
         heard = self.heard.setdefault(channel_id, OracleHeard(told, silent_since, known_until))
         heard.silent_since, heard.known_until = silent_since, known_until
         if told not in heard.told:
@@ -226,7 +226,7 @@ class OracleGroup:
         return None if latest is None or (low is not None and latest <= low) else latest
 
 
-class _Shown(OracleChannel):
+class _VisiblePart(OracleChannel):
     """The items before the cut as a channel of their own.
 
     The collected items are the items that the whole channel has collected.
@@ -252,7 +252,7 @@ class OracleView(OracleReader):
     def __init__(self, full: OracleChannel, clock: int, cut: int | None) -> None:
         full.age(clock)
         self.full, self.real_clock, self.cut = full, clock, cut
-        self.channel = _Shown(full, cut)
+        self.channel = _VisiblePart(full, cut)
         self.clock = clock if cut is None else min(clock, cut)
 
     @property

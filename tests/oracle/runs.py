@@ -6,39 +6,39 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from stampede_rt_channel_host.core.channel import Offer
-from tests.oracle.channel import Item, OracleChannel, Refused, Waits
+from tests.oracle.channel import Item, MustWait, OracleChannel, RefusedItem
 
 KEPT_NANOS = 600_000_000_000
 """A host recognises a repeated run for ten minutes."""
 
 
 @dataclass(frozen=True)
-class Taken:
+class OfferOutcome:
     """The outcome of an offer: verdicts up to the first item that has to wait, and the time of items without a time
     of their own.
     """
 
-    verdicts: Sequence[Item | Refused]
+    verdicts: Sequence[Item | RefusedItem]
     stamp: int
-    waits: Waits | None = None
+    waits: MustWait | None = None
 
 
-def put_run(channel: OracleChannel, offer: Offer, clock: int) -> Taken:
+def put_run(channel: OracleChannel, offer: Offer, clock: int) -> OfferOutcome:
     """Put the items of an offer one after the other."""
     channel.age(clock)  # items that are too old by now do not set the time of new items, not even the newest one
     stamp = max(
         [channel.now(clock), *channel.collected_times, *([] if channel.advanced_to is None else [channel.advanced_to])]
     )
     waited_since = clock if offer.since is None else offer.since
-    verdicts: list[Item | Refused] = []
+    verdicts: list[Item | RefusedItem] = []
     for index, length in enumerate(offer.lengths):
         time, since = (offer.times[index], None) if offer.times is not None else (stamp, waited_since)
         duration = None if offer.durations is None or offer.durations[index] < 0 else offer.durations[index]
         verdict = channel.put(time, duration, length, clock, since)
-        if isinstance(verdict, Waits):
-            return Taken(verdicts, stamp, verdict)
+        if isinstance(verdict, MustWait):
+            return OfferOutcome(verdicts, stamp, verdict)
         verdicts.append(verdict)
-    return Taken(verdicts, stamp)
+    return OfferOutcome(verdicts, stamp)
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class RunOutcome:
 
     producer_id: int
     numbers: range
-    verdicts: Sequence[Item | Refused]
+    verdicts: Sequence[Item | RefusedItem]
     judged_at: int
 
     @property
@@ -84,7 +84,7 @@ class OracleRetries:
 
     judged: list[RunOutcome] = field(default_factory=list)
 
-    def find(self, producer_id: int, first_number: int, items: int, clock: int) -> RunOutcome | Refused | None:
+    def find(self, producer_id: int, first_number: int, items: int, clock: int) -> RunOutcome | RefusedItem | None:
         """The outcome of a known run; None: the run is new, or the host has forgotten it."""
         numbers = range(first_number, first_number + items)
         for one in reversed(self.judged):
@@ -92,11 +92,11 @@ class OracleRetries:
             if known and one.numbers == numbers:
                 return one
             if known and set(one.numbers) & set(numbers):
-                return Refused("INVALID_ARGUMENT")
+                return RefusedItem("INVALID_ARGUMENT")
         return None
 
     def record(
-        self, producer_id: int, first_number: int, items: int, verdicts: Sequence[Item | Refused], clock: int
+        self, producer_id: int, first_number: int, items: int, verdicts: Sequence[Item | RefusedItem], clock: int
     ) -> None:
         """Keep the outcome so far of a run. Call this after each change of the outcome."""
         if any(isinstance(one, Item) for one in verdicts):

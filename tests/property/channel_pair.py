@@ -34,7 +34,7 @@ from tests.oracle import (
     OracleNewest,
     OracleReader,
     OracleSubscription,
-    Refused,
+    RefusedItem,
     put_run,
 )
 
@@ -127,7 +127,7 @@ class ChannelPair:
         self.oracle = OracleChannel(self.policy, self.lost_before)
         self.tracker = ReachTracker(self.core)
 
-    def put(self, offer: Offer) -> tuple[PutOutcome, Sequence[Item | Refused]]:
+    def put(self, offer: Offer) -> tuple[PutOutcome, Sequence[Item | RefusedItem]]:
         """Put an offer into both. Keeps the items that have to wait, for `retry_put`. Returns both outcomes."""
         sealed: list[tuple[int, Sequence[int] | None, int | None]] = []
 
@@ -140,7 +140,7 @@ class ChannelPair:
         stamp = taken.stamp if offer.times is None else None
         assert outcome.stamped_time == stamp
         accepted = {at: one for at, one in enumerate(taken.verdicts) if isinstance(one, Item)}
-        refused = [(at, one.reason) for at, one in enumerate(taken.verdicts) if isinstance(one, Refused)]
+        refused = [(at, one.reason) for at, one in enumerate(taken.verdicts) if isinstance(one, RefusedItem)]
         assert [(one.index, one.error.reason) for one in outcome.rejections] == refused
         waits = (None, None) if taken.waits is None else (len(taken.verdicts), taken.waits.retry_at)
         assert (outcome.waiting, outcome.retry_at) == waits

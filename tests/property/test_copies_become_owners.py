@@ -19,7 +19,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import ChannelCore, FedChannel, Offer, item_blocks, owner_facts, pieces
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunProgress
-from tests.oracle import Item, OracleRetries, Refused
+from tests.oracle import Item, OracleRetries, RefusedItem
 from tests.oracle.runs import RunOutcome as OracleOutcome
 from tests.property.channel_pair import ChannelPair
 from tests.property.draws import an_offer
@@ -78,7 +78,7 @@ class Scenario:
         producer_id, number, offer = self.producers.run(rng, self.pair)
         clock, items = self.pair.clock, len(offer.lengths)
         expected = self.retries.find(producer_id, number, items, clock)
-        if isinstance(expected, Refused):
+        if isinstance(expected, RefusedItem):
             with pytest.raises(InvalidArgument):
                 self.window.find(producer_id, number, items, clock)
             return
@@ -94,7 +94,7 @@ class Scenario:
 
     def _judge(
         self, producer_id: int, number: int, items: int, offer: Offer, known: RunOutcome | None,
-        verdicts: list[Item | Refused],
+        verdicts: list[Item | RefusedItem],
     ) -> None:  # fmt: skip
         progress = RunProgress(items)
         if known is not None:
@@ -141,7 +141,7 @@ class Scenario:
 def check_known(known: RunOutcome, expected: OracleOutcome) -> None:
     """Check the former answer to a repeated run."""
     accepted = [(at, one.seq) for at, one in enumerate(expected.verdicts) if isinstance(one, Item)]
-    refused = [(at, one.reason) for at, one in enumerate(expected.verdicts) if isinstance(one, Refused)]
+    refused = [(at, one.reason) for at, one in enumerate(expected.verdicts) if isinstance(one, RefusedItem)]
     assert known.judged_items == len(expected.verdicts)
     assert [(one.position, one.error.reason) for one in known.refusals] == refused
     seqs = [seq for part in known.parts for seq in range(part.first_seq, part.first_seq + part.items)]

@@ -35,7 +35,7 @@ class CuttingRelay:
         self._stopped = asyncio.Event()
         self._writers: set[asyncio.StreamWriter] = set()
         self._breaks_off = False  # whether the next chunk is forwarded in part, and then its connection is reset
-        self._stop: _Stop | None = None
+        self._stop: _StopPoint | None = None
         self.refuses = False
         self.cuts = 0  # the number of connections that the relay has ended
 
@@ -64,7 +64,7 @@ class CuttingRelay:
 
         If `then` returns True, the relay resets the connection that has the next byte.
         """
-        self._loop.call_soon_threadsafe(setattr, self, "_stop", _Stop(byte_count, ports, then))
+        self._loop.call_soon_threadsafe(setattr, self, "_stop", _StopPoint(byte_count, ports, then))
 
     def _end(self, writer: asyncio.StreamWriter, *, reset: bool) -> None:
         if writer in self._writers:
@@ -139,7 +139,7 @@ class CuttingRelay:
         return byte_count, None
 
 
-class _Stop(NamedTuple):
+class _StopPoint(NamedTuple):
     """See `CuttingRelay.stop_after`."""
 
     byte_count: int

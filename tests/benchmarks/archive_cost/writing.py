@@ -32,7 +32,7 @@ SYNC_BYTES = 16 * 2**20
 RUN_ITEMS = 100
 
 
-class Work(NamedTuple):
+class ItemLoad(NamedTuple):
     """A number of items with one payload."""
 
     name: str
@@ -40,12 +40,12 @@ class Work(NamedTuple):
     items: int
 
 
-FRAMES, SMALL = Work("frames", os.urandom(300_000), 600), Work("small", os.urandom(64), 300_000)
-Writer = Callable[[Work], float | None]
+FRAMES, SMALL = ItemLoad("frames", os.urandom(300_000), 600), ItemLoad("small", os.urandom(64), 300_000)
+Writer = Callable[[ItemLoad], float | None]
 """Writes all items; returns the items a second, or None if the system is not installed."""
 
 
-def plain(folder: Path, work: Work, per_write: int = 1) -> float:
+def plain(folder: Path, work: ItemLoad, per_write: int = 1) -> float:
     """Append the items to a file of this folder, `per_write` in each write."""
 
     def write() -> None:
@@ -63,13 +63,13 @@ def plain(folder: Path, work: Work, per_write: int = 1) -> float:
     return work.items / taken
 
 
-def plain_behind_socket(folder: Path, work: Work, per_write: int) -> float:
+def plain_behind_socket(folder: Path, work: ItemLoad, per_write: int) -> float:
     """Send the items to a process that appends them to a file of this folder, `per_write` in each write."""
     parts = work.items // per_write
     return work.items / seconds_behind_socket(folder / "plain", work.payload * per_write, parts, SYNC_BYTES)
 
 
-def archive_alone(folder: Path, work: Work) -> float:
+def archive_alone(folder: Path, work: ItemLoad) -> float:
     """Write the items with the archive of a host, without a host. The runs are made before the measurement."""
     per_run = 1 if work is FRAMES else RUN_ITEMS
     body = seal_run(encode_run([work.payload] * per_run, times=[*range(per_run)]), 1)
@@ -88,7 +88,7 @@ def archive_alone(folder: Path, work: Work) -> float:
     return work.items / taken
 
 
-def ours(rt: st.Connection, name: str, work: Work, **policy: str) -> float:
+def ours(rt: st.Connection, name: str, work: ItemLoad, **policy: str) -> float:
     """Put the items. If the channel is recorded, wait until the last item is on the disk."""
     channel = rt.channel(name, max_bytes=2**30, **policy)
 
@@ -103,7 +103,7 @@ def ours(rt: st.Connection, name: str, work: Work, **policy: str) -> float:
     return work.items / taken
 
 
-def jetstream(folder: Path, work: Work) -> float | None:
+def jetstream(folder: Path, work: ItemLoad) -> float | None:
     """Publish a quarter of the items into a stream in files."""
     from stampede_rt_bench.peers.nats_server import connect, nats_server, why_unavailable
 
@@ -129,7 +129,7 @@ def jetstream(folder: Path, work: Work) -> float | None:
         return items / seconds_of(lambda: asyncio.run(publish(served.address)))
 
 
-def redis_file(folder: Path, work: Work) -> float | None:
+def redis_file(folder: Path, work: ItemLoad) -> float | None:
     """Add a quarter of the items to a stream, with an append-only file, in pipelines of about 1 MiB."""
     if RedisStreams("tcp").unavailable_because():
         return None

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from stampede_rt_bench.tables import Table
 from tests.benchmarks.attacks.attacked_cluster import TRANSPORT
 from tests.benchmarks.attacks.catalogue import CASES
-from tests.benchmarks.attacks.own_process import Unfinished, in_own_process
+from tests.benchmarks.attacks.own_process import WorkNotFinished, in_own_process
 from tests.benchmarks.attacks.trial import AttackResult, Setup, run_trial
 
 COLUMNS = (
@@ -37,14 +37,14 @@ LOG_BYTES_USUAL = 3000  # the log of a cluster that does not report the attack
 
 
 @dataclass(frozen=True)
-class Measured:
+class AttackTrials:
     """Both trials of one attack."""
 
     apart: AttackResult
     same_cores: AttackResult
 
 
-def row(measured: Measured, attack: str) -> list[str]:
+def row(measured: AttackTrials, attack: str) -> list[str]:
     """A row of the table.
 
     `attack`: the text of its first cell. Memory, failures and the log are the worse values of both trials.
@@ -69,12 +69,12 @@ def row(measured: Measured, attack: str) -> list[str]:
     ]
 
 
-def measure(name: str, seconds: float, runs: int) -> Measured:
-    """The run whose ratio is the median. Prints each run on standard error. Raises Unfinished."""
+def measure(name: str, seconds: float, runs: int) -> AttackTrials:
+    """The run whose ratio is the median. Prints each run on standard error. Raises WorkNotFinished."""
     every, limit_s = [], RUN_SECONDS_MAX + 4 * seconds
     for _ in range(runs):
         apart = in_own_process(run_trial, name, seconds, Setup(apart=True), seconds=limit_s)
-        measured = Measured(apart, in_own_process(run_trial, name, seconds, Setup(), seconds=limit_s))
+        measured = AttackTrials(apart, in_own_process(run_trial, name, seconds, Setup(), seconds=limit_s))
         print("  ".join(row(measured, name)), *apart.beside.failures[:1], sep="  ", file=sys.stderr, flush=True)
         every.append(measured)
     return sorted(every, key=lambda one: one.apart.p99_ratio)[len(every) // 2]
@@ -102,7 +102,7 @@ def main() -> int:
         print(f"{number} of {len(names)}: {name}", file=sys.stderr, flush=True)
         try:
             found = measure(name, options.seconds, options.runs)
-        except Unfinished as error:
+        except WorkNotFinished as error:
             print(f"{name} was not measured: {error}", file=sys.stderr, flush=True)
             unmeasured.append(name)
             continue

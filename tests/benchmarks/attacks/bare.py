@@ -33,7 +33,7 @@ TRANSPORT = "grpc"  # the transport of the good clients in all three trials
 SERVE = "serve"
 
 
-class Echo(grpc.GenericRpcHandler):  # type: ignore[misc, unused-ignore]
+class EchoServer(grpc.GenericRpcHandler):  # type: ignore[misc, unused-ignore]
     """Does as little as a host must do with the calls of the floods. Echoes the messages of the good clients."""
 
     def service(self, details: Any) -> Any:
@@ -42,7 +42,7 @@ class Echo(grpc.GenericRpcHandler):  # type: ignore[misc, unused-ignore]
 
         async def serve(_: Any, context: Any) -> None:
             while (message := await context.read()) is not grpc.aio.EOF:
-                if method == "Echo":
+                if method == "EchoServer":
                     await context.write(message)
                 elif method == "Get":
                     await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "too long")
@@ -59,7 +59,7 @@ async def serve() -> None:
     """Serve on a free port, which is printed, until standard input ends."""
     open_files.raise_limit()
     server = grpc.aio.server(options=Limits().server_options())
-    server.add_generic_rpc_handlers((Echo(),))
+    server.add_generic_rpc_handlers((EchoServer(),))
     port = server.add_insecure_port("127.0.0.1:0")
     await server.start()
     print(port, flush=True)

@@ -11,28 +11,28 @@ R = TypeVar("R")
 _SPAWNED = multiprocessing.get_context("spawn")
 
 
-class Unfinished(Exception):
+class WorkNotFinished(Exception):
     """The work failed, or its process was killed; the text says why."""
 
 
 def in_own_process(work: Callable[..., R], *arguments: Any, seconds: float) -> R:
-    """Return the result of `work`, which must be a function of a module. Raises Unfinished."""
+    """Return the result of `work`, which must be a function of a module. Raises WorkNotFinished."""
     receiver, sender = _SPAWNED.Pipe(duplex=False)
     process = _SPAWNED.Process(target=_do, args=(sender, work, arguments))
     process.start()
     sender.close()
     try:
         if not receiver.poll(seconds):
-            raise Unfinished(f"it was killed after {seconds:.0f} s")
+            raise WorkNotFinished(f"it was killed after {seconds:.0f} s")
         failure, found = receiver.recv()
     except EOFError:
         process.join()
-        raise Unfinished(f"its process ended with status {process.exitcode}") from None
+        raise WorkNotFinished(f"its process ended with status {process.exitcode}") from None
     finally:
         process.kill()  # the services that it started end with it
         process.join()
     if failure:
-        raise Unfinished(failure)
+        raise WorkNotFinished(failure)
     return found  # type: ignore[no-any-return]
 
 

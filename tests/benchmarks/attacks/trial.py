@@ -43,7 +43,7 @@ TOKEN_NANOS = 3600 * 10**9
 
 
 @dataclass
-class Good:
+class GoodCalls:
     """The calls of good clients: the time of each put, the number of failed calls, and the reasons."""
 
     puts_ms: list[float] = field(default_factory=list)
@@ -71,9 +71,9 @@ class AttackResult:
     """
 
     name: str
-    alone: Good = field(default_factory=Good)
-    beside: Good = field(default_factory=Good)
-    competing: Good = field(default_factory=Good)
+    alone: GoodCalls = field(default_factory=GoodCalls)
+    beside: GoodCalls = field(default_factory=GoodCalls)
+    competing: GoodCalls = field(default_factory=GoodCalls)
     attacker_slots: list[float] = field(default_factory=list)
     before_mib: float = 0.0
     most_mib: float = 0.0
@@ -86,7 +86,7 @@ class AttackResult:
         """The time of a put during the attack divided by the time without it, at the 99th percentile."""
         return self.slowdown(self.beside)
 
-    def slowdown(self, beside: Good) -> float:
+    def slowdown(self, beside: GoodCalls) -> float:
         """The time of a put during the attack, as a multiple of the time alone, at the 99th percentile."""
         return beside.quantile_ms(99) / max(0.1, self.alone.quantile_ms(99))
 
@@ -239,7 +239,7 @@ async def _competing(one: TrialCluster, seconds: float) -> None:
 
 
 @asynccontextmanager
-async def _program(words: tuple[str, ...], line: str, good: Good) -> AsyncIterator[asyncio.subprocess.Process]:
+async def _program(words: tuple[str, ...], line: str, good: GoodCalls) -> AsyncIterator[asyncio.subprocess.Process]:
     """Yield a program once it is under way. `good` then has only the calls from this moment on."""
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", *words), stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE
@@ -287,7 +287,7 @@ async def _memory_settled(one: TrialCluster) -> None:
             last, since_s = one.memory_mib(), time.monotonic()
 
 
-async def _good_clients(one: TrialCluster, good: Good, meanwhile: Any) -> None:
+async def _good_clients(one: TrialCluster, good: GoodCalls, meanwhile: Any) -> None:
     """Run the good clients until `meanwhile` has ended. Each client puts and reads on its own connection."""
     tasks = [asyncio.create_task(_good_client(one, good)) for _ in range(GOOD_CLIENTS)]
     try:
@@ -298,13 +298,13 @@ async def _good_clients(one: TrialCluster, good: Good, meanwhile: Any) -> None:
         await asyncio.wait(tasks)
 
 
-async def _good_client(one: TrialCluster, good: Good) -> None:
+async def _good_client(one: TrialCluster, good: GoodCalls) -> None:
     if one.setup.good_go_there:
         await _bare_client(one.setup.bare, good)
         return
     async with await one.good() as rt:
         channel = await rt.channel(GOOD_CHANNEL)
-        await _put_and_read(channel, Good())  # not counted, because this put opens the connection to the host
+        await _put_and_read(channel, GoodCalls())  # not counted, because this put opens the connection to the host
         asks = CASES[one.found.name].watched == "supernode"
         for number in itertools.count(1):
             await _put_and_read(channel, good)
@@ -313,7 +313,7 @@ async def _good_client(one: TrialCluster, good: Good) -> None:
             await asyncio.sleep(PERIOD_SECONDS)
 
 
-async def _bare_client(target: str, good: Good) -> None:
+async def _bare_client(target: str, good: GoodCalls) -> None:
     """The messages of a put and of a read, on a stream of a bare server."""
     async with grpc.aio.insecure_channel(target, options=OPTIONS) as connection:
         call: Any = connection.stream_stream("/bare/Echo")()
@@ -327,7 +327,7 @@ async def _bare_client(target: str, good: Good) -> None:
             await asyncio.sleep(PERIOD_SECONDS)
 
 
-async def _make_and_delete(rt: Any, good: Good) -> None:
+async def _make_and_delete(rt: Any, good: GoodCalls) -> None:
     """Make a channel and delete it, as a call to the supernode."""
     good.calls += 2
     try:
@@ -336,7 +336,7 @@ async def _make_and_delete(rt: Any, good: Good) -> None:
         good.failures.append(str(error))
 
 
-async def _put_and_read(channel: Any, good: Good) -> None:
+async def _put_and_read(channel: Any, good: GoodCalls) -> None:
     began_s, is_put = time.perf_counter(), False
     good.calls += 2
     try:

@@ -16,10 +16,10 @@ from tests.benchmarks.longest_pause.sizes import (
     SUBSCRIBERS,
 )
 from tests.benchmarks.longest_pause.watch import PATIENCE_SECONDS, Work
-from tests.support.channel_host.rig import MAX_INSTANT, MIN_INSTANT, Opened, Rig, between
+from tests.support.channel_host.rig import MAX_INSTANT, MIN_INSTANT, OpenedChannel, Rig, between
 
 
-def asked(rig: Rig, channel: Opened, verb: str) -> Work:
+def asked(rig: Rig, channel: OpenedChannel, verb: str) -> Work:
     """A client in a process of its own."""
 
     async def work() -> None:

@@ -12,10 +12,10 @@ from stampede_rt_channel_host.core.channel import Offer
 from tests.benchmarks.longest_pause.sizes import (
     RUN_ITEMS,
 )
-from tests.support.channel_host.rig import Opened, Rig, S
+from tests.support.channel_host.rig import OpenedChannel, Rig, S
 
 
-async def opened(rig: Rig, **spec: object) -> tuple[Opened, HostedChannel]:
+async def opened(rig: Rig, **spec: object) -> tuple[OpenedChannel, HostedChannel]:
     retention = channel_pb2.RetentionPolicy(max_age_nanos=36_000 * S, max_bytes=2**40, **spec)  # type: ignore[arg-type]
     channel = await rig.open(f"c{random.getrandbits(60)}", channel_pb2.ChannelSpec(retention=retention))
     return channel, rig.host.store.find(channel.channel_id, channel.epoch)

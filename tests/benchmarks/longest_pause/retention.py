@@ -15,10 +15,10 @@ from tests.benchmarks.longest_pause.sizes import (
     PUTS_PER_TURN,
 )
 from tests.benchmarks.longest_pause.watch import PATIENCE_SECONDS, Work
-from tests.support.channel_host.rig import Opened, Rig, run_of
+from tests.support.channel_host.rig import OpenedChannel, Rig, run_of
 
 
-async def configure(rig: Rig, channel: Opened, **limits: int) -> None:
+async def configure(rig: Rig, channel: OpenedChannel, **limits: int) -> None:
     """Change the channel's retention."""
     request = gate_pb.ConfigureChannelRequest(
         request_id=b"0123456789abcdef",

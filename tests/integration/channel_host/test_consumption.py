@@ -12,7 +12,7 @@ import pytest
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
-from tests.support.channel_host.rig import MS, Opened, Rig, S, run_of, running_host
+from tests.support.channel_host.rig import MS, OpenedChannel, Rig, S, run_of, running_host
 
 ANN, BOB = 11, 22
 
@@ -23,7 +23,7 @@ async def rig() -> AsyncIterator[Rig]:
         yield rig
 
 
-async def consumed_channel(rig: Rig, *payloads: bytes, on_full: Any = None, **retention: int) -> Opened:
+async def consumed_channel(rig: Rig, *payloads: bytes, on_full: Any = None, **retention: int) -> OpenedChannel:
     spec = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(**retention), on_full=on_full)
     channel = await rig.open("a", spec)
     if payloads:
@@ -31,7 +31,7 @@ async def consumed_channel(rig: Rig, *payloads: bytes, on_full: Any = None, **re
     return channel
 
 
-def consume(channel: Opened, consumer_id: int, *seqs: int, **fields: Any) -> Any:
+def consume(channel: OpenedChannel, consumer_id: int, *seqs: int, **fields: Any) -> Any:
     fields = {"epoch": channel.epoch, "incarnation": channel.incarnation, **fields}
     request = pb.ConsumeRequest(channel_id=channel.channel_id, consumer_id=consumer_id, seqs=seqs, **fields)
     return channel.rig.channels.Consume(request)

@@ -12,7 +12,7 @@ import pytest
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.subscriptions import subscription
 from stampede_rt_channel_host.channels.subscriptions.credit import CREDIT_MAX, Credit
-from tests.support.channel_host.rig import Opened, Rig, S, payloads_of, run_of, running_host
+from tests.support.channel_host.rig import OpenedChannel, Rig, S, payloads_of, run_of, running_host
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ async def rig() -> AsyncIterator[Rig]:
         yield rig
 
 
-async def begun(channel: Opened, **fields: Any) -> Any:
+async def begun(channel: OpenedChannel, **fields: Any) -> Any:
     """A subscription that the host has opened, without credit."""
     call = await channel.subscribe_slowly(**fields)
     async with asyncio.timeout(45):

@@ -20,7 +20,7 @@ from tests.support.channel_host.rig import (
     MAX_INSTANT,
     MIN_INSTANT,
     MS,
-    Opened,
+    OpenedChannel,
     Rig,
     S,
     between,
@@ -54,7 +54,7 @@ class Exchange:
         return response
 
 
-async def filled(rig: Rig) -> tuple[Opened, int]:
+async def filled(rig: Rig) -> tuple[OpenedChannel, int]:
     """A channel with the items a, b and c at t, t + 10 and t + 20 ns, and the time t. The item c lasts 5 ns."""
     channel = await rig.open()
     t = rig.now() - S

@@ -16,7 +16,7 @@ from stampede_rt.v1 import channel_pb2, error_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from stampede_rt_channel_host.core.channel import run_to_end
-from tests.support.channel_host.rig import FOREVER, HOST_ID, Opened, Rig, S, run_of, running_host
+from tests.support.channel_host.rig import FOREVER, HOST_ID, OpenedChannel, Rig, S, run_of, running_host
 from tests.support.clock import ManualClock
 
 REQUEST_ID = b"0123456789abcdef"
@@ -43,21 +43,21 @@ async def _to_the_end(call: Any) -> None:
             pass
 
 
-async def subscribed(channel: Opened) -> Any:
+async def subscribed(channel: OpenedChannel) -> Any:
     call = channel.subscribe()
     async with asyncio.timeout(45):
         assert (await call.read()).HasField("opened")
     return call
 
 
-async def blocked(channel: Opened) -> Any:
+async def blocked(channel: OpenedChannel) -> Any:
     call = channel.rig.channels.Get()
     await call.write(channel.newest_request(1, wait_nanos=FOREVER))
     await channel.until(lambda status: status.waiting_gets == 1)
     return call
 
 
-def bind(channel: Opened, **fields: Any) -> Any:
+def bind(channel: OpenedChannel, **fields: Any) -> Any:
     fields = {"channel_id": channel.channel_id, "epoch": channel.epoch, **fields}
     return channel.rig.gate.BindChannel(gate_pb.BindChannelRequest(**fields))
 
@@ -79,7 +79,7 @@ async def test_binding_gives_the_data_endpoint_and_asks_the_directory_once(rig: 
 
 async def test_twenty_simultaneous_first_binds_ask_the_directory_once(rig: Rig) -> None:
     record = rig.directory.add_channel("fresh", HOST_ID)
-    await asyncio.gather(*(bind(Opened(rig, record)) for _ in range(20)))
+    await asyncio.gather(*(bind(OpenedChannel(rig, record)) for _ in range(20)))
     assert rig.directory.calls["ResolveChannel"] == 1
 
 
@@ -91,7 +91,7 @@ async def test_an_unknown_channel_cannot_be_bound(rig: Rig) -> None:
 
 async def test_a_channel_of_another_host_cannot_be_bound(rig: Rig) -> None:
     record = rig.directory.add_channel("elsewhere", b"another-host-16b")
-    error = await refusal(bind(Opened(rig, record)))
+    error = await refusal(bind(OpenedChannel(rig, record)))
     assert (error.reason, error.metadata["host_id"]) == ("MOVED", b"another-host-16b".hex())
 
 
@@ -107,7 +107,7 @@ async def test_a_bind_fails_with_the_reason_if_the_directory_cannot_answer(
     monkeypatch.setattr("stampede_rt_channel_host.cluster.directory.CALL_SECONDS_MAX", 0.5)
     record = rig.directory.add_channel("a", HOST_ID)
     rig.directory.refuse["ResolveChannel"] = Unavailable("no majority")
-    error = await refusal(bind(Opened(rig, record)))
+    error = await refusal(bind(OpenedChannel(rig, record)))
     assert error.reason in ("NO_QUORUM", "DEADLINE_EXCEEDED")  # the host's last try may have hardly any time left
 
 

@@ -13,7 +13,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
-from tests.support.channel_host.rig import FOREVER, MIN_INSTANT, Opened, Rig, S, between, run_of, running_host
+from tests.support.channel_host.rig import FOREVER, MIN_INSTANT, OpenedChannel, Rig, S, between, run_of, running_host
 
 ITEMS = 400
 
@@ -28,7 +28,7 @@ async def rig(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Rig]:
 class Large:
     """A channel with 400 items of two producers that interleave: each item is a slice of its own."""
 
-    def __init__(self, channel: Opened) -> None:
+    def __init__(self, channel: OpenedChannel) -> None:
         self.channel = channel
         self.rig = channel.rig
         self.start = channel.rig.now() - 10 * S

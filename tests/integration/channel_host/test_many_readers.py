@@ -12,7 +12,7 @@ import pytest
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.frames import SHARED_BYTES_MAX
-from tests.support.channel_host.rig import Opened, Rig, instant, payloads_of, run_of, running_host
+from tests.support.channel_host.rig import OpenedChannel, Rig, instant, payloads_of, run_of, running_host
 from tests.support.waiting import until
 
 READERS = 32
@@ -25,7 +25,7 @@ async def rig() -> AsyncIterator[Rig]:
         yield rig
 
 
-async def readers_of(channel: Opened, count: int, **fields: Any) -> list[Any]:
+async def readers_of(channel: OpenedChannel, count: int, **fields: Any) -> list[Any]:
     calls = [channel.subscribe(**fields) for _ in range(count)]
     for call in calls:
         assert (await call.read()).HasField("opened")
@@ -46,7 +46,7 @@ def bytes_of_host() -> int:
     return sum(trace.size for trace in tracemalloc.take_snapshot().filter_traces(host).traces)
 
 
-async def put_and_read(channel: Opened, calls: Sequence[Any], payload: bytes, number: int) -> None:
+async def put_and_read(channel: OpenedChannel, calls: Sequence[Any], payload: bytes, number: int) -> None:
     await channel.put(run_of(payload, number=number))
     for found in await asyncio.gather(*map(next_payloads, calls)):
         assert found == [payload]

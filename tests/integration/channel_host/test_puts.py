@@ -10,7 +10,7 @@ import pytest
 from stampede_rt.v1 import channel_pb2, error_pb2, item_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.cluster.records import policy_change
-from tests.support.channel_host.rig import MS, Opened, Rig, S, run_of, running_host
+from tests.support.channel_host.rig import MS, OpenedChannel, Rig, S, run_of, running_host
 from tests.support.waiting import until
 
 
@@ -307,7 +307,7 @@ async def test_a_retry_of_a_partly_accepted_run_continues_after_a_lost_lease(rig
     assert (await channel.status()).counters.accepted == 3
 
 
-async def make_room(rig: Rig, channel: Opened) -> None:
+async def make_room(rig: Rig, channel: OpenedChannel) -> None:
     """Give the channel another limit, and wait until the waiting puts are accepted."""
     request = blocking(600 * S)
     request.retention.max_items = 9

@@ -24,7 +24,7 @@ from stampede_rt_runtime.access import control
 from stampede_rt_runtime.quotas.limits import Quota
 from tests.support.channel_host.queue_rig import run_of as queue_run_of
 from tests.support.channel_host.queue_rig import running_queue_host
-from tests.support.channel_host.rig import FOREVER, Opened, Rig, S, run_of, running_host
+from tests.support.channel_host.rig import FOREVER, OpenedChannel, Rig, S, run_of, running_host
 
 MADE = {"a": "cam", "b": "cam", "c": "other"}
 REFUSED = error_pb2.ERROR_REASON_OVERLOADED
@@ -60,7 +60,7 @@ def full_channel() -> channel_pb2.ChannelSpec:
     return channel_pb2.ChannelSpec(retention=retention, on_full=channel_pb2.ON_FULL_BLOCK)
 
 
-async def subscribed(channel: Opened) -> Any:
+async def subscribed(channel: OpenedChannel) -> Any:
     call = channel.subscribe()
     assert (await call.read()).HasField("opened")
     return call

@@ -20,7 +20,7 @@ from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.wire.stream_frames import FrameKind
 from tests.robustness.fuzz.ports.socket_calls import socket_target
 from tests.support.channel_host.queue_rig import running_queue_host
-from tests.support.channel_host.rig import Opened, run_of, running_host
+from tests.support.channel_host.rig import OpenedChannel, run_of, running_host
 from tests.support.raw_stream import raw_stream
 
 BAD_RUN = item_pb2.ItemRun(payload_length_bytes=[1], payloads=b"longer than it says")
@@ -67,11 +67,11 @@ async def test_a_refused_get_or_enqueue_uses_no_memory_afterwards() -> None:
         assert left == []
 
 
-async def puts_over_grpc(channel: Opened, target: str) -> None:
+async def puts_over_grpc(channel: OpenedChannel, target: str) -> None:
     await channel.put(run_of(b"x"))
 
 
-async def puts_over_a_socket(channel: Opened, target: str) -> None:
+async def puts_over_a_socket(channel: OpenedChannel, target: str) -> None:
     request = pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"x")])
     async with raw_stream(target) as stream:
         await stream.begin(PUT_METHOD)
@@ -86,7 +86,9 @@ def is_of_the_host(found: object) -> bool:
 
 
 @pytest.mark.parametrize("puts", [puts_over_grpc, puts_over_a_socket])
-async def test_a_stream_of_puts_makes_no_garbage_in_cycles(puts: Callable[[Opened, str], Awaitable[None]]) -> None:
+async def test_a_stream_of_puts_makes_no_garbage_in_cycles(
+    puts: Callable[[OpenedChannel, str], Awaitable[None]],
+) -> None:
     """In an earlier version, objects of a stream's rights and answers referred to each other, and stayed for 10
     minutes.
     """

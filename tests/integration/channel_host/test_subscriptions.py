@@ -12,7 +12,7 @@ import pytest
 from stampede_rt.v1 import channel_pb2, error_pb2, item_pb2, time_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.subscriptions import subscription
-from tests.support.channel_host.rig import Opened, Rig, S, instant, payloads_of, run_of, running_host
+from tests.support.channel_host.rig import OpenedChannel, Rig, S, instant, payloads_of, run_of, running_host
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ class Reader:
         self.progress = pb.SubscriptionProgress()
 
     @classmethod
-    async def of(cls, channel: Opened, **fields: Any) -> Reader:
+    async def of(cls, channel: OpenedChannel, **fields: Any) -> Reader:
         call = channel.subscribe(**fields)
         async with asyncio.timeout(45):
             first = await call.read()

@@ -9,7 +9,7 @@ from typing import Any
 import stampede_rt as st
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Offer
-from tests.oracle import Ack, Item, OracleRetries, Refused, put_run
+from tests.oracle import Ack, Item, OracleRetries, RefusedItem, put_run
 from tests.property.paths.path_and_oracle import SteeredHost
 from tests.property.paths.reads import PathReads
 from tests.property.paths.surfaces import Surface
@@ -92,7 +92,7 @@ class PathPuts(PathReads):
 
     # --- the oracle's side
 
-    def _judge(self, entry: OracleRun) -> Ack | Refused | None:
+    def _judge(self, entry: OracleRun) -> Ack | RefusedItem | None:
         """The answer to the run's producer; None: the run has to wait."""
         known = self._known(entry)
         if known is not None:
@@ -107,14 +107,14 @@ class PathPuts(PathReads):
         self.oracle.rejected[FULL] += entry.refuse_rest(FULL)
         return self._answer(entry)
 
-    def _known(self, entry: OracleRun) -> Ack | Refused | None:
+    def _known(self, entry: OracleRun) -> Ack | RefusedItem | None:
         """The former answer of the run; None: the run has no answer yet.
 
         If only its first items have verdicts, the run goes on with the others.
         """
         run = entry.run
         known = self._retries.find(run.producer_id, run.first_number, len(run.payloads), self.clock)
-        if known is None or isinstance(known, Refused):
+        if known is None or isinstance(known, RefusedItem):
             return known
         entry.resume(known.verdicts, self.clock)
         return entry.ack(known.judged_at) if known.is_whole else None
@@ -156,9 +156,9 @@ class PathPuts(PathReads):
             _same(head.started.outcome(), expected, head.run)
 
 
-def _same(outcome: Any, expected: Ack | Refused, run: Run) -> None:
+def _same(outcome: Any, expected: Ack | RefusedItem, run: Run) -> None:
     """Check the outcome of a put: the ack of a run, the item that the client returned, or a refusal."""
-    if isinstance(expected, Refused):
+    if isinstance(expected, RefusedItem):
         assert isinstance(outcome, st.StampedeError), outcome
         assert outcome.reason == expected.reason
     elif run.first_number:

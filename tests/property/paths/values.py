@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import stampede_rt as st
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Offer
-from tests.oracle import Ack, Item, OracleNewest, OracleSubscription, Refused
+from tests.oracle import Ack, Item, OracleNewest, OracleSubscription, RefusedItem
 
 
 class Started(Protocol):
@@ -54,7 +54,7 @@ class OracleRun:
 
     run: Run
     rest: Offer
-    verdicts: list[Item | Refused] = field(default_factory=list)
+    verdicts: list[Item | RefusedItem] = field(default_factory=list)
     started: Started | None = None
 
     @property
@@ -64,14 +64,14 @@ class OracleRun:
     def refuse_rest(self, reason: str) -> int:
         """Refuse the items without a verdict for `reason`. Returns their number."""
         left = len(self.payloads_left)
-        self.verdicts += [Refused(reason)] * left
+        self.verdicts += [RefusedItem(reason)] * left
         return left
 
     @property
     def payloads_left(self) -> Sequence[bytes]:
         return self.run.payloads[len(self.verdicts) :]
 
-    def resume(self, verdicts: Sequence[Item | Refused], clock: int) -> None:
+    def resume(self, verdicts: Sequence[Item | RefusedItem], clock: int) -> None:
         """Take over the verdicts of an earlier put of the same run."""
         if len(verdicts) > len(self.verdicts):
             if len(verdicts) < len(self.run.payloads):
@@ -84,7 +84,7 @@ class OracleRun:
         accepted = [(at, one) for at, one in enumerate(self.verdicts) if isinstance(one, Item)]
         return Ack(
             accepted={at: (one.seq, one.time if stamped else None) for at, one in accepted},
-            refused={at: one.reason for at, one in enumerate(self.verdicts) if isinstance(one, Refused)},
+            refused={at: one.reason for at, one in enumerate(self.verdicts) if isinstance(one, RefusedItem)},
             judged_at=clock,
         )
 

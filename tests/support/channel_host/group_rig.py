@@ -206,21 +206,21 @@ class GroupedChannel:
         times = [time for one in responses for run in one.runs for time in run.run.time_unix_nano]
         return times, last.summary
 
-    def subscribe(self, group: group_pb2.GroupRecord, **fields: Any) -> Reading:
+    def subscribe(self, group: group_pb2.GroupRecord, **fields: Any) -> GroupSubscriber:
         begun = channel_service_pb2.SubscribeOpen(
             channel_id=self.channel_id, epoch=self.record.epoch, group_id=group.group_id, **fields
         )
         request = channel_service_pb2.SubscribeRequest(open=begun, credit_bytes=2**40)
-        return Reading(self.host.channels.Subscribe(iter((request,))))
+        return GroupSubscriber(self.host.channels.Subscribe(iter((request,))))
 
 
-class Reading:
+class GroupSubscriber:
     """One subscription through a group."""
 
     def __init__(self, call: Any) -> None:
         self.call = call
 
-    async def opened(self) -> Reading:
+    async def opened(self) -> GroupSubscriber:
         async with asyncio.timeout(WAIT_SECONDS):
             assert (await self.call.read()).HasField("opened")
         return self

@@ -103,7 +103,7 @@ class Directory(FakeDirectory):
         return pb.OpenChannelResponse(channel=record, host=self.hosts[HOST_ID])
 
 
-class Steered:
+class SteeredClockHost:
     """The host and its clock.
 
     Its methods run on the host's event loop, so that no code sees the clock change in between.
@@ -157,11 +157,11 @@ async def serve(paths: Sequence[str]) -> None:
         local = await server.sockets.listen_locally()
         await host.enter(target, local_target=local, tcp_target=f"tcp:{server.bind_sockets(0)}")
         print(directory.target, target, flush=True)
-        await _obey_lines(Steered(host, clock))
+        await _obey_lines(SteeredClockHost(host, clock))
         await server.stop(host.leave)
 
 
-async def _obey_lines(steered: Steered) -> None:
+async def _obey_lines(steered: SteeredClockHost) -> None:
     lines = asyncio.StreamReader()
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
     while line := await lines.readline():

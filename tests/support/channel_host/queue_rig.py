@@ -85,7 +85,7 @@ class OpenedQueue:
         return await until_status(self.status, condition)
 
 
-class Delivered:
+class RigDelivery:
     """One delivered message."""
 
     def __init__(self, payload: bytes, seq: int, delivery_id: int, delivery: int, run: queue_pb2.LeasedRun) -> None:
@@ -109,7 +109,7 @@ class TakeCall:
             open=pb.TakeOpen(queue_id=queue.queue_id, epoch=believed, taker_id=taker_id, **fields), credit=credit
         )
         self.incarnation = 0
-        self._items: list[Delivered] = []
+        self._items: list[RigDelivery] = []
         self.results: list[queue_pb2.SettlementResult] = []
         self.drained = False
 
@@ -136,7 +136,7 @@ class TakeCall:
         self.drained = self.drained or response.drained
         return response
 
-    async def items(self, count: int) -> list[Delivered]:
+    async def items(self, count: int) -> list[RigDelivery]:
         """Return the next `count` messages."""
         await self.send()
         while len(self._items) < count:
@@ -162,31 +162,31 @@ class TakeCall:
         return code
 
 
-def delivered_in(response: pb.TakeResponse) -> list[Delivered]:
+def delivered_in(response: pb.TakeResponse) -> list[RigDelivery]:
     return [
-        Delivered(payload, run.run.first_seq + at, delivery_id, run.deliveries[at] if run.deliveries else 1, run)
+        RigDelivery(payload, run.run.first_seq + at, delivery_id, run.deliveries[at] if run.deliveries else 1, run)
         for run in response.runs
         for at, (payload, delivery_id) in enumerate(zip(payloads_of(run.run), run.delivery_ids, strict=True))
     ]
 
 
-def ack(one: Delivered | int) -> queue_pb2.Settlement:
+def ack(one: RigDelivery | int) -> queue_pb2.Settlement:
     return _settlement(one, acknowledge=queue_pb2.Acknowledge())
 
 
-def nack(one: Delivered | int, delay_nanos: int = 0) -> queue_pb2.Settlement:
+def nack(one: RigDelivery | int, delay_nanos: int = 0) -> queue_pb2.Settlement:
     return _settlement(one, give_back=queue_pb2.GiveBack(delay_nanos=delay_nanos))
 
 
-def extend(one: Delivered | int, lease_nanos: int) -> queue_pb2.Settlement:
+def extend(one: RigDelivery | int, lease_nanos: int) -> queue_pb2.Settlement:
     return _settlement(one, extend_lease=queue_pb2.ExtendLease(lease_nanos=lease_nanos))
 
 
-def term(one: Delivered | int, reason: str = "") -> queue_pb2.Settlement:
+def term(one: RigDelivery | int, reason: str = "") -> queue_pb2.Settlement:
     return _settlement(one, terminate=queue_pb2.Terminate(reason=reason))
 
 
-def _settlement(one: Delivered | int, **verdict: Any) -> queue_pb2.Settlement:
+def _settlement(one: RigDelivery | int, **verdict: Any) -> queue_pb2.Settlement:
     return queue_pb2.Settlement(delivery_id=one if isinstance(one, int) else one.delivery_id, **verdict)
 
 

@@ -39,15 +39,17 @@ class Rig:
     def now(self) -> int:
         return self.host.store.now()
 
-    async def open(self, name: str = "a", spec: channel_pb2.ChannelSpec | None = None, created_by: str = "") -> Opened:
+    async def open(
+        self, name: str = "a", spec: channel_pb2.ChannelSpec | None = None, created_by: str = ""
+    ) -> OpenedChannel:
         """Return a channel in the directory, bound at the host."""
         record = self.directory.add_channel(name, HOST_ID, spec)
         record.created_by = created_by
         await self.gate.BindChannel(gate_pb.BindChannelRequest(channel_id=record.channel_id, epoch=record.epoch))
-        return Opened(self, record)
+        return OpenedChannel(self, record)
 
 
-class Opened:
+class OpenedChannel:
     """A bound channel."""
 
     def __init__(self, rig: Rig, record: channel_pb2.ChannelRecord) -> None:
@@ -65,10 +67,10 @@ class Opened:
         call = put(messages_of(request.SerializeToString()))
         return [ack async for response in call for ack in response.acks]
 
-    async def get(self, **fields: Any) -> Got:
+    async def get(self, **fields: Any) -> CallAnswer:
         """Make one get on a new stream."""
         call = self.rig.channels.Get(iter((self.get_request(**fields),)))
-        return Got([response async for response in call])
+        return CallAnswer([response async for response in call])
 
     def get_request(self, call_id: int = 1, **fields: Any) -> pb.GetRequest:
         fields = {"interval": between(MIN_INSTANT, MAX_INSTANT), "epoch": self.epoch, **fields}
@@ -105,7 +107,7 @@ class Opened:
         return await until_status(self.status, condition)
 
 
-class Got:
+class CallAnswer:
     """The answer to one call."""
 
     def __init__(self, responses: Iterable[pb.GetResponse]) -> None:

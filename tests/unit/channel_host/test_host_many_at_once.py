@@ -29,7 +29,7 @@ from stampede_rt_channel_host.channels.subscriptions import subscription
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel import Pieces
 from stampede_rt_channel_host.core.records import RecordedChannel
-from tests.support.channel_host.rig import HOST_ID, Opened, Rig, run_of, running_host
+from tests.support.channel_host.rig import HOST_ID, OpenedChannel, Rig, run_of, running_host
 
 REQUEST_ID = b"0123456789abcdef"
 
@@ -40,7 +40,7 @@ async def rig() -> AsyncIterator[Rig]:
         yield rig
 
 
-async def blocked(rig: Rig, channel: Opened, gets: int) -> object:
+async def blocked(rig: Rig, channel: OpenedChannel, gets: int) -> object:
     call = rig.channels.Get()
     for call_id in range(1, gets + 1):
         await call.write(channel.get_request(call_id, interval=channel.future(), wait_nanos=-1))

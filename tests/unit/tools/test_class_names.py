@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from tools import class_names
-from tools.class_names import Accepted, complaints, duplicates, read_lists
+from tools.class_names import AcceptedNames, complaints, duplicates, read_lists
 
-NOBODY = Accepted({}, {})
+NOBODY = AcceptedNames({}, {})
 NAMES_TO_RENAME_AT_FIRST = 41
 
 
@@ -29,21 +29,21 @@ def test_classes_that_one_module_keeps_to_itself_may_have_any_name() -> None:
     assert duplicates([("a.py", "class Out:\n    class In: ..."), ("b.py", "class In: ...")]) == {}
 
 
-@pytest.mark.parametrize("accepted", [Accepted({"Place": 2}, {}), Accepted({}, {"Place": 2})])
-def test_a_listed_name_passes_until_a_third_class_takes_it(accepted: Accepted) -> None:
+@pytest.mark.parametrize("accepted", [AcceptedNames({"Place": 2}, {}), AcceptedNames({}, {"Place": 2})])
+def test_a_listed_name_passes_until_a_third_class_takes_it(accepted: AcceptedNames) -> None:
     assert complaints({"Place": ["a.py", "b.py"]}, accepted) == []
     assert len(complaints({"Place": ["a.py", "b.py", "c.py"]}, accepted)) == 1
 
 
 def test_an_entry_must_go_when_its_name_has_one_meaning() -> None:
-    for listed in (Accepted({"Place": 2}, {}), Accepted({}, {"Place": 2})):
+    for listed in (AcceptedNames({"Place": 2}, {}), AcceptedNames({}, {"Place": 2})):
         (line,) = complaints({}, listed)
         assert "delete its entry" in line
-    assert complaints({"Place": ["a.py", "b.py"]}, Accepted({}, {"Place": 3})) != []
+    assert complaints({"Place": ["a.py", "b.py"]}, AcceptedNames({}, {"Place": 3})) != []
 
 
 def test_a_name_has_one_entry() -> None:
-    (line,) = complaints({"Place": ["a.py", "b.py"]}, Accepted({"Place": 2}, {"Place": 2}))
+    (line,) = complaints({"Place": ["a.py", "b.py"]}, AcceptedNames({"Place": 2}, {"Place": 2}))
     assert "keep one entry" in line
 
 

@@ -69,7 +69,7 @@ class Outcome:
 
 
 @dataclass(slots=True)
-class _Collected:
+class _CollectedReports:
     """The reports so far: results by role, the viewer's steps, the last item counts."""
 
     results: dict[str, messages.Message] = field(default_factory=dict)
@@ -114,7 +114,7 @@ def conduct(seconds: int, progress: Progress, *, certificates: bool = False) -> 
 
 def _run_programme(
     cluster: LocalCluster, seconds: int, progress: Progress
-) -> tuple[_Collected, Mapping[str, int], Mapping[str, str]]:
+) -> tuple[_CollectedReports, Mapping[str, int], Mapping[str, str]]:
     """Run the roles in the running cluster. Returns their reports, the accepted items and the host of each stream."""
     operator = of_operator(cluster)
     with st.connect(cluster.address, name="orchestrator", **operator) as rt:
@@ -155,9 +155,9 @@ def _wait_ready(roles: RoleProcesses) -> None:
             return
 
 
-def _play(roles: RoleProcesses, seconds: int, progress: Progress) -> _Collected:
+def _play(roles: RoleProcesses, seconds: int, progress: Progress) -> _CollectedReports:
     """Start the programme and listen until every role has given its result."""
-    collected = _Collected()
+    collected = _CollectedReports()
     start = time.time_ns() + LEAD_NANOS
     roles.begin(start)
     for name, message in roles.events(seconds + END_SECONDS, "the programme"):
@@ -168,7 +168,7 @@ def _play(roles: RoleProcesses, seconds: int, progress: Progress) -> _Collected:
     return collected
 
 
-def _progress_line(collected: _Collected, elapsed_nanos: int, seconds: int) -> str:
+def _progress_line(collected: _CollectedReports, elapsed_nanos: int, seconds: int) -> str:
     elapsed = min(max(elapsed_nanos / NANOS_PER_SECOND, 0.0), seconds)
     items = "  ".join(f"{stream} {collected.items.get(role, 0):>3}" for role, (_, stream) in PRODUCERS.items())
     last = collected.steps[-1].text if collected.steps else ""
@@ -176,7 +176,11 @@ def _progress_line(collected: _Collected, elapsed_nanos: int, seconds: int) -> s
 
 
 def _report(
-    collected: _Collected, accepted: Mapping[str, int], placed: Mapping[str, str], seconds: int, cpu_seconds: float
+    collected: _CollectedReports,
+    accepted: Mapping[str, int],
+    placed: Mapping[str, str],
+    seconds: int,
+    cpu_seconds: float,
 ) -> RunReport:
     results = collected.results
     receipts = {name: record for role in READERS for name, record in results[role]["receipts"].items()}

@@ -9,8 +9,8 @@ from stampede_rt.v1 import error_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt_channel_host.queues import take_stream
 from tests.support.channel_host.queue_rig import (
-    Delivered,
     QueueRig,
+    RigDelivery,
     S,
     ack,
     delivered_in,
@@ -213,7 +213,7 @@ async def test_large_deliveries_come_in_messages_of_a_mebibyte(rig: QueueRig) ->
     await queue.enqueue(run_of(bytes(2**21)), run_of(b"last"))
     taker = await queue.take(credit=100).open()
     sizes = []
-    taken: list[Delivered] = []
+    taken: list[RigDelivery] = []
     while len(taken) < 12:
         response = await taker.read()
         taken += delivered_in(response)

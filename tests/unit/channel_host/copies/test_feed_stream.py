@@ -26,7 +26,7 @@ from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelFe
 from stampede_rt_channel_host.core.replication import KnownReplica
 from stampede_rt_runtime import pacing
 from tests.support.channel_host.held_transport import HeldStream, held_stream
-from tests.support.channel_host.rig import Opened, running_host
+from tests.support.channel_host.rig import OpenedChannel, running_host
 
 REPLICA = b"r" * 16
 WINDOW_BYTES = 2**20
@@ -41,7 +41,7 @@ def unlimited_time(monkeypatch: pytest.MonkeyPatch) -> None:
 class Fed:
     """A channel with one replica in sync, the stream of a producer, and the stream that feeds the replica."""
 
-    def __init__(self, channel: Opened, hosted: HostedChannel, producer: HeldStream, feed: HeldStream) -> None:
+    def __init__(self, channel: OpenedChannel, hosted: HostedChannel, producer: HeldStream, feed: HeldStream) -> None:
         self.channel, self.hosted, self.producer, self.feed = channel, hosted, producer, feed
         self._number = 0
 
@@ -66,7 +66,7 @@ async def fed(*, takes_puts: bool = True) -> AsyncIterator[Fed]:
     async with running_host() as rig:
         spec = policy_to_spec(parse_policy(replicas=1, ack="replica"))
         record = rig.directory.add_channel("a", rig.host.identity.host_id, spec)
-        channel = Opened(rig, record)
+        channel = OpenedChannel(rig, record)
         feed = await held_stream(rig.sockets, "/stampede_rt.v1.ReplicaService/Feed")
         opening = pb.FeedOpen(
             channel_id=record.channel_id, epoch=record.epoch, host_id=REPLICA, target="replica:1", owner_facts=True,

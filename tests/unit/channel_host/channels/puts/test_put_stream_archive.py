@@ -14,12 +14,12 @@ from stampede_rt.wire.records import policy_to_spec
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.segment_files import SegmentFiles
 from stampede_rt_channel_host.archive_setup import set_up_archive
-from tests.support.channel_host.rig import HOST_ID, Opened, run_of, running_host
+from tests.support.channel_host.rig import HOST_ID, OpenedChannel, run_of, running_host
 
 PRODUCER = 7
 
 
-async def put(channel: Opened, number: int) -> pb.PutAck:
+async def put(channel: OpenedChannel, number: int) -> pb.PutAck:
     run = run_of(b"x", number=number, ack=channel_pb2.ACK_DISK)
     (ack,) = await channel.put(run, producer_id=PRODUCER)
     assert ack.error.reason == error_pb2.ERROR_REASON_NOT_ARCHIVED

@@ -18,7 +18,7 @@ from stampede_rt.wire.runs import run_parts
 from stampede_rt.wire.stream_frames import FrameKind, frame_of
 from stampede_rt_runtime import pacing
 from tests.support.channel_host.held_transport import HeldStream, held_stream
-from tests.support.channel_host.rig import Opened, run_of, running_host
+from tests.support.channel_host.rig import OpenedChannel, run_of, running_host
 
 SERVICE = "/stampede_rt.v1.ChannelService"
 PRODUCER = 7
@@ -31,7 +31,7 @@ def unlimited_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @asynccontextmanager
-async def stream_of(method: str, **policy: object) -> AsyncIterator[tuple[HeldStream, Opened]]:
+async def stream_of(method: str, **policy: object) -> AsyncIterator[tuple[HeldStream, OpenedChannel]]:
     """Yield a stream and a channel."""
     async with running_host() as rig:
         channel = await rig.open("a", policy_to_spec(parse_policy(**policy)))  # type: ignore[arg-type]
@@ -40,7 +40,7 @@ async def stream_of(method: str, **policy: object) -> AsyncIterator[tuple[HeldSt
         stream.close()
 
 
-def put_of(channel: Opened, number: int, payload: bytes = b"x", *, epoch: int | None = None) -> bytes:
+def put_of(channel: OpenedChannel, number: int, payload: bytes = b"x", *, epoch: int | None = None) -> bytes:
     head = put_head(channel.channel_id, channel.epoch if epoch is None else epoch, PRODUCER)
     return put_request(head, number, run_parts((payload,), times=None), 10**9)
 
@@ -49,7 +49,7 @@ def acks_in(messages: list[bytes]) -> list[pb.PutAck]:
     return [ack for message in messages for ack in pb.PutResponse.FromString(message).acks]
 
 
-def newest(channel: Opened, call_id: int, **fields: object) -> bytes:
+def newest(channel: OpenedChannel, call_id: int, **fields: object) -> bytes:
     return channel.newest_request(call_id, **fields).SerializeToString()
 
 
