@@ -150,7 +150,10 @@ def reads_of(file: int) -> ReadAt:
 
 
 def _read_at_hand(file: int, offset: int, size: int) -> bytes:
-    """Bytes from the cache of the system. Raises BlockingIOError if it does not have all of them."""
+    """Bytes from the cache of the system. Raises BlockingIOError if it does not have all of them.
+
+    Raises another OSError if the file system cannot refuse to wait, as an overlay.
+    """
     found = bytearray(size)
     if sys.platform != "linux" or os.preadv(file, [found], offset, os.RWF_NOWAIT) < size:
         raise BlockingIOError(errno.EAGAIN, "the bytes are not in memory")
