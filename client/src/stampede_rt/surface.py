@@ -94,6 +94,7 @@ from stampede_rt.values.queueing import DeadLetterOrigin, Enqueued, PendingMessa
 from stampede_rt.values.reading import SubscribeMode
 from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary
 from stampede_rt.values.statistics import (
+    ArchiveStats,
     ChannelMulticastStats,
     ChannelStats,
     ConsumerStats,
@@ -122,6 +123,7 @@ __all__ = [
     "OLDEST",
     "Ack",
     "AheadOfClock",
+    "ArchiveStats",
     "Bound",
     "BoundLike",
     "Bounds",

@@ -80,6 +80,28 @@ def test_a_read_crosses_from_the_archive_into_memory(rt: st.Connection) -> None:
     check_reads(channel, began)
 
 
+def test_the_state_of_an_archive_is_shown(
+    rt: st.Connection, cluster: LocalCluster, folder: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(cluster.secret.path))
+    channel, began = rt.channel("rig/shown", max_items=8, archive="7d"), time.time_ns() - 10**9
+    fill(channel, began)
+    wait_until_collected(channel, 8)
+    wait_until(lambda: channel.stats().archive.waiting == 0)
+    archive, place = channel.stats().archive, str(folder / "h1")
+    assert (archive.items, archive.unarchived, archive.failure) == (ITEMS, 0, "")
+    assert (archive.oldest, archive.newest) == (began, began + (ITEMS - 1) * MS)
+    assert archive.bytes == archive.disk_bytes > ITEMS
+    assert archive.place == place
+    assert rt.hosted_channels("h1", "rig/shown")["rig/shown"].archive == archive
+    assert rt.channel("rig/unrecorded", max_items=8).stats().archive is None
+    assert [host.archive_place for host in rt.hosts()] == [place]
+    for verb in (["info", "rig/shown"], ["hosts"]):
+        assert stampede([*verb, "--url", cluster.address]) == 0
+        assert place in capsys.readouterr().out
+
+
 def test_a_long_answer_from_the_archive_is_read_page_by_page(rt: st.Connection) -> None:
     channel, began = rt.channel("rig/long", max_items=2, archive="forever"), time.time_ns() - 10**9
     for number in range(60):

@@ -82,7 +82,8 @@ def test_doctor_and_errors_say_who_has_the_items_of_a_recorded_channel_whose_pro
             channel.newest()
     code, said = doctor("--url", cluster.address)
     assert (code, "1 of 1 away" in row(said, "channels"), "with its items" in said) == (1, True, False)
-    assert "start host ended again with the same archive, which has the recorded items of cam/rec" in said
+    named = f"start host ended (archive: {tmp_path}) again"
+    assert f"{named} with the same archive, which has the recorded items of cam/rec" in said
 
 
 @pytest.mark.without_rules("doctor tells an operator more")

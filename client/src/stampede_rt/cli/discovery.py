@@ -6,6 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from stampede_rt.cli.archive_facts import archive_facts
 from stampede_rt.cli.arguments import add_verb, connected, existing
 from stampede_rt.cli.channel_users import user_facts
 from stampede_rt.cli.instants import instant_text
@@ -91,6 +92,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         "newest": None if stats.newest is None else instant(stats.newest),
         "age": _age(stats.newest, stats.host_time, people),
         "frontier": None if stats.frontier is None else instant(stats.frontier),
+        **archive_facts(stats, people),
         "consumers": _consumers(stats) if people else [asdict(one) for one in stats.consumers],
         "subscriptions": stats.subscriptions,
         **user_facts(stats, people),

@@ -277,9 +277,12 @@ def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Inventory | None:
         records = getattr(page, field)
         count += len(records)
         for one in records:
-            if one.host_id in hosts and not hosts[one.host_id].alive:
-                of_kind = recorded if kind == "channel" and policy_from_spec(one.spec).is_recorded else lost
-                of_kind.append((one.name or "a mailbox", f"host {hosts[one.host_id].name}"))
+            host = hosts.get(one.host_id)
+            if host is not None and not host.alive:
+                is_recorded = kind == "channel" and policy_from_spec(one.spec).is_recorded
+                where = f" (archive: {host.archive_place})" if is_recorded and host.archive_place else ""
+                of_kind = recorded if is_recorded else lost
+                of_kind.append((one.name or "a mailbox", f"host {host.name}{where}"))
     return Inventory(kind=kind, count=count, lost=lost, recorded=recorded)
 
 

@@ -36,6 +36,7 @@ def _for_people(host: HostInfo) -> dict[str, Any]:
         "channels": host.channels,
         "load": None if load is None else core_text(load.busy_permille),
         "memory": None if load is None else memory_text(load.held_bytes, load.bytes_max),
+        "archive": host.archive_place,
         "version": host.version or None,
     }
 
@@ -53,6 +54,7 @@ def _for_programs(host: HostInfo) -> dict[str, Any]:
         "busy_permille": load and load.busy_permille,
         "held_bytes": load and load.held_bytes,
         "memory_bytes_max": load and load.bytes_max,
+        "archive": host.archive_place,
         "version": host.version or None,
     }
 

@@ -27,25 +27,25 @@ from stampede_rt.v1 import group_pb2 as stampede__rt_dot_v1_dot_group__pb2
 from stampede_rt.v1 import queue_pb2 as stampede__rt_dot_v1_dot_queue__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1estampede_rt/v1/directory.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1astampede_rt/v1/group.proto\x1a\x1astampede_rt/v1/queue.proto\"(\n\x08\x45ndpoint\x12\x0e\n\x06target\x18\x01 \x01(\t\x12\x0c\n\x04zone\x18\x02 \x01(\t\"\x8e\x01\n\x08HostLoad\x12\x15\n\rbusy_permille\x18\x01 \x01(\r\x12\x12\n\nheld_bytes\x18\x02 \x01(\x04\x12\x11\n\tbytes_max\x18\x03 \x01(\x04\x12\r\n\x05owned\x18\x04 \x01(\r\x12\x13\n\x0bhas_archive\x18\x05 \x01(\x08\x12\x0f\n\x07private\x18\x06 \x01(\x08\x12\x0f\n\x07machine\x18\x07 \x01(\t\"\xb6\x02\n\nHostRecord\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12-\n\x0bgatekeepers\x18\x03 \x03(\x0b\x32\x18.stampede_rt.v1.Endpoint\x12\x18\n\x10\x62oot_incarnation\x18\x04 \x01(\x06\x12\r\n\x05\x61live\x18\x05 \x01(\x08\x12\x10\n\x08\x63hannels\x18\x06 \x01(\r\x12\x0f\n\x07version\x18\x07 \x01(\t\x12\"\n\x15lease_ended_unix_nano\x18\x08 \x01(\x10H\x00\x88\x01\x01\x12\x1a\n\x12registration_epoch\x18\t \x01(\x04\x12+\n\x04load\x18\n \x01(\x0b\x32\x18.stampede_rt.v1.HostLoadH\x01\x88\x01\x01\x42\x18\n\x16_lease_ended_unix_nanoB\x07\n\x05_load\"\xca\x01\n\x0fSupernodeRecord\x12\x14\n\x0csupernode_id\x18\x01 \x01(\t\x12*\n\x08\x65ndpoint\x18\x02 \x01(\x0b\x32\x18.stampede_rt.v1.Endpoint\x12\x11\n\tis_leader\x18\x03 \x01(\x08\x12\x0f\n\x07healthy\x18\x04 \x01(\x08\x12\x1d\n\x10round_trip_nanos\x18\x05 \x01(\x03H\x00\x88\x01\x01\x12\x1d\n\x15highest_feature_level\x18\x06 \x01(\rB\x13\n\x11_round_trip_nanos\"\xbf\x02\n\x0f\x44irectoryChange\x12\r\n\x05index\x18\x01 \x01(\x04\x12(\n\x04kind\x18\x02 \x01(\x0e\x32\x1a.stampede_rt.v1.ChangeKind\x12\x30\n\x07\x63hannel\x18\x03 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecordH\x00\x12*\n\x04host\x18\x04 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecordH\x00\x12,\n\x05group\x18\x05 \x01(\x0b\x32\x1b.stampede_rt.v1.GroupRecordH\x00\x12,\n\x05queue\x18\x06 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecordH\x00\x12.\n\x06\x61\x63\x63\x65ss\x18\x07 \x01(\x0b\x32\x1c.stampede_rt.v1.AccessChangeH\x00\x42\t\n\x07subject\"\x1f\n\x0c\x41\x63\x63\x65ssChange\x12\x0f\n\x07version\x18\x01 \x01(\x04*r\n\nChangeKind\x12\x1b\n\x17\x43HANGE_KIND_UNSPECIFIED\x10\x00\x12\x15\n\x11\x43HANGE_KIND_ADDED\x10\x01\x12\x17\n\x13\x43HANGE_KIND_UPDATED\x10\x02\x12\x17\n\x13\x43HANGE_KIND_REMOVED\x10\x03\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1estampede_rt/v1/directory.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1astampede_rt/v1/group.proto\x1a\x1astampede_rt/v1/queue.proto\"(\n\x08\x45ndpoint\x12\x0e\n\x06target\x18\x01 \x01(\t\x12\x0c\n\x04zone\x18\x02 \x01(\t\"\x8e\x01\n\x08HostLoad\x12\x15\n\rbusy_permille\x18\x01 \x01(\r\x12\x12\n\nheld_bytes\x18\x02 \x01(\x04\x12\x11\n\tbytes_max\x18\x03 \x01(\x04\x12\r\n\x05owned\x18\x04 \x01(\r\x12\x13\n\x0bhas_archive\x18\x05 \x01(\x08\x12\x0f\n\x07private\x18\x06 \x01(\x08\x12\x0f\n\x07machine\x18\x07 \x01(\t\"\xcd\x02\n\nHostRecord\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12-\n\x0bgatekeepers\x18\x03 \x03(\x0b\x32\x18.stampede_rt.v1.Endpoint\x12\x18\n\x10\x62oot_incarnation\x18\x04 \x01(\x06\x12\r\n\x05\x61live\x18\x05 \x01(\x08\x12\x10\n\x08\x63hannels\x18\x06 \x01(\r\x12\x0f\n\x07version\x18\x07 \x01(\t\x12\"\n\x15lease_ended_unix_nano\x18\x08 \x01(\x10H\x00\x88\x01\x01\x12\x1a\n\x12registration_epoch\x18\t \x01(\x04\x12+\n\x04load\x18\n \x01(\x0b\x32\x18.stampede_rt.v1.HostLoadH\x01\x88\x01\x01\x12\x15\n\rarchive_place\x18\x0b \x01(\tB\x18\n\x16_lease_ended_unix_nanoB\x07\n\x05_load\"\xca\x01\n\x0fSupernodeRecord\x12\x14\n\x0csupernode_id\x18\x01 \x01(\t\x12*\n\x08\x65ndpoint\x18\x02 \x01(\x0b\x32\x18.stampede_rt.v1.Endpoint\x12\x11\n\tis_leader\x18\x03 \x01(\x08\x12\x0f\n\x07healthy\x18\x04 \x01(\x08\x12\x1d\n\x10round_trip_nanos\x18\x05 \x01(\x03H\x00\x88\x01\x01\x12\x1d\n\x15highest_feature_level\x18\x06 \x01(\rB\x13\n\x11_round_trip_nanos\"\xbf\x02\n\x0f\x44irectoryChange\x12\r\n\x05index\x18\x01 \x01(\x04\x12(\n\x04kind\x18\x02 \x01(\x0e\x32\x1a.stampede_rt.v1.ChangeKind\x12\x30\n\x07\x63hannel\x18\x03 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecordH\x00\x12*\n\x04host\x18\x04 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecordH\x00\x12,\n\x05group\x18\x05 \x01(\x0b\x32\x1b.stampede_rt.v1.GroupRecordH\x00\x12,\n\x05queue\x18\x06 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecordH\x00\x12.\n\x06\x61\x63\x63\x65ss\x18\x07 \x01(\x0b\x32\x1c.stampede_rt.v1.AccessChangeH\x00\x42\t\n\x07subject\"\x1f\n\x0c\x41\x63\x63\x65ssChange\x12\x0f\n\x07version\x18\x01 \x01(\x04*r\n\nChangeKind\x12\x1b\n\x17\x43HANGE_KIND_UNSPECIFIED\x10\x00\x12\x15\n\x11\x43HANGE_KIND_ADDED\x10\x01\x12\x17\n\x13\x43HANGE_KIND_UPDATED\x10\x02\x12\x17\n\x13\x43HANGE_KIND_REMOVED\x10\x03\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.directory_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_CHANGEKIND']._serialized_start=1196
-  _globals['_CHANGEKIND']._serialized_end=1310
+  _globals['_CHANGEKIND']._serialized_start=1219
+  _globals['_CHANGEKIND']._serialized_end=1333
   _globals['_ENDPOINT']._serialized_start=136
   _globals['_ENDPOINT']._serialized_end=176
   _globals['_HOSTLOAD']._serialized_start=179
   _globals['_HOSTLOAD']._serialized_end=321
   _globals['_HOSTRECORD']._serialized_start=324
-  _globals['_HOSTRECORD']._serialized_end=634
-  _globals['_SUPERNODERECORD']._serialized_start=637
-  _globals['_SUPERNODERECORD']._serialized_end=839
-  _globals['_DIRECTORYCHANGE']._serialized_start=842
-  _globals['_DIRECTORYCHANGE']._serialized_end=1161
-  _globals['_ACCESSCHANGE']._serialized_start=1163
-  _globals['_ACCESSCHANGE']._serialized_end=1194
+  _globals['_HOSTRECORD']._serialized_end=657
+  _globals['_SUPERNODERECORD']._serialized_start=660
+  _globals['_SUPERNODERECORD']._serialized_end=862
+  _globals['_DIRECTORYCHANGE']._serialized_start=865
+  _globals['_DIRECTORYCHANGE']._serialized_end=1184
+  _globals['_ACCESSCHANGE']._serialized_start=1186
+  _globals['_ACCESSCHANGE']._serialized_end=1217
 # @@protoc_insertion_point(module_scope)

@@ -48,7 +48,7 @@ class HostLoad(_message.Message):
     def __init__(self, busy_permille: _Optional[int] = ..., held_bytes: _Optional[int] = ..., bytes_max: _Optional[int] = ..., owned: _Optional[int] = ..., has_archive: bool = ..., private: bool = ..., machine: _Optional[str] = ...) -> None: ...
 
 class HostRecord(_message.Message):
-    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "alive", "channels", "version", "lease_ended_unix_nano", "registration_epoch", "load")
+    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "alive", "channels", "version", "lease_ended_unix_nano", "registration_epoch", "load", "archive_place")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     GATEKEEPERS_FIELD_NUMBER: _ClassVar[int]
@@ -59,6 +59,7 @@ class HostRecord(_message.Message):
     LEASE_ENDED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     REGISTRATION_EPOCH_FIELD_NUMBER: _ClassVar[int]
     LOAD_FIELD_NUMBER: _ClassVar[int]
+    ARCHIVE_PLACE_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     name: str
     gatekeepers: _containers.RepeatedCompositeFieldContainer[Endpoint]
@@ -69,7 +70,8 @@ class HostRecord(_message.Message):
     lease_ended_unix_nano: int
     registration_epoch: int
     load: HostLoad
-    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., channels: _Optional[int] = ..., version: _Optional[str] = ..., lease_ended_unix_nano: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., load: _Optional[_Union[HostLoad, _Mapping]] = ...) -> None: ...
+    archive_place: str
+    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., channels: _Optional[int] = ..., version: _Optional[str] = ..., lease_ended_unix_nano: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., load: _Optional[_Union[HostLoad, _Mapping]] = ..., archive_place: _Optional[str] = ...) -> None: ...
 
 class SupernodeRecord(_message.Message):
     __slots__ = ("supernode_id", "endpoint", "is_leader", "healthy", "round_trip_nanos", "highest_feature_level")

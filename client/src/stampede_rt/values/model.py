@@ -191,7 +191,8 @@ class HostInfo:
     """A channel host as the directory knows it.
 
     `load` is None if the directory knows none. `lease_ended` is the time, in Unix nanoseconds, at which the directory
-    ended the lease of a host that did not renew it; None if the host lives or has deregistered.
+    ended the lease of a host that did not renew it; None if the host lives or has deregistered. `archive_place` is the
+    folder of its archive, or the URL of an object store and a folder; None if the host has no archive.
     """
 
     host_id: bytes
@@ -202,6 +203,7 @@ class HostInfo:
     version: str
     load: LoadInfo | None = None
     lease_ended: int | None = None
+    archive_place: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

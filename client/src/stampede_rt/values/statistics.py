@@ -88,6 +88,32 @@ class ChannelMulticastStats:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class ArchiveStats:
+    """The archive of a recorded channel at one moment.
+
+    - `items` and `bytes` count everything in the archive, `disk_bytes` the part on the host's disk. The other bytes are
+      in an object store.
+    - `oldest` and `newest` are the least and the greatest time of the archived items; None if there is no item.
+    - `waiting`: the accepted items that are not on the disk yet. `unarchived`: the items that `max_bytes` collected
+      before they were on the disk, since the host opened the channel. The archive will never have these.
+    - `place`: the host's folder, or the URL of the object store and the folder.
+    - `failure`: why the last write, or the last call of the object store, failed; empty if it succeeded.
+
+    While the object store is away, a host may not know all files in it. The numbers then lack these files.
+    """
+
+    items: int
+    bytes: int
+    disk_bytes: int
+    oldest: int | None
+    newest: int | None
+    waiting: int
+    unarchived: int
+    place: str
+    failure: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelStats:
     """A channel's counters at one moment: `accepted == held + sum(collected.values())`, always.
 
@@ -110,6 +136,7 @@ class ChannelStats:
     - `multicast`: how the host multicasts the channel; None if no reader subscribes with `via="multicast"`.
     - `readers`: at most 64 open subscriptions at the channel's host, the slowest first. `writers`: the latest writers,
       at most 8, the latest first. Both are None without the right to read the channel, and in a list of channels.
+    - `archive`: the archive of the channel at its host; None if the channel is not recorded.
     """
 
     accepted: int
@@ -140,3 +167,4 @@ class ChannelStats:
     multicast: ChannelMulticastStats | None = None
     readers: Sequence[ReaderStats] | None = None
     writers: Sequence[WriterStats] | None = None
+    archive: ArchiveStats | None = None

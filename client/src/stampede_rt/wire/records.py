@@ -18,7 +18,14 @@ from stampede_rt.values.model import (
     SupernodeInfo,
 )
 from stampede_rt.values.proxying import CopyStats, ProxyInfo
-from stampede_rt.values.statistics import ChannelMulticastStats, ChannelStats, ConsumerStats, ReaderStats, WriterStats
+from stampede_rt.values.statistics import (
+    ArchiveStats,
+    ChannelMulticastStats,
+    ChannelStats,
+    ConsumerStats,
+    ReaderStats,
+    WriterStats,
+)
 
 _ON_FULL: dict[OnFull, channel_pb2.OnFull] = {
     "drop_oldest": channel_pb2.ON_FULL_DROP_OLDEST,
@@ -119,6 +126,7 @@ def host_info(record: directory_pb2.HostRecord) -> HostInfo:
         version=record.version,
         load=host_load(record.load) if record.HasField("load") else None,
         lease_ended=record.lease_ended_unix_nano if record.HasField("lease_ended_unix_nano") else None,
+        archive_place=record.archive_place or None,
     )
 
 
@@ -193,6 +201,21 @@ def channel_stats(
         inherited_next_seq=status.inherited_next_seq if status.HasField("inherited_next_seq") else None,
         dropped=status.dropped,
         multicast=_multicast_stats(status.multicast) if status.HasField("multicast") else None,
+        archive=_archive_stats(status.archive) if status.HasField("archive") else None,
+    )
+
+
+def _archive_stats(archive: channel_pb2.ArchiveStatus) -> ArchiveStats:
+    return ArchiveStats(
+        items=archive.items,
+        bytes=archive.bytes,
+        disk_bytes=archive.disk_bytes,
+        oldest=archive.oldest_unix_nano if archive.HasField("oldest_unix_nano") else None,
+        newest=archive.newest_unix_nano if archive.HasField("newest_unix_nano") else None,
+        waiting=archive.waiting,
+        unarchived=archive.unarchived,
+        place=archive.place,
+        failure=archive.failure,
     )
 
 

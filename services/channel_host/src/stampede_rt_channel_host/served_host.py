@@ -145,6 +145,7 @@ class ServedHost:
             move_key=secrets.token_bytes(KEY_BYTES),
             is_private=settings.private,
             archive_wait_nanos=settings.archive_wait_nanos,
+            archive_place="" if archive is None else archive.place(self._objects and self._objects.store.url),
         )
         return ChannelHost(
             identity,

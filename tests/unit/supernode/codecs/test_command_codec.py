@@ -154,7 +154,7 @@ OPERATIONS: list[Operation] = [
     ),
     update(id_of(1), 2**64 - 1, max_items=7),
     delete(id_of(1)),
-    replace(register(1, boot=2**64 - 1), archive_wait_nanos=2**63 - 1),
+    replace(register(1, boot=2**64 - 1), archive_wait_nanos=2**63 - 1, archive_place="/data/my archive"),
     deregister(1),
     expire(1, registered_index=9, tenure=3),
     begin_tenure(4),

@@ -9,10 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
+from stampede_rt.escaping import escaped
 from stampede_rt_channel_host.archive.disk_use import FoundFolder, folders_of_channels
 from stampede_rt_channel_host.archive.stable_writes import make_folder, sync_folder
 from stampede_rt_runtime.settings import SettingsError
 
+PLACE_CHARACTERS_MAX = 1024
 _LOCK_FILE, _OWNER_FILE, _CHANNELS, _STOPPED_FILE = "lock", "owner", "channels", "stopped"
 
 
@@ -85,6 +87,14 @@ class ArchiveFolder:
     def note_stop(self, boot_incarnation: int) -> None:
         """Note that this process has archived all items of all recorded channels, and stops. Raises OSError."""
         _write(self.path / _STOPPED_FILE, str(boot_incarnation))
+
+    def place(self, url: str | None) -> str:
+        """The folder as a text for people. `url`: of the object store that has the archive, too; None: there is none.
+
+        At most PLACE_CHARACTERS_MAX printable characters.
+        """
+        folder = os.path.abspath(self.path)
+        return escaped(folder if url is None else f"{url} and {folder}")[:PLACE_CHARACTERS_MAX]
 
     @property
     def channels(self) -> Path:

@@ -83,8 +83,7 @@ class HostArchive:
     @property
     def place(self) -> str:
         """The folder, and the URL of the object store."""
-        folder = str(self.folder.path)
-        return folder if self.objects is None else f"{self.objects.store.url} and {folder}"
+        return self.folder.place(None if self.objects is None else self.objects.store.url)
 
     @property
     def failing_channels(self) -> int:

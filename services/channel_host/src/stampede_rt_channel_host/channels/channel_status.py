@@ -27,6 +27,8 @@ def channel_status(
     consumers = yield from hosted.core.counting_consumers(now())
     status = _status(hosted, consumers, now())
     status.dropped = dropped
+    if hosted.recording is not None and hosted.copy is None:
+        status.archive.CopyFrom((yield from hosted.recording.status()))
     multicast = None if multicasts is None else multicasts.find(hosted)
     if multicast is not None:
         status.multicast.CopyFrom(_multicast_status(multicast))

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 from stampede_rt.errors import Unavailable
+from stampede_rt.v1 import channel_pb2
 from stampede_rt.values.model import Policy
 from stampede_rt.values.policy import FOREVER_NANOS
 from stampede_rt.values.seq_starts import has_start, start_of
@@ -19,6 +20,7 @@ from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.objects.segment_store import StoreError
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
+from stampede_rt_channel_host.channels.archive_status import archive_status
 from stampede_rt_channel_host.channels.past_reads import RETRY_SECONDS, TRIES, PastReader, tried
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.restored_channel import lacks_loss, restore_channel
@@ -40,6 +42,7 @@ from stampede_rt_channel_host.core.channel import (
     FIRST_KEY,
     AllCursor,
     ChannelCore,
+    Pieces,
     Query,
     Slice,
     SubscriptionBatch,
@@ -174,6 +177,10 @@ class Recording:
     def hurry(self) -> None:
         """Write immediately, because a put waits for stable storage."""
         self._archive.hurry()
+
+    def status(self) -> Pieces[channel_pb2.ArchiveStatus]:
+        """The status of the archive, made in pieces."""
+        return archive_status(self.recorder, self._archive)
 
     def stop(self) -> None:
         """Stop writing, because the host gives the channel up."""

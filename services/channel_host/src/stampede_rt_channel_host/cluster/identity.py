@@ -30,6 +30,7 @@ class HostIdentity:
     items of its recorded channels in that archive, or 0. `move_key`: the secret key of its permits for moves, new at
     each start, too; empty: it gives none. `is_private`: the directory places nothing here unless a caller names this
     host. `archive_wait_nanos`: how long the recorded channels of the host wait for it when it is away.
+    `archive_place`: where its archive is, for people.
     """
 
     host_id: bytes
@@ -41,6 +42,7 @@ class HostIdentity:
     move_key: bytes = field(default=b"", repr=False)
     is_private: bool = False
     archive_wait_nanos: int = 0
+    archive_place: str = ""
 
 
 def load_host_id(folder: Path | None) -> bytes:

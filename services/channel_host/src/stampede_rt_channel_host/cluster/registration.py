@@ -263,6 +263,7 @@ class Registration:
             private=one.is_private,
             machine=machine_id(),
             archive_wait_nanos=one.archive_wait_nanos,
+            archive_place=one.archive_place,
         )
         sent = self._clock.boottime_nanos()
         response: RegisterHostResponse = await self._supernodes.call("RegisterHost", request, timeout_s)

@@ -31,6 +31,7 @@ def host_record(host: HostRecord) -> directory_pb2.HostRecord:
         lease_ended_unix_nano=host.lease_ended_unix_nano,
         registration_epoch=host.registration_epoch,
         load=None if host.load is None else load_message(host.load),
+        archive_place=host.archive_place,
     )
 
 
@@ -87,4 +88,5 @@ def host_from(entry: directory_command_pb2.HostEntry) -> HostRecord:
         load=load_from(record.load) if record.HasField("load") else None,
         move_key=entry.move_key,
         archive_wait_nanos=entry.archive_wait_nanos,
+        archive_place=record.archive_place,
     )

@@ -42,6 +42,7 @@ def _register_message(operation: RegisterHost) -> pb.RegisterHostCommand:
         private=operation.is_private,
         machine=operation.machine,
         archive_wait_nanos=operation.archive_wait_nanos,
+        archive_place=operation.archive_place,
     )
 
 
@@ -60,6 +61,7 @@ def _read_register(message: pb.RegisterHostCommand) -> RegisterHost:
         is_private=message.private,
         machine=message.machine,
         archive_wait_nanos=message.archive_wait_nanos,
+        archive_place=message.archive_place,
     )
 
 

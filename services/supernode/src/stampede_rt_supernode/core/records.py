@@ -52,6 +52,7 @@ class HostRecord:
     the leader last noted it; None if the feature level has been below LOADS_LEVEL since the host registered.
     `move_key`: the key of its permits, see `move_permits`; empty if the host registered while the feature level was
     below MOVES_LEVEL. `archive_wait_nanos`: how long its recorded channels wait for it when it is away.
+    `archive_place`: where its archive is, for people.
     """
 
     host_id: bytes
@@ -67,6 +68,7 @@ class HostRecord:
     load: HostLoad | None = None
     move_key: bytes = field(default=b"", repr=False)
     archive_wait_nanos: int = 0
+    archive_place: str = ""
 
     @property
     def is_lost(self) -> bool:

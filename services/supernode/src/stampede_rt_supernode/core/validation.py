@@ -16,6 +16,7 @@ TARGET_CHARACTERS_MAX = 256
 ZONE_CHARACTERS_MAX = 64
 VERSION_CHARACTERS_MAX = 64
 MACHINE_CHARACTERS_MAX = 64
+PLACE_CHARACTERS_MAX = 1024
 GLOB_CHARACTERS_MAX = 256
 _NAME = re.compile(NAME_GRAMMAR, re.ASCII)
 _GLOB = re.compile(r"[A-Za-z0-9._/*?-]*", re.ASCII)
@@ -105,9 +106,9 @@ def check_version(version: str, host_name: str) -> None:
     check_text(version, f"the version of host {host_name}", 0, VERSION_CHARACTERS_MAX)
 
 
-def check_text(text: str, what: str, least: int, most: int) -> None:
-    """Check a text of `least` to `most` printable characters without blanks. `what` names the text in the error."""
+def check_text(text: str, what: str, least: int, most: int, *, may_have_blanks: bool = False) -> None:
+    """Check a text of `least` to `most` printable characters. `what` names the text in the error."""
     if not least <= len(text) <= most:
         raise InvalidArgument(f"{what} has {len(text)} characters; {least} to {most} are allowed")
-    if not text.isprintable() or " " in text:
+    if not text.isprintable() or (" " in text and not may_have_blanks):
         raise InvalidArgument(f"{what} is {text!r}, which has blanks or unprintable characters; leave them out")

@@ -227,6 +227,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             is_private=request.private,
             machine=request.machine,
             archive_wait_nanos=request.archive_wait_nanos,
+            archive_place=request.archive_place,
         )
         registered = await self._calls.submit(context, operation, HostRegistered, request.request_id)
         ttl_nanos, channels, queues = self._replica.read(lambda directory: _owned(directory, request.host_id))

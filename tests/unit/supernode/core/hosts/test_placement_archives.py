@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
 from stampede_rt_supernode.core.channels.commands import ChannelOpened
 from stampede_rt_supernode.core.cluster.commands import RaiseFeatureLevel
@@ -89,8 +91,25 @@ def test_only_recorded_channels_keep_their_incarnation_when_the_archive_has_all_
 
 def test_below_the_feature_level_of_archives_the_directory_ignores_archives() -> None:
     log = log_at(LOADS_LEVEL - 1)
-    log.apply(with_archive(1))
+    log.apply(replace(with_archive(1), archive_place="/data"))
     assert log.directory.tables.hosts[id_of(1)].load is None
+    assert log.directory.tables.hosts[id_of(1)].archive_place == ""
     log.apply(RaiseFeatureLevel(feature_level=LOADS_LEVEL))
     log.apply(with_archive(1))
     assert log.directory.tables.hosts[id_of(1)].load == HostLoad(has_archive=True)
+
+
+def test_the_directory_names_the_place_of_an_archive_also_while_its_host_is_away() -> None:
+    log = log_at(ARCHIVE_LEVEL)
+    log.apply(replace(with_archive(1), archive_place="/data/my archive"))
+    opened(log, "recorded", archive_nanos=HOUR)
+    log.apply(deregister(1))
+    log.directory = decode_snapshot(encode_snapshot(log.directory))
+    assert log.directory.tables.hosts[id_of(1)].archive_place == "/data/my archive"
+
+
+@pytest.mark.parametrize("place", ["/" * 1025, "/data\x1b"])
+def test_a_place_that_is_too_long_or_not_printable_is_refused(place: str) -> None:
+    refused = log_at(ARCHIVE_LEVEL).apply(replace(with_archive(1), archive_place=place))
+    assert isinstance(refused, Refused)
+    assert (refused.reason, "the place of the archive of host host-1" in refused.message) == ("INVALID_ARGUMENT", True)

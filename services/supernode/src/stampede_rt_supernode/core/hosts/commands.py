@@ -14,7 +14,8 @@ class RegisterHost(Operation):
 
     `registration_epoch`: see `registration_epochs`. `continues_boot_incarnation`: the boot incarnation of the host's
     former process, if its archive has all items of its recorded channels; otherwise 0. `move_key`: see `move_permits`;
-    empty: it has none. `is_private`, `machine`: see HostLoad. `archive_wait_nanos`: see HostRecord.
+    empty: it has none. `is_private`, `machine`: see HostLoad. `archive_wait_nanos`, `archive_place`: see
+    HostRecord.
     """
 
     host_id: bytes
@@ -30,6 +31,7 @@ class RegisterHost(Operation):
     is_private: bool = False
     machine: str = ""
     archive_wait_nanos: int = 0
+    archive_place: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

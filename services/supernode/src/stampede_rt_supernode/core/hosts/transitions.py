@@ -20,6 +20,7 @@ from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.takeover import end_registration, give_owner
 from stampede_rt_supernode.core.validation import (
     MACHINE_CHARACTERS_MAX,
+    PLACE_CHARACTERS_MAX,
     check_gatekeepers,
     check_id,
     check_incarnation,
@@ -61,6 +62,7 @@ def register_host(tables: Tables, operation: RegisterHost, *, knows_level_4: boo
             load=_idle_load(tables, before, operation) if knows_level_4 else None,
             move_key=operation.move_key if knows_level_4 else b"",
             archive_wait_nanos=operation.archive_wait_nanos if knows_level_4 else 0,
+            archive_place=operation.archive_place if knows_level_4 else "",
         )
     )
     tables.forget_lost_hosts(operation.name)
@@ -92,6 +94,8 @@ def check_register(operation: RegisterHost) -> None:
     check_gatekeepers(operation.gatekeepers, operation.name)
     check_version(operation.version, operation.name)
     check_text(operation.machine, f"the machine of host {operation.name}", 0, MACHINE_CHARACTERS_MAX)
+    place = f"the place of the archive of host {operation.name}"
+    check_text(operation.archive_place, place, 0, PLACE_CHARACTERS_MAX, may_have_blanks=True)
     check_incarnation(operation.boot_incarnation, "boot_incarnation")
     check_incarnation(operation.new_incarnation, "new_incarnation")
     check_registration_epoch(operation)
