@@ -329,12 +329,10 @@ def host(
     - `drain`: when the connection closes, the host moves its channels to other hosts for at most this time. "0s": it
       moves none, and their items are lost, unless they are in an archive.
     - `archive`: the folder in which the host keeps recorded channels and its identity, for this host alone; or the URL
-      of an object store, such as "s3://BUCKET/PREFIX" (extra [objects]). Default: the host records no channel.
-      `$STAMPEDE_ARCHIVE` is for `stampede host` only.
+      of an object store, such as "s3://BUCKET/PREFIX" (extra [objects]). Default: none, also with `$STAMPEDE_ARCHIVE`.
     - `archive_folder`: with a URL in `archive`, the folder for files that have not moved to the object store. Default:
       `~/.local/state/stampede/archive`.
-    - `max_archive`: the most bytes that the archive may use on its disk, in bytes or as "200GiB". Default: nine tenths
-      of the room that the disk has at the start.
+    - `max_archive`: the most bytes that the archive may use on its disk, such as "200GiB". Default: 9/10 of its room.
 
     The other arguments are as in `connect`. The host needs the cluster's secret, or a certificate of the role host.
 

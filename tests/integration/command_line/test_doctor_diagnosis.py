@@ -172,7 +172,7 @@ def test_puts_that_a_host_refused_are_reported_with_its_use_of_memory_also_older
 
 def test_puts_that_the_limit_of_the_archive_refused_get_advice_about_the_archive() -> None:
     host = found(changed("h1", refused_items=12, refused_ago_nanos=3000 * MS, refused_for_archive=True), "host h1")
-    assert "its archive has no room (--archive-bytes-max)" in host.advice
+    assert "its archive has no room (--archive-bytes-max, or max_archive of st.host)" in host.advice
     assert "--memory-bytes-max" not in host.advice
 
 

@@ -142,13 +142,25 @@ def test_a_folder_belongs_to_one_host_of_a_process(cluster: LocalCluster, folder
     [
         ("", "archive is ''; give a folder"),
         (b"bytes", "archive is b'bytes'; give a folder"),
-        ("ftp://host/folder", "the URL of an object store: s3://"),
+        ("ftp://host/folder", r"archive: 'ftp://host/folder' cannot be used; allowed: .* object store: s3://"),
+        ("s3://me:secret@host/folder", r"archive: 's3://\.\.\.@host/folder' cannot be used; allowed: a URL without"),
         ("/dev/null/archive", r"archive: /dev/null/archive cannot be used: Not a directory"),
     ],
 )
 def test_a_place_that_cannot_be_an_archive_is_named(cluster: LocalCluster, place: str, message: str) -> None:
     with pytest.raises(st.InvalidArgument, match=message):
         st.host(cluster.address, archive=place)
+
+
+def test_the_folder_of_another_host_is_refused_with_the_names_of_this_interface(
+    cluster: LocalCluster, folder: Path
+) -> None:
+    folder.mkdir()
+    (folder / "owner").write_text("0f" * 16)
+    with pytest.raises(st.InvalidArgument, match=r"archive: the folder .* is the archive of host 0f0f") as refused:
+        st.host(cluster.address, archive=folder)
+    assert "`stampede host` with the --data-dir that has this id" in refused.value.message
+    assert "data_dir" not in refused.value.message
 
 
 def test_an_embedded_host_does_not_read_the_archive_of_the_environment(

@@ -94,7 +94,8 @@ def test_a_certificate_for_other_addresses_is_noticed_by_the_service_itself(made
     for target in ("localhost:1", "LocalHost:1", "127.0.0.1:1", "[::1]:1", "unix:/run/h1", "0.0.0.0:1"):
         tls.require_address(target)
     with pytest.raises(
-        PermissionDenied, match=r"others call this service at h1\.lab, .*issue it with --address h1\.lab"
+        PermissionDenied,
+        match=r"others call this service at h1\.lab, .*issue it with `stampede certs issue --address h1\.lab`",
     ):
         tls.require_address("h1.lab:7600")
 

@@ -82,7 +82,7 @@ def _archive_store(one: Observation) -> tuple[str, str]:
     advice = (
         f"{one.archive_store_failure}. Look at the network to the store, its bucket and the credentials in the host's "
         "environment; the host tries again at least every minute. Until then closed files stay on its disk, up to "
-        "--archive-bytes-max, reads of moved files fail, and live readers go on"
+        "--archive-bytes-max (or max_archive of st.host), reads of moved files fail, and live readers go on"
     )
     return "store fails", advice
 
@@ -119,12 +119,14 @@ def _refused_puts(one: Observation) -> str:
     refused = f"it refused puts as Overloaded, the last one {roughly(one.refused_ago_nanos)} ago; "
     if one.refused_for_archive:
         return refused + (
-            "its archive has no room (--archive-bytes-max): record less (archive, archive_bytes), raise the limit, "
-            "delete the folders of deleted channels, or start another host with an archive"
+            "its archive has no room (--archive-bytes-max, or max_archive of st.host): record less (archive, "
+            "archive_bytes), raise the limit, delete the folders of deleted channels, or start another host with an "
+            "archive"
         )
     return refused + (
-        f"it holds {bytes_text(one.held_bytes)} of {bytes_text(one.memory_bytes_max)}: raise --memory-bytes-max, "
-        "tighten the retention of its channels, or start another host (`stampede ls -l` shows who holds what)"
+        f"it holds {bytes_text(one.held_bytes)} of {bytes_text(one.memory_bytes_max)}: raise --memory-bytes-max (or "
+        "max_memory of st.host), tighten the retention of its channels, or start another host (`stampede ls -l` shows "
+        "who holds what)"
     )
 
 

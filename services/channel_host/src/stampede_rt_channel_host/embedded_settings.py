@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from stampede_rt.cluster.connecting import Target
 from stampede_rt.cluster.embedding import HostOptions
@@ -16,32 +18,53 @@ from stampede_rt_runtime.auth import Secret, load_secret
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.listen import AddressNotAllowed, CannotListen
-from stampede_rt_runtime.settings import SettingsError
+from stampede_rt_runtime.settings import SettingsError, unusable
 from stampede_rt_runtime.tls import load_tls
 from stampede_rt_runtime.values import parse_address_text, parse_target
 
+Value = TypeVar("Value")
 MISUSES = (CannotListen, AddressNotAllowed, SettingsError, ValueError)
 """The errors of a host that cannot start with its arguments."""
+_FLAG = re.compile(r"--[a-z][a-z-]*(?: and the others)?")
+_ARGUMENTS = {
+    "--advertise": "advertise",
+    "--allow-insecure-anywhere": "allow_insecure_anywhere=True",
+    "--archive": "archive",
+    "--archive-bytes-max": "max_archive",
+    "--archive-folder": "archive_folder",
+    "--listen": "listen",
+    "--memory-bytes-max": "max_memory",
+    "--name": "name",
+    "--tls-ca and the others": "tls",
+}
 
 
 def settings_of(target: Target, options: HostOptions) -> HostSettings:
     """The settings of the host. Raises InvalidArgument."""
     try:
         return HostSettings(
-            listen=parse_address_text(options.listen) if options.listen else "",
-            advertise=parse_target(options.advertise) if options.advertise else "",
+            listen=_read("listen", options.listen, parse_address_text) or "",
+            advertise=_read("advertise", options.advertise, parse_target) or "",
             name=target.name,
             frontend=target.frontends,
             zone=target.zone,
             memory_bytes_max=options.memory_bytes_max,
             allow_insecure_anywhere=options.allow_insecure_anywhere,
             private=options.private,
-            archive=_archive_of(options.archive) if options.archive else None,
+            archive=_read("archive", options.archive, _archive_of),
             archive_folder=_folder_of(options.archive_folder) if options.archive_folder else None,
             archive_bytes_max=options.archive_bytes_max,
         )
-    except ValueError as error:
+    except (SettingsError, ValueError) as error:
         raise cannot_host(error) from error
+
+
+def _read(name: str, text: str, parse: Callable[[str], Value]) -> Value | None:
+    """The value of an argument; None: it is empty. Raises SettingsError."""
+    try:
+        return parse(text) if text else None
+    except ValueError as error:
+        raise unusable(name, text, error) from None
 
 
 def _archive_of(text: str) -> Path | str:
@@ -56,9 +79,11 @@ def _folder_of(text: str) -> Path:
 
 
 def cannot_host(error: Exception) -> InvalidArgument:
-    """The error for the caller of `stampede_rt.host`, whose arguments have the names of the flags."""
-    text = str(error).replace("--archive-bytes-max", "max_archive")
-    text = re.sub(r"--([a-z][a-z-]*)", lambda found: found[1].replace("-", "_"), text)
+    """The error for the caller of `stampede_rt.host`. It names the arguments instead of the flags of `stampede host`.
+
+    The flags of other commands, and flags that have no argument, stay.
+    """
+    text = _FLAG.sub(lambda found: _ARGUMENTS.get(found[0], found[0]), str(error))
     return InvalidArgument(f"this process cannot host channels: {text}")
 
 

@@ -33,6 +33,12 @@ SAMPLE_COLUMNS = 100
 _CREDENTIALS = re.compile(r"(?<=://)[^/\s]*(?=@)|(?<=\?).*")  # of a URL
 
 
+def unusable(source: str, text: str, error: ValueError) -> SettingsError:
+    """The error for a value that `source` gives. `error` says what is allowed. Hides the credentials of a URL."""
+    shown = _CREDENTIALS.sub("...", text)
+    return SettingsError(f"{source}: {shown!r} cannot be used; allowed: {error}")
+
+
 class SettingsError(Exception):
     """A setting is unusable. The text names the setting, its source, its value, and the allowed values."""
 
@@ -115,8 +121,7 @@ class _Setting:
             value = self._parse(text)
             self._check(value)
         except ValueError as error:
-            shown = _CREDENTIALS.sub("...", text)
-            raise SettingsError(f"{source}: {shown!r} cannot be used; allowed: {error}") from None
+            raise unusable(source, text, error) from None
         return value
 
     def _parse(self, text: str) -> Any:

@@ -86,7 +86,8 @@ class ServiceTls:
             return
         raise PermissionDenied(
             f"others call this service at {host}, but the certificate {self.reader.files.certificate} is for "
-            f"{', '.join(self.addresses)}; issue it with --address {host}, or --advertise another address"
+            f"{', '.join(self.addresses)}; issue it with `stampede certs issue --address {host}`, or give "
+            "another address in --advertise"
         )
 
 

@@ -72,7 +72,9 @@ class ArchiveFolder:
         elif owner != host_id:
             raise SettingsError(
                 f"--archive: the folder {self.path} is the archive of host {owner}, and this is host {host_id}; give "
-                "this host a folder of its own, or start it with the --data-dir of that host"
+                f"this host a folder of its own. Only the host with the id {owner} opens this one: `stampede host` "
+                "with the --data-dir that has this id in its file host-id, or without --data-dir if the folder itself "
+                "has it"
             )
 
     def continued(self) -> int:

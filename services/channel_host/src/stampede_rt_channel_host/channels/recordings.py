@@ -64,7 +64,7 @@ class Recordings:
         if record.policy.is_recorded and self.archive is None:
             raise InvalidArgument(
                 f"channel {record.name} is recorded (archive), and this host has no archive; move it to a host that "
-                "has one, or start this host with --archive FOLDER",
+                "has one, or start this host with an archive (--archive FOLDER, or archive=... of st.host)",
                 metadata={"channel": record.name},
             )
 
@@ -103,8 +103,9 @@ class Recordings:
         """Raises InvalidArgument if a channel is to be recorded and the host has no archive."""
         if is_recorded and self.archive is None:
             raise InvalidArgument(
-                f"channel {name} is to be recorded (archive), and its host has no archive; start the host with "
-                "--archive FOLDER, or open the channel under another name with `host`, at a host that has one"
+                f"channel {name} is to be recorded (archive), and its host has no archive; start the host with an "
+                "archive (--archive FOLDER, or archive=... of st.host), or open the channel under another name with "
+                "`host`, at a host that has one"
             )
 
     def check_change(self, record: RecordedChannel, stated: Policy) -> None:

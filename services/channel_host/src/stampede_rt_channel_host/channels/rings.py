@@ -110,7 +110,7 @@ class Rings:
                 hosted.refused_run_bytes = 0  # perhaps such a run never comes again
                 raise Overloaded(
                     f"the host shares {self._used_bytes} bytes of memory with readers, a quarter of its memory at most "
-                    "(--memory-bytes-max); read without shared memory"
+                    "(--memory-bytes-max, or max_memory of st.host); read without shared memory"
                 )
             memory = await self._take(ring_size(fit.data_bytes))
             if hosted.ring_making is not mark or _unsuited(hosted):

@@ -111,5 +111,5 @@ def test_the_directory_names_the_place_of_an_archive_also_while_its_host_is_away
 @pytest.mark.parametrize("place", ["/" * 1025, "/data\x1b"])
 def test_a_place_that_is_too_long_or_not_printable_is_refused(place: str) -> None:
     refused = log_at(ARCHIVE_LEVEL).apply(replace(with_archive(1), archive_place=place))
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedOperation)
     assert (refused.reason, "the place of the archive of host host-1" in refused.message) == ("INVALID_ARGUMENT", True)

@@ -63,7 +63,8 @@ class MemoryBudget:
         if self.used_bytes + wanted_bytes > self.bytes_max:
             raise Overloaded(
                 f"the host's channels and queues hold {self.used_bytes} bytes together, of at most {self.bytes_max} "
-                "(--memory-bytes-max); put again later, tighten retention, or use another host",
+                "(--memory-bytes-max, or max_memory of st.host); put again later, tighten retention, or use "
+                "another host",
                 metadata={"memory_bytes_max": str(self.bytes_max)},
             )
 
