@@ -35,7 +35,7 @@ TRANSPORT = "socket"  # readers of shared memory cost the host nothing
 PERIOD_S = 1 / 30
 STALLS_AFTER = 30  # items that the stalled reader takes, so that the host sends ahead of it
 WARM_S = 2.0
-WORKS = {"18 KB": (1, 18_000), "64 x 64 B": (64, 64)}
+WORKLOADS = {"18 KB": (1, 18_000), "64 x 64 B": (64, 64)}
 MIB = 2**20
 LONGER_MAX, GROWN_BYTES_MAX = 1.10, 16 * MIB  # the goal for the cost of a stalled reader
 TICKS_PER_SECOND, PAGE_BYTES = os.sysconf("SC_CLK_TCK"), os.sysconf("SC_PAGE_SIZE")
@@ -130,8 +130,8 @@ class Child:
         self._process.stdin.flush()
 
 
-def measure(cluster: LocalCluster, work: str, readers: int, rounds: int, seconds: float) -> Iterator[Sequence[str]]:
-    """Take the rounds of one work, in a new channel. Yields the rows of the table."""
+def measure(cluster: LocalCluster, workload: str, readers: int, rounds: int, seconds: float) -> Iterator[Sequence[str]]:
+    """Take the rounds of one workload, in a new channel. Yields the rows of the table."""
     host = Host(cluster)
     with st.connect(cluster.address, transport=TRANSPORT) as rt, ExitStack() as stack:
         name = f"fan/{time.monotonic_ns()}"
@@ -139,7 +139,7 @@ def measure(cluster: LocalCluster, work: str, readers: int, rounds: int, seconds
         each = readers // PROCESSES
         children = [stack.enter_context(_child(AS_READERS, cluster.address, name, each)) for _ in range(PROCESSES)]
         stalling = stack.enter_context(_child(AS_STALLED, cluster.address, name, 1))
-        putter = Putter(channel, host, *WORKS[work])
+        putter = Putter(channel, host, *WORKLOADS[workload])
         putter.put_for(WARM_S, readers)
         parts: dict[bool, list[RoundPart]] = {False: [], True: []}
         for number in range(rounds):
@@ -150,8 +150,8 @@ def measure(cluster: LocalCluster, work: str, readers: int, rounds: int, seconds
         channel.put(b"end")
         ages: list[Age] = [tuple(one) for child in children for one in json.loads(child.hear())]
     of_parts = {stalled: [ages_of(one, ages) for one in taken] for stalled, taken in parts.items()}
-    yield from (_row(work, stalled, parts[stalled], of_parts[stalled]) for stalled in parts)
-    yield _cost(work, parts[True], of_parts)
+    yield from (_row(workload, stalled, parts[stalled], of_parts[stalled]) for stalled in parts)
+    yield _cost(workload, parts[True], of_parts)
 
 
 def ages_of(part: RoundPart, ages: Sequence[Age]) -> Ages:
@@ -216,18 +216,18 @@ async def _stall(address: str, name: str) -> None:
                     await anext(subscription)
 
 
-def _row(work: str, stalled: bool, parts: Sequence[RoundPart], ages: Sequence[Ages]) -> Sequence[str]:
+def _row(workload: str, stalled: bool, parts: Sequence[RoundPart], ages: Sequence[Ages]) -> Sequence[str]:
     cpus = _spread([part.cpu_us for part in parts], "{:,.0f}")
     medians, tails = [_spread([getattr(one, name) for one in ages], "{:,.1f}") for name in ("p50", "p99")]
     grown = max(part.grown_bytes for part in parts) / MIB
-    return (work, "yes" if stalled else "no", cpus, medians, tails, f"{grown:,.1f}")
+    return (workload, "yes" if stalled else "no", cpus, medians, tails, f"{grown:,.1f}")
 
 
-def _cost(work: str, stalled: Sequence[RoundPart], ages: Mapping[bool, Sequence[Ages]]) -> Sequence[str]:
+def _cost(workload: str, stalled: Sequence[RoundPart], ages: Mapping[bool, Sequence[Ages]]) -> Sequence[str]:
     longer = longer_by_round(ages)
     ratio, grown = statistics.median(longer), max(part.grown_bytes for part in stalled)
     held = "goal met" if ratio <= LONGER_MAX and grown <= GROWN_BYTES_MAX else "GOAL MISSED"
-    return (work, held, "", "", _spread(longer, "x {:.2f}"), f"{grown / MIB:,.1f}")
+    return (workload, held, "", "", _spread(longer, "x {:.2f}"), f"{grown / MIB:,.1f}")
 
 
 def _spread(values: Sequence[float], form: str) -> str:
@@ -244,13 +244,13 @@ def main() -> int:
         return 0
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--readers", type=int, default=32, help="the readers of the channel (default: 32)")
-    parser.add_argument("--rounds", type=int, default=8, help="the rounds of each work, two or more (default: 8)")
+    parser.add_argument("--rounds", type=int, default=8, help="the rounds of each workload, two or more (default: 8)")
     parser.add_argument("--seconds", type=float, default=3.0, help="the length of each part of a round (default: 3)")
     asked = parser.parse_args()
     table = Table(["put", "one stalled", "host CPU a reader and put, us", "age p50, ms", "p99, ms", "most grown, MiB"])
     with LocalCluster(hosts=1, supernodes=1, durable=False) as cluster, secret_found(cluster):
-        for work in WORKS:
-            table.rows += measure(cluster, work, asked.readers, asked.rounds, asked.seconds)
+        for workload in WORKLOADS:
+            table.rows += measure(cluster, workload, asked.readers, asked.rounds, asked.seconds)
     table.notes.append(
         f"{asked.readers} readers over the transport {TRANSPORT!r}, {asked.rounds} rounds of two parts of "
         f"{asked.seconds:g} s; medians of the parts "

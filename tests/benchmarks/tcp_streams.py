@@ -20,7 +20,7 @@ from stampede_rt_local.cluster import LocalCluster
 
 ROUNDS = 5
 TRANSPORTS = ("grpc", "tcp")
-WORKS: dict[str, tuple[int, Callable[[st.Channel], object]]] = {
+WORKLOADS: dict[str, tuple[int, Callable[[st.Channel], object]]] = {
     "put 64 B": (300, lambda channel: channel.put(bytes(64))),
     "newest 18 KB": (300, lambda channel: channel.newest()),
 }
@@ -32,13 +32,13 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def measured(work: Callable[[st.Channel], object], count: int, channel: st.Channel, host: int) -> tuple[float, ...]:
+def measured(workload: Callable[[st.Channel], object], count: int, channel: st.Channel, host: int) -> tuple[float, ...]:
     """Client and host CPU and the median time of an operation, in us."""
-    work(channel)
+    workload(channel)
     times, client, server = list[float](), time.process_time(), cpu_s(host)
     for _ in range(count):
         begun = time.perf_counter()
-        work(channel)
+        workload(channel)
         times.append(time.perf_counter() - begun)
     client, server = time.process_time() - client, cpu_s(host) - server
     return client / count * 1e6, server / count * 1e6, median(times) * 1e6
@@ -49,10 +49,10 @@ def cell(values: tuple[float, ...]) -> str:
     return f"{median(values):.0f} ({min(values):.0f}-{max(values):.0f})"
 
 
-def filled(rt: st.Connection, work: str) -> st.Channel:
-    """A channel with the items that the work reads."""
-    channel = rt.channel(f"bench/{work.partition(' ')[0]}")
-    if work.startswith("newest"):
+def filled(rt: st.Connection, workload: str) -> st.Channel:
+    """A channel with the items that the workload reads."""
+    channel = rt.channel(f"bench/{workload.partition(' ')[0]}")
+    if workload.startswith("newest"):
         channel.put(bytes(18_000))
     return channel
 
@@ -66,15 +66,15 @@ def run(tls: bool) -> None:
         with mock.patch.dict(os.environ, variables):
             files = cluster.tls_files()
             connections = {one: st.connect(cluster.address, transport=one, tls=files) for one in TRANSPORTS}
-        for work, (count, operation) in WORKS.items():
-            channels = {one: filled(rt, work) for one, rt in connections.items()}
+        for workload, (count, operation) in WORKLOADS.items():
+            channels = {one: filled(rt, workload) for one, rt in connections.items()}
             rounds = {one: list[tuple[float, ...]]() for one in TRANSPORTS}
             for _ in range(ROUNDS):
                 for one in TRANSPORTS:
                     rounds[one].append(measured(operation, count, channels[one], host))
             for one, rows in rounds.items():
                 cells = map(cell, zip(*rows, strict=True))
-                print(f"| {work} | {one}{' with TLS' if tls else ''} |", " | ".join(cells), "|", flush=True)
+                print(f"| {workload} | {one}{' with TLS' if tls else ''} |", " | ".join(cells), "|", flush=True)
         for rt in connections.values():
             rt.close()
 

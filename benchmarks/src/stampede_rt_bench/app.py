@@ -1,4 +1,4 @@
-"""`stampede bench`: measures figures of the paper, growth, capacity, limits, and other systems at the same work."""
+"""`stampede bench`: measures figures of the paper, growth, capacity, limits, and other systems under the same load."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stampede_rt.administration.output_forms import add_output
 from stampede_rt.cli.interrupts import unwinding
 from stampede_rt.cli.output import print_rows
 from stampede_rt.escaping import TerminalParser, escaped
-from stampede_rt_bench.capacity.command import MEMORY, capacity_works, measure_capacity
+from stampede_rt_bench.capacity.command import MEMORY, capacity_workloads, measure_capacity
 from stampede_rt_bench.comparison import SYSTEMS, measure_limits, measure_peers
 from stampede_rt_bench.growth.command import measure_growth
 from stampede_rt_bench.growth.dimensions import DIMENSIONS
@@ -22,9 +22,9 @@ from stampede_rt_bench.measuring import Effort
 from stampede_rt_bench.paper import contention, get_cost, interval_cost, memory_cost, proxies, skew, visibility
 from stampede_rt_bench.printing import announce, finish, show
 from stampede_rt_bench.tables import Table
-from stampede_rt_bench.works.catalogue import READERS, works
-from stampede_rt_bench.works.processes import ServerFailed
-from stampede_rt_bench.works.run import RunFailed
+from stampede_rt_bench.workloads.catalogue import READERS, workloads
+from stampede_rt_bench.workloads.processes import ServerFailed
+from stampede_rt_bench.workloads.run import RunFailed
 
 EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
 ITEMS_MAX = 10_000_000
@@ -158,7 +158,9 @@ def _add_limits(kinds: Any) -> None:
 
 
 def _add_peers(kinds: Any) -> None:
-    text = "the same work on Redis streams, NATS, JetStream and Zenoh, each with its real server, compared with ours"
+    text = (
+        "the same workload on Redis streams, NATS, JetStream and Zenoh, each with its real server, compared with ours"
+    )
     peers = kinds.add_parser("peers", help=text, description=f"Measure {text}.")
     peers.add_argument(
         "--system",
@@ -216,7 +218,7 @@ def _add_growth(kinds: Any) -> None:
 def _add_capacity(kinds: Any) -> None:
     text = "rates, latencies and memory of one host, to choose the size of a cluster"
     capacity = kinds.add_parser("capacity", help=text, description=f"Measure {text}; docs/capacity.md explains them.")
-    names = [MEMORY, *(work.name for work in capacity_works())]
+    names = [MEMORY, *(workload.name for workload in capacity_workloads())]
     capacity.add_argument(
         "--work", action="append", choices=names, metavar="NAME",
         help=f"only this; may be repeated; {', '.join(names)}",
@@ -230,7 +232,7 @@ def _add_capacity(kinds: Any) -> None:
 
 
 def _add_effort(parser: argparse.ArgumentParser, folder: Path) -> None:
-    names = [work.name for work in works()]
+    names = [workload.name for workload in workloads()]
     parts = [name.split("-") for name in names]
     kinds = ["-".join(part[:count]) for part in parts for count in range(1, len(part))]
     parser.add_argument(
@@ -238,7 +240,7 @@ def _add_effort(parser: argparse.ArgumentParser, folder: Path) -> None:
         action="append",
         choices=dict.fromkeys([*kinds, *names]),
         metavar="NAME",
-        help=f"only this work, or all works of this kind; may be repeated; {', '.join(names)}",
+        help=f"only this workload, or all workloads of this kind; may be repeated; {', '.join(names)}",
     )
     _add_times(parser, folder, rounds=5)
 
@@ -249,7 +251,7 @@ def _add_times(parser: argparse.ArgumentParser, folder: Path, *, rounds: int) ->
     )
     parser.add_argument(
         "--rounds", type=_between(1, RUNS_MAX), default=rounds, metavar="N",
-        help=f"the runs of each work (default: {rounds})",
+        help=f"the runs of each workload (default: {rounds})",
     )  # fmt: skip
     parser.add_argument(
         "--out", type=Path, default=folder, metavar="DIR", help=f"the folder for the report (default: {folder})"

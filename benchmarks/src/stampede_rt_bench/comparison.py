@@ -1,4 +1,4 @@
-"""`stampede bench limits` and `stampede bench peers`: they measure systems at the same work, and compare them."""
+"""`stampede bench limits` and `stampede bench peers`: they run one workload on several systems, and compare them."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from stampede_rt_bench.peers.redis_streams import RedisStreams
 from stampede_rt_bench.peers.zenoh import Zenoh
 from stampede_rt_bench.printing import finish, say, show
 from stampede_rt_bench.tables import Table, spread
-from stampede_rt_bench.works.campaign import Results, compare
-from stampede_rt_bench.works.catalogue import READERS, Work, size, works
-from stampede_rt_bench.works.goals import table_of_goals
-from stampede_rt_bench.works.interface import System
-from stampede_rt_bench.works.report import Report
+from stampede_rt_bench.workloads.campaign import Results, compare
+from stampede_rt_bench.workloads.catalogue import READERS, Workload, size, workloads
+from stampede_rt_bench.workloads.goals import table_of_goals
+from stampede_rt_bench.workloads.interface import MeasuredSystem
+from stampede_rt_bench.workloads.report import Report
 
-LIMITS: Mapping[str, System] = {
+LIMITS: Mapping[str, MeasuredSystem] = {
     "grpc": BareGrpc(),
     "unix": RawSockets("unix"),
     "tcp": RawSockets("tcp"),
 }
-SYSTEMS: Mapping[str, System] = {
+SYSTEMS: Mapping[str, MeasuredSystem] = {
     "stampede": StampedeRt(),
     "stampede-socket": StampedeRt("Stampede RT, sockets", "socket"),
     "stampede-tcp": StampedeRt("Stampede RT, TCP", "tcp"),
@@ -52,7 +52,7 @@ def measure_limits(arguments: argparse.Namespace) -> int:
     report = _report(arguments, "limits", "What the parts can do", PACKAGES[:1])
     report.tables.append(_memory(arguments.rounds))
     show(report.tables[0][1], arguments.output)
-    return _run(report, list(LIMITS.values()), _chosen(works(()), arguments.work), arguments)
+    return _run(report, list(LIMITS.values()), _chosen(workloads(()), arguments.work), arguments)
 
 
 def measure_peers(arguments: argparse.Namespace) -> int:
@@ -61,7 +61,7 @@ def measure_peers(arguments: argparse.Namespace) -> int:
     report.ours = SYSTEMS["stampede"].name
     report.limits = [limit.name for limit in LIMITS.values()]
     systems = [SYSTEMS[name] for name in arguments.system or SYSTEMS]
-    return _run(report, systems, _chosen(works(arguments.readers or READERS), arguments.work), arguments)
+    return _run(report, systems, _chosen(workloads(arguments.readers or READERS), arguments.work), arguments)
 
 
 def _report(arguments: argparse.Namespace, name: str, title: str, packages: Sequence[str]) -> Report:
@@ -87,20 +87,26 @@ def _memory(rounds: int) -> tuple[str, Table]:
     return title, table
 
 
-def _chosen(all_works: Sequence[Work], names: Sequence[str] | None) -> list[Work]:
-    """Return all works, or the works whose name, or its part before a hyphen, is in `names`."""
-    return [work for work in all_works if not names or any(f"{work.name}-".startswith(f"{name}-") for name in names)]
+def _chosen(all_workloads: Sequence[Workload], names: Sequence[str] | None) -> list[Workload]:
+    """Return all workloads, or the workloads whose name, or its part before a hyphen, is in `names`."""
+    return [
+        workload
+        for workload in all_workloads
+        if not names or any(f"{workload.name}-".startswith(f"{name}-") for name in names)
+    ]
 
 
-def _run(report: Report, systems: Sequence[System], chosen: Sequence[Work], arguments: argparse.Namespace) -> int:
+def _run(
+    report: Report, systems: Sequence[MeasuredSystem], chosen: Sequence[Workload], arguments: argparse.Namespace
+) -> int:
     folder: Path = arguments.out
     folder.mkdir(parents=True, exist_ok=True)
     report.lacks = {system.name: system.lacks for system in systems}
 
-    def done(results: Results, work: Work) -> None:
-        say(f"measured: {work.title}")
-        show(report.table(results, work), arguments.output, "")
-        report.write(results, folder)  # after each work, so that an interrupted campaign keeps its results
+    def done(results: Results, workload: Workload) -> None:
+        say(f"measured: {workload.title}")
+        show(report.table(results, workload), arguments.output, "")
+        report.write(results, folder)  # after each workload, so that an interrupted campaign keeps its results
 
     results = compare(
         systems,

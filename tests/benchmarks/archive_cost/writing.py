@@ -20,7 +20,7 @@ import stampede_rt as st
 from stampede_rt.wire.runs import encode_run, seal_run
 from stampede_rt_bench.peers.reachable import is_listening
 from stampede_rt_bench.peers.redis_streams import RedisStreams
-from stampede_rt_bench.works.processes import server
+from stampede_rt_bench.workloads.processes import server
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
 from stampede_rt_channel_host.copies.messages import run_of
 from stampede_rt_channel_host.core.archive import ArchivedRun
@@ -32,7 +32,7 @@ SYNC_BYTES = 16 * 2**20
 RUN_ITEMS = 100
 
 
-class ItemLoad(NamedTuple):
+class WriteWorkload(NamedTuple):
     """A number of items with one payload."""
 
     name: str
@@ -40,18 +40,18 @@ class ItemLoad(NamedTuple):
     items: int
 
 
-FRAMES, SMALL = ItemLoad("frames", os.urandom(300_000), 600), ItemLoad("small", os.urandom(64), 300_000)
-Writer = Callable[[ItemLoad], float | None]
+FRAMES, SMALL = WriteWorkload("frames", os.urandom(300_000), 600), WriteWorkload("small", os.urandom(64), 300_000)
+Writer = Callable[[WriteWorkload], float | None]
 """Writes all items; returns the items a second, or None if the system is not installed."""
 
 
-def plain(folder: Path, work: ItemLoad, per_write: int = 1) -> float:
+def plain(folder: Path, workload: WriteWorkload, per_write: int = 1) -> float:
     """Append the items to a file of this folder, `per_write` in each write."""
 
     def write() -> None:
-        waiting, many = 0, work.payload * per_write
+        waiting, many = 0, workload.payload * per_write
         with (folder / "plain").open("wb", buffering=0) as file:
-            for _ in range(work.items // per_write):
+            for _ in range(workload.items // per_write):
                 waiting += file.write(many)
                 if waiting >= SYNC_BYTES:
                     os.fsync(file)
@@ -60,20 +60,20 @@ def plain(folder: Path, work: ItemLoad, per_write: int = 1) -> float:
 
     taken = seconds_of(write)
     (folder / "plain").unlink()
-    return work.items / taken
+    return workload.items / taken
 
 
-def plain_behind_socket(folder: Path, work: ItemLoad, per_write: int) -> float:
+def plain_behind_socket(folder: Path, workload: WriteWorkload, per_write: int) -> float:
     """Send the items to a process that appends them to a file of this folder, `per_write` in each write."""
-    parts = work.items // per_write
-    return work.items / seconds_behind_socket(folder / "plain", work.payload * per_write, parts, SYNC_BYTES)
+    parts = workload.items // per_write
+    return workload.items / seconds_behind_socket(folder / "plain", workload.payload * per_write, parts, SYNC_BYTES)
 
 
-def archive_alone(folder: Path, work: ItemLoad) -> float:
+def archive_alone(folder: Path, workload: WriteWorkload) -> float:
     """Write the items with the archive of a host, without a host. The runs are made before the measurement."""
-    per_run = 1 if work is FRAMES else RUN_ITEMS
-    body = seal_run(encode_run([work.payload] * per_run, times=[*range(per_run)]), 1)
-    runs = [ArchivedRun(1, run_of(body)) for _ in range(work.items // per_run)]
+    per_run = 1 if workload is FRAMES else RUN_ITEMS
+    body = seal_run(encode_run([workload.payload] * per_run, times=[*range(per_run)]), 1)
+    runs = [ArchivedRun(1, run_of(body)) for _ in range(workload.items // per_run)]
     per_write = max(1, SYNC_BYTES // len(body))
     files = SegmentFiles(folder / "alone", {})
     files.open(1)
@@ -85,41 +85,41 @@ def archive_alone(folder: Path, work: ItemLoad) -> float:
     taken = seconds_of(write)
     files.close(None)
     shutil.rmtree(folder / "alone")
-    return work.items / taken
+    return workload.items / taken
 
 
-def ours(rt: st.Connection, name: str, work: ItemLoad, **policy: str) -> float:
+def ours(rt: st.Connection, name: str, workload: WriteWorkload, **policy: str) -> float:
     """Put the items. If the channel is recorded, wait until the last item is on the disk."""
     channel = rt.channel(name, max_bytes=2**30, **policy)
 
     def put() -> None:
         with channel.producer() as producer:
-            for _ in range(work.items):
-                producer.put(work.payload)
-        channel.put(work.payload, ack="disk" if policy else None)
+            for _ in range(workload.items):
+                producer.put(workload.payload)
+        channel.put(workload.payload, ack="disk" if policy else None)
 
     taken = seconds_of(put)
     channel.delete()
-    return work.items / taken
+    return workload.items / taken
 
 
-def jetstream(folder: Path, work: ItemLoad) -> float | None:
+def jetstream(folder: Path, workload: WriteWorkload) -> float | None:
     """Publish a quarter of the items into a stream in files."""
     from stampede_rt_bench.peers.nats_server import connect, nats_server, why_unavailable
 
     if why_unavailable():
         return None
-    settings, items = folder / "nats.conf", work.items // 4
+    settings, items = folder / "nats.conf", workload.items // 4
     settings.write_text('jetstream { sync_interval: "200ms" }\n')
 
     async def publish(address: str) -> None:
         from nats.js.api import StorageType, StreamConfig
 
         connection = await connect(address)
-        stream = connection.jetstream(publish_async_max_pending=64 if work is FRAMES else 4000)
+        stream = connection.jetstream(publish_async_max_pending=64 if workload is FRAMES else 4000)
         await stream.add_stream(StreamConfig(name="COST", subjects=["cost"], storage=StorageType.FILE))
         for at in range(items):
-            await stream.publish_async("cost", work.payload)
+            await stream.publish_async("cost", workload.payload)
             if not at % 64:
                 await asyncio.sleep(0)
         await stream.publish_async_completed()
@@ -129,18 +129,18 @@ def jetstream(folder: Path, work: ItemLoad) -> float | None:
         return items / seconds_of(lambda: asyncio.run(publish(served.address)))
 
 
-def redis_file(folder: Path, work: ItemLoad) -> float | None:
+def redis_file(folder: Path, workload: WriteWorkload) -> float | None:
     """Add a quarter of the items to a stream, with an append-only file, in pipelines of about 1 MiB."""
     if RedisStreams("tcp").unavailable_because():
         return None
-    batch, items = max(1, 2**20 // len(work.payload)), work.items // 4
+    batch, items = max(1, 2**20 // len(workload.payload)), workload.items // 4
     with redis_server(folder) as client:
 
         def add() -> None:
             for at in range(0, items, batch):
                 pipeline = client.pipeline(transaction=False)
                 for _ in range(min(batch, items - at)):
-                    pipeline.xadd("cost", {"p": work.payload})
+                    pipeline.xadd("cost", {"p": workload.payload})
                 pipeline.execute()
 
         return items / seconds_of(add)
@@ -163,19 +163,19 @@ def redis_server(folder: Path) -> Iterator[Any]:
 def writers_of(rt: st.Connection, here: st.Connection, folder: Path) -> dict[str, Writer]:
     """All writers, by the names of their rows. The others are compared with the first one."""
     return {
-        "plain file": lambda work: plain(folder, work, 1 if work is FRAMES else RUN_ITEMS),
-        "plain file behind a socket": lambda work: plain_behind_socket(
-            folder, work, 1 if work is FRAMES else RUN_ITEMS
+        "plain file": lambda workload: plain(folder, workload, 1 if workload is FRAMES else RUN_ITEMS),
+        "plain file behind a socket": lambda workload: plain_behind_socket(
+            folder, workload, 1 if workload is FRAMES else RUN_ITEMS
         ),
-        "archive alone, without a host": lambda work: archive_alone(folder, work),
-        "channel in memory": lambda work: ours(rt, f"cost/{work.name}/memory", work),
-        "recorded channel": lambda work: ours(rt, f"cost/{work.name}/recorded", work, archive="forever"),
-        "channel in memory of an embedded host": lambda work: ours(here, f"cost/{work.name}/here", work),
-        "recorded channel of an embedded host": lambda work: ours(
-            here, f"cost/{work.name}/recorded-here", work, archive="forever"
+        "archive alone, without a host": lambda workload: archive_alone(folder, workload),
+        "channel in memory": lambda workload: ours(rt, f"cost/{workload.name}/memory", workload),
+        "recorded channel": lambda workload: ours(rt, f"cost/{workload.name}/recorded", workload, archive="forever"),
+        "channel in memory of an embedded host": lambda workload: ours(here, f"cost/{workload.name}/here", workload),
+        "recorded channel of an embedded host": lambda workload: ours(
+            here, f"cost/{workload.name}/recorded-here", workload, archive="forever"
         ),
-        "JetStream, file storage": lambda work: jetstream(folder, work),
-        "Redis, append-only file": lambda work: redis_file(folder, work),
+        "JetStream, file storage": lambda workload: jetstream(folder, workload),
+        "Redis, append-only file": lambda workload: redis_file(folder, workload),
     }
 
 
@@ -185,10 +185,10 @@ def writing(rt: st.Connection, here: st.Connection, folder: Path, rounds: int) -
     rates: dict[tuple[str, str], list[float]] = {}
     for _ in range(rounds):
         for name, write in writers.items():
-            for work in (FRAMES, SMALL):
-                rate = write(work)
+            for workload in (FRAMES, SMALL):
+                rate = write(workload)
                 if rate is not None:
-                    rates.setdefault((name, work.name), []).append(rate)
+                    rates.setdefault((name, workload.name), []).append(rate)
     heading("writer", "300 KB frames, MB/s", "of plain", "items of 64 B, thousand/s", "of plain")
     first, *_ = writers
     for name in writers:

@@ -28,12 +28,12 @@ def measure(rounds: int) -> Table:
     """Make the table. Each round has both kinds of ack, and the kind that comes first changes from round to round."""
     found: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     with running_cluster(hosts=2, supernodes=1) as cluster, st.connect(cluster.address, transport="grpc") as rt:
-        works = {name: dict(both) for name, both in _works(rt)}
+        operations = {name: dict(both) for name, both in _operations(rt)}
         for at in range(rounds):
-            for name, both in works.items():
+            for name, both in operations.items():
                 for ack in sorted(both, reverse=bool(at % 2)):
                     found[name][ack].append(both[ack]())
-    table = Table(["work", 'ack="host"', 'ack="replica"', "ratio, by rounds", "goal"])
+    table = Table(["operation", 'ack="host"', 'ack="replica"', "ratio, by rounds", "goal"])
     for name, by_ack in found.items():
         goal = f"at most {LATENCY_GOAL}" if name.endswith("us") else f"at least {RATE_GOAL}"
         both_spreads = [spread(Spread.of(by_ack[ack]), 0) for ack in ("host", "replica")]
@@ -44,8 +44,8 @@ def measure(rounds: int) -> Table:
     return table
 
 
-def _works(rt: Any) -> Iterator[tuple[str, list[tuple[str, Callable[[], float]]]]]:
-    """Yield each work with its two kinds of ack. A work returns its figure."""
+def _operations(rt: Any) -> Iterator[tuple[str, list[tuple[str, Callable[[], float]]]]]:
+    """Yield each operation with its two kinds of ack. An operation returns its figure."""
     plain = rt.channel("plain", host="h1", max_items=ITEMS_MAX)
     copied = rt.channel("copied", host="h1", max_items=ITEMS_MAX, **REPLICATED)
     plain_queue, copied_queue = rt.queue("plain", host="h1"), rt.queue("copied", host="h1", **REPLICATED)

@@ -1,4 +1,4 @@
-"""The ratio of two works that took turns, and the CPU time of a service."""
+"""The ratio of two operations that took turns, and the CPU time of a service."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from stampede_rt_bench.measuring import Spread
 from stampede_rt_bench.tables import Cell, spread
-from stampede_rt_bench.works.processes import cpu_seconds
+from stampede_rt_bench.workloads.processes import cpu_seconds
 from stampede_rt_local.process import ServiceProcess
 
 

@@ -19,7 +19,7 @@ from tests.support.waiting import wait_until
 
 SUBSCRIBERS = 2  # in all cases
 SECONDS = 4.0  # the time of each case: some seconds, because the system counts CPU time in steps of 10 ms
-WORKS = {"30 frames/s of 18 KB": (18_000, 30), "1000 items/s of 64 B": (64, 1000)}
+WORKLOADS = {"30 frames/s of 18 KB": (18_000, 30), "1000 items/s of 64 B": (64, 1000)}
 NONE, SUBSCRIBER, PROXY = "none", "a subscriber", "a proxy"
 
 
@@ -27,7 +27,7 @@ def measure(rounds: int) -> Table:
     """Make the table. A round has three cases: neither, one more subscriber, one proxy."""
     table = Table(["work", "owner alone, us/put", "a subscriber adds, us/put", "a proxy adds, us/put", "ratio", "goal"])
     with running_cluster(hosts=2, supernodes=1) as cluster, st.connect(cluster.address, transport="grpc") as rt:
-        for name, (item_bytes, rate) in WORKS.items():
+        for name, (item_bytes, rate) in WORKLOADS.items():
             found: dict[str, list[float]] = defaultdict(list)
             with _channel(rt, item_bytes) as channel:
                 for at in range(rounds):

@@ -7,42 +7,42 @@ import contextlib
 import pytest
 
 from stampede_rt_bench.comparison import SYSTEMS
-from stampede_rt_bench.works.catalogue import Work, works
-from stampede_rt_bench.works.interface import System
-from stampede_rt_bench.works.run import Measured, RunFailed, measure
+from stampede_rt_bench.workloads.catalogue import Workload, workloads
+from stampede_rt_bench.workloads.interface import MeasuredSystem
+from stampede_rt_bench.workloads.run import RunFailed, RunResult, measure
 
-WORKS = {work.name: work for work in works()}
+WORKLOADS = {workload.name: workload for workload in workloads()}
 SECONDS = (0.1, 1.0, 5.0)
 STREAMING = ["stampede", "stampede-embedded", "redis", "nats", "jetstream", "zenoh-router", "zenoh-shm"]
 KEEPING = ["redis-unix", "jetstream", "zenoh-router"]
 
 
 @pytest.mark.parametrize(
-    ("name", "work"), [(name, "stream-18kb") for name in STREAMING] + [(name, "interval") for name in KEEPING]
+    ("name", "workload"), [(name, "stream-18kb") for name in STREAMING] + [(name, "interval") for name in KEEPING]
 )
-def test_a_peer_does_the_work_and_loses_nothing(name: str, work: str) -> None:
+def test_a_peer_does_the_work_and_loses_nothing(name: str, workload: str) -> None:
     system = SYSTEMS[name]
     if reason := system.unavailable_because():
         pytest.skip(reason)
-    measured = measured_without_haste(system, WORKS[work])
+    measured = measured_without_haste(system, WORKLOADS[workload])
     assert measured.items_per_second > 0
     assert measured.lost_share == 0
 
 
-def measured_without_haste(system: System, work: Work) -> Measured:
+def measured_without_haste(system: MeasuredSystem, workload: Workload) -> RunResult:
     """Measure for a moment. Measure for longer if a busy machine delivered nothing in that moment, or delivered the
     last items too late.
     """
     for seconds in SECONDS[:-1]:
         with contextlib.suppress(RunFailed):
-            measured = measure(system, work, seconds)
+            measured = measure(system, workload, seconds)
             if not measured.lost_share:
                 return measured
-    return measure(system, work, SECONDS[-1])
+    return measure(system, workload, SECONDS[-1])
 
 
 def test_every_system_does_every_kind_of_work_or_says_why_not() -> None:
-    kinds = {work.kind for work in works()}
+    kinds = {workload.kind for workload in workloads()}
     for system in SYSTEMS.values():
         assert set(system.lacks) < kinds
         assert all(system.lacks.values())

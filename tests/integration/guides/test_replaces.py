@@ -16,7 +16,7 @@ import pytest
 from stampede_rt.cli.main import main
 from stampede_rt_bench.peers.nats_server import nats_server, why_unavailable
 from stampede_rt_bench.peers.reachable import is_listening
-from stampede_rt_bench.works.processes import server
+from stampede_rt_bench.workloads.processes import server
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.ports import free_ports
 from tests.support.sharing.shared_cluster import shared_cluster_fixture

@@ -11,8 +11,8 @@ import pytest
 
 from stampede_rt_bench.app import main
 from stampede_rt_bench.limits.sockets import RawSockets
-from stampede_rt_bench.works.catalogue import works
-from stampede_rt_bench.works.run import measure
+from stampede_rt_bench.workloads.catalogue import workloads
+from stampede_rt_bench.workloads.run import measure
 from tests.support.command_line.documented_fields import require_fields
 
 QUICK = ["--seconds", "0.1", "--rounds", "1"]
@@ -41,20 +41,20 @@ def test_limits_are_measured_and_reported(printed: str, folder: Path) -> None:
     page = (folder / "limits.md").read_text()
     assert "| bare Unix socket |" in page
     report = json.loads(printed)
-    (work,) = report["works"]
-    assert set(work["systems"]) == {"bare gRPC", "bare Unix socket", "bare TCP socket"}
-    assert all(system["items_per_second"]["median"] > 0 for system in work["systems"].values())
+    (workload,) = report["works"]
+    assert set(workload["systems"]) == {"bare gRPC", "bare Unix socket", "bare TCP socket"}
+    assert all(system["items_per_second"]["median"] > 0 for system in workload["systems"].values())
     assert report["failures"] == []
     assert (folder / "limits-operations.png").exists()
 
 
 @pytest.mark.parametrize("name", ["newest", "interval", "stream-18kb", "latency-300"])
 def test_a_run_moves_items_and_loses_none(name: str) -> None:
-    (work,) = [work for work in works() if work.name == name]
-    measured = measure(RawSockets("unix"), work, 0.1)
+    (workload,) = [workload for workload in workloads() if workload.name == name]
+    measured = measure(RawSockets("unix"), workload, 0.1)
     assert measured.items_per_second > 0
     assert measured.lost_share == 0
-    assert (measured.p50_us > 0) is (work.kind != "stream")
+    assert (measured.p50_us > 0) is (workload.kind != "stream")
 
 
 def test_an_unknown_work_is_refused_with_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,8 +11,8 @@ from stampede_rt_bench.capacity.report import CapacityReport
 from stampede_rt_bench.machine import describe
 from stampede_rt_bench.peers.ours import StampedeRt
 from stampede_rt_bench.printing import finish, say, show
-from stampede_rt_bench.works.campaign import Results, compare
-from stampede_rt_bench.works.catalogue import LARGE, MEDIUM, SMALL, Work, size, works
+from stampede_rt_bench.workloads.campaign import Results, compare
+from stampede_rt_bench.workloads.catalogue import LARGE, MEDIUM, SMALL, Workload, size, workloads
 
 MEMORY = "memory"
 STREAMS = {
@@ -23,16 +23,16 @@ STREAMS = {
 }
 
 
-def capacity_works() -> list[Work]:
-    """Return the works: acknowledged puts of each size, and streams from a producer to a reader."""
+def capacity_workloads() -> list[Workload]:
+    """Return the workloads: acknowledged puts of each size, and streams from a producer to a reader."""
     puts = [
-        Work(name=f"put-{size(count).replace(' ', '').lower()}", title=f"{size(count)}, each put waits for its ack",
+        Workload(name=f"put-{size(count).replace(' ', '').lower()}", title=f"{size(count)}, each put waits for its ack",
              kind="put", item_bytes=count)
         for count in (SMALL, MEDIUM, LARGE)
     ]  # fmt: skip
-    streams = {work.name: work for work in works(())}
+    streams = {workload.name: workload for workload in workloads(())}
     return puts + [
-        Work(name=name, title=title, kind=one.kind, item_bytes=one.item_bytes, rate=one.rate)
+        Workload(name=name, title=title, kind=one.kind, item_bytes=one.item_bytes, rate=one.rate)
         for name, title in STREAMS.items()
         for one in [streams[name]]
     ]
@@ -49,13 +49,13 @@ def measure_capacity(arguments: argparse.Namespace) -> int:
         report.memory = measure_memory(arguments.items, arguments.rounds)
         report.write(folder)
 
-    def done(results: Results, work: Work) -> None:
-        say(f"measured: {work.title}")
+    def done(results: Results, workload: Workload) -> None:
+        say(f"measured: {workload.title}")
         report.results = results
         report.machine["load after"] = f"{os.getloadavg()[0]:.1f}"
-        report.write(folder)  # after each work, so that an interrupted run keeps its figures
+        report.write(folder)  # after each workload, so that an interrupted run keeps its figures
 
-    chosen = [work for work in capacity_works() if not only or work.name in only]
+    chosen = [workload for workload in capacity_workloads() if not only or workload.name in only]
     compare([system], chosen, rounds=arguments.rounds, seconds=arguments.seconds, done=done, say=say)
     for table in report.tables():
         show(table, arguments.output, "")

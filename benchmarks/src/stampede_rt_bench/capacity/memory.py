@@ -9,7 +9,7 @@ from pathlib import Path
 
 from stampede_rt import aio
 from stampede_rt_bench.measuring import Spread
-from stampede_rt_bench.works.catalogue import MEDIUM, SMALL
+from stampede_rt_bench.workloads.catalogue import MEDIUM, SMALL
 from stampede_rt_local.cluster import LocalCluster
 
 EMPTY = "a host without channels"

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from stampede_rt_bench.measuring import Spread
 from stampede_rt_bench.tables import Table, spread
-from stampede_rt_bench.works.campaign import FIGURES, Results
-from stampede_rt_bench.works.catalogue import Work
+from stampede_rt_bench.workloads.campaign import FIGURES, Results
+from stampede_rt_bench.workloads.catalogue import Workload
 
 BYTES_PER_MB = 1_000_000
 
@@ -26,20 +26,20 @@ class CapacityReport:
     memory: Mapping[str, Spread] = field(default_factory=dict)
 
     def rates(self) -> Table:
-        """Return the table of the works: rates, times, and the CPU time of the services."""
+        """Return the table of the workloads: rates, times, and the CPU time of the services."""
         columns = ["one client, one reader", "items/s", "MB/s", "p50, us", "p99, us", "services' CPU, us/item"]
-        table = Table(columns, [self._row(work) for work in self.results.runs])
+        table = Table(columns, [self._row(workload) for workload in self.results.runs])
         table.notes = ["p50 and p99: from the call of put to its acknowledgement, or to the reader."]
         return table
 
-    def _row(self, work: Work) -> list[str]:
+    def _row(self, workload: Workload) -> list[str]:
         def figure(name: str, digits: int = 0) -> str:
-            return spread(self.results.spread(work, self.system, name), digits)
+            return spread(self.results.spread(workload, self.system, name), digits)
 
-        items = self.results.spread(work, self.system, "items_per_second")
-        times = ["", ""] if work.kind == "stream" else [figure("p50_us"), figure("p99_us")]
-        megabytes = f"{items.median * work.item_bytes / BYTES_PER_MB:,.1f}"
-        return [work.title, spread(items, 0), megabytes, *times, figure("server_cpu_us_per_item", 1)]
+        items = self.results.spread(workload, self.system, "items_per_second")
+        times = ["", ""] if workload.kind == "stream" else [figure("p50_us"), figure("p99_us")]
+        megabytes = f"{items.median * workload.item_bytes / BYTES_PER_MB:,.1f}"
+        return [workload.title, spread(items, 0), megabytes, *times, figure("server_cpu_us_per_item", 1)]
 
     def memory_table(self) -> Table:
         """Return the table of memory."""
@@ -62,12 +62,12 @@ class CapacityReport:
 
     def values(self) -> dict[str, object]:
         """Return the whole report as data for JSON."""
-        works = {
-            work.name: {name: asdict(self.results.spread(work, self.system, name)) for name in FIGURES}
-            for work in self.results.runs
+        workloads = {
+            workload.name: {name: asdict(self.results.spread(workload, self.system, name)) for name in FIGURES}
+            for workload in self.results.runs
         }
         memory = {kind: asdict(value) for kind, value in self.memory.items()}
-        return {"command": self.command, "machine": self.machine, "works": works, "memory_bytes": memory}
+        return {"command": self.command, "machine": self.machine, "works": workloads, "memory_bytes": memory}
 
     def write(self, folder: Path) -> None:
         """Write `capacity.md` and `capacity.json` into the folder. Raises OSError."""

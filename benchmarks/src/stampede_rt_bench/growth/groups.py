@@ -29,15 +29,15 @@ def measure_groups(counts: Sequence[int], operations: int, runs: int) -> dict[in
             for group in groups:
                 group.newest()  # from now on the host knows the group
             other.put(payload)
-            works: dict[str, Callable[[], object]] = {
+            calls_by_name: dict[str, Callable[[], object]] = {
                 "put": lambda: channel.put(payload),
                 "put that moves all cuts": _in_turn(other, channel, payload),
                 "get of the newest": channel.newest,
                 "get through a group": groups[0][channel].newest,
             }
             costs[count] = {
-                name: Spread.of([_host_us(cluster.hosts[0].pid, work, max(1, operations // 4)) for _ in range(runs)])
-                for name, work in works.items()
+                name: Spread.of([_host_us(cluster.hosts[0].pid, call, max(1, operations // 4)) for _ in range(runs)])
+                for name, call in calls_by_name.items()
             }
     return costs
 
@@ -48,10 +48,10 @@ def _in_turn(one: st.Channel, other: st.Channel, payload: bytes) -> Callable[[],
     return lambda: next(turns).put(payload)
 
 
-def _host_us(pid: int, work: Callable[[], object], calls: int) -> float:
+def _host_us(pid: int, call: Callable[[], object], calls: int) -> float:
     before = _cpu_nanos(pid)
     for _ in range(calls):
-        work()
+        call()
     return (_cpu_nanos(pid) - before) / calls / NANOS_PER_US
 
 

@@ -19,8 +19,8 @@ import grpc
 import grpc.experimental
 
 from stampede_rt_bench.limits.framing import ONE_READER, REQUEST
-from stampede_rt_bench.works.interface import Receiver, Room, Served, Step
-from stampede_rt_bench.works.processes import server
+from stampede_rt_bench.workloads.interface import Receiver, RunningServer, Step, WorkloadNeeds
+from stampede_rt_bench.workloads.processes import server
 
 MESSAGE_BYTES_MAX = 64 << 20
 OPTIONS = [
@@ -39,7 +39,7 @@ class BareGrpc:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Return the kinds of work that this system cannot do: frames, because it serves one reader only."""
+        """Return the kinds of workload that this system cannot run: frames, because it serves one reader only."""
         return {"frames": ONE_READER}
 
     def unavailable_because(self) -> str | None:
@@ -47,24 +47,24 @@ class BareGrpc:
         return None
 
     @contextmanager
-    def served(self, room: Room) -> Iterator[Served]:
+    def served(self, needs: WorkloadNeeds) -> Iterator[RunningServer]:
         """Run the relay in a new process for the duration of the context."""
         with tempfile.TemporaryDirectory(prefix="stampede-bench-") as folder:
             ready = Path(folder, "address")
             command = [sys.executable, "-P", "-m", "stampede_rt_bench.limits.grpc_server", str(ready)]
             with server(command, Path(folder, "log"), ready.exists) as pid:
-                yield Served(address=ready.read_text(), pids=[pid])
+                yield RunningServer(address=ready.read_text(), pids=[pid])
 
-    def connect(self, served: Served, room: Room) -> GrpcClient:
+    def connect(self, served: RunningServer, needs: WorkloadNeeds) -> GrpcClient:
         """Return a client with a new gRPC channel."""
-        return GrpcClient(served.address, room)
+        return GrpcClient(served.address, needs)
 
 
 class GrpcClient:
     """A client that uses open streams of one blocking gRPC channel."""
 
-    def __init__(self, address: str, room: Room) -> None:
-        self._room = room
+    def __init__(self, address: str, needs: WorkloadNeeds) -> None:
+        self._needs = needs
         self._channel: Any = grpc.insecure_channel(address, options=OPTIONS)
 
     def put(self, payloads: Iterator[bytes]) -> None:
@@ -81,7 +81,7 @@ class GrpcClient:
         """Send a small message, and wait for the bytes of all items in one message."""
         exchange = self._exchange("Fetch")
         for items in turns:
-            receiver.take_block(items, exchange(REQUEST.pack(items, self._room.item_bytes)))
+            receiver.take_block(items, exchange(REQUEST.pack(items, self._needs.item_bytes)))
 
     def publish(self, steps: Iterator[Step]) -> None:
         """Send the payloads of each step, joined, as one message. gRPC's flow control bounds the bytes under way."""
@@ -98,7 +98,7 @@ class GrpcClient:
                 if receiver.ended():
                     break
                 continue
-            receiver.take_block(len(message) // self._room.item_bytes, message)
+            receiver.take_block(len(message) // self._needs.item_bytes, message)
             if receiver.ended():
                 break
         out.cancel()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from stampede_rt_bench.measuring import NANOS_PER_US, Spread, microseconds
-from stampede_rt_bench.works.catalogue import LARGE, MEDIUM, SMALL
+from stampede_rt_bench.workloads.catalogue import LARGE, MEDIUM, SMALL
 
 BYTES_A_RUN = 1 << 30
 TIMES_MAX = 200_000

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Literal
 
 from stampede_rt_bench.limits.framing import LENGTH, ONE_READER, REQUEST
-from stampede_rt_bench.works.interface import Receiver, Room, Served, Step
-from stampede_rt_bench.works.processes import server
+from stampede_rt_bench.workloads.interface import Receiver, RunningServer, Step, WorkloadNeeds
+from stampede_rt_bench.workloads.processes import server
 
 LOOK_SECONDS = 0.1
 
@@ -28,7 +28,7 @@ class RawSockets:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Return the kinds of work that this system cannot do: frames, because it serves one reader only."""
+        """Return the kinds of workload that this system cannot run: frames, because it serves one reader only."""
         return {"frames": ONE_READER}
 
     @property
@@ -41,24 +41,24 @@ class RawSockets:
         return None
 
     @contextmanager
-    def served(self, room: Room) -> Iterator[Served]:
+    def served(self, needs: WorkloadNeeds) -> Iterator[RunningServer]:
         """Run the relay in a new process for the duration of the context."""
         with tempfile.TemporaryDirectory(prefix="stampede-bench-") as folder:
             ready = Path(folder, "address")
             command = [sys.executable, "-P", "-m", "stampede_rt_bench.limits.socket_server", self.family, str(ready)]
             with server(command, Path(folder, "log"), ready.exists) as pid:
-                yield Served(address=ready.read_text(), pids=[pid])
+                yield RunningServer(address=ready.read_text(), pids=[pid])
 
-    def connect(self, served: Served, room: Room) -> SocketClient:
-        """Return a client, which opens one connection for each kind of work."""
-        return SocketClient(self.family, served.address, room)
+    def connect(self, served: RunningServer, needs: WorkloadNeeds) -> SocketClient:
+        """Return a client, which opens one connection for each kind of workload."""
+        return SocketClient(self.family, served.address, needs)
 
 
 class SocketClient:
-    """Blocking sockets, one for each kind of work."""
+    """Blocking sockets, one for each kind of workload."""
 
-    def __init__(self, family: str, address: str, room: Room) -> None:
-        self._family, self._address, self._room = family, address, room
+    def __init__(self, family: str, address: str, needs: WorkloadNeeds) -> None:
+        self._family, self._address, self._needs = family, address, needs
         self._sockets: list[socket.socket] = []
 
     def put(self, payloads: Iterator[bytes]) -> None:
@@ -76,7 +76,7 @@ class SocketClient:
         """Send a small frame, and wait for the bytes of all items in one frame."""
         connection = self._open(b"F")
         for items in turns:
-            request = REQUEST.pack(items, self._room.item_bytes)
+            request = REQUEST.pack(items, self._needs.item_bytes)
             connection.sendall(LENGTH.pack(len(request)) + request)
             receiver.take_block(items, receive(connection))
 
@@ -97,7 +97,7 @@ class SocketClient:
         while not receiver.ended():
             if select.select([connection], [], [], LOOK_SECONDS)[0]:
                 frame = receive(connection)
-                receiver.take_block(len(frame) // self._room.item_bytes, frame)
+                receiver.take_block(len(frame) // self._needs.item_bytes, frame)
 
     def close(self) -> None:
         """End the connections."""

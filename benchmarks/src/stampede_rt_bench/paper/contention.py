@@ -17,9 +17,9 @@ from stampede_rt_bench.charts import Axes, Points, draw_lines
 from stampede_rt_bench.measuring import Effort, Spread
 from stampede_rt_bench.peers.ours import StampedeClient, StampedeRt
 from stampede_rt_bench.tables import Cell, Table, number, spread
-from stampede_rt_bench.works.catalogue import FRAMES_PER_SECOND, LARGE, MEDIUM, frames, size
-from stampede_rt_bench.works.interface import Receiver, Room, Served
-from stampede_rt_bench.works.run import count_lost
+from stampede_rt_bench.workloads.catalogue import FRAMES_PER_SECOND, LARGE, MEDIUM, frames, size
+from stampede_rt_bench.workloads.interface import Receiver, RunningServer, WorkloadNeeds
+from stampede_rt_bench.workloads.run import count_lost
 
 CONSUMERS = {MEDIUM: (8, 16, 32), LARGE: (4, 8, 12, 16)}
 PAPER_FRAMES = 2312
@@ -50,9 +50,9 @@ NOT_TOLD = PaperDrops("", "", None)
 class NewestByTurns(StampedeRt):
     """Stampede RT with consumers that get the newest item, and no subscription."""
 
-    def connect(self, served: Served, room: Room) -> StampedeClient:
+    def connect(self, served: RunningServer, needs: WorkloadNeeds) -> StampedeClient:
         """Return a client with a new connection."""
-        return NewestClient(served.address, room, self.transport)
+        return NewestClient(served.address, needs, self.transport)
 
 
 class NewestClient(StampedeClient):
@@ -83,8 +83,8 @@ def measure(effort: Effort, chart: Path) -> Table:
     lines: dict[str, list[tuple[float, Spread]]] = {}
     for item_bytes, counts in CONSUMERS.items():
         for consumers in counts:
-            work = frames(item_bytes, consumers, effort.frames)
-            runs = [count_lost(NewestByTurns(), work) for _ in range(effort.runs)]
+            workload = frames(item_bytes, consumers, effort.frames)
+            runs = [count_lost(NewestByTurns(), workload) for _ in range(effort.runs)]
             table.rows.append(_row(item_bytes, consumers, runs))
             most = Spread.of([100 * max(lost) / effort.frames for lost in runs])
             lines.setdefault(f"{size(item_bytes)}, ours", []).append((consumers, most))

@@ -20,11 +20,11 @@ from stampede_rt_bench.clusters import SECRET_VARIABLE, cluster_of, secret_found
 from stampede_rt_bench.measuring import Effort, Spread
 from stampede_rt_bench.peers.ours import NAME, StampedeClient, StampedeRt
 from stampede_rt_bench.tables import Table, number, spread
-from stampede_rt_bench.works.catalogue import FRAMES_PER_SECOND, MEDIUM, frames, size
-from stampede_rt_bench.works.interface import Room, Served
-from stampede_rt_bench.works.processes import ServerFailed
-from stampede_rt_bench.works.run import Measured
-from stampede_rt_bench.works.run import measure as measure_run
+from stampede_rt_bench.workloads.catalogue import FRAMES_PER_SECOND, MEDIUM, frames, size
+from stampede_rt_bench.workloads.interface import RunningServer, WorkloadNeeds
+from stampede_rt_bench.workloads.processes import ServerFailed
+from stampede_rt_bench.workloads.run import RunResult
+from stampede_rt_bench.workloads.run import measure as measure_run
 from stampede_rt_local.namespaces import NamespaceNetwork, run, unavailable_because
 from stampede_rt_local.process import ServiceFailed
 
@@ -44,7 +44,7 @@ class WithProxies(StampedeRt):
     network: NamespaceNetwork | None = field(default=None, compare=False)
 
     @contextmanager
-    def served(self, room: Room) -> Iterator[Served]:
+    def served(self, needs: WorkloadNeeds) -> Iterator[RunningServer]:
         """Run a cluster of one supernode and the hosts for the duration of the context. Raises ServerFailed."""
         cluster = cluster_of(1 + self.proxies, self.network)
         with ExitStack() as stack:
@@ -59,11 +59,11 @@ class WithProxies(StampedeRt):
                 raise ServerFailed(str(error)) from error
             secret = {SECRET_VARIABLE: str(cluster.secret_file)}
             pids = [process.pid for process in cluster.processes()]
-            yield Served(address=cluster.address, pids=pids, environment=secret)
+            yield RunningServer(address=cluster.address, pids=pids, environment=secret)
 
-    def connect(self, served: Served, room: Room) -> StampedeClient:
+    def connect(self, served: RunningServer, needs: WorkloadNeeds) -> StampedeClient:
         """Return a client with a new connection."""
-        return StampedeClient(served.address, replace(room, items_max=KEPT_FRAMES), self.transport)
+        return StampedeClient(served.address, replace(needs, items_max=KEPT_FRAMES), self.transport)
 
 
 class Case(NamedTuple):
@@ -113,13 +113,13 @@ def slow_down(network: NamespaceNetwork) -> None:
 
 
 def _case(effort: Effort, network: NamespaceNetwork | None, readers: int, proxies: int) -> Case:
-    system, work = WithProxies(proxies=proxies, network=network), frames(MEDIUM, readers)
-    runs = [measure_run(system, work, SECONDS) for _ in range(effort.runs)]
+    system, workload = WithProxies(proxies=proxies, network=network), frames(MEDIUM, readers)
+    runs = [measure_run(system, workload, SECONDS) for _ in range(effort.runs)]
     lost = Spread.of([100 * one.lost_share for one in runs])
     return Case(readers, proxies, lost, [_cores(runs, host) for host in range(1 + proxies)])
 
 
-def _cores(runs: Sequence[Measured], host: int) -> Spread:
+def _cores(runs: Sequence[RunResult], host: int) -> Spread:
     return Spread.of([100 * one.server_cores[host] for one in runs])
 
 

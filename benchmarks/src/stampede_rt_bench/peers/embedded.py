@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import stampede_rt as st
 from stampede_rt_bench.clusters import SECRET_VARIABLE
 from stampede_rt_bench.peers.ours import NAME, put_all, take_all
-from stampede_rt_bench.works.interface import Receiver, Room, Served, Step
-from stampede_rt_bench.works.processes import ServerFailed
+from stampede_rt_bench.workloads.interface import Receiver, RunningServer, Step, WorkloadNeeds
+from stampede_rt_bench.workloads.processes import ServerFailed
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceFailed
 
@@ -28,7 +28,7 @@ class EmbeddedStampedeRt:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Return the works that are done by reference: the program of the host needs no other process for them."""
+        """Return the workloads that run by reference: the program of the host needs no other process for them."""
         return dict.fromkeys(("put", "newest", "interval"), OPERATES_BY_REFERENCE)
 
     def unavailable_because(self) -> str | None:
@@ -36,7 +36,7 @@ class EmbeddedStampedeRt:
         return None
 
     @contextmanager
-    def served(self, room: Room) -> Iterator[Served]:
+    def served(self, needs: WorkloadNeeds) -> Iterator[RunningServer]:
         """Run a supernode and a front-end for the duration of the context, and no host. Raises ServerFailed."""
         cluster = LocalCluster(hosts=0, supernodes=1, durable=False)
         try:
@@ -46,20 +46,20 @@ class EmbeddedStampedeRt:
         try:
             secret = {SECRET_VARIABLE: str(cluster.secret_file)}
             pids = [process.pid for process in cluster.processes()]
-            yield Served(address=cluster.address, pids=pids, environment=secret)
+            yield RunningServer(address=cluster.address, pids=pids, environment=secret)
         finally:
             cluster.stop()
 
-    def connect(self, served: Served, room: Room) -> EmbeddedClient:
-        """Return a client, which connects for its work."""
-        return EmbeddedClient(served.address, room)
+    def connect(self, served: RunningServer, needs: WorkloadNeeds) -> EmbeddedClient:
+        """Return a client, which connects for each workload."""
+        return EmbeddedClient(served.address, needs)
 
 
 class EmbeddedClient:
     """A producer with a host, or a reader."""
 
-    def __init__(self, address: str, room: Room) -> None:
-        self._address, self._room = address, room
+    def __init__(self, address: str, needs: WorkloadNeeds) -> None:
+        self._address, self._needs = address, needs
 
     def put(self, payloads: Iterator[bytes]) -> None:
         """Raises NotImplementedError: see `EmbeddedStampedeRt.lacks`."""
@@ -76,7 +76,7 @@ class EmbeddedClient:
     def publish(self, steps: Iterator[Step]) -> None:
         """Host the channel, and put with a producer, whose payloads the host keeps as they are."""
         with st.host(self._address) as rt:
-            put_all(rt.channel(NAME, max_items=self._room.items_max), steps)
+            put_all(rt.channel(NAME, max_items=self._needs.items_max), steps)
             time.sleep(LINGER_SECONDS)
 
     def subscribe(self, receiver: Receiver) -> None:
@@ -95,4 +95,4 @@ class EmbeddedClient:
                     take_all(channel.subscribe(start=st.OLDEST), receiver)
 
     def close(self) -> None:
-        """Do nothing, because each work closes its own connection."""
+        """Do nothing, because each workload closes its own connection."""

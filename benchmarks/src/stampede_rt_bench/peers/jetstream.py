@@ -10,7 +10,7 @@ from datetime import datetime
 from typing import Any
 
 from stampede_rt_bench.peers.nats_server import connect, nats_server, raise_first, why_unavailable
-from stampede_rt_bench.works.interface import Receiver, Room, Served, Step
+from stampede_rt_bench.workloads.interface import Receiver, RunningServer, Step, WorkloadNeeds
 
 STREAM, SUBJECT = "BENCH", "bench.items"
 LOOK_SECONDS = 0.05
@@ -26,27 +26,27 @@ class JetStream:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Return an empty mapping: the system can do every kind of work."""
+        """Return an empty mapping: the system can run every kind of workload."""
         return {}
 
     def unavailable_because(self) -> str | None:
         """Return which package is missing, and how to install it; None if none is missing."""
         return why_unavailable()
 
-    def served(self, room: Room) -> AbstractContextManager[Served]:
+    def served(self, needs: WorkloadNeeds) -> AbstractContextManager[RunningServer]:
         """Return a context with a new server that has JetStream."""
         return nats_server("--jetstream")
 
-    def connect(self, served: Served, room: Room) -> JetStreamClient:
-        """Return a client, which opens a connection for each work."""
-        return JetStreamClient(served.address, room)
+    def connect(self, served: RunningServer, needs: WorkloadNeeds) -> JetStreamClient:
+        """Return a client, which opens a connection for each workload."""
+        return JetStreamClient(served.address, needs)
 
 
 class JetStreamClient:
-    """A client that runs a new event loop for each work."""
+    """A client that runs a new event loop for each workload."""
 
-    def __init__(self, address: str, room: Room) -> None:
-        self._address, self._room = address, room
+    def __init__(self, address: str, needs: WorkloadNeeds) -> None:
+        self._address, self._needs = address, needs
 
     def put(self, payloads: Iterator[bytes]) -> None:
         """Call `publish` for each payload. It waits for the acknowledgement."""
@@ -69,7 +69,7 @@ class JetStreamClient:
         asyncio.run(self._subscribe(receiver))
 
     def close(self) -> None:
-        """Do nothing, because each work closes its own connection."""
+        """Do nothing, because each workload closes its own connection."""
 
     @asynccontextmanager
     async def _stream(self, failures: list[Exception] | None = None) -> AsyncIterator[Any]:
@@ -83,7 +83,7 @@ class JetStreamClient:
                 subjects=[SUBJECT],
                 storage=StorageType.MEMORY,
                 retention=RetentionPolicy.LIMITS,
-                max_msgs=self._room.items_max,
+                max_msgs=self._needs.items_max,
                 allow_direct=True,
             )
         )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stampede_rt_bench.peers.nats_server import connect, nats_server, raise_first, why_unavailable
-from stampede_rt_bench.works.interface import Receiver, Room, Served, Step
+from stampede_rt_bench.workloads.interface import Receiver, RunningServer, Step, WorkloadNeeds
 
 SUBJECT = "bench.items"
 LOOK_SECONDS = 0.05
@@ -24,38 +24,38 @@ class NatsCore:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Return the kinds of work that need stored items or acknowledgements."""
+        """Return the kinds of workload that need stored items or acknowledgements."""
         return {"put": "it acknowledges nothing", "newest": KEEPS_NOTHING, "interval": KEEPS_NOTHING}
 
     def unavailable_because(self) -> str | None:
         """Return which package is missing, and how to install it; None if none is missing."""
         return why_unavailable()
 
-    def served(self, room: Room) -> AbstractContextManager[Served]:
+    def served(self, needs: WorkloadNeeds) -> AbstractContextManager[RunningServer]:
         """Return a context with a new server without JetStream."""
         return nats_server()
 
-    def connect(self, served: Served, room: Room) -> NatsClient:
-        """Return a client, which opens a connection for each work."""
+    def connect(self, served: RunningServer, needs: WorkloadNeeds) -> NatsClient:
+        """Return a client, which opens a connection for each workload."""
         return NatsClient(served.address)
 
 
 class NatsClient:
-    """A client that runs a new event loop for each work."""
+    """A client that runs a new event loop for each workload."""
 
     def __init__(self, address: str) -> None:
         self._address = address
 
     def put(self, payloads: Iterator[bytes]) -> None:
-        """Raises NotImplementedError: the system does not offer this work."""
+        """Raises NotImplementedError: the system does not offer this workload."""
         raise NotImplementedError
 
     def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """Raises NotImplementedError: the system does not offer this work."""
+        """Raises NotImplementedError: the system does not offer this workload."""
         raise NotImplementedError
 
     def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """Raises NotImplementedError: the system does not offer this work."""
+        """Raises NotImplementedError: the system does not offer this workload."""
         raise NotImplementedError
 
     def publish(self, steps: Iterator[Step]) -> None:
@@ -67,7 +67,7 @@ class NatsClient:
         asyncio.run(self._subscribe(receiver))
 
     def close(self) -> None:
-        """Do nothing, because each work closes its own connection."""
+        """Do nothing, because each workload closes its own connection."""
 
     async def _publish(self, steps: Iterator[Step]) -> None:
         connection = await connect(self._address)

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from stampede_rt_bench.peers.reachable import is_listening
-from stampede_rt_bench.works.interface import Served
-from stampede_rt_bench.works.processes import server
+from stampede_rt_bench.workloads.interface import RunningServer
+from stampede_rt_bench.workloads.processes import server
 from stampede_rt_local.ports import free_ports
 
 SERVER = "nats-server"
@@ -35,7 +35,7 @@ def _binary() -> str | None:
 
 
 @contextmanager
-def nats_server(*options: str) -> Iterator[Served]:
+def nats_server(*options: str) -> Iterator[RunningServer]:
     """Run a new server on a free port for the duration of the context."""
     binary = _binary()
     assert binary is not None
@@ -43,7 +43,7 @@ def nats_server(*options: str) -> Iterator[Served]:
         (port,) = free_ports(1, "127.0.0.1")
         command = [binary, "--addr", "127.0.0.1", "--port", str(port), *options, "--store_dir", folder]
         with server(command, Path(folder, "log"), partial(is_listening, port)) as pid:
-            yield Served(address=f"nats://127.0.0.1:{port}", pids=[pid])
+            yield RunningServer(address=f"nats://127.0.0.1:{port}", pids=[pid])
 
 
 async def connect(address: str, failures: list[Exception] | None = None) -> Any:

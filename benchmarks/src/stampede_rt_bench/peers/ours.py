@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import stampede_rt as st
 from stampede_rt_bench.clusters import SECRET_VARIABLE
-from stampede_rt_bench.works.interface import Receiver, Room, Served, Step
-from stampede_rt_bench.works.processes import ServerFailed
+from stampede_rt_bench.workloads.interface import Receiver, RunningServer, Step, WorkloadNeeds
+from stampede_rt_bench.workloads.processes import ServerFailed
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceFailed
 
@@ -28,7 +28,7 @@ class StampedeRt:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Return an empty mapping: the system can do every kind of work."""
+        """Return an empty mapping: the system can run every kind of workload."""
         return {}
 
     def unavailable_because(self) -> str | None:
@@ -36,7 +36,7 @@ class StampedeRt:
         return None
 
     @contextmanager
-    def served(self, room: Room) -> Iterator[Served]:
+    def served(self, needs: WorkloadNeeds) -> Iterator[RunningServer]:
         """Run a cluster of one supernode and one host for the duration of the context. Raises ServerFailed."""
         cluster = LocalCluster(hosts=1, supernodes=1, durable=False, data_ports=True)
         try:
@@ -46,21 +46,21 @@ class StampedeRt:
         try:
             secret = {SECRET_VARIABLE: str(cluster.secret_file)}
             pids = [process.pid for process in cluster.processes()]
-            yield Served(address=cluster.address, pids=pids, environment=secret)
+            yield RunningServer(address=cluster.address, pids=pids, environment=secret)
         finally:
             cluster.stop()
 
-    def connect(self, served: Served, room: Room) -> StampedeClient:
+    def connect(self, served: RunningServer, needs: WorkloadNeeds) -> StampedeClient:
         """Return a client with a new connection."""
-        return StampedeClient(served.address, room, self.transport)
+        return StampedeClient(served.address, needs, self.transport)
 
 
 class StampedeClient:
     """A client of the blocking public interface."""
 
-    def __init__(self, address: str, room: Room, transport: str) -> None:
+    def __init__(self, address: str, needs: WorkloadNeeds, transport: str) -> None:
         self._rt = st.connect(address, transport=transport)
-        self._channel = self._rt.channel(NAME, max_items=room.items_max)
+        self._channel = self._rt.channel(NAME, max_items=needs.items_max)
 
     def put(self, payloads: Iterator[bytes]) -> None:
         """Call `put` for each payload. It waits for the acknowledgement."""

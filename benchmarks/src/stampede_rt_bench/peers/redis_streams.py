@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from stampede_rt_bench.peers.reachable import is_listening
-from stampede_rt_bench.works.interface import Receiver, Room, Served, Step
-from stampede_rt_bench.works.processes import server
+from stampede_rt_bench.workloads.interface import Receiver, RunningServer, Step, WorkloadNeeds
+from stampede_rt_bench.workloads.processes import server
 from stampede_rt_local.ports import free_ports
 
 SERVER = "redis-server"
@@ -39,7 +39,7 @@ class RedisStreams:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Return an empty mapping: the system can do every kind of work."""
+        """Return an empty mapping: the system can run every kind of workload."""
         return {}
 
     def unavailable_because(self) -> str | None:
@@ -51,7 +51,7 @@ class RedisStreams:
         return None
 
     @contextmanager
-    def served(self, room: Room) -> Iterator[Served]:
+    def served(self, needs: WorkloadNeeds) -> Iterator[RunningServer]:
         """Run a server that writes nothing to disk for the duration of the context."""
         with tempfile.TemporaryDirectory(prefix="stampede-bench-") as folder:
             (port,) = free_ports(1, "127.0.0.1")
@@ -59,28 +59,28 @@ class RedisStreams:
             listen = ["--port", str(port), "--bind", "127.0.0.1", "--unixsocket", str(path)]
             command = [SERVER, *listen, "--save", "", "--appendonly", "no", "--dir", folder]
             with server(command, Path(folder, "log"), partial(is_listening, port)) as pid:
-                yield Served(address=str(path) if self.family == "unix" else str(port), pids=[pid])
+                yield RunningServer(address=str(path) if self.family == "unix" else str(port), pids=[pid])
 
-    def connect(self, served: Served, room: Room) -> RedisClient:
+    def connect(self, served: RunningServer, needs: WorkloadNeeds) -> RedisClient:
         """Return a client with a new connection."""
         import redis
 
         if self.family == "unix":
-            return RedisClient(redis.Redis(unix_socket_path=served.address, protocol=2), room)
-        return RedisClient(redis.Redis(host="127.0.0.1", port=int(served.address), protocol=2), room)
+            return RedisClient(redis.Redis(unix_socket_path=served.address, protocol=2), needs)
+        return RedisClient(redis.Redis(host="127.0.0.1", port=int(served.address), protocol=2), needs)
 
 
 class RedisClient:
     """A blocking client."""
 
-    def __init__(self, client: Any, room: Room) -> None:
-        self._client, self._room = client, room
+    def __init__(self, client: Any, needs: WorkloadNeeds) -> None:
+        self._client, self._needs = client, needs
         client.ping()
 
     def put(self, payloads: Iterator[bytes]) -> None:
         """Send one XADD for each payload, and wait for its answer."""
         for payload in payloads:
-            self._client.xadd(STREAM, {FIELD: payload}, maxlen=self._room.items_max, approximate=True)
+            self._client.xadd(STREAM, {FIELD: payload}, maxlen=self._needs.items_max, approximate=True)
 
     def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
         """Read the newest entry with XREVRANGE and a count of 1."""
@@ -100,7 +100,7 @@ class RedisClient:
                 continue
             pipeline = self._client.pipeline(transaction=False)
             for payload in step:
-                pipeline.xadd(STREAM, {FIELD: payload}, maxlen=self._room.items_max, approximate=True)
+                pipeline.xadd(STREAM, {FIELD: payload}, maxlen=self._needs.items_max, approximate=True)
             pipeline.execute()
 
     def subscribe(self, receiver: Receiver) -> None:
@@ -108,7 +108,7 @@ class RedisClient:
         last: bytes = b"0-0"
         receiver.ready()
         while not receiver.ended():
-            answer = self._client.xread({STREAM: last}, count=self._room.batch_items, block=WAIT_MILLIS)
+            answer = self._client.xread({STREAM: last}, count=self._needs.batch_items, block=WAIT_MILLIS)
             for _, entries in answer:
                 _take(entries, receiver)
                 last = entries[-1][0]

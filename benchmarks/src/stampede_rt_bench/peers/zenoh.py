@@ -19,8 +19,8 @@ from typing import Any, Literal
 from stampede_rt_bench.peers.reachable import is_listening
 from stampede_rt_bench.peers.zenoh_segments import segments_removed
 from stampede_rt_bench.peers.zenoh_sessions import KEY, SHARED_MEMORY_BYTES, open_session
-from stampede_rt_bench.works.interface import Receiver, Room, Served, Step
-from stampede_rt_bench.works.processes import server
+from stampede_rt_bench.workloads.interface import Receiver, RunningServer, Step, WorkloadNeeds
+from stampede_rt_bench.workloads.processes import server
 from stampede_rt_local.ports import free_ports
 
 LOOK_SECONDS, MEET_SECONDS, SETTLE_SECONDS = 0.05, 20.0, 0.2
@@ -46,7 +46,7 @@ class Zenoh:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Return the work that it cannot do: Zenoh acknowledges no put, and keeps items only with a router."""
+        """Return the workload that it cannot run: Zenoh acknowledges no put, and keeps items only with a router."""
         without = {"put": "it acknowledges no put"}
         return without if self.way == "router" else {**without, "newest": NO_SERVER, "interval": NO_SERVER}
 
@@ -55,33 +55,33 @@ class Zenoh:
         return None if find_spec("zenoh") else 'Zenoh is not installed; pip install "stampede-rt-bench[peers]"'
 
     @contextmanager
-    def served(self, room: Room) -> Iterator[Served]:
+    def served(self, needs: WorkloadNeeds) -> Iterator[RunningServer]:
         """Run a router in a new process. Without a router, only choose the address of the publisher."""
         (port,) = free_ports(1, "127.0.0.1")
         address = f"tcp/127.0.0.1:{port}"
         if self.way != "router":
             with segments_removed():
-                yield Served(address=address)
+                yield RunningServer(address=address)
             return
         with tempfile.TemporaryDirectory(prefix="stampede-bench-") as folder:
-            storage = [str(room.items_max)] if room.keeps else []
+            storage = [str(needs.items_max)] if needs.keeps else []
             command = [sys.executable, "-P", "-m", "stampede_rt_bench.peers.zenoh_router", address, *storage]
             with server(command, Path(folder, "log"), partial(is_listening, port)) as pid:
-                yield Served(address=address, pids=[pid])
+                yield RunningServer(address=address, pids=[pid])
 
-    def connect(self, served: Served, room: Room) -> ZenohClient:
-        """Return a client, which opens a session for each work."""
-        return ZenohClient(self.way, served.address, room)
+    def connect(self, served: RunningServer, needs: WorkloadNeeds) -> ZenohClient:
+        """Return a client, which opens a session for each workload."""
+        return ZenohClient(self.way, served.address, needs)
 
 
 class ZenohClient:
     """A client of Zenoh. Without a router the publisher listens, and readers connect to it."""
 
-    def __init__(self, way: str, address: str, room: Room) -> None:
-        self._way, self._address, self._room = way, address, room
+    def __init__(self, way: str, address: str, needs: WorkloadNeeds) -> None:
+        self._way, self._address, self._needs = way, address, needs
 
     def put(self, payloads: Iterator[bytes]) -> None:
-        """Raises NotImplementedError: the system does not offer this work."""
+        """Raises NotImplementedError: the system does not offer this workload."""
         raise NotImplementedError
 
     def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
@@ -106,7 +106,7 @@ class ZenohClient:
                     continue
                 for payload in step:
                     send(payload)
-            if self._room.keeps:
+            if self._needs.keeps:
                 self._wait_until_stored(session)
 
     def subscribe(self, receiver: Receiver) -> None:
@@ -130,7 +130,7 @@ class ZenohClient:
             raise failures[0]
 
     def close(self) -> None:
-        """Do nothing, because each work closes its own session."""
+        """Do nothing, because each workload closes its own session."""
 
     def _open(self, *, listens: bool) -> Any:
         mode: Literal["client", "peer"] = "client" if self._way == "router" else "peer"
@@ -147,7 +147,7 @@ class ZenohClient:
     def _meet(self, session: Any, publisher: Any) -> None:
         """Wait until all readers have connected. Raises TimeoutError."""
         until_s = time.monotonic() + MEET_SECONDS
-        readers = 0 if self._way == "router" else self._room.readers
+        readers = 0 if self._way == "router" else self._needs.readers
         while not publisher.matching_status.matching or len(session.info.peers_zid()) < readers:
             if time.monotonic() > until_s:
                 raise TimeoutError(f"the readers did not come within {MEET_SECONDS:g} s")
@@ -167,7 +167,7 @@ class ZenohClient:
 
         With shared memory it first copies the payload into a shared buffer, if the payload reaches Zenoh's threshold.
         """
-        if self._way != "shared memory" or self._room.item_bytes < SHARED_BYTES_MIN:
+        if self._way != "shared memory" or self._needs.item_bytes < SHARED_BYTES_MIN:
             put: Callable[[bytes], None] = publisher.put
             return put
         from zenoh.shm import BlockOn, Defragment, GarbageCollect, ShmProvider

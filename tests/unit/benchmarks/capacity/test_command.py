@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt_bench.app import main
-from stampede_rt_bench.capacity.command import capacity_works
+from stampede_rt_bench.capacity.command import capacity_workloads
 from stampede_rt_bench.capacity.memory import EMPTY, KINDS
 from tests.support.command_line.documented_fields import require_fields
 
@@ -34,6 +34,6 @@ def test_rates_and_memory_of_a_host_are_measured_and_reported(
 
 
 def test_the_works_have_puts_and_streams_of_each_size_and_a_latency() -> None:
-    kinds = [(work.kind, work.item_bytes) for work in capacity_works()]
+    kinds = [(workload.kind, workload.item_bytes) for workload in capacity_workloads()]
     sizes = (64, 18_000, 300_000)
     assert kinds == [("put", one) for one in sizes] + [("stream", one) for one in sizes] + [("latency", 64)]

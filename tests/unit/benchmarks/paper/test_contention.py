@@ -8,9 +8,9 @@ import pytest
 
 from stampede_rt_bench.measuring import Effort
 from stampede_rt_bench.paper import contention
-from stampede_rt_bench.works.catalogue import LARGE, MEDIUM, Work, frames
-from stampede_rt_bench.works.interface import System
-from stampede_rt_bench.works.run import count_lost
+from stampede_rt_bench.workloads.catalogue import LARGE, MEDIUM, Workload, frames
+from stampede_rt_bench.workloads.interface import MeasuredSystem
+from stampede_rt_bench.workloads.run import count_lost
 
 FRAMES = 15
 
@@ -24,11 +24,11 @@ def test_consumers_that_take_turns_at_the_newest_frame_get_frames_of_a_real_chan
 def test_the_table_has_the_mean_drops_of_all_consumers_and_the_most_drops_of_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[Work] = []
+    asked: list[Workload] = []
     runs = iter([[1, 2, 0], [3, 0, 0]])
 
-    def count(system: System, work: Work) -> list[int]:
-        asked.append(work)
+    def count(system: MeasuredSystem, workload: Workload) -> list[int]:
+        asked.append(workload)
         return next(runs)
 
     monkeypatch.setattr(contention, "count_lost", count)
@@ -37,4 +37,4 @@ def test_the_table_has_the_mean_drops_of_all_consumers_and_the_most_drops_of_one
     table = contention.measure(Effort(items_max=1, runs=2, frames=FRAMES), chart)
     assert table.rows == [["300 KB", "16", "3.0; 3 (3 to 3)", "3", "about 17 % of all", "549"]]
     assert chart.exists()
-    assert [(work.readers, work.items_total, work.rate) for work in asked] == [(16, FRAMES, 30)] * 2
+    assert [(workload.readers, workload.items_total, workload.rate) for workload in asked] == [(16, FRAMES, 30)] * 2

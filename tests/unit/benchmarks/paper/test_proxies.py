@@ -8,9 +8,9 @@ import pytest
 
 from stampede_rt_bench.measuring import Effort
 from stampede_rt_bench.paper import proxies
-from stampede_rt_bench.works.catalogue import MEDIUM, Work, frames
-from stampede_rt_bench.works.interface import System
-from stampede_rt_bench.works.run import Measured, measure
+from stampede_rt_bench.workloads.catalogue import MEDIUM, Workload, frames
+from stampede_rt_bench.workloads.interface import MeasuredSystem
+from stampede_rt_bench.workloads.run import RunResult, measure
 
 
 def test_readers_of_a_channel_with_a_proxy_get_its_frames() -> None:
@@ -24,11 +24,11 @@ def test_the_table_has_the_lost_frames_and_the_cpu_time_of_each_host(
 ) -> None:
     asked: list[tuple[int, int]] = []
 
-    def run(system: System, work: Work, seconds: float) -> Measured:
+    def run(system: MeasuredSystem, workload: Workload, seconds: float) -> RunResult:
         assert isinstance(system, proxies.WithProxies)
-        asked.append((work.readers, system.proxies))
+        asked.append((workload.readers, system.proxies))
         cores = (0.5, 0.25, 0.125)[: 1 + system.proxies]
-        return Measured(
+        return RunResult(
             seconds=seconds, items_per_second=1, cpu_us_per_item=1, lost_share=0.1 / (1 + system.proxies),
             server_cores=(*cores, 9.0),
         )  # fmt: skip

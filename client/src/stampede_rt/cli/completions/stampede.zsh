@@ -72,7 +72,7 @@ _shtab_stampede_bench_commands() {
     limits:'Measure the figures of bare grpcio, raw sockets and a copy in memory on this machine.'
     matching:'our match and the synchroniser of ROS message_filters compared, on the same recorded inputs'
     paper:'The figures of the paper, measured on this machine:'
-    peers:'Measure the same work on Redis streams, NATS, JetStream and Zenoh, each with its real server, compared with ours.'
+    peers:'Measure the same workload on Redis streams, NATS, JetStream and Zenoh, each with its real server, compared with ours.'
   )
   _describe 'stampede bench commands' _commands
 }
@@ -278,7 +278,7 @@ _shtab_stampede_bench_capacity_options=(
   "*--work[only this\; may be repeated\; memory, put-64b, put-18kb, put-300kb, stream-64b, stream-18kb, stream-300kb, latency-300]:NAME:(memory put-64b put-18kb put-300kb stream-64b stream-18kb stream-300kb latency-300)"
   "--items[the single items of each run of memory\; other things in proportion (default\: 20,000)]:N:"
   "--seconds[the time of each run in steady state (default\: 5)]:S:"
-  "--rounds[the runs of each work (default\: 3)]:N:"
+  "--rounds[the runs of each workload (default\: 3)]:N:"
   "--out[the folder for the report (default\: out\/bench)]:DIR:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
@@ -304,9 +304,9 @@ _shtab_stampede_bench_growth_defaults_added=0
 
 _shtab_stampede_bench_limits_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  "*--work[only this work, or all works of this kind\; may be repeated\; put, newest, interval, stream-64b, stream-18kb, stream-300kb, latency-30, latency-300, latency-3000, frames-18kb-8, frames-18kb-16, frames-18kb-32, frames-18kb-64, frames-300kb-8, frames-300kb-16, frames-300kb-32, frames-300kb-64]:NAME:(stream latency frames frames-18kb frames-300kb put newest interval stream-64b stream-18kb stream-300kb latency-30 latency-300 latency-3000 frames-18kb-8 frames-18kb-16 frames-18kb-32 frames-18kb-64 frames-300kb-8 frames-300kb-16 frames-300kb-32 frames-300kb-64)"
+  "*--work[only this workload, or all workloads of this kind\; may be repeated\; put, newest, interval, stream-64b, stream-18kb, stream-300kb, latency-30, latency-300, latency-3000, frames-18kb-8, frames-18kb-16, frames-18kb-32, frames-18kb-64, frames-300kb-8, frames-300kb-16, frames-300kb-32, frames-300kb-64]:NAME:(stream latency frames frames-18kb frames-300kb put newest interval stream-64b stream-18kb stream-300kb latency-30 latency-300 latency-3000 frames-18kb-8 frames-18kb-16 frames-18kb-32 frames-18kb-64 frames-300kb-8 frames-300kb-16 frames-300kb-32 frames-300kb-64)"
   "--seconds[the time of each run in steady state (default\: 5)]:S:"
-  "--rounds[the runs of each work (default\: 5)]:N:"
+  "--rounds[the runs of each workload (default\: 5)]:N:"
   "--out[the folder for the report (default\: out\/bench)]:DIR:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
@@ -341,9 +341,9 @@ _shtab_stampede_bench_peers_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "*--system[only this system\; may be repeated\; stampede, stampede-socket, stampede-tcp, stampede-shared, stampede-embedded, redis, redis-unix, nats, jetstream, zenoh-router, zenoh-peer, zenoh-shm, grpc, unix, tcp]:NAME:(stampede stampede-socket stampede-tcp stampede-shared stampede-embedded redis redis-unix nats jetstream zenoh-router zenoh-peer zenoh-shm grpc unix tcp)"
   "*--readers[the number of readers of frames\; may be repeated (default\: 8, 16, 32, 64)]:N:"
-  "*--work[only this work, or all works of this kind\; may be repeated\; put, newest, interval, stream-64b, stream-18kb, stream-300kb, latency-30, latency-300, latency-3000, frames-18kb-8, frames-18kb-16, frames-18kb-32, frames-18kb-64, frames-300kb-8, frames-300kb-16, frames-300kb-32, frames-300kb-64]:NAME:(stream latency frames frames-18kb frames-300kb put newest interval stream-64b stream-18kb stream-300kb latency-30 latency-300 latency-3000 frames-18kb-8 frames-18kb-16 frames-18kb-32 frames-18kb-64 frames-300kb-8 frames-300kb-16 frames-300kb-32 frames-300kb-64)"
+  "*--work[only this workload, or all workloads of this kind\; may be repeated\; put, newest, interval, stream-64b, stream-18kb, stream-300kb, latency-30, latency-300, latency-3000, frames-18kb-8, frames-18kb-16, frames-18kb-32, frames-18kb-64, frames-300kb-8, frames-300kb-16, frames-300kb-32, frames-300kb-64]:NAME:(stream latency frames frames-18kb frames-300kb put newest interval stream-64b stream-18kb stream-300kb latency-30 latency-300 latency-3000 frames-18kb-8 frames-18kb-16 frames-18kb-32 frames-18kb-64 frames-300kb-8 frames-300kb-16 frames-300kb-32 frames-300kb-64)"
   "--seconds[the time of each run in steady state (default\: 5)]:S:"
-  "--rounds[the runs of each work (default\: 5)]:N:"
+  "--rounds[the runs of each workload (default\: 5)]:N:"
   "--out[the folder for the report (default\: out\/bench)]:DIR:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )

@@ -10,9 +10,9 @@ from pathlib import Path
 from stampede_rt_bench.charts import Axes, draw_bars, draw_lines
 from stampede_rt_bench.measuring import Spread
 from stampede_rt_bench.tables import Table, spread
-from stampede_rt_bench.works.campaign import FIGURES, Results
-from stampede_rt_bench.works.catalogue import FRAMES_PER_SECOND, Work, size
-from stampede_rt_bench.works.goals import table_of_goals
+from stampede_rt_bench.workloads.campaign import FIGURES, Results
+from stampede_rt_bench.workloads.catalogue import FRAMES_PER_SECOND, Workload, size
+from stampede_rt_bench.workloads.goals import table_of_goals
 
 LOST_SHARE_MAX = 0.01
 CHARTED = {
@@ -40,48 +40,48 @@ class Report:
     lacks: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     tables: list[tuple[str, Table]] = field(default_factory=list)
 
-    def table(self, results: Results, work: Work) -> Table:
-        """Return the table of all systems that did the work: times or rates, CPU time, losses, and the comparison."""
-        times = [] if work.kind == "stream" else ["p50, us", "p99, us", "p99.9, us"]
-        columns = [work.title, *times, "items/s", "CPU us/item"]
-        columns += [] if work.is_operation else ["lost, %"]
+    def table(self, results: Results, workload: Workload) -> Table:
+        """Return the table of all systems that ran the workload: times or rates, CPU time, losses, comparison."""
+        times = [] if workload.kind == "stream" else ["p50, us", "p99, us", "p99.9, us"]
+        columns = [workload.title, *times, "items/s", "CPU us/item"]
+        columns += [] if workload.is_operation else ["lost, %"]
         columns += ["ours, times as fast"] if self.ours else []
         columns += [f"of {limit}" for limit in self.limits]
         table = Table(columns)
-        for system in results.runs.get(work, {}):
-            table.rows.append(self._row(results, work, system))
-        table.notes = [f"{name}: {why[work.kind]}." for name, why in self.lacks.items() if work.kind in why]
+        for system in results.runs.get(workload, {}):
+            table.rows.append(self._row(results, workload, system))
+        table.notes = [f"{name}: {why[workload.kind]}." for name, why in self.lacks.items() if workload.kind in why]
         return table
 
-    def _row(self, results: Results, work: Work, system: str) -> list[str]:
+    def _row(self, results: Results, workload: Workload, system: str) -> list[str]:
         def figure(name: str, digits: int, factor: float = 1) -> str:
-            value = results.spread(work, system, name)
+            value = results.spread(workload, system, name)
             return spread(Spread(value.median * factor, value.least * factor, value.most * factor), digits)
 
         cells = [system]
-        if work.kind != "stream":
+        if workload.kind != "stream":
             cells += [figure("p50_us", 0), figure("p99_us", 0), figure("p999_us", 0)]
         cells += [figure("items_per_second", 0), figure("cpu_us_per_item", 2)]
-        if not work.is_operation:
+        if not workload.is_operation:
             cells.append(figure("lost_share", 2, factor=100))
-        measured = results.runs[work]
+        measured = results.runs[workload]
         if self.ours:
             same = self.ours not in measured or system == self.ours
-            cells.append("" if same else f"{results.speed(work, self.ours, system):.2g}")
+            cells.append("" if same else f"{results.speed(workload, self.ours, system):.2g}")
         for limit in self.limits:
             compared = limit in measured and system not in self.limits
-            cells.append(f"{results.speed(work, system, limit):.2g}" if compared else "")
+            cells.append(f"{results.speed(workload, system, limit):.2g}" if compared else "")
         return cells
 
     def readers(self, results: Results) -> list[tuple[str, Table]]:
         """Return a table for each size of frames: the most readers that each system serves with under 1 % lost."""
-        works = [work for work in results.runs if work.kind == "frames"]
+        workloads = [workload for workload in results.runs if workload.kind == "frames"]
         tables = []
-        for item_bytes in dict.fromkeys(work.item_bytes for work in works):
-            of_size = [work for work in works if work.item_bytes == item_bytes]
+        for item_bytes in dict.fromkeys(workload.item_bytes for workload in workloads):
+            of_size = [workload for workload in workloads if workload.item_bytes == item_bytes]
             title = f"Most readers of {size(item_bytes)} at {FRAMES_PER_SECOND} fps with under 1 % lost"
             table = Table([title, "readers"])
-            for system in dict.fromkeys(name for work in of_size for name in results.runs[work]):
+            for system in dict.fromkeys(name for workload in of_size for name in results.runs[workload]):
                 most = results.most_readers(of_size, system, LOST_SHARE_MAX)
                 table.rows.append([system, f"{most} of {of_size[-1].readers} tried" if most else "none"])
             tables.append((title, table))
@@ -98,7 +98,7 @@ class Report:
         parts = [f"# {self.title}", f"`{self.command}`", self._conditions()]
         parts += [table_of_goals(results).markdown()] if self.ours else []
         parts += [table.markdown() for _, table in self.tables]
-        parts += [self.table(results, work).markdown() for work in results.runs]
+        parts += [self.table(results, workload).markdown() for workload in results.runs]
         parts += [table.markdown() for _, table in self.readers(results)]
         parts += [f"{system} was not measured: {why}." for system, why in results.absent.items()]
         parts += [f"Failed: {failure.strip().splitlines()[0]}" for failure in results.failures]
@@ -124,13 +124,13 @@ class Report:
             "seconds": self.seconds,
             "works": [
                 {
-                    **asdict(work),
+                    **asdict(workload),
                     "systems": {
-                        system: {"runs": [asdict(one) for one in runs], **self._spreads(results, work, system)}
+                        system: {"runs": [asdict(one) for one in runs], **self._spreads(results, workload, system)}
                         for system, runs in by_system.items()
                     },
                 }
-                for work, by_system in results.runs.items()
+                for workload, by_system in results.runs.items()
             ],
             "tables": {title: {"columns": table.columns, "rows": table.rows} for title, table in self.tables},
             "lacks": {name: dict(why) for name, why in self.lacks.items()},
@@ -139,33 +139,33 @@ class Report:
         }
 
     @staticmethod
-    def _spreads(results: Results, work: Work, system: str) -> dict[str, object]:
-        return {figure: asdict(results.spread(work, system, figure)) for figure in FIGURES}
+    def _spreads(results: Results, workload: Workload, system: str) -> dict[str, object]:
+        return {figure: asdict(results.spread(workload, system, figure)) for figure in FIGURES}
 
     def _draw(self, results: Results, folder: Path) -> None:
         for chart, (title, unit) in CHARTS.items():
-            works = [work for work in results.runs if CHARTED.get(work.kind) == chart]
-            if works:
+            workloads = [workload for workload in results.runs if CHARTED.get(workload.kind) == chart]
+            if workloads:
                 bars = {
-                    work.title: {system: results.headline(work, system) for system in results.runs[work]}
-                    for work in works
+                    workload.title: {system: results.headline(workload, system) for system in results.runs[workload]}
+                    for workload in workloads
                 }
                 draw_bars(folder / f"{self.name}-{chart}.png", title, unit, bars)
-        frames = [work for work in results.runs if work.kind == "frames"]
-        for item_bytes in dict.fromkeys(work.item_bytes for work in frames):
-            self._draw_readers(results, [work for work in frames if work.item_bytes == item_bytes], folder)
+        frames = [workload for workload in results.runs if workload.kind == "frames"]
+        for item_bytes in dict.fromkeys(workload.item_bytes for workload in frames):
+            self._draw_readers(results, [workload for workload in frames if workload.item_bytes == item_bytes], folder)
 
-    def _draw_readers(self, results: Results, works: Sequence[Work], folder: Path) -> None:
-        systems = dict.fromkeys(system for work in works for system in results.runs[work])
+    def _draw_readers(self, results: Results, workloads: Sequence[Workload], folder: Path) -> None:
+        systems = dict.fromkeys(system for workload in workloads for system in results.runs[workload])
         lines = {
             system: [
-                (float(work.readers), _in_ms(results.spread(work, system, "p99_us")))
-                for work in works
-                if system in results.runs[work]
+                (float(workload.readers), _in_ms(results.spread(workload, system, "p99_us")))
+                for workload in workloads
+                if system in results.runs[workload]
             ]
             for system in systems
         }
-        label = size(works[0].item_bytes)
+        label = size(workloads[0].item_bytes)
         axes = Axes(
             title=f"{label} at {FRAMES_PER_SECOND} frames a second: p99 of the worst reader",
             x="readers",

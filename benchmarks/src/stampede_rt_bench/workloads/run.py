@@ -1,4 +1,4 @@
-"""Performs one run: starts a new server and the processes of the work, and measures for a time in steady state."""
+"""Performs one run: starts a new server and the processes of the workload, and measures for a time in steady state."""
 
 from __future__ import annotations
 
@@ -12,18 +12,26 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 
-from stampede_rt_bench.works.catalogue import Work
-from stampede_rt_bench.works.interface import System
-from stampede_rt_bench.works.payloads import room_for
-from stampede_rt_bench.works.processes import cpu_seconds
-from stampede_rt_bench.works.roles import Assignment, Role, WorkerOutcome, operate, play, publish, read
-from stampede_rt_bench.works.run_counters import RunCounters
+from stampede_rt_bench.workloads.catalogue import Workload
+from stampede_rt_bench.workloads.interface import MeasuredSystem
+from stampede_rt_bench.workloads.payloads import needs_of
+from stampede_rt_bench.workloads.processes import cpu_seconds
+from stampede_rt_bench.workloads.roles import Assignment, Role, WorkerOutcome, operate, play, publish, read
+from stampede_rt_bench.workloads.run_counters import RunCounters
 
 START_SECONDS, START_SECONDS_READER, DRAIN_SECONDS, END_SECONDS = 30.0, 1.0, 1.0, 30.0
 WARM_SHARE, WARM_SECONDS_MIN = 0.2, 0.3
 LATE_NANOS = 1_000_000_000
 NANOS_PER_US, US_PER_SECOND = 1000, 1_000_000
-PRELOADED = ["stampede_rt", "grpc", "grpc.aio", "stampede_rt_bench.works.roles", "redis", "nats", "zenoh"]  # if here
+PRELOADED = [
+    "stampede_rt",
+    "grpc",
+    "grpc.aio",
+    "stampede_rt_bench.workloads.roles",
+    "redis",
+    "nats",
+    "zenoh",
+]  # if here
 
 
 class RunFailed(Exception):
@@ -31,13 +39,13 @@ class RunFailed(Exception):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured:
+class RunResult:
     """The results of one run.
 
     `p50_us`, `p99_us` and `p999_us` are percentiles of the time of an operation, or of the time from put to reader.
-    They are 0 for a work at full speed. `lost_share`: the share of items that readers did not get. `cpu_us_per_item` is
-    the CPU time of all processes, `server_cpu_us_per_item` the CPU time of only the server. `server_cores`: the share
-    of a core that each process of the server used.
+    They are 0 for a workload at full speed. `lost_share`: the share of items that readers did not get.
+    `cpu_us_per_item` is the CPU time of all processes, `server_cpu_us_per_item` the CPU time of only the server.
+    `server_cores`: the share of a core that each process of the server used.
     """
 
     seconds: float
@@ -56,46 +64,46 @@ def share(ordered: array[int] | list[int], part: float) -> float:
     return ordered[min(len(ordered) - 1, int(part * len(ordered)))] / NANOS_PER_US if len(ordered) else 0.0
 
 
-def measure(system: System, work: Work, seconds: float) -> Measured:
-    """Run the work on the system. Raises RunFailed, ServerFailed."""
-    with _running(system, work, seconds) as (team, assignment):
+def measure(system: MeasuredSystem, workload: Workload, seconds: float) -> RunResult:
+    """Run the workload on the system. Raises RunFailed, ServerFailed."""
+    with _running(system, workload, seconds) as (team, assignment):
         return _measure(team, assignment, seconds)
 
 
-def count_lost(system: System, work: Work) -> list[int]:
-    """Publish `work.items_total` items. Returns how many of them each reader did not get. Raises as `measure` does."""
-    seconds = work.items_total / work.rate
-    with _running(system, work, seconds) as (team, assignment):
+def count_lost(system: MeasuredSystem, workload: Workload) -> list[int]:
+    """Publish `workload.items_total` items. Returns the lost items of each reader. Raises as `measure` does."""
+    seconds = workload.items_total / workload.rate
+    with _running(system, workload, seconds) as (team, assignment):
         progress = assignment.progress
-        team.wait(progress.all_ready, _start_seconds(work), "the readers are not ready")
+        team.wait(progress.all_ready, _start_seconds(workload), "the readers are not ready")
         team.wait(
-            lambda: progress.published() >= work.items_total, seconds + END_SECONDS, "not all items are published"
+            lambda: progress.published() >= workload.items_total, seconds + END_SECONDS, "not all items are published"
         )
         team.finish()
-        return [work.items_total - received for received in progress.received_by_reader()]
+        return [workload.items_total - received for received in progress.received_by_reader()]
 
 
-def _start_seconds(work: Work) -> float:
-    return START_SECONDS + work.readers * START_SECONDS_READER
+def _start_seconds(workload: Workload) -> float:
+    return START_SECONDS + workload.readers * START_SECONDS_READER
 
 
 @contextmanager
-def _running(system: System, work: Work, seconds: float) -> Iterator[tuple[_Team, Assignment]]:
-    """A context in which the server and the processes of the work run."""
+def _running(system: MeasuredSystem, workload: Workload, seconds: float) -> Iterator[tuple[_Team, Assignment]]:
+    """A context in which the server and the processes of the workload run."""
     context = get_context("forkserver")
     context.set_forkserver_preload(PRELOADED)
-    room = room_for(work.item_bytes, 2 * work.items, readers=work.readers, keeps=work.is_operation)
-    progress = RunCounters(context, work.readers)
+    needs = needs_of(workload.item_bytes, 2 * workload.items, readers=workload.readers, keeps=workload.is_operation)
+    progress = RunCounters(context, workload.readers)
     with ExitStack() as stack:
-        served = stack.enter_context(system.served(room))
-        deadline_s = time.monotonic() + _start_seconds(work) + START_SECONDS + 2 * seconds + END_SECONDS
-        assignment = Assignment(system, served, room, work, progress, deadline_s)
+        served = stack.enter_context(system.served(needs))
+        deadline_s = time.monotonic() + _start_seconds(workload) + START_SECONDS + 2 * seconds + END_SECONDS
+        assignment = Assignment(system, served, needs, workload, progress, deadline_s)
         yield stack.enter_context(_Team(context, assignment)), assignment
 
 
-def _measure(team: _Team, assignment: Assignment, seconds: float) -> Measured:
-    work, progress = assignment.work, assignment.progress
-    team.wait(progress.all_ready, _start_seconds(work), "the readers are not ready")
+def _measure(team: _Team, assignment: Assignment, seconds: float) -> RunResult:
+    workload, progress = assignment.workload, assignment.progress
+    team.wait(progress.all_ready, _start_seconds(workload), "the readers are not ready")
     team.wait(lambda: progress.received_by_each() > 0, START_SECONDS, "nothing arrives")
     time.sleep(max(WARM_SECONDS_MIN, WARM_SHARE * seconds))
     progress.measure(True)
@@ -105,17 +113,17 @@ def _measure(team: _Team, assignment: Assignment, seconds: float) -> Measured:
     progress.measure(False)
     lasted, served, worked, received = (after - before for before, after in zip(begun, ended, strict=True))
     if not received:
-        raise RunFailed(f"{assignment.system.name}, {work.name}: nothing arrived in {seconds:g} s")
+        raise RunFailed(f"{assignment.system.name}, {workload.name}: nothing arrived in {seconds:g} s")
     outcomes = team.finish()
-    items = received * work.items
-    rates = Measured(
+    items = received * workload.items
+    rates = RunResult(
         seconds=lasted,
         items_per_second=items / lasted,
         cpu_us_per_item=(served + worked) / items * US_PER_SECOND,
         server_cpu_us_per_item=served / items * US_PER_SECOND,
         server_cores=tuple((after - before) / lasted for before, after in zip(begun_cpu_s, ended_cpu_s, strict=True)),
     )
-    return _with_times(rates, work, [outcome.nanos for outcome in outcomes if outcome.nanos], progress)
+    return _with_times(rates, workload, [outcome.nanos for outcome in outcomes if outcome.nanos], progress)
 
 
 def _reading(team: _Team, assignment: Assignment) -> tuple[float, float, float, int]:
@@ -128,18 +136,20 @@ def _cpu_by_server(assignment: Assignment) -> list[float]:
     return [cpu_seconds([pid]) for pid in assignment.served.pids]
 
 
-def _with_times(measured: Measured, work: Work, by_process: list[array[int]], progress: RunCounters) -> Measured:
+def _with_times(
+    measured: RunResult, workload: Workload, by_process: list[array[int]], progress: RunCounters
+) -> RunResult:
     """Return `measured` with the times and the share of lost items. A frame that takes over a second counts as lost."""
     together = sorted(nanos for one in by_process for nanos in one)
     worst = max((share(sorted(one), 0.99) for one in by_process), default=0.0)
-    expected = progress.published() * work.readers
-    late = sum(nanos > LATE_NANOS for nanos in together) if work.kind == "frames" else 0
-    lost = 0.0 if work.is_operation else max(0.0, 1 - (progress.received_by_all() - late) / expected)
+    expected = progress.published() * workload.readers
+    late = sum(nanos > LATE_NANOS for nanos in together) if workload.kind == "frames" else 0
+    lost = 0.0 if workload.is_operation else max(0.0, 1 - (progress.received_by_all() - late) / expected)
     return replace(
         measured,
         lost_share=lost,
         p50_us=share(together, 0.5),
-        p99_us=worst if work.kind == "frames" else share(together, 0.99),
+        p99_us=worst if workload.kind == "frames" else share(together, 0.99),
         p999_us=share(together, 0.999),
     )
 
@@ -149,9 +159,9 @@ class _Team:
 
     def __init__(self, context: ForkServerContext, assignment: Assignment) -> None:
         self._assignment = assignment
-        roles: list[tuple[Role, int]] = [(operate, 0)] if assignment.work.is_operation else [(publish, 0)]
-        if not assignment.work.is_operation:
-            roles += [(read, number) for number in range(assignment.work.readers)]
+        roles: list[tuple[Role, int]] = [(operate, 0)] if assignment.workload.is_operation else [(publish, 0)]
+        if not assignment.workload.is_operation:
+            roles += [(read, number) for number in range(assignment.workload.readers)]
         self._members = [self._start(context, role, number) for role, number in roles]
 
     def _start(self, context: ForkServerContext, role: Role, number: int) -> tuple[BaseProcess, Connection]:
@@ -179,11 +189,11 @@ class _Team:
 
     def finish(self) -> list[WorkerOutcome]:
         """End the publisher first. End the readers when they have all items, or get no item for a second."""
-        progress, work = self._assignment.progress, self._assignment.work
+        progress, workload = self._assignment.progress, self._assignment.workload
         progress.stop_publishing()
-        publisher = [] if work.is_operation else [self._accept(self._members[0][1])]
+        publisher = [] if workload.is_operation else [self._accept(self._members[0][1])]
         received, moved_s = progress.received_by_all(), time.monotonic()
-        while received < progress.published() * work.readers and time.monotonic() - moved_s < DRAIN_SECONDS:
+        while received < progress.published() * workload.readers and time.monotonic() - moved_s < DRAIN_SECONDS:
             time.sleep(0.01)
             if progress.received_by_all() > received:
                 received, moved_s = progress.received_by_all(), time.monotonic()
@@ -203,7 +213,7 @@ class _Team:
 
     @property
     def _title(self) -> str:
-        return f"{self._assignment.system.name}, {self._assignment.work.name}"
+        return f"{self._assignment.system.name}, {self._assignment.workload.name}"
 
     def __enter__(self) -> _Team:
         return self

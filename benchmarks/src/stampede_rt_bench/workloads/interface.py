@@ -1,4 +1,4 @@
-"""The interface of a measured system: a server that the benchmark starts, and a client with five kinds of work.
+"""The interface of a measured system: a server that the benchmark starts, and a client with five kinds of workload.
 
 A client's methods take iterators, and the client itself loops over them. The event loop of an asyncio client therefore
 keeps running between two operations, as in a user's program.
@@ -16,8 +16,8 @@ Block = bytes | bytearray
 
 
 @dataclass(frozen=True, kw_only=True)
-class Room:
-    """The needs of a work: the size of an item, the items that may wait in a queue, and the number of readers.
+class WorkloadNeeds:
+    """The needs of a workload: the size of an item, the items that may wait in a queue, and the number of readers.
 
     `batch_items`: the items of one batch. `keeps`: the server must keep the items, so that clients can read them later.
     """
@@ -30,7 +30,7 @@ class Room:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Served:
+class RunningServer:
     """A running server: its address, and the processes whose CPU time belongs to it."""
 
     address: str
@@ -76,7 +76,7 @@ class Client(Protocol):
         """End the connection."""
 
 
-class System(Protocol):
+class MeasuredSystem(Protocol):
     """A system that can be measured. Its objects are pickled for the processes that use them."""
 
     @property
@@ -85,13 +85,13 @@ class System(Protocol):
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """The kinds of work that the system cannot do (such as `put` or `frames`), each with the reason."""
+        """The kinds of workload that the system cannot run (such as `put` or `frames`), each with the reason."""
 
     def unavailable_because(self) -> str | None:
         """Return which part is missing on this machine, and how to install it; None if none is missing."""
 
-    def served(self, room: Room) -> AbstractContextManager[Served]:
+    def served(self, needs: WorkloadNeeds) -> AbstractContextManager[RunningServer]:
         """Return a context with a new server, which ends with the context."""
 
-    def connect(self, served: Served, room: Room) -> Client:
+    def connect(self, served: RunningServer, needs: WorkloadNeeds) -> Client:
         """Return a client of the server, for the calling process."""

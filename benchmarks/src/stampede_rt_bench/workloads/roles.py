@@ -13,20 +13,20 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import NamedTuple
 
-from stampede_rt_bench.works.catalogue import Work
-from stampede_rt_bench.works.interface import Client, Room, Served, System
-from stampede_rt_bench.works.payloads import at_full_speed, at_rate
-from stampede_rt_bench.works.receiving import Answers, Counting, Operations, Timing
-from stampede_rt_bench.works.run_counters import RunCounters
+from stampede_rt_bench.workloads.catalogue import Workload
+from stampede_rt_bench.workloads.interface import Client, MeasuredSystem, RunningServer, WorkloadNeeds
+from stampede_rt_bench.workloads.payloads import at_full_speed, at_rate
+from stampede_rt_bench.workloads.receiving import AnswerReceiver, CountingReceiver, OperationTimer, TimingReceiver
+from stampede_rt_bench.workloads.run_counters import RunCounters
 
 
 class Assignment(NamedTuple):
     """The instructions for every process of a run."""
 
-    system: System
-    served: Served
-    room: Room
-    work: Work
+    system: MeasuredSystem
+    served: RunningServer
+    needs: WorkloadNeeds
+    workload: Workload
     progress: RunCounters
     deadline_s: float
 
@@ -47,7 +47,7 @@ def play(role: Role, assignment: Assignment, number: int, results: Connection) -
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ.update(assignment.served.environment)
     try:
-        client = assignment.system.connect(assignment.served, assignment.room)
+        client = assignment.system.connect(assignment.served, assignment.needs)
         outcome = WorkerOutcome(role(assignment, number, client))
         results.send(outcome)
         client.close()
@@ -64,36 +64,36 @@ def _end_with_parent() -> None:
 
 def operate(assignment: Assignment, number: int, client: Client) -> array[int]:
     """Do one operation again and again. Before that, put the items that the operation reads."""
-    _, _, room, work, progress, deadline_s = assignment
-    answers = Answers(progress, number, room.item_bytes, deadline_s)
-    operations = Operations(progress, answers, 0 if work.kind == "put" else work.items)
-    payload = bytes(room.item_bytes)
-    if work.kind != "put":
-        client.publish(iter([[payload] * work.items]))
+    _, _, needs, workload, progress, deadline_s = assignment
+    answers = AnswerReceiver(progress, number, needs.item_bytes, deadline_s)
+    operations = OperationTimer(progress, answers, 0 if workload.kind == "put" else workload.items)
+    payload = bytes(needs.item_bytes)
+    if workload.kind != "put":
+        client.publish(iter([[payload] * workload.items]))
     progress.set_ready(number)
-    if work.kind == "put":
+    if workload.kind == "put":
         client.put(operations.turns(payload))
-    elif work.kind == "newest":
+    elif workload.kind == "newest":
         client.newest(operations.turns(1), answers)
     else:
-        client.interval(operations.turns(work.items), answers)
+        client.interval(operations.turns(workload.items), answers)
     return operations.durations_nanos
 
 
 def publish(assignment: Assignment, number: int, client: Client) -> array[int]:
     """Send items when all readers are ready, until the run ends."""
-    _, _, room, work, progress, deadline_s = assignment
+    _, _, needs, workload, progress, deadline_s = assignment
     while not progress.all_ready() and not progress.has_ended(deadline_s):
         time.sleep(0.01)
-    rate = at_rate(progress, room.item_bytes, work.rate, deadline_s, work.items_total)
-    client.publish(rate if work.rate else at_full_speed(progress, room, deadline_s))
+    rate = at_rate(progress, needs.item_bytes, workload.rate, deadline_s, workload.items_total)
+    client.publish(rate if workload.rate else at_full_speed(progress, needs, deadline_s))
     return array("Q")
 
 
 def read(assignment: Assignment, number: int, client: Client) -> array[int]:
     """Take items until the run ends."""
-    _, _, room, work, progress, deadline_s = assignment
-    kind = Timing if work.rate else Counting
-    receiver = kind(progress, number, room.item_bytes, deadline_s)
+    _, _, needs, workload, progress, deadline_s = assignment
+    kind = TimingReceiver if workload.rate else CountingReceiver
+    receiver = kind(progress, number, needs.item_bytes, deadline_s)
     client.subscribe(receiver)
-    return receiver.latencies_nanos if isinstance(receiver, Timing) else array("Q")
+    return receiver.latencies_nanos if isinstance(receiver, TimingReceiver) else array("Q")

@@ -6,8 +6,8 @@ import struct
 import time
 from collections.abc import Iterator
 
-from stampede_rt_bench.works.interface import Room, Step
-from stampede_rt_bench.works.run_counters import RunCounters
+from stampede_rt_bench.workloads.interface import Step, WorkloadNeeds
+from stampede_rt_bench.workloads.run_counters import RunCounters
 
 SENT = struct.Struct("<Q")  # the time at which a payload was sent, by the monotonic clock of this machine
 PAUSE_SECONDS = 0.0002
@@ -18,12 +18,12 @@ WINDOW_BYTES, WINDOW_ITEMS_MAX, WINDOW_ITEMS_MIN = 8 << 20, 50_000, 32
 ROOM_FACTOR = 4
 
 
-def room_for(item_bytes: int, items_min: int = 0, *, readers: int = 1, keeps: bool = False) -> Room:
-    """Return the room for four times the items that may be in flight, so that no system must drop items."""
+def needs_of(item_bytes: int, items_min: int = 0, *, readers: int = 1, keeps: bool = False) -> WorkloadNeeds:
+    """Return the needs of a workload: room for four times the items in flight, so that no system must drop items."""
     window = window_items(item_bytes)
     batch = max(BATCH_ITEMS_MIN, min(BATCH_ITEMS_MAX, BATCH_BYTES // item_bytes))
     items_max = max(items_min, ROOM_FACTOR * window)
-    return Room(item_bytes=item_bytes, items_max=items_max, batch_items=batch, readers=readers, keeps=keeps)
+    return WorkloadNeeds(item_bytes=item_bytes, items_max=items_max, batch_items=batch, readers=readers, keeps=keeps)
 
 
 def window_items(item_bytes: int) -> int:
@@ -31,13 +31,13 @@ def window_items(item_bytes: int) -> int:
     return max(WINDOW_ITEMS_MIN, min(WINDOW_ITEMS_MAX, WINDOW_BYTES // item_bytes))
 
 
-def at_full_speed(progress: RunCounters, room: Room, deadline_s: float) -> Iterator[Step]:
+def at_full_speed(progress: RunCounters, needs: WorkloadNeeds, deadline_s: float) -> Iterator[Step]:
     """Yield prepared batches of payloads, and wait while a window of them is unread.
 
     If no item is read for a second, because items were lost, it yields one more batch.
     """
-    ring = _batches(room)
-    window, sent, turn = window_items(room.item_bytes), 0, 0
+    ring = _batches(needs)
+    window, sent, turn = window_items(needs.item_bytes), 0, 0
     moved_s, seen = time.monotonic(), 0
     while not progress.has_stopped(deadline_s):
         received = progress.received_by_each()
@@ -48,15 +48,15 @@ def at_full_speed(progress: RunCounters, room: Room, deadline_s: float) -> Itera
             continue
         moved_s = time.monotonic() if sent - received >= window else moved_s
         yield ring[turn % len(ring)]
-        sent, turn = sent + room.batch_items, turn + 1
+        sent, turn = sent + needs.batch_items, turn + 1
         progress.set_published(sent)
 
 
-def _batches(room: Room) -> list[list[bytes]]:
-    count = max(2, min(64, RING_BYTES_MAX // (room.batch_items * room.item_bytes)))
+def _batches(needs: WorkloadNeeds) -> list[list[bytes]]:
+    count = max(2, min(64, RING_BYTES_MAX // (needs.batch_items * needs.item_bytes)))
     return [
-        [bytes([number % 251]) * room.item_bytes for number in range(first, first + room.batch_items)]
-        for first in range(0, count * room.batch_items, room.batch_items)
+        [bytes([number % 251]) * needs.item_bytes for number in range(first, first + needs.batch_items)]
+        for first in range(0, count * needs.batch_items, needs.batch_items)
     ]
 
 

@@ -5,22 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, cast
 
-from stampede_rt_bench.works.campaign import Results, compare
-from stampede_rt_bench.works.catalogue import Work, frames, works
-from stampede_rt_bench.works.interface import System
-from stampede_rt_bench.works.report import Report
-from stampede_rt_bench.works.run import Measured
+from stampede_rt_bench.workloads.campaign import Results, compare
+from stampede_rt_bench.workloads.catalogue import Workload, frames, workloads
+from stampede_rt_bench.workloads.interface import MeasuredSystem
+from stampede_rt_bench.workloads.report import Report
+from stampede_rt_bench.workloads.run import RunResult
 
-WORKS = {work.name: work for work in works()}
-PUT, STREAM = WORKS["put"], WORKS["stream-64b"]
-
-
-def measured(rate: float = 1, p50_us: float = 1, lost: float = 0) -> Measured:
-    return Measured(seconds=1, items_per_second=rate, cpu_us_per_item=1, p50_us=p50_us, p99_us=1, lost_share=lost)
+WORKLOADS = {workload.name: workload for workload in workloads()}
+PUT, STREAM = WORKLOADS["put"], WORKLOADS["stream-64b"]
 
 
-def results(by_work: dict[Work, dict[str, list[Measured]]]) -> Results:
-    return Results(runs=by_work)
+def measured(rate: float = 1, p50_us: float = 1, lost: float = 0) -> RunResult:
+    return RunResult(seconds=1, items_per_second=rate, cpu_us_per_item=1, p50_us=p50_us, p99_us=1, lost_share=lost)
+
+
+def results(by_workload: dict[Workload, dict[str, list[RunResult]]]) -> Results:
+    return Results(runs=by_workload)
 
 
 def test_a_system_with_half_the_time_or_twice_the_rate_is_twice_as_fast() -> None:
@@ -49,13 +49,13 @@ class Absent:
 
 def test_an_absent_system_is_reported_and_the_others_are_measured() -> None:
     said: list[str] = []
-    finished: list[Work] = []
+    finished: list[Workload] = []
     found = compare(
-        [cast(System, Absent())],
+        [cast(MeasuredSystem, Absent())],
         [PUT],
         rounds=1,
         seconds=1,
-        done=lambda _, work: finished.append(work),
+        done=lambda _, workload: finished.append(workload),
         say=said.append,
     )
     assert said == ["Absent is not measured: absent-server is not installed; apt-get install absent"]

@@ -1,4 +1,4 @@
-"""The works: the tasks with which the benchmark compares systems."""
+"""The workloads: the tasks with which the benchmark compares systems."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ SMALL, MEDIUM, LARGE = 64, 18_000, 300_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Work:
-    """One work. `rate` is items a second, 0 for full speed; `items` is the number of items that one operation moves.
+class Workload:
+    """One workload. `rate` is items a second, 0 for full speed; `items` is the number of items that one operation
+    moves.
 
     The publisher ends by itself after `items_total` items; 0: it does not.
     """
@@ -44,12 +45,12 @@ def size(item_bytes: int) -> str:
     return f"{item_bytes} B" if item_bytes < 1000 else f"{item_bytes // 1000} KB"
 
 
-def works(readers: Sequence[int] = READERS) -> list[Work]:
-    """Return all works. `readers`: the numbers of readers for the works with frames."""
+def workloads(readers: Sequence[int] = READERS) -> list[Workload]:
+    """Return all workloads. `readers`: the numbers of readers for the workloads with frames."""
     return [
-        Work(name="put", title="one acknowledged put of 64 B", kind="put", item_bytes=SMALL),
-        Work(name="newest", title="newest item of 18 KB", kind="newest", item_bytes=MEDIUM),
-        Work(
+        Workload(name="put", title="one acknowledged put of 64 B", kind="put", item_bytes=SMALL),
+        Workload(name="newest", title="newest item of 18 KB", kind="newest", item_bytes=MEDIUM),
+        Workload(
             name="interval",
             title=f"interval get of {INTERVAL_ITEMS} items of 64 B",
             kind="interval",
@@ -57,7 +58,7 @@ def works(readers: Sequence[int] = READERS) -> list[Work]:
             items=INTERVAL_ITEMS,
         ),
         *(
-            Work(
+            Workload(
                 name=f"stream-{size(item_bytes).replace(' ', '').lower()}",
                 title=f"put to subscriber, {size(item_bytes)}",
                 kind="stream",
@@ -66,7 +67,7 @@ def works(readers: Sequence[int] = READERS) -> list[Work]:
             for item_bytes in (SMALL, MEDIUM, LARGE)
         ),
         *(
-            Work(
+            Workload(
                 name=f"latency-{rate}",
                 title=f"put to reader, 64 B, {rate} items/s",
                 kind="latency",
@@ -79,9 +80,9 @@ def works(readers: Sequence[int] = READERS) -> list[Work]:
     ]
 
 
-def frames(item_bytes: int, readers: int, items_total: int = 0) -> Work:
-    """Return the work that sends a camera's frames to `readers` readers."""
-    return Work(
+def frames(item_bytes: int, readers: int, items_total: int = 0) -> Workload:
+    """Return the workload that sends a camera's frames to `readers` readers."""
+    return Workload(
         name=f"frames-{size(item_bytes).replace(' ', '').lower()}-{readers}",
         title=f"{readers} readers of {size(item_bytes)} at {FRAMES_PER_SECOND} fps",
         kind="frames",

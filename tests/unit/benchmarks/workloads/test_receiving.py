@@ -7,9 +7,9 @@ from multiprocessing import get_context
 
 import pytest
 
-from stampede_rt_bench.works.payloads import SENT
-from stampede_rt_bench.works.receiving import Answers, Counting, Operations, Timing
-from stampede_rt_bench.works.run_counters import RunCounters
+from stampede_rt_bench.workloads.payloads import SENT
+from stampede_rt_bench.workloads.receiving import AnswerReceiver, CountingReceiver, OperationTimer, TimingReceiver
+from stampede_rt_bench.workloads.run_counters import RunCounters
 
 NEVER = float("inf")
 
@@ -20,7 +20,7 @@ def progress() -> RunCounters:
 
 
 def test_a_reader_refuses_an_item_of_another_size(progress: RunCounters) -> None:
-    receiver = Counting(progress, 0, 64, NEVER)
+    receiver = CountingReceiver(progress, 0, 64, NEVER)
     receiver.take(1, 2, bytes(64))
     assert progress.received_by_all() == 1
     with pytest.raises(ValueError, match="63 bytes came instead of 64"):
@@ -28,7 +28,7 @@ def test_a_reader_refuses_an_item_of_another_size(progress: RunCounters) -> None
 
 
 def test_the_way_of_an_item_counts_only_while_the_run_is_measured(progress: RunCounters) -> None:
-    receiver = Timing(progress, 0, 64, NEVER)
+    receiver = TimingReceiver(progress, 0, 64, NEVER)
     item = SENT.pack(time.monotonic_ns() - 5_000) + bytes(56)
     receiver.take(1, 2, item)
     progress.measure(True)
@@ -38,8 +38,8 @@ def test_the_way_of_an_item_counts_only_while_the_run_is_measured(progress: RunC
 
 
 def test_an_operation_that_reads_too_few_items_is_refused(progress: RunCounters) -> None:
-    answers = Answers(progress, 0, 64, NEVER)
-    turns = Operations(progress, answers, items=2).turns(2)
+    answers = AnswerReceiver(progress, 0, 64, NEVER)
+    turns = OperationTimer(progress, answers, items=2).turns(2)
     next(turns)
     answers.take(1, 2, bytes(64))
     with pytest.raises(ValueError, match="1 items came in 1 gets of 2"):
@@ -47,7 +47,7 @@ def test_an_operation_that_reads_too_few_items_is_refused(progress: RunCounters)
 
 
 def test_operations_are_counted_and_end_with_the_run(progress: RunCounters) -> None:
-    operations = Operations(progress, Answers(progress, 0, 64, NEVER), items=0)
+    operations = OperationTimer(progress, AnswerReceiver(progress, 0, 64, NEVER), items=0)
     progress.measure(True)
     turns = operations.turns(b"x")
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""The goals of the project, as ratios of two systems at the same work in the same rounds."""
+"""The goals of the project, as ratios of two systems under the same workload in the same rounds."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal
 
 from stampede_rt_bench.measuring import Spread
 from stampede_rt_bench.tables import Table, spread
-from stampede_rt_bench.works.campaign import Results
+from stampede_rt_bench.workloads.campaign import Results
 
 GRPC, SOCKETS, SHARED = "Stampede RT, gRPC", "Stampede RT, sockets", "Stampede RT, shared memory"
 EMBEDDED = "Stampede RT, embedded host"
@@ -20,14 +20,14 @@ Figure = Literal["p50_us", "items_per_second", "lost_share"]
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """The goal of one of our transports at one work.
+    """The goal of one of our transports under one workload.
 
     The goal compares the `figure` of our transport with the figure of the best of `peers`: the ratio is at most or at
     least `bound`. Without peers the figure itself is at most `bound`. For a time or a loss, a smaller figure is better.
     For a rate, a greater figure is better.
     """
 
-    work: str
+    workload: str
     ours: str
     figure: Figure
     bound: float
@@ -78,22 +78,22 @@ _WITHOUT_LOSS = ("frames-18kb-32", "frames-300kb-16", "frames-300kb-64")
 
 
 def goals() -> list[Goal]:
-    """Return all goals: times, rates, and works in which no item may be lost."""
+    """Return all goals: times, rates, and workloads in which no item may be lost."""
     kinds: Sequence[tuple[Figure, Sequence[tuple[str, str, float, Sequence[str]]]]] = (
         ("p50_us", _TIMES),
         ("items_per_second", _RATES),
-        ("lost_share", [(work, ours, 0, ()) for work in _WITHOUT_LOSS for ours in (GRPC, SOCKETS, SHARED)]),
+        ("lost_share", [(workload, ours, 0, ()) for workload in _WITHOUT_LOSS for ours in (GRPC, SOCKETS, SHARED)]),
     )
     return [
-        Goal(work=work, ours=ours, figure=figure, bound=bound, peers=peers)
+        Goal(workload=workload, ours=ours, figure=figure, bound=bound, peers=peers)
         for figure, of_kind in kinds
-        for work, ours, bound, peers in of_kind
+        for workload, ours, bound, peers in of_kind
     ]
 
 
 def measured(results: Results, goal: Goal) -> Spread | None:
     """Return the ratio of the goal in each round, or the figure without a peer; None if it was not measured."""
-    by_system = next((systems for work, systems in results.runs.items() if work.name == goal.work), {})
+    by_system = next((systems for workload, systems in results.runs.items() if workload.name == goal.workload), {})
     values = {name: [float(getattr(one, goal.figure)) for one in runs] for name, runs in by_system.items()}
     if goal.ours not in values:
         return None
@@ -108,9 +108,9 @@ def measured(results: Results, goal: Goal) -> Spread | None:
 
 def table_of_goals(results: Results) -> Table:
     """Return a row for each goal: the ratio, or the figure without a peer, and whether the median reaches the goal."""
-    titles = {work.name: work.title for work in results.runs}
+    titles = {workload.name: workload.title for workload in results.runs}
     table = Table(["Goals", "of", "wanted", "measured", "reached"])
-    table.rows += [[titles[goal.work], *_row(results, goal)] for goal in goals() if goal.work in titles]
+    table.rows += [[titles[goal.workload], *_row(results, goal)] for goal in goals() if goal.workload in titles]
     return table
 
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from stampede_rt_bench.comparison import SYSTEMS
-from stampede_rt_bench.works.campaign import Results
-from stampede_rt_bench.works.catalogue import works
-from stampede_rt_bench.works.goals import REDIS, REDIS_UNIX, SHARED, SOCKETS, goals, table_of_goals
-from stampede_rt_bench.works.run import Measured
+from stampede_rt_bench.workloads.campaign import Results
+from stampede_rt_bench.workloads.catalogue import workloads
+from stampede_rt_bench.workloads.goals import REDIS, REDIS_UNIX, SHARED, SOCKETS, goals, table_of_goals
+from stampede_rt_bench.workloads.run import RunResult
 
-WORKS = {work.name: work for work in works()}
+WORKLOADS = {workload.name: workload for workload in workloads()}
 
 
-def measured(rate: float = 1, p50_us: float = 1, lost: float = 0) -> Measured:
-    return Measured(seconds=1, items_per_second=rate, cpu_us_per_item=1, p50_us=p50_us, p99_us=1, lost_share=lost)
+def measured(rate: float = 1, p50_us: float = 1, lost: float = 0) -> RunResult:
+    return RunResult(seconds=1, items_per_second=rate, cpu_us_per_item=1, p50_us=p50_us, p99_us=1, lost_share=lost)
 
 
 def rows(results: Results, ours: str) -> list[list[str]]:
@@ -22,7 +22,7 @@ def rows(results: Results, ours: str) -> list[list[str]]:
 def test_each_goal_names_a_work_and_systems_that_are_measured() -> None:
     names = {system.name for system in SYSTEMS.values()}
     for goal in goals():
-        assert goal.work in WORKS
+        assert goal.workload in WORKLOADS
         assert {goal.ours, *goal.peers} <= names
 
 
@@ -32,17 +32,17 @@ def test_a_ratio_compares_each_round_with_the_best_peer() -> None:
         REDIS: [measured(p50_us=90)] * 3,
         REDIS_UNIX: [measured(p50_us=20)] * 3,
     }
-    [row] = rows(Results(runs={WORKS["put"]: runs}), SOCKETS)
+    [row] = rows(Results(runs={WORKLOADS["put"]: runs}), SOCKETS)
     wanted = "at most 1.2 x the time of the best of Redis and Redis, Unix socket"
     assert row[2:] == [wanted, "1.50 (1.20 to 1.80)", "no"]
     runs[SOCKETS] = [measured(p50_us=24)] * 3
-    assert rows(Results(runs={WORKS["put"]: runs}), SOCKETS)[0][3:] == ["1.20 (1.20 to 1.20)", "yes"]
+    assert rows(Results(runs={WORKLOADS["put"]: runs}), SOCKETS)[0][3:] == ["1.20 (1.20 to 1.20)", "yes"]
 
 
 def test_more_is_better_for_a_rate_and_no_item_may_be_lost() -> None:
     stream = {SHARED: [measured(rate=10)], "Zenoh, shared memory": [measured(rate=4)]}
     frames = {SHARED: [measured(lost=0.01), measured(), measured()]}
-    found = Results(runs={WORKS["stream-300kb"]: stream, WORKS["frames-300kb-16"]: frames})
+    found = Results(runs={WORKLOADS["stream-300kb"]: stream, WORKLOADS["frames-300kb-16"]: frames})
     assert [row[2:] for row in rows(found, SHARED)] == [
         ["at least 2 x the rate of Zenoh, shared memory", "2.50 (2.50 to 2.50)", "yes"],
         ["at most 0 of the items lost", "0.00 (0.00 to 0.01)", "yes"],
@@ -50,7 +50,7 @@ def test_more_is_better_for_a_rate_and_no_item_may_be_lost() -> None:
 
 
 def test_a_goal_whose_peer_was_not_measured_is_marked() -> None:
-    found = rows(Results(runs={WORKS["newest"]: {SHARED: [measured()]}}), SHARED)
+    found = rows(Results(runs={WORKLOADS["newest"]: {SHARED: [measured()]}}), SHARED)
     assert [row[2:] for row in found] == [
         ["at most 1/30 x the time of the best of Redis and Redis, Unix socket", "not measured", ""]
     ]

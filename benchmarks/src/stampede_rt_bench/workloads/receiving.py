@@ -7,15 +7,15 @@ from array import array
 from collections.abc import Iterator
 from typing import TypeVar
 
-from stampede_rt_bench.works.interface import Block
-from stampede_rt_bench.works.payloads import SENT
-from stampede_rt_bench.works.run_counters import RunCounters
+from stampede_rt_bench.workloads.interface import Block
+from stampede_rt_bench.workloads.payloads import SENT
+from stampede_rt_bench.workloads.run_counters import RunCounters
 
 LATENCIES_MAX = 1 << 20
 T = TypeVar("T")
 
 
-class Counting:
+class CountingReceiver:
     """Counts items. It also reads each item and adds up the values, so that the reading is part of the measurement."""
 
     def __init__(self, progress: RunCounters, reader: int, item_bytes: int, deadline_s: float) -> None:
@@ -46,7 +46,7 @@ class Counting:
         return self._progress.has_ended(self._deadline_s)
 
 
-class Timing(Counting):
+class TimingReceiver(CountingReceiver):
     """Also notes how long each item was under way, for at most LATENCIES_MAX items."""
 
     def __init__(self, progress: RunCounters, reader: int, item_bytes: int, deadline_s: float) -> None:
@@ -65,8 +65,8 @@ class Timing(Counting):
         self.take(0, 0, bytes(payload))
 
 
-class Answers(Counting):
-    """Takes the items that operations read. `Operations` counts the operations."""
+class AnswerReceiver(CountingReceiver):
+    """Takes the items that operations read. `OperationTimer` counts the operations."""
 
     def take(self, time_nanos: int, seq: int, payload: bytes) -> None:
         """Take one item of an answer."""
@@ -83,10 +83,10 @@ class Answers(Counting):
         return self._progress.has_stopped(self._deadline_s)
 
 
-class Operations:
+class OperationTimer:
     """Counts the turns of one operation, and notes how long each turn took, for at most LATENCIES_MAX turns."""
 
-    def __init__(self, progress: RunCounters, answers: Answers, items: int) -> None:
+    def __init__(self, progress: RunCounters, answers: AnswerReceiver, items: int) -> None:
         self._progress, self._answers, self._items = progress, answers, items
         self.durations_nanos = array("Q")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from multiprocessing import get_context
 
-from stampede_rt_bench.works.payloads import PAUSE_SECONDS, SENT, at_full_speed, at_rate, room_for, window_items
-from stampede_rt_bench.works.run_counters import RunCounters
+from stampede_rt_bench.workloads.payloads import PAUSE_SECONDS, SENT, at_full_speed, at_rate, needs_of, window_items
+from stampede_rt_bench.workloads.run_counters import RunCounters
 
 NEVER = float("inf")
 
@@ -16,8 +16,8 @@ def progress() -> RunCounters:
 
 
 def test_a_publisher_at_full_speed_pauses_while_a_window_of_its_items_is_unread() -> None:
-    shared, room = progress(), room_for(300_000)
-    steps = at_full_speed(shared, room, NEVER)
+    shared, needs = progress(), needs_of(300_000)
+    steps = at_full_speed(shared, needs, NEVER)
     sent = 0
     while not isinstance(step := next(steps), float):
         sent += len(step)
@@ -30,7 +30,7 @@ def test_a_publisher_at_full_speed_pauses_while_a_window_of_its_items_is_unread(
 def test_a_publisher_ends_with_the_run() -> None:
     shared = progress()
     shared.stop_publishing()
-    assert list(at_full_speed(shared, room_for(64), NEVER)) == []
+    assert list(at_full_speed(shared, needs_of(64), NEVER)) == []
     assert list(at_rate(shared, 64, 30, NEVER)) == []
 
 
@@ -48,5 +48,5 @@ def test_a_publisher_with_a_rate_computes_the_wait_until_the_next_item() -> None
 
 def test_queues_have_room_for_more_than_the_messages_under_way() -> None:
     for size in (64, 18_000, 300_000):
-        room = room_for(size)
-        assert room.items_max >= 2 * (window_items(size) + room.batch_items)
+        needs = needs_of(size)
+        assert needs.items_max >= 2 * (window_items(size) + needs.batch_items)
