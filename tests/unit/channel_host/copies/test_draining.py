@@ -91,8 +91,10 @@ class Host(migration_service_pb2_grpc.MigrationServiceServicer):
                 await context.write(pb.MoveEachHereResponse(outcomes=[outcome]))
 
 
-async def drained(channels: int, *hosts: Host, recorded: bool = False, name: str = "cam/{}") -> DrainResult:
-    """Drain `channels` channels without groups to these hosts. Returns the outcome."""
+async def drained(
+    channels: int, *hosts: Host, recorded: bool = False, name: str = "cam/{}", held: int = 1, is_last: bool = False
+) -> DrainResult:
+    """Drain `channels` channels without groups, with `held` items each, to these hosts. Returns the outcome."""
     async with AsyncExitStack() as servers:
         others: list[OtherHost] = []
         for number, host in enumerate(hosts):
@@ -106,7 +108,11 @@ async def drained(channels: int, *hosts: Host, recorded: bool = False, name: str
         records = [
             SimpleNamespace(channel_id=b"c%d" % one, name=name.format(one), policy=policy) for one in range(channels)
         ]
-        own = [SimpleNamespace(record=one, copy=None, is_fallback=False, epoch=1, moving=None) for one in records]
+        core = SimpleNamespace(latest_counters=lambda: SimpleNamespace(held=held))
+        own = [
+            SimpleNamespace(record=one, copy=None, is_fallback=False, epoch=1, moving=None, core=core)
+            for one in records
+        ]
         allowed: set[tuple[bytes, bytes]] = set()
         for number, host in enumerate(hosts):
             host.is_allowed = lambda channel_id, at=b"%d" % number: (channel_id, at) in allowed
@@ -119,7 +125,7 @@ async def drained(channels: int, *hosts: Host, recorded: bool = False, name: str
         queues: Any = SimpleNamespace(all=list)
         dial = grpc.aio.insecure_channel
         drain = HostDrain(store, queues, directory, lambda channel_id: [], dial, dial, allow)
-        return await drain.run(SECONDS_MAX)
+        return await drain.run(SECONDS_MAX, is_last=is_last)
 
 
 async def test_a_drained_channel_goes_to_another_host_if_the_first_has_no_room() -> None:
@@ -220,3 +226,32 @@ async def test_two_channels_with_the_same_name_are_both_drained() -> None:
     host = Host()
     assert await drained(2, host, name="cam") == DrainResult(2, {})
     assert sorted(host.taken) == [b"c0", b"c1"]
+
+
+@pytest.mark.parametrize(
+    ("state", "logged"),
+    [
+        (
+            {"is_last": True},
+            "WARNING 1 channel could not move to another host (there is no other live host); the host stops, and items "
+            "that no other host has are lost",
+        ),
+        (
+            {},
+            "WARNING 1 channel could not move to another host (there is no other live host); this host keeps the items",
+        ),
+        (
+            {"is_last": True, "recorded": True},
+            "INFO 1 channel did not move to another host: the archive of this host has the items",
+        ),
+        ({"is_last": True, "held": 0}, ""),
+    ],
+)
+async def test_a_drain_warns_only_of_items_that_are_lost(
+    caplog: pytest.LogCaptureFixture, state: dict[str, Any], logged: str
+) -> None:
+    """In an earlier version, a recorded channel whose host stopped alone gave a warning, although nothing was lost."""
+    caplog.set_level("INFO", draining.logger.name)
+    assert [*(await drained(1, **state)).left] == ["cam/0"]
+    said = [f"{one.levelname} {one.message}" for one in caplog.records]
+    assert said == [logged][: bool(logged)]

@@ -72,6 +72,10 @@ class _OwnSubject(Protocol):
     def is_moving(self) -> bool:
         """Whether the other host has begun the move."""
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether it has no item or message."""
+
 
 class _OwnChannel:
     def __init__(self, store: ChannelStore, hosted: HostedChannel) -> None:
@@ -92,6 +96,10 @@ class _OwnChannel:
     def is_moving(self) -> bool:
         return self._hosted.moving is not None
 
+    @property
+    def is_empty(self) -> bool:
+        return self._hosted.core.latest_counters().held == 0
+
 
 class _OwnQueue:
     def __init__(self, store: QueueStore, hosted: HostedQueue) -> None:
@@ -111,6 +119,10 @@ class _OwnQueue:
     @property
     def is_moving(self) -> bool:
         return self._hosted.moving is not None
+
+    @property
+    def is_empty(self) -> bool:
+        return self._hosted.queue.oldest_accepted_at is None
 
 
 class HostDrain:
@@ -133,8 +145,11 @@ class HostDrain:
         self._dial, self._dial_streams = dial, dial_streams
         self._allow = allow
 
-    async def run(self, seconds: float) -> DrainResult:
-        """Move all channels and queues away. Ends after `seconds`, even if some have not moved. Raises nothing."""
+    async def run(self, seconds: float, *, is_last: bool = False) -> DrainResult:
+        """Move all channels and queues away. Ends after `seconds`, even if some have not moved. Raises nothing.
+
+        `is_last`: the host stops after that, and with it the items in its memory.
+        """
         own = self._own()
         left = dict.fromkeys(own, "the time was over")
         if own:
@@ -146,7 +161,7 @@ class HostDrain:
             except StampedeError as error:
                 left = dict.fromkeys(left, str(error))
         drained = DrainResult(len(own) - len(left), {own[one].name: why for one, why in left.items()})
-        self._tell(drained)
+        _tell(drained.moved, {own[one]: why for one, why in left.items()}, is_last=is_last)
         return drained
 
     def _own(self) -> dict[bytes, _OwnSubject]:
@@ -156,15 +171,6 @@ class HostDrain:
         own: list[_OwnSubject] = [_OwnChannel(self._store, one) for one in channels]
         own += [_OwnQueue(self._queues, one) for one in queues]
         return {one.id: one for one in own}
-
-    def _tell(self, drained: DrainResult) -> None:
-        if drained.left:
-            names = ", ".join([*drained.left][:NAMES_LOGGED_MAX])
-            extra = {"event": "channels_not_moved", "channels": names, "count": len(drained.left)}
-            logger.warning("could not move %d channels and queues to other hosts", len(drained.left), extra=extra)
-        elif drained.moved:
-            extra = {"event": "host_drained", "channels": drained.moved}
-            logger.info("all channels have moved to other hosts", extra=extra)
 
     async def _move_all(self, own: dict[bytes, _OwnSubject], left: dict[bytes, str]) -> None:
         """Move the channels.
@@ -290,6 +296,37 @@ async def _move(own: _OwnSubject, place: OtherHost, others: _OtherHosts, left: d
         delay_s = min(2 * delay_s, RETRY_SECONDS_MAX)
     if host is not None or not own.is_here:
         left.pop(own.id, None)
+
+
+def _tell(moved: int, left: dict[_OwnSubject, str], *, is_last: bool) -> None:
+    """Log the outcome. `left`: the channels and queues that are still here, with the reasons. `is_last`: see `run`."""
+    archived = [one for one in left if is_last and one.needs_archive]
+    stuck = [one for one in left if not is_last or not (one.needs_archive or one.is_empty)]
+    if archived:
+        logger.info(
+            "%s did not move to another host: the archive of this host has the items",
+            _counted(archived), extra={"event": "recorded_channels_not_moved", **_named(archived)},
+        )  # fmt: skip
+    if stuck:
+        end = "the host stops, and items that no other host has are lost" if is_last else "this host keeps the items"
+        logger.warning(
+            "%s could not move to another host (%s); %s", _counted(stuck), left[stuck[0]], end,
+            extra={"event": "channels_not_moved", **_named(stuck)},
+        )  # fmt: skip
+    if moved and not left:
+        logger.info("all channels have moved to other hosts", extra={"event": "host_drained", "channels": moved})
+
+
+def _counted(subjects: Sequence[_OwnSubject]) -> str:
+    """The numbers of channels and queues, such as "1 channel and 2 queues"."""
+    queues = sum(one.is_queue for one in subjects)
+    counts = (("channel", len(subjects) - queues), ("queue", queues))
+    return " and ".join(f"{count} {noun}{'' if count == 1 else 's'}" for noun, count in counts if count)
+
+
+def _named(subjects: Sequence[_OwnSubject]) -> dict[str, str | int]:
+    names = ", ".join(one.name for one in subjects[:NAMES_LOGGED_MAX])
+    return {"channels": names, "count": len(subjects)}
 
 
 def _may_pass(error: StampedeError) -> bool:
