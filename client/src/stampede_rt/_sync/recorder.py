@@ -18,7 +18,8 @@ from stampede_rt._sync.session import Session
 from stampede_rt._sync.watch import Watch
 from stampede_rt.errors import InvalidArgument, StampedeError, WatchRestart
 from stampede_rt.files.entries import FACTS_TOPIC
-from stampede_rt.files.reading import CLOCKS_NAME, SUMMARY_NAME, summary_fields
+from stampede_rt.files.reading import CLOCKS_NAME
+from stampede_rt.files.summaries import SUMMARY_NAME, summary_fields
 from stampede_rt.files.writing import FileWriter
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.transports.concurrency_sync import BackgroundStart, BackgroundTask, Signal, run_concurrently

@@ -12,7 +12,7 @@ from stampede_rt.cli.arguments import add_summary, checked, parse_time
 from stampede_rt.cli.exit_statuses import FAILED, INCOMPLETE
 from stampede_rt.cli.instants import instant_text
 from stampede_rt.cli.output import bytes_text, print_document, print_facts, print_rows
-from stampede_rt.cli.record import print_summary
+from stampede_rt.cli.record import print_missing, print_summary
 from stampede_rt.cli.verb_parser import VerbParser
 from stampede_rt.errors import FileError, InvalidArgument
 from stampede_rt.escaping import escaped
@@ -91,10 +91,12 @@ def run_info(arguments: argparse.Namespace) -> int:
     times = {name: instant_text(int(facts[name])) for name in ("begins", "ends")}
     print_facts(facts | times, "table")
     print()
-    if summary is None:
-        print_rows(topics, "table", none="no topics")
-    else:
+    if summary is not None and summary.channels:
         print_summary(summary, "table")
+        return 0
+    print_rows(topics, "table", none="no topics")
+    if summary is not None:
+        print_missing(summary)
     return 0
 
 
@@ -103,7 +105,7 @@ def run_verify(arguments: argparse.Namespace) -> int:
     from stampede_rt.files.editing import verify
 
     report = verify(arguments.path)
-    _print_report(report, arguments.output)
+    _print_report(report, arguments.output, is_complete=report.complete)
     if not report.intact:
         return FAILED
     return 0 if report.summary.complete else INCOMPLETE
@@ -114,12 +116,12 @@ def run_recover(arguments: argparse.Namespace) -> int:
     from stampede_rt.files.editing import recover
 
     report = recover(arguments.path, arguments.file, overwrite=arguments.overwrite)
-    _print_report(report, arguments.output)
-    return 0 if report.complete else INCOMPLETE
+    _print_report(report, arguments.output, is_complete=report.summary.complete)
+    return 0 if report.summary.complete else INCOMPLETE
 
 
-def _print_report(report: FileReport, form: str) -> None:
-    print_summary(report.summary, form, is_complete=report.complete)
+def _print_report(report: FileReport, form: str, *, is_complete: bool) -> None:
+    print_summary(report.summary, form, is_complete=is_complete)
     for damage in report.damages[:DAMAGES_SHOWN]:
         place = f"byte {damage.offset} to {damage.end}"
         print(f"stampede: damaged: {place}: {escaped(damage.detail)}", file=sys.stderr)

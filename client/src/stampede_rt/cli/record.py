@@ -116,18 +116,24 @@ def print_summary(summary: RecordingSummary, form: str, *, is_complete: bool | N
             "recorded": summary.recorded,
             "missing": summary.missing,
             "absent": list(summary.absent),
+            "damaged": list(summary.damaged),
             "channels": [one.to_json() for one in summary.channels],
         }
         print_document(value, form)
         return
     rows = [_row(one) for one in summary.channels]
     print_rows(rows, "table", none=f"{escaped(summary.path)} has no channels")
+    print_missing(summary)
+
+
+def print_missing(summary: RecordingSummary) -> None:
+    """Print the missing items of a file, a line for each gap."""
     for one in summary.channels:
         for gap in one.gaps[:GAPS_SHOWN]:
             print(f"missing: {gap_text(gap)}")
         if one.gap_count > GAPS_SHOWN:
             print(f"missing: {escaped(one.channel)}: {one.gap_count - GAPS_SHOWN} more gaps, which the file names")
-    for text in summary.absent:
+    for text in (*summary.absent, *summary.damaged):
         print(f"missing: {escaped(text)}")
 
 

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from mcap.records import Attachment, Metadata
 
 from stampede_rt.errors import FileError, InvalidArgument
 from stampede_rt.files.entries import FileAdvance, FileEntry
-from stampede_rt.files.file_tally import FileTally
+from stampede_rt.files.file_tally import DAMAGED, FileTally
 from stampede_rt.files.framing import Damage
 from stampede_rt.files.interval_filter import IntervalFilter
-from stampede_rt.files.reading import SUMMARY_NAME, ChunkContent, Event, FileReader, summary_fields
+from stampede_rt.files.reading import ChunkContent, Event, FileReader
+from stampede_rt.files.summaries import SUMMARY_NAME, summary_fields, summary_of
 from stampede_rt.files.writing import FileWriter, replacing
 from stampede_rt.values.recording import RecordingGap, RecordingSummary
 
 DAMAGES_KEPT_MAX = 1000
+LOSSES_MAX = 1000
+"""The most texts of `RecordingSummary.damaged`."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -120,10 +123,10 @@ def writer_of(writer: FileWriter) -> Callable[[Event | Attachment | Metadata], N
 
 
 def finish_with(writer: FileWriter, summary: RecordingSummary) -> None:
-    """Write the summary of the channels of Stampede RT, if there are any, and finish the file."""
-    if any(one.incarnation for one in summary.channels):
-        own = [one for one in summary.channels if one.incarnation]
-        written = RecordingSummary(path=summary.path, channels=own, absent=summary.absent)
+    """Write the summary, if there are channels of Stampede RT or unnamed losses, and finish the file."""
+    own = [one for one in summary.channels if one.incarnation]
+    if own or summary.damaged:
+        written = replace(summary, channels=own)
         writer.add_metadata(SUMMARY_NAME, summary_fields(written))
     writer.finish()
 
@@ -132,7 +135,7 @@ def _walk(
     reader: FileReader, take: Callable[[Event | Attachment | Metadata], None], on_bytes: Callable[[int], object]
 ) -> FileReport:
     """Read a file to its end, and pass all its parts to `take`, including the gaps that damage has made."""
-    tally, damaged_bytes, unknown = FileTally(), 0, 0
+    tally, damaged_bytes, unknown, last = FileTally(), 0, 0, None
     damages: list[Damage] = []
     for part in reader.contents():
         if isinstance(part, Damage):
@@ -148,22 +151,49 @@ def _walk(
                 take(event)
             on_bytes(part.end)
         else:
+            last = part if isinstance(part, Metadata) and part.name == SUMMARY_NAME else last
             take(part)
-    stated = _stated(reader)
+    stated = _stated(reader, last)
     if damages:
-        detail = f"the file is damaged at byte {damages[-1].offset}: {damages[-1].detail}"
-        for gap in tally.ends_torn(detail, stated):
+        for gap in tally.ends_torn(_detail(damages[0]), _detail(damages[-1]), stated):
             take(gap)
-    absent = () if stated is None else tuple(stated.absent)
+    losses = [] if stated is None else [*stated.damaged]
+    if damages and stated is None:
+        losses.append(_unnamed_loss(reader.path, damaged_bytes))
+    if unknown:
+        losses.append(f"{unknown} messages of the file {reader.path!r}, which does not name their topics")
     return FileReport(
-        summary=tally.summary(reader.path, absent), stated=stated, damages=tuple(damages),
+        summary=_with_losses(tally.summary(reader.path), stated, losses), stated=stated, damages=tuple(damages),
         damaged_bytes=damaged_bytes, finished=reader.index is not None, unknown=unknown, size_bytes=reader.size,
     )  # fmt: skip
 
 
-def _stated(reader: FileReader) -> RecordingSummary | None:
+def _detail(damage: Damage) -> str:
+    return f"the file is damaged at byte {damage.offset}: {damage.detail}"
+
+
+def _unnamed_loss(path: str, damaged_bytes: int) -> str:
+    what = (
+        f"{damaged_bytes} bytes of the file {path!r} were damaged" if damaged_bytes else f"the file {path!r} had no end"
+    )
+    return f"{what}, so items of channels that it does not name may be missing"
+
+
+def _with_losses(found: RecordingSummary, stated: RecordingSummary | None, losses: list[str]) -> RecordingSummary:
+    """Add the losses that no gap of a channel names. `stated`: the summary in the file."""
+    by_key = {(one.channel, one.incarnation): one for one in found.channels}
+    for told in stated.channels if stated else ():
+        one = by_key.get((told.channel, told.incarnation))
+        has = 0 if one is None else one.recorded + sum(gap.items or 0 for gap in one.gaps if gap.reason == DAMAGED)
+        if has < told.recorded:
+            losses.append(f"{told.recorded - has} items of channel {told.channel}, which the summary of the file names")
+    return replace(found, absent=() if stated is None else tuple(stated.absent), damaged=tuple(losses[:LOSSES_MAX]))
+
+
+def _stated(reader: FileReader, last: Metadata | None) -> RecordingSummary | None:
+    """Return the summary in a file. `last`: its record, if the file has been read and has no index."""
     try:
-        return reader.summary()
+        return reader.summary() if last is None else summary_of(reader.path, last.metadata)
     except FileError:
         return None
 
@@ -194,9 +224,15 @@ def cut(
             for event in part.events():
                 chosen_part.add(event)
         chosen_part.finish()
-        summary = tally.summary(os.fspath(output))
+        summary = tally.summary(os.fspath(output), damaged=losses_of([reader]))
         finish_with(writer, summary)
     return summary
+
+
+def losses_of(readers: Iterable[FileReader]) -> tuple[str, ...]:
+    """Return `RecordingSummary.damaged` of a file that is made of these files. Raises FileError."""
+    found = dict.fromkeys(text for one in readers if (told := one.summary()) for text in told.damaged)
+    return tuple(found)[:LOSSES_MAX]
 
 
 def intact_contents(reader: FileReader) -> Iterator[ChunkContent]:

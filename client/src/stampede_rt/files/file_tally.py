@@ -98,10 +98,11 @@ class FileTally:
             if key[1] is not None and counts.damaged_after is None:
                 counts.damaged_after = counts.reached
 
-    def ends_torn(self, detail: str, intended: RecordingSummary | None = None) -> list[RecordingGap]:
+    def ends_torn(self, first: str, last: str, intended: RecordingSummary | None = None) -> list[RecordingGap]:
         """End a damaged or torn file. Returns the gaps before the first and after the last item of each channel.
 
-        `intended`: the summary of the recorder, if the file still has it; it says where each channel ended.
+        `first`, `last`: the first and the last damage. `intended`: the summary of the recorder, if the file still has
+        it; it says where each channel ended.
         """
         known: dict[Key, RecordedCounts] = {
             (one.channel, one.incarnation): one for one in (intended.channels if intended else ())
@@ -109,11 +110,11 @@ class FileTally:
         gaps = []
         for key, counts in self._counts.items():
             if key[1] is not None:
-                gaps += self._lost_before(key, counts, known.get(key), detail)
-                gaps += self._lost_behind(key, counts, known.get(key), detail)
+                gaps += self._lost_before(key, counts, known.get(key), first)
+                gaps += self._lost_behind(key, counts, known.get(key), last)
         for key, told in known.items():
             if key not in self._counts and told.recorded:
-                gaps.append(_gap(key, detail, told.first_seq, told.last_seq, told.recorded))
+                gaps.append(_gap(key, last, told.first_seq, told.last_seq, told.recorded))
         for gap in gaps:
             self._add_gap(gap)
         return gaps
@@ -140,11 +141,14 @@ class FileTally:
             return []
         return [_gap(key, detail, first, told.last_seq, min(told.last_seq - first + 1, _unseen(counts, told)))]
 
-    def summary(self, path: str, absent: tuple[str, ...] = ()) -> RecordingSummary:
-        """Return the counts of the channels of Stampede RT and of other topics, by name."""
+    def summary(self, path: str, absent: tuple[str, ...] = (), damaged: tuple[str, ...] = ()) -> RecordingSummary:
+        """Return the counts of the channels of Stampede RT and of other topics, by name.
+
+        `absent`, `damaged`: see `RecordingSummary`.
+        """
         found = [_channel(key, counts) for key, counts in self._counts.items()]
         found.sort(key=lambda one: (one.channel, one.start or 0))
-        return RecordingSummary(path=path, channels=tuple(found), absent=absent)
+        return RecordingSummary(path=path, channels=tuple(found), absent=absent, damaged=damaged)
 
     def _of(self, key: Key) -> _Counts:
         counts = self._counts.get(key)

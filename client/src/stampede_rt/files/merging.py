@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.files.editing import check_other, finish_with, intact_contents, writer_of
+from stampede_rt.files.editing import check_other, finish_with, intact_contents, losses_of, writer_of
 from stampede_rt.files.entries import FileEntry
 from stampede_rt.files.file_tally import FileTally
 from stampede_rt.files.reading import Event, FileReader
@@ -51,7 +51,7 @@ def merge(
             for kept in _merged(event, seen, held):
                 order.add(kept)
         order.finish()
-        summary = tally.summary(os.fspath(output))
+        summary = tally.summary(os.fspath(output), damaged=losses_of(readers))
         finish_with(writer, summary)
     return summary
 

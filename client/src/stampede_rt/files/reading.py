@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any
 
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -36,10 +35,10 @@ from stampede_rt.files.entries import (
 )
 from stampede_rt.files.framing import MAGIC, Damage, RecordFile, RecordFrame
 from stampede_rt.files.indexed_frames import indexed_frames
-from stampede_rt.files.json_text import read_json
-from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary, incarnation_of
+from stampede_rt.files.named_by_facts import UnnamedMessages, facts_topic, is_facts, topics_of
+from stampede_rt.files.summaries import SUMMARY_NAME, summary_of
+from stampede_rt.values.recording import RecordingGap, RecordingSummary, incarnation_of
 
-SUMMARY_NAME = "stampede.summary"  # the name of the metadata record with the counts
 CLOCKS_NAME = "stampede.clocks"
 _FOOTER_BYTES, _DATA_END_BYTES = 9 + 20 + len(MAGIC), 9 + 4
 _CONTENT_TYPES = {"json": "application/json", "protobuf": "application/x-protobuf", "": ""}
@@ -165,7 +164,7 @@ class FileReader:
         try:
             return self._read(frame)
         except FileError as error:
-            return Damage(frame.offset, frame.end, error.message)
+            return Damage(frame.offset, frame.end, str(error.__cause__ or "") or error.message)
 
     def content_at(self, offset: int) -> ChunkContent:
         """Read the chunk at a byte, as the index names it. Raises FileError."""
@@ -223,6 +222,7 @@ class FileReader:
         for record in records:
             self._learn(record)
         messages = [record for record in records if isinstance(record, Message)]
+        self._learn_from_facts(messages)
         try:
             facts = ReadFacts.decode([one.data for one in messages if self._is_facts(one)])
         except ValueError as error:
@@ -239,6 +239,21 @@ class FileReader:
             content.bare += topic.incarnation is not None and entry.seq is None
             content.entries.append(entry)
         return content
+
+    def _learn_from_facts(self, messages: Sequence[Message]) -> None:
+        """Learn the topics that the facts at the end of a chunk name, if the chunk with their records is damaged."""
+        unnamed = [one for one in messages if self._topic_of(one.channel_id) is None]
+        if not unnamed:
+            return
+        last = messages[-1]
+        if unnamed[-1] is last and is_facts(last.data):
+            self._topics[last.channel_id] = facts_topic()
+            self._facts_ids.add(last.channel_id)
+        if last.channel_id in self._facts_ids:
+            counts = Counter(one.channel_id for one in unnamed if one.channel_id != last.channel_id)
+            firsts = {one.channel_id: one.sequence for one in reversed(unnamed)}
+            found = [UnnamedMessages(number, firsts[number], count) for number, count in counts.items()]
+            self._topics |= topics_of(found, last.data, self._topics.values())
 
     def _is_facts(self, message: Message) -> bool:
         if message.channel_id not in self._topics:
@@ -335,20 +350,3 @@ def content_type_of_encoding(encoding: str) -> str:
     if known is not None:
         return known
     return encoding if "/" in encoding else f"application/x-{encoding}"
-
-
-def summary_fields(summary: RecordingSummary) -> dict[str, str]:
-    """Return the metadata that keeps a summary."""
-    channels = json.dumps([one.to_json() for one in summary.channels], ensure_ascii=False, separators=(",", ":"))
-    return {"version": "1", "channels": channels, "absent": json.dumps(list(summary.absent))}
-
-
-def summary_of(path: str, values: dict[str, str]) -> RecordingSummary:
-    """Return the summary in a metadata record. Raises FileError if it is damaged."""
-    try:
-        channels: list[Any] = read_json(values["channels"])
-        absent = tuple(str(one) for one in read_json(values.get("absent", "[]")))
-        found = tuple(RecordedCounts.from_json(one) for one in channels)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise FileError(f"the summary of the file {path!r} is damaged: {error}") from error
-    return RecordingSummary(path=path, channels=found, absent=absent)

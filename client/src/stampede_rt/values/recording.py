@@ -119,17 +119,19 @@ class RecordingSummary:
     """The contents of a finished recording. `path` is the file.
 
     `absent` lists the names and globs that matched no channel, and channels that the recording could not follow.
-    `complete` is False if anything is missing.
+    `damaged` says which items a recovered file may lack besides the gaps of its channels. `complete` is False if
+    anything is missing.
     """
 
     path: str
     channels: Sequence[RecordedCounts]
     absent: Sequence[str] = ()
+    damaged: Sequence[str] = ()
 
     @property
     def complete(self) -> bool:
         """Whether nothing is missing."""
-        return not self.absent and all(one.complete for one in self.channels)
+        return not self.absent and not self.damaged and all(one.complete for one in self.channels)
 
     @property
     def recorded(self) -> int:

@@ -1,0 +1,145 @@
+"""A recovered file says which items it may lack, also if nobody can know them exactly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+
+from stampede_rt.cli.main import main as stampede
+from stampede_rt.files.editing import cut, recover, verify
+from stampede_rt.files.entries import FileEntry, Topic, item_entry
+from stampede_rt.files.merging import merge
+from stampede_rt.files.reading import ChunkContent, FileReader
+from tests.support.files.recordings import INCARNATION, entries, item, read, seqs_of, write
+
+ITEMS = range(1, 31)
+FOREIGN = FileEntry(Topic("/tf", "ros1"), 5, 5, 0, b"transform", None, 5, None, {}, "")
+"""A message of another program, without facts."""
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    """Two channels, and one with a single item in the first chunk."""
+    pairs = zip(entries("cam", ITEMS), entries("imu", ITEMS), strict=True)
+    return write(tmp_path / "whole.mcap", [*entries("once", [1]), *(one for pair in pairs for one in pair)])
+
+
+def chunks_of(path: Path) -> list[tuple[int, int]]:
+    with FileReader(path) as reader:
+        return [(part.offset, part.end) for part in reader.contents() if isinstance(part, ChunkContent)]
+
+
+def damaged(path: Path, place: int, length: int | None = None) -> Path:
+    """Write a copy with a flipped bit, of `length` bytes."""
+    content, copy = bytearray(path.read_bytes()[:length]), path.with_name("damaged.mcap")
+    content[place] ^= 4
+    copy.write_bytes(content)
+    return copy
+
+
+def middle(chunk: tuple[int, int]) -> int:
+    return sum(chunk) // 2
+
+
+def test_messages_are_recovered_although_the_chunk_that_names_their_topics_is_damaged_and_the_end_is_missing(
+    whole: Path, tmp_path: Path
+) -> None:
+    """In an earlier version the output had no message, and `verify` called it complete."""
+    chunks, saved = chunks_of(whole), tmp_path / "saved.mcap"
+    report = recover(damaged(whole, middle(chunks[0]), chunks[-1][0] + 5), saved)
+    cam, imu = seqs_of(read(saved)[0]), seqs_of(read(saved)[0], "imu")
+    assert (cam[0], imu[0]) == (6, 5)
+    assert cam == [*range(6, 31)]
+    assert imu == [*range(5, 30)]
+    assert report.unknown == 0
+    told = verify(saved)
+    assert (told.intact, told.complete) == (True, False)
+    gaps = {one.channel: [(gap.first_seq, gap.last_seq) for gap in one.gaps] for one in told.summary.channels}
+    assert gaps == {"cam": [(None, 5), (31, None)], "imu": [(None, 4), (30, None)]}
+    begun = told.summary.channels[0].gaps[0].detail
+    assert begun == f"the file is damaged at byte {chunks[0][0]}: its checksum does not match its content"
+
+
+def test_each_damaged_chunk_of_a_torn_file_leaves_a_file_that_says_so(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chunks, saved = chunks_of(whole), tmp_path / "saved.mcap"
+    for chunk in chunks[:-1]:
+        torn = damaged(whole, middle(chunk), chunks[-1][0] + 5)
+        assert (
+            recover(torn, saved, overwrite=True)
+            .summary.damaged[0]
+            .startswith(f"{chunk[1] - chunk[0] + 5} bytes of the file {str(torn)!r} were damaged")
+        )
+        for verb in ("verify", "info"):
+            assert stampede(["file", verb, str(saved)]) == (3 if verb == "verify" else 0)
+            said = capsys.readouterr().out
+            assert "cam: an unknown number of items" in said
+            assert "so items of channels that it does not name may be missing" in said
+
+
+def test_the_parts_of_a_recovered_file_say_it_too(whole: Path, tmp_path: Path) -> None:
+    saved, part, both = (tmp_path / name for name in ("saved.mcap", "part.mcap", "both.mcap"))
+    told = recover(damaged(whole, 50, chunks_of(whole)[-1][1]), saved).summary.damaged
+    assert len(told) == 1
+    assert cut(saved, part, start=0, end=2**62).damaged == told
+    assert merge([saved, part], both).damaged == told
+    assert verify(both).summary.damaged == told
+
+
+def test_a_file_that_is_damaged_only_behind_its_summary_loses_nothing(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content, saved, copy = whole.read_bytes(), tmp_path / "saved.mcap", tmp_path / "torn.mcap"
+    copy.write_bytes(content[:-60])
+    for path in (damaged(whole, len(content) - 3), copy):
+        assert stampede(["file", "recover", str(path), "-o", str(saved), "--overwrite"]) == 0
+        assert "missing:" not in capsys.readouterr().out
+        assert verify(saved).complete
+        assert seqs_of(read(saved)[0]) == [*ITEMS]
+
+
+def test_items_that_only_the_summary_knows_are_named(whole: Path, tmp_path: Path) -> None:
+    content, chunks = whole.read_bytes(), chunks_of(whole)
+    (tmp_path / "shorter.mcap").write_bytes(content[: chunks[0][0]] + content[chunks[0][1] :])
+    recover(tmp_path / "shorter.mcap", tmp_path / "saved.mcap")
+    assert verify(tmp_path / "saved.mcap").summary.damaged == tuple(
+        f"{count} items of channel {channel}, which the summary of the file names"
+        for channel, count in (("cam", 5), ("imu", 4), ("once", 1))
+    )
+
+
+def test_topics_are_found_between_messages_of_other_programs(tmp_path: Path) -> None:
+    events: list[FileEntry] = []
+    for seq in ITEMS:
+        events += [FOREIGN, *entries("cam", [seq]), item_entry(Topic("imu", "json", INCARNATION), item(2 * seq, b"{}"))]
+    path, saved = write(tmp_path / "mixed.mcap", events, chunk_items=12), tmp_path / "saved.mcap"
+    chunks = chunks_of(path)
+    report = recover(damaged(path, middle(chunks[0]), chunks[-1][1]), saved)
+    assert seqs_of(read(saved)[0]) == [*range(5, 31)]
+    assert seqs_of(read(saved)[0], "imu") == [*range(10, 61, 2)]
+    assert report.unknown == 26
+    assert report.summary.damaged[1].startswith("26 messages of the file ")
+    assert verify(saved).summary.damaged == report.summary.damaged
+
+
+def test_a_recovered_file_of_another_program_names_its_losses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, saved = tmp_path / "other.mcap", tmp_path / "saved.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for number in range(3):
+            topic = writer.register_channel(f"/t{number}", "json", 0)
+            writer.add_message(topic, number, b"{}" * 50, number)
+            writer.flush()  # type: ignore[no-untyped-call]
+        writer.finish()  # type: ignore[no-untyped-call]
+    recover(damaged(path, middle(chunks_of(path)[0]), chunks_of(path)[-1][1]), saved)
+    assert not verify(saved).complete
+    assert stampede(["file", "info", str(saved)]) == 0
+    said = capsys.readouterr().out
+    assert "/t1" in said
+    assert "missing: " in said
