@@ -28,7 +28,7 @@ MODULE = re.compile(r"`(stampede_rt\w*(?:\.\w+)*)`")
 ENTRY_POINTS = {"stampede_rt.verbs", "stampede_rt.embedded_hosts"}
 PATH = re.compile(r"`([\w./-]+(?:\.(?:py|proto|toml|md)|/))`")
 MAPPED = re.compile(r"^  (\w+)/", re.MULTILINE)
-ROOM = re.compile(r"((?:client|services/\w+)/src/\w+/(\w+))/.+\.py$")
+PACKAGE_FOLDER = re.compile(r"((?:client|services/\w+)/src/\w+/(\w+))/.+\.py$")
 GENERATED = {"v1", "_sync"}
 INDEX_LINE = re.compile(r"^\| \[(\d{4})\]\((.+?)\) \|", re.MULTILINE)
 MERGE_MARK = re.compile(r"^(?:<{7}|>{7}) ", re.MULTILINE)
@@ -60,7 +60,7 @@ def unmapped_folders(page: str, files: Iterable[str]) -> list[str]:
     The map shows a folder as an indented line that begins with its name.
     """
     shown = set(MAPPED.findall(page))
-    folders = {match[1] for file in files if (match := ROOM.match(file)) and match[2] not in GENERATED}
+    folders = {match[1] for file in files if (match := PACKAGE_FOLDER.match(file)) and match[2] not in GENERATED}
     return sorted(folder for folder in folders if folder.rsplit("/", 1)[1] not in shown)
 
 

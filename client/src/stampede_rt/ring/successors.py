@@ -52,7 +52,7 @@ def find_next(
 def _run_with(view: RingView, facts: list[int], seq: int, near: int) -> tuple[Slot, bytes] | None:
     """Return the slot with the item `seq`, and its run, or the payload of a plain item.
 
-    None if the ring does not have the item in order.
+    None if the ring has lost the item, or does not have it yet.
     """
     first, number = view.first_ordered(facts), near + 1
     if near < 0 or not first <= number < facts[HEAD] or view.first_seq(number) != seq:

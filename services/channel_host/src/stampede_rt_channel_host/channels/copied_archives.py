@@ -1,4 +1,6 @@
-"""The reads of a recorded channel at a copy. The copy has no archive, so it sends the reads that may need it away."""
+"""The reads of a recorded channel at a copy. The copy has no archive. It sends a reader to the owner if a read may need
+the archive.
+"""
 
 from __future__ import annotations
 

@@ -121,7 +121,7 @@ class PastReader:
         return view
 
     async def _past(self, as_of: int) -> tuple[PastArchive, tuple[Segment, ...]]:
-        """The archive as of an instant, and all its segments. The past also has the next change."""
+        """The archive as of an instant, with the facts about the next change; and all segments of the archive."""
         while True:
             segments, since = self._recorder.segments, self._recorder.waiting_since
             past = await self._archive.past(self._recorder.files, segments, as_of)

@@ -116,7 +116,7 @@ class InProcessPutStream:
             return
         self._is_called = False
         self._tell(acks)
-        self._go_on()  # `send` may have seen that the loop was called
+        self._go_on()  # while `_is_called` was set, `send` only added its runs
 
     def _go_on(self) -> None:
         """Put the sent runs that are left, unless too many acks wait for the disk."""

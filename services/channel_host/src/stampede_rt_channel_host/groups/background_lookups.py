@@ -12,13 +12,13 @@ from stampede_rt.errors import StampedeError
 logger = logging.getLogger(__name__)
 
 LOOKUPS_MAX = 1_000  # the most questions at the same time
-PAUSE_SECONDS = 0.2  # between two questions about the same thing
+PAUSE_SECONDS = 0.2  # between two lookups of the same thing
 
 
 class BackgroundLookups:
-    """The questions to the directory that are under way. If a question fails, the host only logs the failure.
+    """The lookups in the directory that are under way. If a lookup fails, the host only logs the failure.
 
-    Drops a question beyond LOOKUPS_MAX. So the caller must remember its question, and ask again until the answer comes.
+    Drops a lookup beyond LOOKUPS_MAX. So the caller must remember its lookup, and ask again until the answer comes.
     """
 
     def __init__(self) -> None:
@@ -26,7 +26,7 @@ class BackgroundLookups:
         self._closed = False
 
     def ask(self, about: bytes | None, work: Coroutine[Any, Any, None]) -> None:
-        """Run `work`, the question about the thing `about`, in a task. Does not wait.
+        """Run `work`, the lookup of the thing `about`, in a task. Does not wait.
 
         Does nothing if a question about this thing is under way, or ended less than PAUSE_SECONDS ago. `about` None:
         the question is not about one thing.

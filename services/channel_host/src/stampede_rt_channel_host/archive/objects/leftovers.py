@@ -51,8 +51,8 @@ class Leftovers:
         """The objects that report clean stops of channels which this host owns and has not served since its start.
 
         Each object comes with the function to call after the host has made it. The host accepted no items of these
-        channels in the present epoch, so the note of the host's former stop still holds if the note is of the epoch
-        before. Blocks. Raises OSError.
+        channels in the present epoch. So the note of its former stop is still true if the note names the epoch before
+        the present one. Blocks. Raises OSError.
         """
         found: dict[str, Callable[[], None]] = {}
         for channel_id, epoch in self._owned.items():

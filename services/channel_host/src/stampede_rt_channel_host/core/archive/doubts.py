@@ -79,7 +79,7 @@ class _Search:
         return given_over(self.segments[0].first_seq if former is None else former.end_seq, end_seq, ends)
 
     def _latest(self, accepted: int) -> int:
-        """The greatest time of an item that the host accepted by then."""
+        """The greatest possible time of an item that the host accepted at or before `accepted`."""
         return accepted + self.limits.max_future_nanos
 
     def _end_after(self, at: int) -> int:

@@ -92,7 +92,7 @@ def past_of(
 def _cut(
     before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, runs_of: RunsOf, as_of: int
 ) -> PastArchive:
-    """The past, if the last of `blocks` has the first items that the host accepted after the instant."""
+    """The archive up to the instant. The last of `blocks` has the first items that the host accepted after it."""
     kept, last = blocks.up_to(len(blocks) - 1), blocks[-1]
     runs = runs_of(segment, last)
     first, following = _part(last, runs, as_of)
@@ -166,8 +166,9 @@ class PastFacts(NamedTuple):
 
 
 def past_moment(facts: PastFacts, past: PastArchive, span: ArchiveSpan, clock: int) -> ChannelSnapshot:
-    """The channel as it was at `clock`, without items in memory, because the archive has all of them. `span`: of
-    `past`.
+    """The channel as it was at `clock`, without items in memory, because the archive has all of them.
+
+    `span`: the span of the archive `past`.
     """
     channel = ChannelCore(facts.policy, incarnation=facts.incarnation)
     channel.restore((), after=span.newest, next_seq=past.next_seq, loss=(None, None))
@@ -179,8 +180,9 @@ def past_moment(facts: PastFacts, past: PastArchive, span: ArchiveSpan, clock: i
 
 
 def _may_have_lost(past: PastArchive, lost_before: int, clock: int) -> bool:
-    """Whether an item accepted by `clock` may have been lost: at a time when the host had already lost items, or had
-    accepted items that it was to lose.
+    """Whether the host may have lost an item that it accepted by `clock`.
+
+    It may if it had lost items by then, or if it accepted items before `clock` and lost them later.
     """
     following = [past.next_advance] if past.next_items is None else [past.next_items.accepted, past.next_advance]
     known = min((one for one in following if one is not None), default=None)

@@ -75,9 +75,9 @@ class ChosenBlocks(NamedTuple):
 class ArchiveWindow(NamedTuple):
     """The items of some blocks, in time order: whole buckets, without a gap between them.
 
-    `edge` and `following`: see `ChosenBlocks`. `end`: no item at or above this key belongs to the window or comes after
-    it; None: the items in memory come after the window. `holes`: the items that the archive lacks here. `doubts`: where
-    it may lack items.
+    `edge` and `following`: see `ChosenBlocks`. `end`: the items of this window and of all later windows are below
+    this key; None: the items in memory come after the window. `holes`: the items that the archive lacks here. `doubts`:
+    where it may lack items.
     """
 
     items: ChannelIndex
@@ -165,14 +165,15 @@ def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: WantedIt
         else:
             blocks = blocks_of(segment)
             found = (blocks.last_end_before(start), blocks.last_start_before(start))
-            before = max([before, *(one for one in found if one is not None)])  # no block may be whole
+            # both are None if each block extends over `start`
+            before = max([before, *(one for one in found if one is not None)])
     low = min(start - wanted.overlap, start if before == FIRST_KEY[0] else before)
     return low if wanted.from_time is None else max(low, wanted.from_time)
 
 
 def _up(segments: Sequence[Segment], blocks_of: BlocksOf, low: ItemKey) -> Iterator[tuple[Segment, PlacedBlock]]:
-    """The blocks that reach to `low` or beyond, by their least key. Asks for a segment's blocks only when they are
-    next.
+    """The blocks that reach to `low` or beyond, by their least key. Loads the blocks of a segment only when the caller
+    needs the next one of them.
     """
     due = sorted((one for one in segments if one.high is not None and one.high >= low), key=_least)
     merging = _BlockMerge(lambda block: block.head.low)

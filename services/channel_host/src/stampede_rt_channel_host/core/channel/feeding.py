@@ -115,14 +115,14 @@ class ChannelFeed:
         """Begin a feed at `place`. None: the copy holds nothing, and the feed begins with the oldest item.
 
         With `window`, the retry window of the channel's owner, the feed has the facts that only the owner knows, too.
-        `is_exact`: only a part that brings the copy to the end of the source says which items have left. So no item
-        leaves the copy before the copy has the items that took its place. `follows`: the source is itself a copy of the
-        owner from which `place` comes. `takes_puts`: see `OwnerFactsFeed`.
+        `is_exact`: a part says which items have left only if the copy has all items of the source after this part.
+        The copy therefore gets new items before it drops the items that left the source because of them. `follows`: the
+        source is itself a copy of the owner from which `place` comes. `takes_puts`: see `OwnerFactsFeed`.
 
         If the source cannot continue at `place`, because the incarnation or the floor differs, `begins_anew` is True.
         The copy then drops its items, and the feed begins with the oldest item. Raises Unavailable if the source is
         behind `place` and `follows`, because it soon reaches `place`. Without `follows`, a source that is behind
-        `place` never reaches it: the owner took the channel over without the last facts of the former owner.
+        `place` never reaches it, because it took the channel over without the last items of the former owner.
         """
         held, _ = source.look(now)
         self.begins_anew = not _continues(source, held, place, follows=follows)
@@ -148,7 +148,7 @@ class ChannelFeed:
 
     @property
     def waiting_items(self) -> int:
-        """The items of the source that the copy has not got, as far as their seqs tell."""
+        """The number of items of the source that the copy has not got, computed from seqs. It may be too high."""
         return given_between(self.next_seq, self._source.next_seq)
 
     def take(self, now: int, limit_bytes: int) -> FeedPart | None:

@@ -104,7 +104,7 @@ def export(
 def restore(
     state: QueueHandoff, queue_items: QueueItems, leasing: QueueLeases, enqueuing: EnqueueLine, now: int
 ) -> None:
-    """Fill an empty queue with `state`. The next `QueueCore.tick` ends the leases and delays that are over by then."""
+    """Fill an empty queue with `state`. The next `QueueCore.tick` ends the expired leases and delays."""
     queue_items.tally = replace(state.tally)
     leasing.next_delivery_id = state.next_delivery_id
     states = {one.seq: one for one in state.items}

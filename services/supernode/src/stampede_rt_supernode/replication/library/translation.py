@@ -1,7 +1,7 @@
 """Converts messages between the library's dictionaries and our dataclasses, on their way out of and into the library.
 
-Under our rules the library itself only asks for votes, and sends and receives forwarded commands. The unchanged library
-does more; the tests that compare its faults with our rules need that.
+Under our rules the library itself only asks for votes, and sends and receives forwarded commands. Some tests
+compare the faults of the unchanged library with our rules. That library also sends the other messages.
 """
 
 from __future__ import annotations

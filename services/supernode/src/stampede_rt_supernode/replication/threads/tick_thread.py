@@ -40,7 +40,7 @@ def end_process(error: BaseException) -> NoReturn:
     elif isinstance(error, sqlite3.OperationalError):  # an error of the disk, not of the program
         code = EXIT_DISK
         why = (
-            f"its data folder cannot be written ({error}), so it ends at once; make room there, or mend the disk, and "
+            f"its data folder cannot be written ({error}), so it ends now; make room there, or mend the disk, and "
             "start it again with that folder: nothing that was acknowledged is lost"
         )
     else:
