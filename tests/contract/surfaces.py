@@ -16,7 +16,7 @@ from stampede_rt.cluster.embedding import InProcessHost
 _names = itertools.count()
 
 
-class Blocking:
+class AwaitableObject:
     """A blocking object with awaitable methods. Each call runs in a thread of the object's pool."""
 
     def __init__(self, wrapped: Any, pool: ThreadPoolExecutor) -> None:
@@ -52,14 +52,14 @@ def _bare(argument: Any) -> Any:
     """Return the client's own object, without the wrapper."""
     if isinstance(argument, list):
         return [_bare(one) for one in argument]
-    return argument._wrapped if isinstance(argument, Blocking) else argument
+    return argument._wrapped if isinstance(argument, AwaitableObject) else argument
 
 
-class BlockingGroup(Blocking):
+class BlockingGroup(AwaitableObject):
     """A group. Its descriptors have awaitable methods, too."""
 
-    def __getitem__(self, channel: Any) -> Blocking:
-        return Blocking(self._wrapped[_bare(channel)], self._pool)
+    def __getitem__(self, channel: Any) -> AwaitableObject:
+        return AwaitableObject(self._wrapped[_bare(channel)], self._pool)
 
     def match(self, *args: Any, **kwargs: Any) -> BlockingIterator:
         bare = [_bare(one) for one in args]
@@ -103,7 +103,7 @@ class BlockingIterator:
         return getattr(self._made, name)
 
 
-class BlockingProducer(Blocking):
+class BlockingProducer(AwaitableObject):
     async def __aenter__(self) -> BlockingProducer:
         return self
 
@@ -115,7 +115,7 @@ class Surface:
     """Opens channels with names that no other test uses."""
 
     def __init__(self, connection: Any, pool: ThreadPoolExecutor | None = None) -> None:
-        self.connection = Blocking(connection, pool) if pool else connection
+        self.connection = AwaitableObject(connection, pool) if pool else connection
         self._pool = pool
 
     def live_in(self, host: InProcessHost) -> None:
@@ -124,7 +124,7 @@ class Surface:
 
     async def channel(self, name: str | None = None, **policy: Any) -> Any:
         channel = await self.connection.channel(name or f"contract/{next(_names)}-{st.now()}", **policy)
-        return Blocking(channel, self._pool) if self._pool else channel
+        return AwaitableObject(channel, self._pool) if self._pool else channel
 
     async def group(self, name: str, *args: Any, **settings: Any) -> Any:
         group = await self.connection.group(name, *args, **settings)

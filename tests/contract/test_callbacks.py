@@ -21,7 +21,7 @@ MS = 1_000_000
 pytestmark = pytest.mark.parametrize("surface", ["aio", "sync"], indirect=True)
 
 
-class Called:
+class CallRecorder:
     """A function that notes its arguments. Any thread or task may call it."""
 
     def __init__(self, then: Callable[[Any], Any] = lambda _: None) -> None:
@@ -60,7 +60,7 @@ async def until(condition: Callable[[], bool], channel: Any) -> None:
 async def test_a_function_is_called_for_each_new_item(surface: Surface) -> None:
     channel = await surface.channel(codec="json")
     await channel.put("before")
-    called = Called()
+    called = CallRecorder()
     handle = await channel.on_item(called)
     for number in range(20):
         await channel.put(number)
@@ -83,7 +83,7 @@ async def test_calls_of_one_callback_never_overlap(surface: Surface) -> None:
         running.release()
 
     channel = await surface.channel()
-    called = Called(alone)
+    called = CallRecorder(alone)
     handle = await channel.on_item(called)
     await asyncio.gather(*(channel.put(b"%d" % number) for number in range(30)))
     assert [item.seq for item in await called.until(30)] == [*range(1, 31)]
@@ -95,12 +95,12 @@ async def test_calls_of_one_callback_never_overlap(surface: Surface) -> None:
 async def test_held_items_come_first_when_a_start_is_given(surface: Surface) -> None:
     channel = await surface.channel()
     first = await channel.put(b"held")
-    called = Called()
+    called = CallRecorder()
     handle = await channel.on_item(called, st.OLDEST, payloads=False)
     await channel.put(b"new")
     assert [item.payload_length_bytes for item in await called.until(2)] == [4, 3]
     handle.cancel()
-    again = Called()
+    again = CallRecorder()
     resumed = await channel.on_item(again, after=first)
     assert [item.payload for item in await again.until(1)] == [b"new"]
     resumed.cancel()
@@ -116,7 +116,7 @@ async def test_an_error_in_a_callback_is_logged_and_counted_and_later_items_stil
             raise ZeroDivisionError("by the function")
 
     channel = await surface.channel()
-    called = Called(fail)
+    called = CallRecorder(fail)
     with caplog.at_level(logging.ERROR, "stampede_rt"):
         handle = await channel.on_item(called)
         for payload in (b"1", b"2", b"3", b"last"):
@@ -133,7 +133,7 @@ async def test_an_error_in_a_callback_is_logged_and_counted_and_later_items_stil
 
 async def test_no_call_of_a_callback_begins_after_its_cancel(surface: Surface) -> None:
     channel = await surface.channel()
-    called = Called(lambda item: handle.cancel())
+    called = CallRecorder(lambda item: handle.cancel())
     handle = await channel.on_item(called, st.OLDEST)
     for payload in (b"1", b"2", b"3"):
         await channel.put(payload)
@@ -147,7 +147,7 @@ async def test_a_slow_callback_learns_how_many_items_retention_removed_meanwhile
     first = await channel.put(b"0")
     for number in range(1, 8):
         await channel.put(str(number).encode())
-    called = Called()
+    called = CallRecorder()
     handle = await channel.on_item(called, after=first)
     assert [item.payload for item in await called.until(2)] == [b"6", b"7"]
     assert handle.dropped == 5
@@ -159,7 +159,7 @@ async def test_a_callback_ends_with_the_reason_when_its_channel_is_deleted(
     surface: Surface, caplog: pytest.LogCaptureFixture
 ) -> None:
     channel = await surface.channel()
-    handle = await channel.on_item(Called())
+    handle = await channel.on_item(CallRecorder())
     with caplog.at_level(logging.ERROR, "stampede_rt"):
         await channel.delete()
         assert await joined(handle)

@@ -80,7 +80,7 @@ async def test_open_streams_continue_with_a_renewed_token_without_a_gap(rig: Rig
             await pause(0.02)
 
 
-class Waits:
+class WaitingCalls:
     """All kinds of waits of a client, under way over the streams of one connection."""
 
     def __init__(self, rig: Rig, rt: Any, peer: Any) -> None:
@@ -163,7 +163,7 @@ async def test_waiting_calls_continue_with_a_renewed_token_and_end_without_one(
     ends = st.now() + 3 * S
     rt, peer = await rig.connect(secret=file.path), await rig.connect(secret=file.path, name=rig.name())
     await peer.mailbox.get(timeout=0)
-    waits = Waits(rig, rt, peer)
+    waits = WaitingCalls(rig, rt, peer)
     async with asyncio.timeout(50):
         await waits.begin()
         if renewed:

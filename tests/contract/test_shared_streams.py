@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import stampede_rt as st
-from tests.contract.surfaces import Blocking, BlockingIterator, Surface
+from tests.contract.surfaces import AwaitableObject, BlockingIterator, Surface
 
 MS = 1_000_000
 CALLERS = 3
@@ -59,7 +59,7 @@ async def test_callers_that_share_a_stream_of_cut_events_or_matches_get_differen
 
 async def test_callers_that_share_a_watch_get_different_changes(surface: Surface) -> None:
     name, connection = f"shared-watch/{st.now()}", surface.connection
-    if isinstance(connection, Blocking):
+    if isinstance(connection, AwaitableObject):
         watch: Any = BlockingIterator(lambda: connection._wrapped.watch(f"{name}/*"), connection._pool)
     else:
         watch = connection.watch(f"{name}/*")

@@ -120,7 +120,7 @@ class ChannelPair:
     )  # items that the cursors before a resumption skipped
     may_count_more: set[OracleSubscription] = field(
         default_factory=set
-    )  # their gaps may count items that `start` excluded
+    )  # the gaps of these subscriptions may count items that `start` excluded
 
     def __post_init__(self) -> None:
         self.core = ChannelCore(self.policy, incarnation=INCARNATION, name="pair", lost_before=self.lost_before)

@@ -43,14 +43,14 @@ CONSUMERS = (1, 2, 3, 4)
 LOOKED_BACK_MAX = 100
 
 
-class Told(Protocol):
+class RunningScenario(Protocol):
     """A running scenario: the host's clock, and the oracle's channel."""
 
     clock: int
     oracle: OracleChannel
 
 
-def a_time(rng: RandomSource, scenario: Told) -> int:
+def a_time(rng: RandomSource, scenario: RunningScenario) -> int:
     """A time near the newest item, near the clock on either side, near the edge of the held items, or far off."""
     newest, oldest = scenario.oracle.newest or scenario.clock, scenario.oracle.oldest or scenario.clock
     cutoff = scenario.clock - min(scenario.oracle.max_age or 0, LOOKED_BACK_MAX)
@@ -59,7 +59,7 @@ def a_time(rng: RandomSource, scenario: Told) -> int:
     return around + rng.pick((0, 1, -1, 2, 3, -3, 5, -6, 8, 9, -12, -21, distant))
 
 
-def an_offer(rng: RandomSource, scenario: Told) -> Offer:
+def an_offer(rng: RandomSource, scenario: RunningScenario) -> Offer:
     """A run in any order, most of them small. The host gives the items their time, or each item has its own."""
     items = rng.pick((40, 17)) if rng.one_in(30) else rng.pick(RUN_LENGTHS)
     times = None if rng.one_in(6) else [a_time(rng, scenario) for _ in range(items)]
@@ -70,7 +70,7 @@ def an_offer(rng: RandomSource, scenario: Told) -> Offer:
     return Offer(times=times, durations=column, lengths=[rng.pick(LENGTHS) for _ in range(items)])
 
 
-def a_bound(rng: RandomSource, scenario: Told) -> Bound:
+def a_bound(rng: RandomSource, scenario: RunningScenario) -> Bound:
     """A bound: any instant, or any meta-time with a small offset."""
     meta = rng.pick((None, MetaTime.NOW, MetaTime.NEWEST, MetaTime.OLDEST, None))
     if meta is None:
@@ -78,7 +78,7 @@ def a_bound(rng: RandomSource, scenario: Told) -> Bound:
     return Bound(meta, rng.pick((0, -1, 1, -4, 4, -15, 15)))
 
 
-def a_position(rng: RandomSource, scenario: Told) -> Position | None:
+def a_position(rng: RandomSource, scenario: RunningScenario) -> Position | None:
     """A position: mostly none, or an instant, or an item that is or was in the channel."""
     kind = rng.below(6)
     if kind == 1:
@@ -86,7 +86,7 @@ def a_position(rng: RandomSource, scenario: Told) -> Position | None:
     return an_item_position(rng, scenario) if kind == 2 else None
 
 
-def an_item_position(rng: RandomSource, scenario: Told) -> Position | None:
+def an_item_position(rng: RandomSource, scenario: RunningScenario) -> Position | None:
     """The position of any item that is or was in the channel."""
     if not scenario.oracle.log:
         return None
@@ -94,7 +94,7 @@ def an_item_position(rng: RandomSource, scenario: Told) -> Position | None:
     return Position(item.time, item.seq)
 
 
-def a_query(rng: RandomSource, scenario: Told) -> Query:
+def a_query(rng: RandomSource, scenario: RunningScenario) -> Query:
     """Any read of items between two bounds."""
     start, end = a_bound(rng, scenario), a_bound(rng, scenario)
     if start.meta is None and end.meta is None and start.offset > end.offset:
@@ -109,7 +109,7 @@ def a_query(rng: RandomSource, scenario: Told) -> Query:
     )
 
 
-def an_offer_in_order(rng: RandomSource, scenario: Told) -> Offer:
+def an_offer_in_order(rng: RandomSource, scenario: RunningScenario) -> Offer:
     """A run of items after the newest item. Most producers put such runs."""
     time, items = max(scenario.clock, scenario.oracle.newest or 0), rng.pick((1, 1, 3))
     steps = [rng.pick((0, 1, 2)) for _ in range(items)]
@@ -118,7 +118,7 @@ def an_offer_in_order(rng: RandomSource, scenario: Told) -> Offer:
     return Offer(times=times, durations=durations, lengths=[rng.pick((8, 0, 40))] * items)
 
 
-def a_query_near_the_newest(rng: RandomSource, scenario: Told) -> Query | None:
+def a_query_near_the_newest(rng: RandomSource, scenario: RunningScenario) -> Query | None:
     """A read of the last few items, if there are any."""
     held = scenario.oracle.held[-6:]
     if not held:
@@ -131,7 +131,7 @@ def a_query_near_the_newest(rng: RandomSource, scenario: Told) -> Query | None:
     return Query(interval=interval, match=match, limit=limit, newest_first=newest_first, complete=rng.one_in(4))
 
 
-def some_seqs(rng: RandomSource, scenario: Told) -> list[int]:
+def some_seqs(rng: RandomSource, scenario: RunningScenario) -> list[int]:
     """The seqs of all held items, of the oldest or the newest ones, or of any items that ever existed; perhaps none."""
     held, kind = [item.seq for item in scenario.oracle.held], rng.below(4)
     ever = len(scenario.oracle.log)

@@ -46,7 +46,7 @@ def test_the_access_rules_agree_with_a_simple_implementation(
     rules: list[AccessRule], asked: list[tuple[str, AccessVerb, AccessKind, str]]
 ) -> None:
     judge = AccessRules(rules)
-    for who, verb, kind, name in asked * 2:  # the second time the answer comes from the judge's memory
+    for who, verb, kind, name in asked * 2:  # the second time the answer comes from the cache
         assert judge.judge(client(who), verb, kind, name).allowed == oracle(rules, who, verb, kind, name)
 
 

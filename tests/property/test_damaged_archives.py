@@ -75,7 +75,7 @@ class History:
         self.is_whole = True
 
     def write(self) -> None:
-        """Some owners, which all stop cleanly."""
+        """Write the items as several owners, one after the other. Each of them stops cleanly."""
         for epoch in range(2, 2 + self.dice.randint(1, 4)):
             files = SegmentFiles(self.folder, {})
             files.open(epoch)

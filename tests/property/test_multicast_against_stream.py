@@ -30,29 +30,29 @@ REPAIR_ITEMS = 7
 
 
 @dataclass(frozen=True, slots=True)
-class Numbered:
+class NumberedItem:
     seq: int
     payload: bytes
 
 
-def encoded(items: Sequence[Numbered]) -> bytes:
+def encoded(items: Sequence[NumberedItem]) -> bytes:
     return b"".join(one.seq.to_bytes(8, "big") + len(one.payload).to_bytes(4, "big") + one.payload for one in items)
 
 
-def decoded(body: bytes) -> list[Numbered]:
+def decoded(body: bytes) -> list[NumberedItem]:
     items, at = [], 0
     while at < len(body):
         seq, length = int.from_bytes(body[at : at + 8], "big"), int.from_bytes(body[at + 8 : at + 12], "big")
-        items.append(Numbered(seq, body[at + 12 : at + 12 + length]))
+        items.append(NumberedItem(seq, body[at + 12 : at + 12 + length]))
         at += 12 + length
     return items
 
 
-class Sending:
+class SendingHost:
     """The host: the items that it holds, and the datagrams that it makes of them."""
 
     def __init__(self, rng: random.Random, key: bytes) -> None:
-        self.rng, self.items, self.beats = rng, list[Numbered](), 0
+        self.rng, self.items, self.beats = rng, list[NumberedItem](), 0
         self.signer = Signer(STREAM, rng.randbytes(KEY_BYTES))
         self.sealer = Sealer(STREAM, 1, key)
 
@@ -68,7 +68,7 @@ class Sending:
         """Accept a few items, and send them as one message."""
         first = self.next_seq
         for seq in range(first, first + self.rng.randrange(1, 5)):
-            self.items.append(Numbered(seq, self.rng.randbytes(self.rng.choice((0, 9, 900, 3000)))))
+            self.items.append(NumberedItem(seq, self.rng.randbytes(self.rng.choice((0, 9, 900, 3000)))))
         yield from self.sealed(MessageKind.ITEMS, first, self.next_seq, encoded(self.items[first - 1 :]))
 
     def beat(self) -> Iterator[bytes]:
@@ -106,7 +106,7 @@ class Network:
             case 2:
                 self.under_way.append(self.rng.randbytes(self.rng.randrange(DATAGRAM_BYTES_MAX)))
             case 3:
-                self.under_way += Sending(self.rng, self.rng.randbytes(KEY_BYTES)).put()  # a sender without the key
+                self.under_way += SendingHost(self.rng, self.rng.randbytes(KEY_BYTES)).put()  # a sender without the key
             case _:
                 self.under_way += self.of_other_reader(next_seq)
 
@@ -114,7 +114,7 @@ class Network:
         """Items by a reader of the channel, who has the key, but cannot sign."""
         sealer = Sealer(STREAM, 1, self.key)
         sealer._number = self.rng.randrange(2**40, 2**41)
-        body = self.rng.randbytes(SIGNATURE_BYTES) + encoded([Numbered(next_seq, b"false")])
+        body = self.rng.randbytes(SIGNATURE_BYTES) + encoded([NumberedItem(next_seq, b"false")])
         for part in parts_of(MulticastMessage(MessageKind.ITEMS, next_seq, next_seq + 1, body)):
             yield sealer.seal(part)
 
@@ -125,12 +125,12 @@ class Network:
         return arrive
 
 
-class Hearing:
+class DatagramReader:
     """The reader. It asks the host for missing items as a subscription does."""
 
-    def __init__(self, host: Sending, key: bytes) -> None:
+    def __init__(self, host: SendingHost, key: bytes) -> None:
         self.host, self.now_s = host, 0.0
-        self.got, self.dropped = list[Numbered](), 0
+        self.got, self.dropped = list[NumberedItem](), 0
         verifier = Verifier(STREAM, host.signer.public_key)
         self.receiving = MulticastReceiver(DatagramOpener(STREAM, 1, key), verifier, 0.0, decoded)
 
@@ -164,8 +164,8 @@ class Hearing:
 def test_each_item_comes_once_in_order_and_unchanged_or_is_counted_as_dropped(seed: int) -> None:
     rng = random.Random(seed)
     key = rng.randbytes(KEY_BYTES)
-    host, network = Sending(rng, key), Network(rng, key)
-    reader = Hearing(host, key)
+    host, network = SendingHost(rng, key), Network(rng, key)
+    reader = DatagramReader(host, key)
     for _ in range(STEPS):
         network.carry(host.put() if rng.random() < 0.5 else host.beat())
         if rng.random() < 0.4:
@@ -187,8 +187,8 @@ def test_each_item_comes_once_in_order_and_unchanged_or_is_counted_as_dropped(se
 def test_a_reader_that_gets_nothing_but_first_parts_keeps_a_bounded_amount() -> None:
     rng = random.Random(1)
     key = rng.randbytes(KEY_BYTES)
-    host = Sending(rng, key)
-    reader = Hearing(host, key).receiving
+    host = SendingHost(rng, key)
+    reader = DatagramReader(host, key).receiving
     body = rng.randbytes(8 * DATA_BYTES_MAX)
     for number in range(1, 2000):
         first = 1 + number * 10
@@ -209,9 +209,9 @@ def test_a_reader_that_gets_small_parts_of_many_messages_counts_the_messages_too
 def test_a_reader_counts_the_memory_of_held_items_without_payloads() -> None:
     rng = random.Random(3)
     key = rng.randbytes(KEY_BYTES)
-    host = Sending(rng, key)
-    reader = Hearing(host, key).receiving
-    empty = encoded([Numbered(seq, b"") for seq in range(2, 130)])
+    host = SendingHost(rng, key)
+    reader = DatagramReader(host, key).receiving
+    empty = encoded([NumberedItem(seq, b"") for seq in range(2, 130)])
     reader.hear(host.sealed(MessageKind.ITEMS, 2, 130, empty), 0.0)
     assert reader.merge.held_bytes > 128 * 200
 
@@ -219,9 +219,9 @@ def test_a_reader_counts_the_memory_of_held_items_without_payloads() -> None:
 def test_a_reader_that_lacks_one_item_keeps_a_bounded_amount_of_later_ones() -> None:
     rng = random.Random(2)
     key = rng.randbytes(KEY_BYTES)
-    host = Sending(rng, key)
-    reader = Hearing(host, key).receiving
+    host = SendingHost(rng, key)
+    reader = DatagramReader(host, key).receiving
     for seq in range(2, 1200):
-        reader.hear(host.sealed(MessageKind.ITEMS, seq, seq + 1, encoded([Numbered(seq, bytes(8000))])), 0.0)
+        reader.hear(host.sealed(MessageKind.ITEMS, seq, seq + 1, encoded([NumberedItem(seq, bytes(8000))])), 0.0)
     assert 0 < reader.merge.held_bytes <= HELD_BYTES_MAX
     assert reader.merge.announced_seq == 1200

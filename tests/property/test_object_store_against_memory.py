@@ -33,7 +33,7 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @dataclass
-class Stored:
+class StoredArchive:
     """The files of a channel of the property tests. Most of them are in a store, the others only in a folder."""
 
     channel: ArchivedChannel
@@ -68,7 +68,7 @@ def test_a_read_over_an_object_store_equals_one_over_memory(seed: int, tmp_path:
     folder.mkdir()
     cache = ChunkCache(store, tmp_path / "cache", CACHE_BYTES)
     cache.open()
-    stored = Stored(small, StoredSegments(folder, cache, store), cache, store)
+    stored = StoredArchive(small, StoredSegments(folder, cache, store), cache, store)
     stored.move(draw)
     small.read_from(stored.blocks_of, stored.content_of)
     for _ in range(READS):

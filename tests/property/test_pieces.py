@@ -44,7 +44,7 @@ POLICIES = {
 }
 
 
-class Busy:
+class BusyChannel:
     """A channel that random steps change."""
 
     def __init__(self, policy: Policy, seed: int) -> None:
@@ -113,7 +113,7 @@ def test_an_answer_built_in_pieces_shows_the_channel_at_its_first_piece(name: st
     unfinished = 0
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3), mock.patch.object(item_blocks, "BLOCK_ITEMS", 4):
         for seed in range(SEEDS):
-            busy = Busy(POLICIES[name], seed)
+            busy = BusyChannel(POLICIES[name], seed)
             query = busy.query()
             expected = busy.channel.read(query, busy.now)
             found = first_of(busy.channel.reading(query, busy.now))
@@ -129,7 +129,7 @@ def test_a_group_answer_built_in_pieces_shows_the_group_at_its_first_piece() -> 
     unfinished = 0
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
         for seed in range(SEEDS):
-            busy = Busy(POLICIES["age"], seed)
+            busy = BusyChannel(POLICIES["age"], seed)
             query, view = busy.query(), VisibleChannel(busy.channel)
             horizon = Horizon(busy.now - busy.rng.randrange(100), lambda: "held back")
             expected = view.read(query, horizon, busy.now)
@@ -153,7 +153,7 @@ def test_a_snapshot_gives_the_same_answer_later(name: str) -> None:
     """Gets of the channel alone, and through a group."""
     released = {False: 0, True: 0}
     for seed in range(SEEDS):
-        busy = Busy(POLICIES[name], seed)
+        busy = BusyChannel(POLICIES[name], seed)
         query = replace(busy.query(), complete=busy.rng.random() < 0.3)
         horizon = Horizon(busy.now - busy.rng.randrange(100), lambda: "held back")
 
@@ -178,7 +178,7 @@ def test_a_snapshot_gives_the_same_answer_later(name: str) -> None:
 def test_a_subscription_that_begins_in_pieces_yields_the_items_held_at_its_beginning(name: str) -> None:
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
         for seed in range(SEEDS):
-            busy = Busy(POLICIES[name], seed)
+            busy = BusyChannel(POLICIES[name], seed)
             time = busy.now - busy.rng.randrange(500)
             start = parse_interval(time, busy.now).start
             held, _ = busy.channel.look(busy.now)
@@ -199,7 +199,7 @@ def test_a_subscription_that_begins_in_pieces_yields_the_items_held_at_its_begin
 
 def test_an_abandoned_answer_in_pieces_keeps_no_item_from_collection() -> None:
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
-        busy = Busy(POLICIES["all is kept"], 1)
+        busy = BusyChannel(POLICIES["all is kept"], 1)
         found = first_of(busy.channel.reading(Query(interval=parse_interval(0, 2 * NOW)), busy.now))
         assert isinstance(found, UnfinishedWork)
         held, _ = busy.channel.look(busy.now)
@@ -209,7 +209,7 @@ def test_an_abandoned_answer_in_pieces_keeps_no_item_from_collection() -> None:
 
 
 def test_a_get_with_a_wrong_position_is_refused_immediately() -> None:
-    busy = Busy(POLICIES["all is kept"], 1)
+    busy = BusyChannel(POLICIES["all is kept"], 1)
     query = Query(interval=parse_interval(0, 2 * NOW), after=Position(NOW, 1, incarnation=2))
     with pytest.raises(StampedeError, match="incarnation 2"):
         busy.channel.reading(query, busy.now)

@@ -140,7 +140,7 @@ class LaggingModel(Model):
         super().step(rng)
         self.accepted |= dict.fromkeys(range(first, self.next_seq), self.clock)
         delisted = {host_id for host_id, host in self.hosts.items() if not host.is_listed}
-        # A later entry of such a host is another replica.
+        # If the log lists such a host again, its entry counts as another replica.
         self.under_way = [one for one in self.under_way if one.host_id not in delisted]
         if self.owner.within_lag(self.clock):
             self.acknowledged_at = self.clock

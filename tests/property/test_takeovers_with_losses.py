@@ -36,11 +36,11 @@ FIRST = 2**64 - 2  # the third incarnation is 1
 POLICY = Policy(max_items=1000)
 STEP = 1_000_000
 
-Seen = tuple[int, int]
-"""A seq, and the time at which the item was put: no two items have the same one."""
+SeenItem = tuple[int, int]
+"""A seq, and the time at which the item was put. No two items have the same time."""
 
 
-def lost(seq: int) -> Seen:
+def lost(seq: int) -> SeenItem:
     """The note of a reader about a loss at this seq."""
     return seq, -1
 
@@ -50,11 +50,11 @@ class Reader:
     """A subscription that is often interrupted. `expected`: all that it must have got when it has caught up."""
 
     saved: SavedCursor
-    expected: list[Seen]
-    seen: list[Seen] = field(default_factory=list)
+    expected: list[SeenItem]
+    seen: list[SeenItem] = field(default_factory=list)
 
     def read(self, core: ChannelCore, clock: int, limit_bytes: int) -> bool:
-        """Continue with the last cursor, take one part, and break again. Returns whether there was any."""
+        """Continue with the last cursor, take one part, and break again. Returns whether the part had anything."""
         cursor = run_to_end(core.subscribing_all(clock, saved=self.saved))
         part = core.since(cursor, clock, limit_bytes)
         for one in part.slices:
@@ -74,8 +74,8 @@ class Scenario:
         self.clock = 10**18
         self.core = ChannelCore(POLICY, incarnation=FIRST, name="cam")
         self.window = RetryWindow()
-        self.items: list[Seen] = []
-        self.losses: list[tuple[int, int]] = []  # of each former incarnation: its number, and the items that are there
+        self.items: list[SeenItem] = []
+        self.losses: list[tuple[int, int]] = []  # former incarnations, and the first seq that each lost
         self.readers: list[Reader] = []
         self._begin_copy()
 

@@ -31,7 +31,7 @@ from tests.robustness.faults import (
 from tests.robustness.faults.scene import Fault, Outcome, Scene
 from tests.robustness.histories.channel_model import acknowledged_writes, violations
 from tests.robustness.histories.operations import Operation, Recorder
-from tests.robustness.histories.ownership_model import Judged, early_losses, judge_items
+from tests.robustness.histories.ownership_model import Judgement, early_losses, judge_items
 from tests.robustness.real_cluster.callers import Caller, HostActor
 from tests.robustness.real_cluster.cluster import Cluster, running_cluster
 from tests.robustness.real_cluster.placed_process import FaultHadNoEffect
@@ -88,7 +88,7 @@ class Findings:
     operations: list[Operation]
     names: int
     violations: tuple[str, ...]  # histories that no order of the calls explains, and errors that ended the campaign
-    items: Judged | None  # the judgement of the channel hosts, if there were any
+    items: Judgement | None  # the judgement of the channel hosts, if there were any
     item_calls_failed: int
     not_done: int
     renewals: int

@@ -19,7 +19,7 @@ VIOLATION_CHARS_MAX = 3000  # a violation quotes the whole history of a name, wh
 
 
 @dataclass(frozen=True, slots=True)
-class Simulated:
+class SimulatedRuns:
     """The results of the simulated runs, one for each seed."""
 
     seeds: int
@@ -39,7 +39,7 @@ class Run:
     seconds: float
     load: tuple[float, float]
     findings: Sequence[Findings]
-    simulated: Simulated | None
+    simulated: SimulatedRuns | None
 
     @property
     def outcomes(self) -> list[Outcome]:
@@ -127,7 +127,7 @@ def _sum(several: Iterable[object], name: str) -> int:
     return sum(getattr(one, name) for one in several)
 
 
-def _simulated_rows(simulated: Simulated | None) -> list[tuple[str, object]]:
+def _simulated_rows(simulated: SimulatedRuns | None) -> list[tuple[str, object]]:
     if simulated is None:
         return []
     failed = ", ".join(map(str, simulated.failed)) or "none"
@@ -256,7 +256,8 @@ def broken_promises(run: Run) -> list[str]:
 
 def limits_broken(outcomes: Iterable[Outcome]) -> list[str]:
     """Return one line for each recovery that took longer than promised or never happened, and each fault without
-    effect."""
+    effect.
+    """
     outcomes = list(outcomes)
     late = [
         f"{one.kind}: {one.recovery_s:.2f} s, promised {one.limit_s:.0f} s (waited {one.excused_s:.2f} s for the CPU)"

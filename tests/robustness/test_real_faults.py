@@ -11,10 +11,18 @@ import pytest
 from stampede_rt_local.namespaces import unavailable_because
 from tests.robustness.campaign import HOSTS, REPLICATED, Findings, in_rounds, longest_gap, run_campaign
 from tests.robustness.faults.scene import Outcome
-from tests.robustness.histories.channel_model import Delete, Deleted, Open, Resolve, Seen, Update, violations
+from tests.robustness.histories.channel_model import (
+    Delete,
+    DeletedChannel,
+    Open,
+    Resolve,
+    SeenChannel,
+    Update,
+    violations,
+)
 from tests.robustness.histories.operations import Operation
-from tests.robustness.histories.ownership_model import Judged
-from tests.robustness.report import Run, Simulated, broken_promises, limits_broken, write_report
+from tests.robustness.histories.ownership_model import Judgement
+from tests.robustness.report import Run, SimulatedRuns, broken_promises, limits_broken, write_report
 
 WHY_NOT = unavailable_because()
 needs_namespaces = pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
@@ -41,8 +49,10 @@ def check_that_planted_violations_are_found(history: list[Operation]) -> None:
 
 def lost_write(history: list[Operation]) -> list[Operation]:
     """The last acknowledged change of a name was never made, as a reader finds out."""
-    last = next(one for one in reversed(history) if isinstance(one.call, Update) and isinstance(one.answer, Seen))
-    assert isinstance(last.answer, Seen)
+    last = next(
+        one for one in reversed(history) if isinstance(one.call, Update) and isinstance(one.answer, SeenChannel)
+    )
+    assert isinstance(last.answer, SeenChannel)
     before = replace(last.answer, value=last.answer.value + 7, version=last.answer.version - 1)
     late = max(one.invoked for one in history) + 1
     return [*history, Operation(last.key, Resolve(), late, late + 1, before)]
@@ -50,20 +60,22 @@ def lost_write(history: list[Operation]) -> list[Operation]:
 
 def stale_read(history: list[Operation]) -> list[Operation]:
     """A reader gets a value from before a change that another reader has already seen."""
-    seen = [one for one in history if isinstance(one.call, Resolve) and isinstance(one.answer, Seen)]
-    newer = next(one for one in seen if isinstance(one.answer, Seen) and one.answer.version > 1)
-    assert isinstance(newer.answer, Seen)
+    seen = [one for one in history if isinstance(one.call, Resolve) and isinstance(one.answer, SeenChannel)]
+    newer = next(one for one in seen if isinstance(one.answer, SeenChannel) and one.answer.version > 1)
+    assert isinstance(newer.answer, SeenChannel)
     old = replace(newer.answer, version=newer.answer.version - 1)
     return [*history, Operation(newer.key, Resolve(), newer.returned, newer.returned + 0.001, old)]
 
 
 def doubled_claim(history: list[Operation]) -> list[Operation]:
     """Two callers at the same moment are told that they have made the channel."""
-    deleted = {one.key for one in history if isinstance(one.call, Delete) and isinstance(one.answer, Deleted | None)}
+    deleted = {
+        one.key for one in history if isinstance(one.call, Delete) and isinstance(one.answer, DeletedChannel | None)
+    }
     created = next(
-        one for one in history if isinstance(one.answer, Seen) and one.answer.created and one.key not in deleted
+        one for one in history if isinstance(one.answer, SeenChannel) and one.answer.created and one.key not in deleted
     )
-    assert isinstance(created.answer, Seen)
+    assert isinstance(created.answer, SeenChannel)
     other = replace(created.answer, channel_id=b"another channel!")
     return [*history, Operation(created.key, Open(0), created.invoked, created.returned, other)]
 
@@ -103,7 +115,7 @@ def findings(*outcomes: Outcome, wrong: tuple[str, ...] = ()) -> Findings:
         operations=[],
         names=0,
         violations=wrong,
-        items=Judged(2, 40, 0, 0, 3, ()),
+        items=Judgement(2, 40, 0, 0, 3, ()),
         item_calls_failed=2,
         not_done=0,
         renewals=1,
@@ -116,7 +128,7 @@ def findings(*outcomes: Outcome, wrong: tuple[str, ...] = ()) -> Findings:
 
 
 def run(*several: Findings) -> Run:
-    simulated = Simulated(seeds=2, failed=[], operations=10, acknowledged=5, puts=3, seconds=1.0)
+    simulated = SimulatedRuns(seeds=2, failed=[], operations=10, acknowledged=5, puts=3, seconds=1.0)
     return Run("make robustness", "abc", 60.0, (0.1, 0.2), several, simulated)
 
 

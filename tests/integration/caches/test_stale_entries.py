@@ -18,7 +18,7 @@ import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceProcess
-from tests.contract.surfaces import Blocking, Surface
+from tests.contract.surfaces import AwaitableObject, Surface
 from tests.integration.caches.traces import Row, Trace, Traces, documented
 from tests.support.cluster import running_cluster
 from tests.support.waiting import until
@@ -87,7 +87,7 @@ class Client(NamedTuple):
     async def call(self, name: str, *arguments: Any, **named: Any) -> Any:
         """Call a method of the connection."""
         found = await getattr(self.surface.connection, name)(*arguments, **named)
-        return Blocking(found, self.pool) if self.pool and name == "queue" else found
+        return AwaitableObject(found, self.pool) if self.pool and name == "queue" else found
 
     def check(self, stale_after: str) -> None:
         """Check that the entry failed as the page says, and that the client asked the parties that the page names."""

@@ -24,7 +24,7 @@ LEASE_SECONDS = 5.0  # a busy machine halts a process for longer than a part of 
 HELD_UP_SECONDS = 1.3 * LEASE_SECONDS
 
 
-class Served:
+class HostWithLease:
     """A host on this test's own event loop, and the events of its lease."""
 
     def __init__(self, cluster: LocalCluster) -> None:
@@ -53,13 +53,13 @@ def _fail(failure: BaseException) -> None:
 
 
 @asynccontextmanager
-async def served() -> AsyncIterator[tuple[LocalCluster, Served]]:
+async def served() -> AsyncIterator[tuple[LocalCluster, HostWithLease]]:
     """A cluster of processes without a host, and a host in this process whose lease lasts 2 s."""
     cluster = LocalCluster(hosts=0, supernodes=1)
     cluster.supernodes[0].arguments.extend(("--lease-ttl", f"{LEASE_SECONDS:g}s"))
     await asyncio.to_thread(cluster.__enter__)
     try:
-        one = Served(cluster)
+        one = HostWithLease(cluster)
         address = one.server.bind("localhost:0")
         one.host.add_to(one.server.grpc)
         await one.server.start()

@@ -25,7 +25,7 @@ async def rig(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Rig]:
         yield rig
 
 
-class Large:
+class LargeChannel:
     """A channel with 400 items of two producers that interleave: each item is a slice of its own."""
 
     def __init__(self, channel: OpenedChannel) -> None:
@@ -33,7 +33,7 @@ class Large:
         self.rig = channel.rig
         self.start = channel.rig.now() - 10 * S
 
-    async def fill(self) -> Large:
+    async def fill(self) -> LargeChannel:
         for odd in (0, 1):
             times = [self.start + 2 * at + odd for at in range(ITEMS // 2)]
             await self.channel.put(run_of(*[b"x"] * len(times), times=times))
@@ -55,9 +55,9 @@ class Large:
                 await self.rig.gate.Ping(gate_pb.GatekeeperServicePingRequest())
 
 
-async def large(rig: Rig) -> Large:
+async def large(rig: Rig) -> LargeChannel:
     spec = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_age_nanos=600 * S))
-    return await Large(await rig.open("large", spec)).fill()
+    return await LargeChannel(await rig.open("large", spec)).fill()
 
 
 async def test_a_large_get_does_not_delay_other_calls_and_shows_the_channel_as_it_was_at_the_start(rig: Rig) -> None:

@@ -204,7 +204,7 @@ async def test_much_work_of_one_caller_does_not_delay_the_puts_of_another_one(
         for number in range(20):
             (ack,) = await channel.put(run_of(b"good", number=number + 1))
             assert ack.first_seq > 0
-        assert answered < 20 * 20  # without turns at least as many: one on each stream for each good put
+        assert answered < 20 * 20  # without turns each of the 20 streams has an answer for each of the 20 good puts
         for task in busy:
             task.cancel()
         await asyncio.gather(*busy, return_exceptions=True)

@@ -231,7 +231,7 @@ def test_a_replayed_match_whose_items_wait_too_long_fails_instead_of_taking_all_
         assert (matches.unmatched, matches.dropped) == (0, 0)
 
 
-class Paired:
+class RecordedPair:
     """Two recorded channels of a group, whose second channel is a little behind, and the start of their recording."""
 
     def __init__(self, rt: st.Connection, name: str) -> None:
@@ -248,7 +248,7 @@ class Paired:
 
 
 def test_a_program_reads_through_a_replayed_group_as_through_a_live_one(rt: st.Connection) -> None:
-    pair = Paired(rt, "replayed-group")
+    pair = RecordedPair(rt, "replayed-group")
     with pair.group[pair.right].subscribe(start=st.OLDEST) as items:
         live = [next(items).payload for _ in range(8)]
     with rt.replay(pair.end, speed=0) as replay:  # the replay shows all items immediately
@@ -274,7 +274,7 @@ def test_a_program_reads_through_a_replayed_group_as_through_a_live_one(rt: st.C
 
 @pytest.mark.parametrize("unique", [False, True])
 def test_replayed_matches_begin_with_earlier_items_and_continue(rt: st.Connection, unique: bool) -> None:
-    pair = Paired(rt, f"replayed-matches-{unique}")
+    pair = RecordedPair(rt, f"replayed-matches-{unique}")
     how: dict[str, Any] = {"tolerance": "15ms", "unique": unique, "start": pair.began + 20 * MS, "partial": True}
     with pair.group.match(pair.left, **how) as matches:
         live = [[item.payload for item in one.values()] for one in islice(matches, 4)]

@@ -18,8 +18,8 @@ PAYLOAD = bytes(600_000)  # comes in three pieces
 
 @pytest.fixture
 def room_in_turns(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
-    """The reserved bytes of all large requests, each time that a function waits for a turn. Every step of every caller
-    waits.
+    """Make every step of every caller wait for a turn. Returns a list, which gets an entry at each of these waits: the
+    name of the waiting function, and the reserved bytes of all large requests.
     """
     found: list[tuple[str, int]] = []
     budgets: list[MemoryBudget] = []
@@ -42,7 +42,7 @@ def room_in_turns(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
 
 
 def room_of(turns: list[tuple[str, int]], *functions: str) -> int:
-    """How often one of the functions waited. The request had its reserved bytes each time."""
+    """Return how often one of the functions waited. Checks that the request had its reserved bytes each time."""
     room_bytes = [taken_bytes for function, taken_bytes in turns if function in functions]
     assert all(taken_bytes > len(PAYLOAD) for taken_bytes in room_bytes)
     return len(room_bytes)

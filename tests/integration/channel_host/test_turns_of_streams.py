@@ -34,7 +34,7 @@ def each_connection_is_a_caller(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loop_shares, "CONTENDED_NANOS", 3600 * S)
 
 
-class Heavy:
+class HeavyCaller:
     """A connection whose caller comes to use up its share."""
 
     def __init__(self, target: str, accounts: Accounts) -> None:
@@ -90,7 +90,7 @@ def matches(call: Any, left: GroupedChannel, group: group_pb2.GroupRecord) -> An
 async def test_a_reader_of_a_busy_caller_waits_for_its_turn_before_its_next_message(host: Host, kind: Any) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
-    heavy = Heavy(host.target, host.accounts)
+    heavy = HeavyCaller(host.target, host.accounts)
     method, request = kind(heavy.connection, left, group)
     call = method()
     await call.write(request)
@@ -109,7 +109,7 @@ async def test_a_reader_of_a_busy_caller_waits_for_its_turn_before_its_next_mess
 
 async def test_a_get_waits_for_its_turn_before_it_is_read(host: Host) -> None:
     left = await host.open("left")
-    heavy = Heavy(host.target, host.accounts)
+    heavy = HeavyCaller(host.target, host.accounts)
     call: Any = ChannelServiceStub(heavy.connection).Get()
     request = pb.GetRequest(call_id=1, channel_id=left.channel_id, epoch=1, interval=between(MIN_INSTANT, MAX_INSTANT))
     await call.write(request)
@@ -128,7 +128,7 @@ async def rig() -> AsyncIterator[QueueRig]:
 
 async def test_a_taker_waits_for_its_turn_before_it_gets_its_next_message(rig: QueueRig) -> None:
     queue = rig.open()
-    heavy = Heavy(rig.target, rig.accounts)
+    heavy = HeavyCaller(rig.target, rig.accounts)
     call: Any = QueueServiceStub(heavy.connection).Take()
     opened = queue_pb.TakeOpen(queue_id=queue.queue_id, epoch=queue.record.epoch, taker_id=1)
     await call.write(queue_pb.TakeRequest(open=opened, credit=100))
@@ -140,7 +140,7 @@ async def test_a_taker_waits_for_its_turn_before_it_gets_its_next_message(rig: Q
 
 async def test_a_settlement_waits_for_the_turn_of_its_taker(rig: QueueRig) -> None:
     queue = rig.open()
-    heavy = Heavy(rig.target, rig.accounts)
+    heavy = HeavyCaller(rig.target, rig.accounts)
     call: Any = QueueServiceStub(heavy.connection).Take()
     opened = queue_pb.TakeOpen(queue_id=queue.queue_id, epoch=queue.record.epoch, taker_id=1)
     await call.write(queue_pb.TakeRequest(open=opened))
@@ -153,7 +153,7 @@ async def test_a_settlement_waits_for_the_turn_of_its_taker(rig: QueueRig) -> No
 
 async def test_an_enqueue_waits_for_its_turn_before_the_host_checks_it(rig: QueueRig) -> None:
     queue = rig.open()
-    heavy = Heavy(rig.target, rig.accounts)
+    heavy = HeavyCaller(rig.target, rig.accounts)
     call: Any = QueueServiceStub(heavy.connection).Enqueue()
     await call.write(queue.enqueue_request(queue_run_of(b"x")))
     await call.read()
@@ -166,7 +166,7 @@ async def test_an_enqueue_waits_for_its_turn_before_the_host_checks_it(rig: Queu
 
 async def test_a_get_that_is_too_long_is_refused_immediately_and_does_not_wait_for_its_turn(host: Host) -> None:
     left = await host.open("left")
-    heavy = Heavy(host.target, host.accounts)
+    heavy = HeavyCaller(host.target, host.accounts)
     call: Any = heavy.connection.stream_stream("/stampede_rt.v1.ChannelService/Get")()
     request = pb.GetRequest(call_id=1, channel_id=left.channel_id, epoch=1, interval=between(MIN_INSTANT, MAX_INSTANT))
     await call.write(request.SerializeToString())

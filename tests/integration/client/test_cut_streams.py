@@ -27,7 +27,7 @@ def world() -> Iterator[RelayedCluster]:
         yield made
 
 
-class Told:
+class GrpcErrors:
     """The errors of gRPC for failed calls, and the client's errors made from them."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -48,7 +48,7 @@ async def test_a_broken_stream_that_grpc_reports_as_internal_is_retried(
     world: RelayedCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """gRPC reports about one of fifty cuts as INTERNAL. The test goes on until it has met such a cut."""
-    told = Told(monkeypatch)
+    told = GrpcErrors(monkeypatch)
     failures: list[st.StampedeError] = []
 
     async def put(channel: aio.Channel, size: int) -> None:
@@ -73,7 +73,7 @@ async def test_a_broken_stream_that_grpc_reports_as_internal_is_retried(
     assert all(error.retryable or isinstance(error, st.DeadlineExceeded) for error in failures)
 
 
-async def _cut(world: RelayedCluster, told: Told) -> None:
+async def _cut(world: RelayedCluster, told: GrpcErrors) -> None:
     random_source, until_s = random.Random(1), time.monotonic() + CUT_SECONDS_MAX
     while not told.met.is_set() and time.monotonic() < until_s:
         world.relay.cut(random_source.choice(CUTS))

@@ -18,7 +18,7 @@ cluster = shared_cluster_fixture(hosts=1)
 Use = Callable[[Any], Awaitable[Any]]
 
 
-class Things:
+class LoopHandles:
     """A connection and its handles. The program has used each of them on its own loop."""
 
     def __init__(self, rt: aio.Connection) -> None:
@@ -53,7 +53,7 @@ USES: dict[str, Use] = {
 @pytest.mark.parametrize("use", USES)
 async def test_a_call_on_another_event_loop_is_refused_and_has_no_effect(cluster: LocalCluster, use: str) -> None:
     async with aio.connect(cluster.address) as rt:
-        things = Things(rt)
+        things = LoopHandles(rt)
         await things.prepare()
 
         def elsewhere() -> None:
@@ -71,7 +71,7 @@ async def test_a_call_on_another_event_loop_is_refused_and_has_no_effect(cluster
             things.subscription.close()
 
 
-def watched(things: Things) -> list[tuple[Any, Callable[[], object]]]:
+def watched(things: LoopHandles) -> list[tuple[Any, Callable[[], object]]]:
     """Handles that run in the background or can be iterated, each with the method that ends it."""
     handles = [
         things.subscription,
@@ -86,7 +86,7 @@ def watched(things: Things) -> list[tuple[Any, Callable[[], object]]]:
 @pytest.mark.parametrize("on_a_loop", [True, False])
 async def test_a_call_that_ends_a_handle_is_refused_on_another_thread(cluster: LocalCluster, on_a_loop: bool) -> None:
     async with aio.connect(cluster.address) as rt:
-        things = Things(rt)
+        things = LoopHandles(rt)
         await things.prepare()
         ends = watched(things)
 

@@ -94,7 +94,7 @@ async def test_an_awaited_subscription_does_not_wait_for_ever(cluster: LocalClus
         frozen.resume()
 
 
-def fills(frozen: ServiceProcess) -> bytes:
+def pause_with_large_payload(frozen: ServiceProcess) -> bytes:
     """Stop the host. Returns a payload so large that only eight puts of it may be in flight."""
     frozen.pause()
     return bytes(2**20)
@@ -107,7 +107,7 @@ def test_a_producers_put_does_not_wait_for_ever(cluster: LocalCluster) -> None:
         producer.put(b"before")
         producer.flush()
         frozen = owner(cluster, channel)
-        payload, handed_over = fills(frozen), 0
+        payload, handed_over = pause_with_large_payload(frozen), 0
         told = ""
         while not told:
             try:
@@ -130,7 +130,7 @@ async def test_an_awaited_producers_put_does_not_wait_for_ever(cluster: LocalClu
         await producer.put(b"before")
         await producer.flush()
         frozen = owner(cluster, channel)
-        payload, handed_over = fills(frozen), 0
+        payload, handed_over = pause_with_large_payload(frozen), 0
         told = ""
         while not told:
             try:

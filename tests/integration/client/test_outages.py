@@ -32,7 +32,7 @@ def outage(cluster: LocalCluster) -> Iterator[None]:
         process.restart()
 
 
-class Logged:
+class OutageLog:
     """The lines that streams write when they have been broken for 10 s."""
 
     def __init__(self, caplog: pytest.LogCaptureFixture) -> None:
@@ -47,7 +47,7 @@ class Logged:
 def test_after_a_long_outage_all_streams_of_the_program_continue(
     cluster: LocalCluster, caplog: pytest.LogCaptureFixture
 ) -> None:
-    logged, got, taken = Logged(caplog), [], []
+    logged, got, taken = OutageLog(caplog), [], []
     with st.connect(cluster.address) as rt:
         camera, queue, plain = rt.channel("outage/camera"), rt.queue("outage/work"), rt.channel("outage/plain")
         listener = camera.on_item(lambda item: got.append(item.payload))
@@ -88,7 +88,7 @@ def test_after_a_long_outage_all_streams_of_the_program_continue(
 async def test_after_a_long_outage_all_awaited_streams_of_the_program_continue(
     cluster: LocalCluster, caplog: pytest.LogCaptureFixture
 ) -> None:
-    logged, got = Logged(caplog), []
+    logged, got = OutageLog(caplog), []
     async with aio.connect(cluster.address) as rt:
         camera, queue = await rt.channel("outage/camera"), await rt.queue("outage/work")
         listener = await camera.on_item(lambda item: got.append(item.payload))

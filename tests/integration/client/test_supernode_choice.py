@@ -24,7 +24,7 @@ LATER_SECONDS = 0.3
 
 
 @dataclass
-class Asked:
+class PingCounter:
     """Counts the pings. Each waits until all supernodes have been asked."""
 
     wanted: int
@@ -41,7 +41,7 @@ class Asked:
 class Place(directory_service_pb2_grpc.DirectoryServiceServicer):
     """A supernode at a distance of some seconds. It answers pings once all other supernodes have got a ping, too."""
 
-    def __init__(self, name: str, asked: Asked, later_seconds: float) -> None:
+    def __init__(self, name: str, asked: PingCounter, later_seconds: float) -> None:
         self._name, self._asked, self._later_seconds = name, asked, later_seconds
         self.calls = 0
 
@@ -72,7 +72,7 @@ class Frontend(frontend_service_pb2_grpc.FrontendServiceServicer):
 @asynccontextmanager
 async def places(**later_seconds: float) -> AsyncIterator[tuple[str, dict[str, Place]]]:
     """A front-end's address, and the supernodes by name; the first letter of a name is its zone."""
-    asked, made, targets = Asked(len(later_seconds)), {}, []
+    asked, made, targets = PingCounter(len(later_seconds)), {}, []
     async with AsyncExitStack() as stack:
         for name, seconds in later_seconds.items():
             made[name] = place = Place(name, asked, seconds)

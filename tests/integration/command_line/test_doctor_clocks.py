@@ -35,7 +35,7 @@ from stampede_rt_runtime.server import serving
 HOUR_NANOS = 3600 * 10**9
 
 
-class Everything(
+class WholeClusterServer(
     frontend_service_pb2_grpc.FrontendServiceServicer,
     directory_service_pb2_grpc.DirectoryServiceServicer,
     gatekeeper_service_pb2_grpc.GatekeeperServiceServicer,
@@ -96,7 +96,7 @@ class Everything(
 
 
 @asynccontextmanager
-async def running(everything: Everything) -> AsyncIterator[None]:
+async def running(everything: WholeClusterServer) -> AsyncIterator[None]:
     def register(server: grpc.aio.Server) -> None:
         frontend_service_pb2_grpc.add_FrontendServiceServicer_to_server(everything, server)
         directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(everything, server)
@@ -108,19 +108,19 @@ async def running(everything: Everything) -> AsyncIterator[None]:
         yield
 
 
-async def said_of(everything: Everything, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+async def said_of(everything: WholeClusterServer, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
     async with running(everything):
         code = await asyncio.to_thread(stampede, ["doctor", "--url", everything.address])
     return code, capsys.readouterr().out
 
 
 async def test_doctor_has_no_finding_if_all_clocks_agree(capsys: pytest.CaptureFixture[str]) -> None:
-    code, said = await said_of(Everything(), capsys)
+    code, said = await said_of(WholeClusterServer(), capsys)
     assert (code, "Everything is well." in said) == (0, True), said
 
 
 async def test_a_host_whose_clock_is_ahead_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    everything = Everything()
+    everything = WholeClusterServer()
     everything.host_ahead_nanos = HOUR_NANOS
     code, said = await said_of(everything, capsys)
     assert code == 1, said
@@ -129,7 +129,7 @@ async def test_a_host_whose_clock_is_ahead_is_named(capsys: pytest.CaptureFixtur
 
 
 async def test_doctor_names_this_machine_if_all_clocks_disagree_with_it(capsys: pytest.CaptureFixture[str]) -> None:
-    everything = Everything()
+    everything = WholeClusterServer()
     everything.all_ahead_nanos = HOUR_NANOS
     code, said = await said_of(everything, capsys)
     assert code == 1, said
@@ -139,7 +139,7 @@ async def test_doctor_names_this_machine_if_all_clocks_disagree_with_it(capsys: 
 
 
 async def test_a_host_of_another_version_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    everything = Everything()
+    everything = WholeClusterServer()
     everything.host_version = "9.9.9"
     code, said = await said_of(everything, capsys)
     assert code == 1, said
@@ -160,7 +160,7 @@ def row(said: str, part: str) -> str:
 async def test_every_peer_is_shown_with_its_clock_and_one_that_is_off_is_named(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    everything = Everything()
+    everything = WholeClusterServer()
     everything.peers = (
         peer("robot/good", ahead_nanos=0),
         peer("robot/late", ahead_nanos=-2 * HOUR_NANOS),
@@ -181,7 +181,7 @@ async def test_every_peer_is_shown_with_its_clock_and_one_that_is_off_is_named(
 async def test_doctor_names_this_machine_if_all_clocks_also_of_peers_disagree_with_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    everything = Everything()
+    everything = WholeClusterServer()
     everything.all_ahead_nanos = HOUR_NANOS
     everything.peers = (peer("robot/good", ahead_nanos=0),)
     code, said = await said_of(everything, capsys)
@@ -190,7 +190,7 @@ async def test_doctor_names_this_machine_if_all_clocks_also_of_peers_disagree_wi
 
 
 async def test_without_a_leader_peers_are_shown_without_their_clocks(capsys: pytest.CaptureFixture[str]) -> None:
-    everything = Everything()
+    everything = WholeClusterServer()
     everything.leads = False
     everything.peers = (peer("robot/good", ahead_nanos=0), peer("robot/late", ahead_nanos=-2 * HOUR_NANOS))
     code, said = await said_of(everything, capsys)

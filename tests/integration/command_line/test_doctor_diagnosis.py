@@ -1,4 +1,4 @@
-"""The findings of `stampede doctor` from given answers: clocks, versions and ends that a test cannot set for real."""
+"""The findings of `stampede doctor` from given answers. No real clock or certificate is wrong here."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def test_a_waiting_get_returns_the_object_of_a_later_put(rt: st.Connection) -> N
     waiting = threading.Thread(target=lambda: found.append(channel.newest(timeout=LIMIT_S)))
     waiting.start()
     while channel.stats().waiting_gets == 0:
-        pass  # each question is a round trip
+        pass  # each request is a round trip
     payload = b"for the one that waits"
     channel.put(payload)
     waiting.join(LIMIT_S)

@@ -175,7 +175,7 @@ def test_a_get_without_a_limit_ends_with_the_connection(cluster: LocalCluster) -
         waiting = threading.Thread(target=wait, args=[channel], daemon=True)
         waiting.start()
         while channel.stats().waiting_gets == 0:
-            pass  # each question is a round trip
+            pass  # each request is a round trip
     waiting.join(LIMIT_S)
     assert len(failed) == 1
 

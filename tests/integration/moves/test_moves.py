@@ -96,7 +96,7 @@ def test_many_moves_in_a_row_neither_lose_nor_repeat_items(rt: Any, channel: Any
     """
     other = rt.channel(f"mic/{next(numbers)}", max_items=100_000, host="h1")
     group = rt.group(f"both/{next(numbers)}", [channel, other])
-    cuts, got = Collecting(group.subscribe()), Following(channel)
+    cuts, got = CutCollector(group.subscribe()), ItemFollower(channel)
     called: list[int] = []
     listener = channel.on_item(lambda item: called.append(item.seq), st.OLDEST)
     with produced(channel) as producing, produced(other) as beside, reading(channel, 3) as readers:
@@ -123,7 +123,7 @@ def test_many_moves_in_a_row_neither_lose_nor_repeat_items(rt: Any, channel: Any
     assert channel.stats().accepted == end
 
 
-class Following:
+class ItemFollower:
     """Gets each item after the last one, with gets that wait."""
 
     def __init__(self, channel: Any) -> None:
@@ -144,7 +144,7 @@ class Following:
         self._thread.join(20)
 
 
-class Collecting:
+class CutCollector:
     """A stream of cuts of a group."""
 
     def __init__(self, subscription: Any) -> None:
@@ -162,7 +162,7 @@ class Collecting:
             self.error = error
 
     def check(self) -> None:
-        """The stream goes on, and its cuts only rise. Ends it."""
+        """Check that the stream goes on, and that its cuts only rise. Then close the stream."""
         eventually(lambda: self.cuts, "the stream of cuts goes on")
         self._subscription.close()
         self._thread.join(20)

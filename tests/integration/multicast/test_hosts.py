@@ -13,7 +13,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt.transports.multicast_joining import join_group, received
 from stampede_rt_local.cluster import LocalCluster
-from tests.integration.proxies.readers import Reading
+from tests.integration.proxies.readers import BackgroundReader
 from tests.support.cluster import cluster_fixture
 from tests.support.waiting import wait_until
 
@@ -29,13 +29,13 @@ def rt(cluster: LocalCluster) -> Iterator[Any]:
         yield made
 
 
-def following(channel: Any, reader: Reading) -> bool:
+def following(channel: Any, reader: BackgroundReader) -> bool:
     """Put an item. Returns whether the reader takes the items from datagrams."""
     channel.put(b"an item")
     return bool(reader.subscription.multicast.following)
 
 
-def check_has_all(channel: Any, reader: Reading) -> None:
+def check_has_all(channel: Any, reader: BackgroundReader) -> None:
     end = channel.put(b"end").seq
     wait_until(lambda: reader.last == end or reader.error, "the reader has everything")
     assert (reader.error, reader.seqs) == (None, [*range(1, end + 1)])
@@ -43,7 +43,7 @@ def check_has_all(channel: Any, reader: Reading) -> None:
 
 def test_a_reader_follows_the_datagrams_of_the_host_to_which_the_channel_moves(rt: Any) -> None:
     channel = rt.channel(f"cam/{next(numbers)}", max_items=10**5, host="h1")
-    reader = Reading(channel.subscribe(via="multicast"))
+    reader = BackgroundReader(channel.subscribe(via="multicast"))
     wait_until(lambda: following(channel, reader), "the reader hears the datagrams of the first host")
     for host in ("h2", "h1", "h2"):
         rt.move(channel, host)
@@ -60,7 +60,7 @@ def test_a_reader_follows_the_datagrams_of_the_host_to_which_the_channel_moves(r
 def test_datagrams_of_others_are_dropped_and_counted(rt: Any) -> None:
     channel = rt.channel(f"cam/{next(numbers)}", max_items=10**5, host="h1")
     subscription = channel.subscribe(via="multicast")
-    reader = Reading(subscription)
+    reader = BackgroundReader(subscription)
     with (
         join_group(GROUP, "127.0.0.1:1") as overhears,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sends,

@@ -19,7 +19,7 @@ from tests.support.waiting import wait_until
 PUT_PAUSE_S = 0.002
 
 
-class Reading:
+class BackgroundReader:
     """One subscription, and the seqs that it got."""
 
     def __init__(self, subscription: Any) -> None:
@@ -45,7 +45,7 @@ class Reading:
         self._thread.join(20)
 
 
-class Producing:
+class BackgroundProducer:
     """Puts small items, one after the other, until it is stopped."""
 
     def __init__(self, channel: Any) -> None:
@@ -67,9 +67,9 @@ class Producing:
 
 
 @contextmanager
-def reading(channel: Any, count: int, start: Any = st.OLDEST, **options: Any) -> Iterator[list[Reading]]:
+def reading(channel: Any, count: int, start: Any = st.OLDEST, **options: Any) -> Iterator[list[BackgroundReader]]:
     """Begin `count` subscriptions of a channel."""
-    readers = [Reading(channel.subscribe(start, **options)) for _ in range(count)]
+    readers = [BackgroundReader(channel.subscribe(start, **options)) for _ in range(count)]
     try:
         yield readers
     finally:
@@ -78,7 +78,7 @@ def reading(channel: Any, count: int, start: Any = st.OLDEST, **options: Any) ->
 
 
 class AwaitedReading:
-    """Like `Reading`, with the asyncio client, on an event loop in a thread of its own."""
+    """Like `BackgroundReader`, with the asyncio client, on an event loop in a thread of its own."""
 
     def __init__(self, address: str, channel: str, transport: Any) -> None:
         self.subscription: Any = None
@@ -120,16 +120,16 @@ def awaited_reading(address: str, channel: str, transport: Any) -> Iterator[Awai
 
 
 @contextmanager
-def produced(channel: Any) -> Iterator[Producing]:
+def produced(channel: Any) -> Iterator[BackgroundProducer]:
     """A producer that is stopped at the end, whatever happens."""
-    producing = Producing(channel)
+    producing = BackgroundProducer(channel)
     try:
         yield producing
     finally:
         producing.stop()
 
 
-def all_saw(readers: list[Reading], last: int) -> None:
+def all_saw(readers: list[BackgroundReader], last: int) -> None:
     """Every reader got each item up to `last` once and in order."""
     wait_until(
         lambda: all(reader.last >= last or reader.error for reader in readers), f"all readers have seen seq {last}"
@@ -139,7 +139,7 @@ def all_saw(readers: list[Reading], last: int) -> None:
         assert reader.seqs == [*range(reader.seqs[0], last + 1)]
 
 
-def passes(producing: Producing, items: int) -> None:
+def passes(producing: BackgroundProducer, items: int) -> None:
     """Wait until the producer has put this many further items."""
     goal = producing.last + items
     wait_until(lambda: producing.last >= goal, f"{items} further items")

@@ -11,7 +11,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from tests.integration.proxies.readers import Reading, eventually
+from tests.integration.proxies.readers import BackgroundReader, eventually
 from tests.support.cluster import running_cluster
 
 ITEMS, HELD = 60, 10
@@ -30,7 +30,7 @@ def rt(cluster: LocalCluster) -> Iterator[Any]:
         yield made
 
 
-class Recorded:
+class RecordedSetup:
     """A recorded channel with a proxy, and a group of this channel. Memory holds only the last items."""
 
     def __init__(self, rt: Any) -> None:
@@ -54,18 +54,18 @@ class Recorded:
 
 
 @pytest.fixture
-def recorded(rt: Any) -> Recorded:
-    return Recorded(rt)
+def recorded(rt: Any) -> RecordedSetup:
+    return RecordedSetup(rt)
 
 
-def at_proxies(rt: Any, recorded: Recorded) -> int:
+def at_proxies(rt: Any, recorded: RecordedSetup) -> int:
     return sum(one.subscriptions or 0 for one in rt.proxies(recorded.name))
 
 
 @pytest.mark.parametrize("through_group", [False, True])
 @pytest.mark.parametrize("begins", ["at the oldest item", "after an archived item"])
 def test_a_subscription_gets_the_archived_items_although_there_is_a_proxy(
-    rt: Any, recorded: Recorded, begins: str, through_group: bool
+    rt: Any, recorded: RecordedSetup, begins: str, through_group: bool
 ) -> None:
     """In an earlier version the second reader got only the items in the memory of the proxy."""
     place = {"start": st.OLDEST} if begins == "at the oldest item" else {"after": recorded.items[4]}
@@ -74,10 +74,10 @@ def test_a_subscription_gets_the_archived_items_although_there_is_a_proxy(
     with contextlib.ExitStack() as opened:
         for _ in range(2):  # the owner wants to send the second one to the proxy
             source = recorded.group[recorded.channel()] if through_group else recorded.channel()
-            readers.append(Reading(source.subscribe(**place)))
+            readers.append(BackgroundReader(source.subscribe(**place)))
             opened.callback(readers[-1].close)
             eventually(lambda: len(readers[-1].seqs) == len(expected), "the reader has all items")
-        live = Reading(recorded.channel().subscribe())
+        live = BackgroundReader(recorded.channel().subscribe())
         opened.callback(live.close)
         eventually(lambda: at_proxies(rt, recorded) >= 1, "the reader that needs no archive is at the proxy")
         expected.append(recorded.put().seq)
@@ -88,7 +88,7 @@ def test_a_subscription_gets_the_archived_items_although_there_is_a_proxy(
         eventually(lambda: live.seqs == expected[-1:], "the proxy sends the new item")
 
 
-def test_a_get_that_needs_the_archive_goes_to_the_owner(recorded: Recorded) -> None:
+def test_a_get_that_needs_the_archive_goes_to_the_owner(recorded: RecordedSetup) -> None:
     channel, group = recorded.channel(), recorded.group
     archived = recorded.items[3]
     for source in (channel, group[channel]):
@@ -99,7 +99,7 @@ def test_a_get_that_needs_the_archive_goes_to_the_owner(recorded: Recorded) -> N
     assert len(past) == ITEMS
 
 
-def test_a_get_that_memory_can_answer_uses_the_proxy(recorded: Recorded) -> None:
+def test_a_get_that_memory_can_answer_uses_the_proxy(recorded: RecordedSetup) -> None:
     channel = recorded.channel()
 
     def read() -> bool:

@@ -50,7 +50,7 @@ async def read(reader: Any, count: int) -> list[int]:
         return [(await anext(reader)).seq for _ in range(count)]
 
 
-class Things:
+class ClusterHandles:
     """A channel with a subscription, two channels in a group, a queue with a poisoned message, and a mailbox.
 
     All of them are at the host of the mailbox, and have a replica elsewhere.
@@ -92,7 +92,7 @@ class Things:
 async def test_channels_queues_groups_and_mailboxes_with_replicas_survive_the_loss_of_their_host(
     cluster: LocalCluster, rig: Rig
 ) -> None:
-    things = Things(rig)
+    things = ClusterHandles(rig)
     await things.set_up()
     await things.fill()
     reader, kept = await things.reader(), (await things.channel.get(st.OLDEST, st.NEWEST))[4]
@@ -108,7 +108,7 @@ async def test_channels_queues_groups_and_mailboxes_with_replicas_survive_the_lo
     await _group_began_anew(things, group)
 
 
-async def _channel_went_on(things: Things, reader: Any, kept: st.Item, incarnation: int) -> None:
+async def _channel_went_on(things: ClusterHandles, reader: Any, kept: st.Item, incarnation: int) -> None:
     """The channel continues with all items, because the replica had them. Its reader hears that some might be lost."""
     item = await things.channel.put(b"after")
     assert (item.seq, item.incarnation != incarnation) == (ITEMS + 1, True)
@@ -122,7 +122,7 @@ async def _channel_went_on(things: Things, reader: Any, kept: st.Item, incarnati
     assert [one.seq for one in later] == [*range(6, ITEMS + 2)]
 
 
-async def _mailbox_went_on(things: Things) -> None:
+async def _mailbox_went_on(things: ClusterHandles) -> None:
     """The peer settles the message that it has, and gets the next message. Senders find the mailbox."""
     await things.letter.ack()
     assert (await things.mailbox.get(timeout=30)).payload == b"again"
@@ -131,7 +131,7 @@ async def _mailbox_went_on(things: Things) -> None:
     assert things.mailbox.info.host != things.host
 
 
-async def _queue_went_on(things: Things, incarnation: int) -> None:
+async def _queue_went_on(things: ClusterHandles, incarnation: int) -> None:
     """The taker gives its message back at the new host, which moves the message to the dead-letter queue."""
     await things.poison.nack()
     letter = await things.dead.get(timeout=30)
@@ -144,7 +144,7 @@ async def _queue_went_on(things: Things, incarnation: int) -> None:
     assert (await things.dead.stats()).held == 0
 
 
-async def _group_began_anew(things: Things, incarnation: int) -> None:
+async def _group_began_anew(things: ClusterHandles, incarnation: int) -> None:
     """All members of the group were at the lost host, so no host knows up to which cut readers saw the group.
 
     The items of the members are there.

@@ -20,7 +20,7 @@ from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
 from tests.contract.queues.rig import Rig
-from tests.contract.test_renewed_tokens import Waits, ticking
+from tests.contract.test_renewed_tokens import WaitingCalls, ticking
 from tests.integration.client.test_shared_memory import mapping_of
 from tests.support.waiting import wait_until
 
@@ -82,7 +82,7 @@ async def test_waiting_calls_continue_with_the_renewed_certificate(
     # Through shared memory a subscription has no connection that ends with the certificate.
     rt, peer = await rig.connect(tls=files, transport="socket"), await rig.connect(tls=files, name=rig.name())
     await peer.mailbox.get(timeout=0)
-    waits = Waits(rig, rt, peer)
+    waits = WaitingCalls(rig, rt, peer)
     async with asyncio.timeout(50):
         await waits.begin()
         certificates.issue(Role.CLIENT, "waits")

@@ -31,8 +31,8 @@ Meddle = Callable[[bytes], None]
 class Follower:
     """One channel's part of cut events. The cursor is its state between two steps: a cut, a seq, an incarnation.
 
-    `hears_again`: the first step after a resumption may report a loss that was reported before. `uncounted`: the items
-    that were gone by then, so that no step can count them.
+    `hears_again`: the first step after a resumption may report a loss that was reported before. `uncounted`: the
+    items that had left the channel before the resumption, so that no step can count them.
     """
 
     channel_id: bytes
@@ -144,9 +144,9 @@ class Listeners:
                 self._take_parts(one, boundary.cut, limit_bytes, meddle)
 
     def _take_parts(self, events: Events, cut: int, limit_bytes: int, meddle: Meddle) -> None:
-        """Take each channel's part once its owner's cut has come so far.
+        """Take each channel's part once the cut at its owner has reached `cut`.
 
-        The boundary of an event does not raise this cut.
+        The event does not raise the cut at the owner.
         """
         for channel_id, one in events.followers.items():
             if not _has_come_to(self.world.host_of(channel_id).cuts[events.group].cut, cut):
@@ -220,8 +220,9 @@ class Listeners:
             assert one.core.dropped == len(a.oracle.log) - one.begun - one.taken - len(waiting)
 
     def member_changed(self, group: int, channel_id: bytes, *, joins: bool) -> None:
-        """Follow a change of the members: events have the items of a new member from their cut on, and none of a former
-        one.
+        """Follow a change of the members.
+
+        An event has the items of a new member from the last decided cut on, and no items of a former member.
         """
         for one in self.events:
             if one.group == group and joins:

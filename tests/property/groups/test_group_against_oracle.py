@@ -85,14 +85,14 @@ def put(rng: RandomSource, scenario: Scenario) -> None:
 def put_into(rng: RandomSource, scenario: Scenario, channel_id: bytes) -> None:
     pair = scenario.world.pair(channel_id)
     pair.put(an_offer(rng, pair))
-    scenario.world.spoken(channel_id)
+    scenario.world.note_change(channel_id)
 
 
 def advance(rng: RandomSource, scenario: Scenario) -> None:
     channel_id = rng.pick(CHANNELS)
     pair = scenario.world.pair(channel_id)
     pair.advance(min(a_time(rng, pair), pair.clock))
-    scenario.world.spoken(channel_id)
+    scenario.world.note_change(channel_id)
 
 
 def tick(rng: RandomSource, scenario: Scenario) -> None:
@@ -224,8 +224,8 @@ def bring_back(rng: RandomSource, scenario: Scenario) -> None:
     scenario.world.bring_back(rng.below(len(scenario.world.hosts)))
 
 
-def stale_words(rng: RandomSource, scenario: Scenario) -> None:
-    scenario.world.stale_words(rng.pick(CHANNELS))
+def deliver_stale_message(rng: RandomSource, scenario: Scenario) -> None:
+    scenario.world.deliver_stale_message(rng.pick(CHANNELS))
 
 
 def rest(rng: RandomSource, scenario: Scenario) -> None:
@@ -236,8 +236,8 @@ Happening = Callable[[RandomSource, Scenario], None]
 
 STEPS: tuple[Happening, ...] = (
     rest, put, put, tick, read, put, deliver, take_events, subscribe, put, subscribe_cuts, exchange, match, put, begin,
-    take_matches, advance, tick, change_member, stale_words, put, use_up, original, migrate, resume, exchange, lose,
-    bring_back, put, read, give_up, take_events, deliver, go_on,
+    take_matches, advance, tick, change_member, deliver_stale_message, put, use_up, original, migrate, resume, exchange,
+    lose, bring_back, put, read, give_up, take_events, deliver, go_on,
 )  # fmt: skip
 
 

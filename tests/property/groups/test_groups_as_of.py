@@ -37,8 +37,8 @@ def small_windows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(archived_read, "ANSWER_BYTES", 12)
 
 
-class Then:
-    """A group of channels in memory, as it was at an instant: all changes up to then come one after the other."""
+class PastGroup:
+    """A group of channels in memory, as it was at the instant `as_of`: it gets all changes up to `as_of` in order."""
 
     def __init__(self, large: dict[bytes, ChannelCore], small: dict[bytes, ArchivedChannel], as_of: int) -> None:
         self.channels = {name: ChannelCore(one.policy, incarnation=7) for name, one in large.items()}
@@ -89,7 +89,7 @@ def test_a_past_cut_from_archives_that_have_dropped_items_is_right_or_names_the_
         draw.choice(list(small.values())).drop_segments(draw.randrange(3))
         for _ in range(3):
             as_of = draw.randrange(first, max(first, last) + 2)
-            found, then = past_cut(small, as_of), Then(large, small, as_of).cut.cut
+            found, then = past_cut(small, as_of), PastGroup(large, small, as_of).cut.cut
             assert found.cut <= (MIN_INSTANT if then is None else then)
             if found.reason is not None:
                 assert found.reason == "COLLECTED"
@@ -114,7 +114,7 @@ def test_a_group_read_as_of_an_instant_equals_the_read_at_that_instant(seed: int
     first, last = max(one.first_accepted for one in small.values()), max(one[3] for one in told.values())
     for _ in range(READS):
         as_of, name = draw.randrange(first, max(first, last) + 2), draw.choice(NAMES)
-        then = Then(large, small, as_of)
+        then = PastGroup(large, small, as_of)
         cut = cut_of(small, as_of)
         assert cut == then.cut.cut
         query, horizon = query_of(draw, last, told[name][2]), Horizon(cut, lambda: "held back by nobody")

@@ -23,7 +23,7 @@ from stampede_rt_channel_host.core.channel import Position, Query
 from stampede_rt_channel_host.core.group import LocalTrack, Matcher, OwnChannelTimes
 from tests.property.archived_channel import ArchivedChannel
 from tests.property.channel_pair import items_of
-from tests.property.groups.test_groups_as_of import NAMES, Then
+from tests.property.groups.test_groups_as_of import NAMES, PastGroup
 from tests.property.test_archive_against_memory import put_in_both
 
 SCENARIOS = 120
@@ -65,7 +65,7 @@ def member(name: bytes, channel: ArchivedChannel) -> ArchivedMember:
     return ArchivedMember(handle, lambda query, as_of: read(channel, query, as_of))
 
 
-def decided(then: Then, rule: MatchRule, start: int, as_of: int) -> tuple[list[object], int]:
+def decided(then: PastGroup, rule: MatchRule, start: int, as_of: int) -> tuple[list[object], int]:
     """The matches that a host decides at that instant, from the item at `start` on."""
     own, other = (then.channels[name] for name in NAMES)
     times = {NAMES[0]: OwnChannelTimes(own, 0), NAMES[1]: OwnChannelTimes(other, 0)}
@@ -109,7 +109,7 @@ def test_matches_as_of_an_instant_equal_the_matches_that_a_host_decides_then(see
             keys = {one: (item.time, item.seq) for one, item in matched._values.items()}
             assert keys == {NAMES[0]: match.key, **match.partners}
             found.append((match.key, dict(match.partners)))
-        expected = decided(Then(large, small, as_of), rule, start, as_of)
+        expected = decided(PastGroup(large, small, as_of), rule, start, as_of)
         assert (found, matching.unmatched) == expected, (rule, start, as_of)
         assert (matching.dropped, matching.reason) == (0, None)
 

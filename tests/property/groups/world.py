@@ -37,7 +37,7 @@ class LivingPair(ChannelPair):
 
 
 @dataclass
-class Placed:
+class OwnedChannel:
     """A channel and its owner.
 
     `own` and `member`: its times at the owner, in the core and in the oracle, while a group has it.
@@ -125,14 +125,14 @@ class World:
     definitions: list[GroupDefinition]
     hosts_count: int
     clock: int
-    placed: dict[bytes, Placed] = field(init=False)
+    placed: dict[bytes, OwnedChannel] = field(init=False)
     hosts: list[Host] = field(init=False)
     is_plain: list[bool] = field(init=False)  # no change has made a group's cut smaller than it could be
     reached: list[int | None] = field(init=False)  # the cut of an observer that sees all channels at the same time
 
     def __post_init__(self) -> None:
         self.placed = {
-            one: Placed(LivingPair(policy, self.clock), at % self.hosts_count)
+            one: OwnedChannel(LivingPair(policy, self.clock), at % self.hosts_count)
             for at, (one, policy) in enumerate(zip(CHANNELS, self.policies, strict=True))
         }
         self.hosts = [Host(self.definitions) for _ in range(self.hosts_count)]
@@ -173,7 +173,7 @@ class World:
             heard = host.oracle_board.heard
             host.oracle_board.heard = {one: heard[one] for one in heard if one in followed}
 
-    def spoken(self, channel_id: bytes) -> None:
+    def note_change(self, channel_id: bytes) -> None:
         """Note that the channel may have got items or an advance."""
         one = self.placed[channel_id]
         one.pair.oracle.age(self.clock)
@@ -290,7 +290,7 @@ class World:
 
     def _take_up(self, channel_id: bytes, pair: LivingPair, by: int) -> None:
         self.hosts[by].deaf_owner_of.discard(channel_id)
-        self.placed[channel_id] = Placed(pair, by, self.placed[channel_id].epoch + 1)
+        self.placed[channel_id] = OwnedChannel(pair, by, self.placed[channel_id].epoch + 1)
         self.follow()
 
     def lose(self, host: int, successor: int) -> list[bytes]:
@@ -324,7 +324,7 @@ class World:
         if not self.hosts[host].is_up:
             self.hosts[host] = Host(self.definitions)
 
-    def stale_words(self, channel_id: bytes) -> None:
+    def deliver_stale_message(self, channel_id: bytes) -> None:
         """Deliver an old message of a former owner, and check that it changes nothing."""
         one = self.placed[channel_id]
         for host in self.hosts:

@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.channel.values import NO_NEXT_TIMES
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from tests.property.channel_pair import INCARNATION, ends_as_read, items_of
 from tests.property.paths.core_calls import Call, WaitingPut, ack_of
-from tests.property.paths.values import Followed, Run
+from tests.property.paths.values import FollowedItems, Run
 
 DELIVERED_BYTES_MAX = 300
 
@@ -238,7 +238,7 @@ class CoreSubscription:
 
     def __init__(self, owner: CoreOwner, cursor: AllCursor | NewestCursor) -> None:
         self.cursor = cursor
-        self.followed = Followed()
+        self.followed = FollowedItems()
         self.followed.subscription = self
         self._owner = owner
 

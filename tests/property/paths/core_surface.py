@@ -28,7 +28,7 @@ from tests.property.channel_pair import INCARNATION
 from tests.property.paths.core_calls import Call
 from tests.property.paths.core_owner import CoreOwner
 from tests.property.paths.path_and_oracle import REASONS
-from tests.property.paths.values import Followed, Run, merge
+from tests.property.paths.values import FollowedItems, Run, merge
 from tests.support.clock import ManualClock
 
 
@@ -124,7 +124,7 @@ class CoreHandle:
         asked = {"match": "start", "limit": 1, "newest_first": True, "newer_than": after}
         return _only(self.get(MIN_INSTANT, MAX_INSTANT, **asked))
 
-    def subscribe(self, start: Bound | None, mode: str, after: st.Item | None) -> Followed:
+    def subscribe(self, start: Bound | None, mode: str, after: st.Item | None) -> FollowedItems:
         core, now, position = self.owner.channel, self._host.now(), _position(after)
         begin: Callable[..., Any] = core.subscribe_newest if mode == "newest" else core.subscribe_all
         return self.owner.follow(begin(now, start=start, after=position)).followed
@@ -198,7 +198,7 @@ class CoreSurface:
     def consume(self, handle: CoreHandle, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> tuple[int, int]:
         return handle.owner.consume(consumer_id, seqs, lease_nanos)
 
-    def follow(self, subscribe: Callable[[], Followed]) -> Followed:
+    def follow(self, subscribe: Callable[[], FollowedItems]) -> FollowedItems:
         return subscribe()
 
 

@@ -18,7 +18,7 @@ from tests.property.paths.agreement import same_answer, same_found, same_items
 from tests.property.paths.path_and_oracle import PathAndOracle, SteeredHost
 from tests.property.paths.steered_rings import follows_ring
 from tests.property.paths.surfaces import Surface
-from tests.property.paths.values import Follower, Started
+from tests.property.paths.values import Follower, StartedCall
 
 EVERYTHING = Interval(Bound(None, MIN_INSTANT), Bound(None, MAX_INSTANT))
 
@@ -28,8 +28,8 @@ class PathReads(PathAndOracle):
 
     def __init__(self, surface: Surface, host: SteeredHost, policy: Policy) -> None:
         super().__init__(surface, host, policy)
-        self.gets: list[tuple[Query, bool, OracleGet, Started]] = []
-        self._released: list[tuple[Started, OracleAnswer, Query, bool]] = []
+        self.gets: list[tuple[Query, bool, OracleGet, StartedCall]] = []
+        self._released: list[tuple[StartedCall, OracleAnswer, Query, bool]] = []
         self.settle()
 
     def get(self, query: Query, *, payloads: bool = True, waits_s: float = 0) -> st.Items:

@@ -23,7 +23,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt.wire.runs import encode_run
 from tests.oracle import Ack
-from tests.property.paths.values import Followed, Run, Started
+from tests.property.paths.values import FollowedItems, Run, StartedCall
 from tests.support.channel_host.loopback_host import LoopbackHost
 
 WAIT_SECONDS_MAX = 20.0
@@ -39,7 +39,7 @@ class Surface(Protocol):
     def do(self, call: Callable[[], Any]) -> Any:
         """Perform a call of the surface, and return its result. Awaits it if the surface is asynchronous."""
 
-    def start(self, call: Callable[[], Any]) -> Started:
+    def start(self, call: Callable[[], Any]) -> StartedCall:
         """Begin a call."""
 
     def put_run(self, handle: Any, run: Run) -> Any:
@@ -54,7 +54,7 @@ class Surface(Protocol):
         Its result: the number of items, and the lease.
         """
 
-    def follow(self, subscribe: Callable[[], Any]) -> Followed:
+    def follow(self, subscribe: Callable[[], Any]) -> FollowedItems:
         """Begin a subscription. It has begun when this method returns."""
 
 
@@ -71,7 +71,7 @@ class BlockingSurface:
     def do(self, call: Callable[[], Any]) -> Any:
         return call()
 
-    def start(self, call: Callable[[], Any]) -> Started:
+    def start(self, call: Callable[[], Any]) -> StartedCall:
         return _InThread(self._pool.submit(call))
 
     def put_run(self, handle: Any, run: Run) -> Ack:
@@ -92,13 +92,13 @@ class BlockingSurface:
             raise from_rpc_error(error, "the host") from error
         return response.consumed, response.lease_nanos
 
-    def follow(self, subscribe: Callable[[], Any]) -> Followed:
-        followed = Followed()
+    def follow(self, subscribe: Callable[[], Any]) -> FollowedItems:
+        followed = FollowedItems()
         followed.subscription = subscribe()
         followed.work = self._pool.submit(self._collect, followed)
         return followed
 
-    def _collect(self, followed: Followed) -> None:
+    def _collect(self, followed: FollowedItems) -> None:
         try:
             for item in followed.subscription:
                 followed.items.append(item)
@@ -141,7 +141,7 @@ class AwaitedSurface:
 
         return self._loop.run_until_complete(performed())
 
-    def start(self, call: Callable[[], Any]) -> Started:
+    def start(self, call: Callable[[], Any]) -> StartedCall:
         return _AsTask(self._loop.create_task(call()), self._loop)
 
     async def put_run(self, handle: Any, run: Run) -> Ack:
@@ -162,14 +162,14 @@ class AwaitedSurface:
             raise from_rpc_error(error, "the host") from error
         return response.consumed, response.lease_nanos
 
-    def follow(self, subscribe: Callable[[], Any]) -> Followed:
-        followed = Followed()
+    def follow(self, subscribe: Callable[[], Any]) -> FollowedItems:
+        followed = FollowedItems()
         followed.subscription = subscribe()
         self.do(followed.subscription.__aenter__)
         followed.work = self._loop.create_task(self._collect(followed))
         return followed
 
-    async def _collect(self, followed: Followed) -> None:
+    async def _collect(self, followed: FollowedItems) -> None:
         try:
             async for item in followed.subscription:
                 followed.items.append(item)

@@ -12,7 +12,7 @@ from stampede_rt_channel_host.core.channel import Offer
 from tests.oracle import Ack, Item, OracleNewest, OracleSubscription, RefusedItem
 
 
-class Started(Protocol):
+class StartedCall(Protocol):
     """A call under way."""
 
     def is_done(self) -> bool:
@@ -22,7 +22,7 @@ class Started(Protocol):
         """Wait for the result or the StampedeError. Fails after 20 s."""
 
 
-class Followed:
+class FollowedItems:
     """A subscription that a background task reads: its items so far, and the error with which it ended."""
 
     def __init__(self) -> None:
@@ -55,7 +55,7 @@ class OracleRun:
     run: Run
     rest: Offer
     verdicts: list[Item | RefusedItem] = field(default_factory=list)
-    started: Started | None = None
+    started: StartedCall | None = None
 
     @property
     def is_partly_accepted(self) -> bool:
@@ -93,7 +93,7 @@ class OracleRun:
 class Follower:
     """A subscription of the tested path, and the oracle's subscription that predicts its items."""
 
-    followed: Followed
+    followed: FollowedItems
     newest: bool
     book: OracleSubscription | OracleNewest
     expected: list[tuple[Item, int | None]] = field(default_factory=list)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from tests.robustness.archives.putting import PAYLOAD_BYTES, Putting
+from tests.robustness.archives.putting import PAYLOAD_BYTES, NumberProducer
 
 PROGRAMS = 2
 ACKS_BETWEEN = 30
@@ -44,7 +44,7 @@ class Campaign:
         self._random = random.Random(seed)
         self._channel = rt.channel(f"campaign/{seed}", max_items=40, archive="forever")
         self._began = self._channel.stats().host_time
-        self._programs: list[Putting] = []
+        self._programs: list[NumberProducer] = []
         self._begun = 0
         self._acked: set[bytes] = set()
 
@@ -69,7 +69,7 @@ class Campaign:
 
     @contextmanager
     def _putting(self) -> Iterator[None]:
-        self._programs = [Putting(self._channel, self._number()) for _ in range(PROGRAMS)]
+        self._programs = [NumberProducer(self._channel, self._number()) for _ in range(PROGRAMS)]
         try:
             yield
         finally:
@@ -143,7 +143,7 @@ class Campaign:
         self._host.stop()
         path.write_bytes(former)
         self._host.restart(RESTART_SECONDS_MAX)
-        self._programs += [Putting(self._channel, self._number()) for _ in range(PROGRAMS)]
+        self._programs += [NumberProducer(self._channel, self._number()) for _ in range(PROGRAMS)]
 
     def _flipped(self, former: bytes) -> bytes:
         flipped = bytearray(former)

@@ -10,7 +10,7 @@ WAIT_SECONDS_MAX = 120
 PAYLOAD_BYTES = 200
 
 
-class Putting:
+class NumberProducer:
     """Puts numbers one after the other, in a thread, until `stop` is called. A refused number is put again.
 
     `acked` are the acknowledged numbers, as payloads. `refused` counts the puts that the disk did not take.

@@ -29,7 +29,7 @@ TYPES_SHOWN = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Held:
+class HeldResources:
     """The things that a process holds. `objects`: their number by the name of their type, after a look for garbage."""
 
     memory_bytes: int
@@ -38,7 +38,7 @@ class Held:
     tasks: int
     objects: dict[str, int]
 
-    def grown_since(self, before: Held, cycles: int) -> list[str]:
+    def grown_since(self, before: HeldResources, cycles: int) -> list[str]:
         """Return the things that have grown more than they may in this number of cycles, as texts."""
         counts = {"files": SPARE, "threads": SPARE, "tasks": SPARE, "memory_bytes": SPARE_BYTES}
         counts["memory_bytes"] += cycles * BYTES_FOR_A_CYCLE
@@ -56,13 +56,13 @@ def _spare(type_name: str) -> int:
     return SPARE_BUILTINS if type_name.startswith("builtins.") else SPARE_OBJECTS
 
 
-def held_here() -> Held:
+def held_here() -> HeldResources:
     """Count the things of this process."""
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)  # memory that the process could give back does not count
     objects = gc.get_objects()
     names = Counter(f"{type(one).__module__}.{type(one).__qualname__}" for one in objects)
-    return Held(
+    return HeldResources(
         memory_bytes=int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize(),
         files=len(os.listdir("/proc/self/fd")),
         threads=threading.active_count(),
@@ -83,13 +83,13 @@ def count_on_signal() -> None:
     signal.signal(COUNT, write)
 
 
-def held_by(process: ServiceProcess, folder: Path) -> Held:
+def held_by(process: ServiceProcess, folder: Path) -> HeldResources:
     """Let a service that runs as `counted_service` count its things."""
     file = folder / f"{process.pid}.json"
     file.unlink(missing_ok=True)
     os.kill(process.pid, COUNT)
     wait_until(file.exists, f"{process.name} has counted its things")
-    return Held(**json.loads(file.read_text()))
+    return HeldResources(**json.loads(file.read_text()))
 
 
 def settled(find: Callable[[], list[str]], tries: int = 40) -> list[str]:

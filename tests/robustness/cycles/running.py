@@ -14,7 +14,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from tests.robustness.cycles.counted_service import SNAPSHOT_EVERY_ENTRIES
-from tests.robustness.cycles.counting import FOLDER_VARIABLE, Held, held_by, held_here, settled
+from tests.robustness.cycles.counting import FOLDER_VARIABLE, HeldResources, held_by, held_here, settled
 from tests.robustness.cycles.cycling import KINDS, OPENED_AT_ONCE, Cycle
 from tests.support.cluster import running_cluster
 
@@ -44,8 +44,8 @@ class Report:
     kind: str
     cycles: int
     seconds: float
-    before: dict[str, Held]
-    after: dict[str, Held] = field(default_factory=dict)
+    before: dict[str, HeldResources]
+    after: dict[str, HeldResources] = field(default_factory=dict)
     complaints: list[str] = field(default_factory=list)
 
     def rows(self) -> Iterator[str]:
@@ -94,7 +94,7 @@ def _free_cancelled_calls(cycle: Cycle) -> None:
     cycle()
 
 
-def held_by_all(cluster: LocalCluster, folder: Path) -> dict[str, Held]:
+def held_by_all(cluster: LocalCluster, folder: Path) -> dict[str, HeldResources]:
     """Count the things of the client, which is this process, and of all services.
 
     A supernode keeps its answers for some seconds, and longer in its last snapshot. So it first makes a new snapshot.

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt_local.cluster import LocalCluster
-from tests.robustness.cycles.counting import Held
+from tests.robustness.cycles.counting import HeldResources
 from tests.robustness.cycles.cycling import KINDS
 from tests.robustness.cycles.running import counted_cluster, run
 
@@ -41,8 +41,10 @@ def test_no_process_grows_over_many_cycles(cluster: LocalCluster, folder: Path, 
 
 
 def test_a_planted_leak_of_each_kind_is_noticed() -> None:
-    held = Held(memory_bytes=10**8, files=10, threads=5, tasks=4, objects={"a.Kept": 7})
-    more = Held(memory_bytes=2 * 10**8, files=110, threads=105, tasks=104, objects={"a.Kept": 107, "a.New": 100})
+    held = HeldResources(memory_bytes=10**8, files=10, threads=5, tasks=4, objects={"a.Kept": 7})
+    more = HeldResources(
+        memory_bytes=2 * 10**8, files=110, threads=105, tasks=104, objects={"a.Kept": 107, "a.New": 100}
+    )
     assert held.grown_since(held, 100) == []
     assert [one.split()[0] for one in more.grown_since(held, 100)] == [
         "files", "threads", "tasks", "memory_bytes", "a.Kept", "a.New",

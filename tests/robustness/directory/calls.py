@@ -8,7 +8,7 @@ from typing import Any
 from stampede_rt.v1 import channel_pb2, queue_pb2
 from stampede_rt.v1 import directory_service_pb2 as channels_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as queues_pb
-from tests.robustness.histories.channel_model import Delete, Open, Refusal, Resolve, Seen, Update
+from tests.robustness.histories.channel_model import Delete, Open, Refusal, Resolve, SeenChannel, Update
 from tests.robustness.real_cluster.callers import FINAL_REASONS, seen_in
 
 Call = Open | Resolve | Update | Delete
@@ -56,13 +56,13 @@ def _queue_request(name: str, call: Call, random_source: random.Random) -> tuple
             return "DeleteQueue", queues_pb.DeleteQueueRequest(request_id=identity, queue_id=queue_id)
 
 
-def shown(name: str, answer: Any) -> Seen:
+def shown(name: str, answer: Any) -> SeenChannel:
     """The facts in an answer with a record."""
     created = getattr(answer, "created", False)
     if not name.startswith(QUEUES):
         return seen_in(answer.channel, created=created)
     queue = answer.queue
-    return Seen(queue.queue_id, queue.epoch, queue.spec.max_items, queue.spec_version, created)
+    return SeenChannel(queue.queue_id, queue.epoch, queue.spec.max_items, queue.spec_version, created)
 
 
 def refusal_of(reason: str) -> Refusal:

@@ -24,7 +24,7 @@ from tests.support.supernode.list_machine import PromiseBroken
 CHANNELS_LISTED_MAX = 1000
 
 
-class AtOnce(PieceScheduler):
+class UnslicedWork(PieceScheduler):
     """Performs all pieces of long work in one go, without an event loop."""
 
     def begin(self, pieces: Pieces[None]) -> None:
@@ -85,7 +85,7 @@ class SimHost:
             lease_held=lambda: self.lease.is_held(self.clock.boottime_nanos()),
             memory=MemoryBudget(2**30),
         )
-        self.store.scheduler = AtOnce()
+        self.store.scheduler = UnslicedWork()
         self._binding: set[bytes] = set()
         self._run(self._keep)
 

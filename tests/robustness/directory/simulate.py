@@ -28,10 +28,10 @@ from tests.robustness.directory.tasks import drive
 from tests.robustness.directory.world import LEASE_TTL_NANOS, DirectoryWorld, _Leases
 from tests.robustness.histories.channel_model import (
     Delete,
-    Deleted,
+    DeletedChannel,
     Open,
     Resolve,
-    Seen,
+    SeenChannel,
     Update,
     acknowledged_writes,
     check_channel_histories,
@@ -40,7 +40,7 @@ from tests.robustness.histories.operations import Recorder
 from tests.robustness.replication.fault_rates import FaultRates
 from tests.robustness.replication.simulate import draw_fault_rates
 from tests.robustness.replication.world import TIMING
-from tests.robustness.report import Simulated
+from tests.robustness.report import SimulatedRuns
 from tests.support.supernode.list_machine import PromiseBroken
 
 FAULT_SECONDS, HEAL_SECONDS = 30.0, 12.0
@@ -60,7 +60,7 @@ class Caller:
         self._trial, self._world = trial, trial.world
         self._value = 1_000_000 * (number + 1)
         self._prefix = "sim/" if number < CALLERS else QUEUES
-        self._seen: dict[str, Seen] = {}
+        self._seen: dict[str, SeenChannel] = {}
         self._host_of: dict[str, bytes] = {}
 
     async def run(self) -> None:
@@ -78,7 +78,7 @@ class Caller:
             recorder.ambiguous(name, call, invoked)
         elif not isinstance(answer, StampedeError):
             recorder.done(name, call, invoked, answer)
-        if isinstance(answer, Seen):
+        if isinstance(answer, SeenChannel):
             self._seen[name] = answer
             if not name.startswith(QUEUES):
                 self._trial.put(self._host_of[name], answer)
@@ -105,7 +105,7 @@ class Caller:
         if outcome is None or isinstance(outcome, StampedeError):
             return outcome
         if isinstance(call, Delete):
-            return Deleted()
+            return DeletedChannel()
         self._host_of[name] = host_id_of(name, outcome)
         return shown(name, outcome)
 
@@ -158,7 +158,7 @@ class DirectoryTrial:
             if rate > 0:
                 self._repeat(rate, happen)
 
-    def put(self, host_id: bytes, seen: Seen) -> None:
+    def put(self, host_id: bytes, seen: SeenChannel) -> None:
         """Put at the owner that the caller knows, and later again with the same knowledge."""
         owner = next((host for host in self._hosts if host.identity.host_id == host_id), None)
         for _ in range(2):
@@ -360,7 +360,7 @@ async def _read_until_answered(trial: DirectoryTrial, member: Any, name: str, wa
         await world.sleep(0.1)
 
 
-def run_seeds(first: int, count: int) -> Simulated:
+def run_seeds(first: int, count: int) -> SimulatedRuns:
     """Run many seeds, and print the failed ones with their errors on stderr."""
     logging.disable(logging.WARNING)  # services warn of the injected faults
     failed, operations, acknowledged, puts, began = [], 0, 0, 0, time.monotonic()
@@ -375,7 +375,7 @@ def run_seeds(first: int, count: int) -> Simulated:
         operations += len(trial.recorder.operations)
         acknowledged += acknowledged_writes(trial.recorder.operations)
         puts += trial.ownership.puts
-    return Simulated(count, failed, operations, acknowledged, puts, time.monotonic() - began)
+    return SimulatedRuns(count, failed, operations, acknowledged, puts, time.monotonic() - began)
 
 
 def main() -> int:

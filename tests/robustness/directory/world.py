@@ -380,10 +380,10 @@ class _Context:
         return {}
 
     async def abort(self, code: object, message: str, trailers: Any) -> None:
-        raise _Aborted(code, message, trailers)
+        raise _AbortedCall(code, message, trailers)
 
 
-class _Aborted(Exception):
+class _AbortedCall(Exception):
     """The RPC ended with an error. This exception has the status for the caller."""
 
     def trailing_metadata(self) -> Any:
@@ -397,5 +397,5 @@ async def _served(
 
     try:
         answer(await getattr(service, method)(request, context))
-    except _Aborted as error:
+    except _AbortedCall as error:
         answer(from_rpc_error(error, "simulated"))  # type: ignore[arg-type]  # it has the trailers

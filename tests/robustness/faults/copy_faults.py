@@ -29,7 +29,7 @@ FROZEN_SECONDS = LEASE_TTL_SECONDS + 3.0
 DISTURBED_SECONDS = 3.0  # longer than a silent replica keeps its in-sync flag
 
 
-class Replicated:
+class ReplicatedChannel:
     """A channel of this test with an item, its owner and the host of its replica."""
 
     def __init__(self, scene: Scene, channel: aio.Channel, incarnation: int) -> None:
@@ -144,14 +144,14 @@ async def settled(traffic: Traffic) -> None:
 
 
 @asynccontextmanager
-async def _prepare(scene: Scene) -> AsyncIterator[tuple[Replicated, Host, Host]]:
+async def _prepare(scene: Scene) -> AsyncIterator[tuple[ReplicatedChannel, Host, Host]]:
     """A channel of this test, its owner, and the host of its replica in sync."""
     assert scene.traffic is not None, "this fault is for clusters with channel hosts"
     name = f"robust-copied/{time.monotonic_ns()}"
     async with patience(f"{name} was not opened, and no put into it acknowledged"):
         channel, item = await _first_put(scene.traffic, name)
     await settled(scene.traffic)
-    found = Replicated(scene, channel, item.incarnation)
+    found = ReplicatedChannel(scene, channel, item.incarnation)
     try:
         yield (found, *await found.find())
     finally:

@@ -32,7 +32,7 @@ RETRY_SECONDS = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Pinned:
+class PinnedChannel:
     """A channel of this test at one host, with an item in it."""
 
     channel: aio.Channel
@@ -179,7 +179,7 @@ def _traffic(scene: Scene) -> Traffic:
     return scene.traffic
 
 
-async def pin(scene: Scene) -> Pinned:
+async def pin(scene: Scene) -> PinnedChannel:
     """Make a channel at one host, with an item. Raises StampedeError if the cluster has no such host."""
     traffic = _traffic(scene)
     host = scene.rng.choice(scene.cluster.hosts)
@@ -187,10 +187,10 @@ async def pin(scene: Scene) -> Pinned:
     item = await traffic.put(channel)
     if channel.host != host.name:
         raise FaultHadNoEffect(f"the channel is at {channel.host}, not at {host.name}")
-    return Pinned(channel, host, channel.info, item.incarnation)
+    return PinnedChannel(channel, host, channel.info, item.incarnation)
 
 
-async def _put_again(scene: Scene, pinned: Pinned, since: float) -> float:
+async def _put_again(scene: Scene, pinned: PinnedChannel, since: float) -> float:
     """Put until a put is acknowledged under another incarnation.
 
     Returns the time since `since`. Raises TimeoutError.
@@ -208,7 +208,7 @@ async def _put_again(scene: Scene, pinned: Pinned, since: float) -> float:
             await asyncio.sleep(RETRY_SECONDS)
 
 
-def _reopened(pinned: Pinned) -> str:
+def _reopened(pinned: PinnedChannel) -> str:
     """Check that a caller of the reopened channel learns of the loss. Raises AssertionError."""
     after = pinned.channel.info
     if after.epoch <= pinned.before.epoch or after.incarnation == pinned.incarnation:
@@ -216,7 +216,7 @@ def _reopened(pinned: Pinned) -> str:
     return f"from {pinned.host.name}, epoch {pinned.before.epoch}, to {after.host}, epoch {after.epoch}"
 
 
-async def _read(scene: Scene, pinned: Pinned) -> None:
+async def _read(scene: Scene, pinned: PinnedChannel) -> None:
     """Read the channel's items into the history. An item of the lost incarnation among them would have no put."""
     await _traffic(scene).read_all(pinned.channel)
 
@@ -232,7 +232,7 @@ def _direct(scene: Scene, host: Host) -> grpc.aio.Channel:
     return dial(host.address, secret=None, tls=None if files is None else TlsReader(files))
 
 
-async def _accepted(connection: grpc.aio.Channel, pinned: Pinned) -> bool:
+async def _accepted(connection: grpc.aio.Channel, pinned: PinnedChannel) -> bool:
     """Whether the host takes a put under the epoch of `pinned.before`, as a caller with an old binding sends it."""
     request = pb.PutRequest(
         channel_id=pinned.before.channel_id, epoch=pinned.before.epoch, puts=[run_of(b"stale", number=1)]
@@ -247,7 +247,7 @@ async def _accepted(connection: grpc.aio.Channel, pinned: Pinned) -> bool:
     return any(ack.HasField("first_seq") for ack in acks)
 
 
-async def _last_accepted(connection: grpc.aio.Channel, pinned: Pinned) -> float:
+async def _last_accepted(connection: grpc.aio.Channel, pinned: PinnedChannel) -> float:
     """Put under the old epoch until the host refuses. Returns the time at which the last accepted put was sent."""
     last = sent = time.monotonic()
     deadline = sent + 2 * LEASE_TTL_SECONDS
@@ -260,7 +260,7 @@ async def _last_accepted(connection: grpc.aio.Channel, pinned: Pinned) -> float:
     return last
 
 
-def _check_refused(pinned: Pinned, accepted: Sequence[bool]) -> None:
+def _check_refused(pinned: PinnedChannel, accepted: Sequence[bool]) -> None:
     if any(accepted):
         epoch = pinned.before.epoch
         raise AssertionError(f"{pinned.host.name} took {sum(accepted)} puts under epoch {epoch}, which was over")

@@ -13,7 +13,7 @@ from stampede_rt import aio
 from stampede_rt.security.tls import CLIENT_VARIABLES
 from stampede_rt_local.namespaces import NetworkNamespace
 from stampede_rt_runtime.identity import Role
-from tests.robustness.faults.host_faults import Pinned, pin
+from tests.robustness.faults.host_faults import PinnedChannel, pin
 from tests.robustness.faults.scene import Fault, Scene
 from tests.robustness.real_cluster.placed_process import FaultHadNoEffect
 from tests.robustness.real_cluster.traffic import CLIENT
@@ -48,7 +48,7 @@ async def vanish_client(scene: Scene) -> None:
     )
 
 
-async def _full(scene: Scene, pinned: Pinned) -> aio.Channel:
+async def _full(scene: Scene, pinned: PinnedChannel) -> aio.Channel:
     """A channel without room at the same host."""
     assert scene.traffic is not None
     policy: dict[str, Any] = {"max_items": 1, "max_age": "1h", "on_full": "block"}

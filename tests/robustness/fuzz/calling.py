@@ -14,14 +14,15 @@ import stampede_rt as st
 
 BOUND_S = 30.0
 """A call may exceed its own time by this much. The client tries for 10 s, its last try may take another 10 s, and a
-connection takes up to 3 s."""
+connection takes up to 3 s.
+"""
 INTERRUPTED = object()
 FAILED = object()
 ENDED = object()
 PASSING = (st.Unavailable, st.DeadlineExceeded, st.Overloaded)
 
 
-class Calling:
+class CallingClient:
     """Makes calls of one client. Calls of the blocking client run in threads."""
 
     def __init__(self, seed: str, pool: ThreadPoolExecutor | None) -> None:

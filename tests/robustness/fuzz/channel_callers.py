@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 import stampede_rt as st
-from tests.robustness.fuzz.calling import ENDED, FAILED, INTERRUPTED, Calling
+from tests.robustness.fuzz.calling import ENDED, FAILED, INTERRUPTED, CallingClient
 from tests.robustness.fuzz.ledger import Ledger
 
 SIZES = (0, 10, 1000, 70_000)
@@ -14,12 +14,12 @@ STORY_S_MAX = 600.0
 LAST = b"the last"
 
 
-def payload_of(calling: Calling, who: str, number: int) -> bytes:
+def payload_of(calling: CallingClient, who: str, number: int) -> bytes:
     """A payload that no other put has."""
     return f"{who} {number} ".encode() + bytes(calling.rng.choice(SIZES))
 
 
-async def puts(calling: Calling, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
+async def puts(calling: CallingClient, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
     """Put items one after the other."""
     number = 0
     while not over.is_set():
@@ -29,7 +29,7 @@ async def puts(calling: Calling, channel: Any, ledger: Ledger, who: str, over: a
         (ledger.open if outcome in (INTERRUPTED, FAILED) else ledger.accepted).add(payload)
 
 
-async def produces(calling: Calling, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
+async def produces(calling: CallingClient, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
     """Put without waiting for acks, and flush now and then. In the end all items that the producer took are there."""
     producer = channel.producer()
     handed: set[bytes] = set()
@@ -47,7 +47,7 @@ async def produces(calling: Calling, channel: Any, ledger: Ledger, who: str, ove
     ledger.accepted |= handed
 
 
-async def reads(calling: Calling, channel: Any, over: asyncio.Event) -> None:
+async def reads(calling: CallingClient, channel: Any, over: asyncio.Event) -> None:
     """Reads of all kinds."""
     while not over.is_set():
         kind = calling.rng.randrange(4)
@@ -62,7 +62,7 @@ async def reads(calling: Calling, channel: Any, over: asyncio.Event) -> None:
         await calling.any_way(f"read {kind}", call, 1)
 
 
-async def subscribes(calling: Calling, channel: Any) -> list[st.Item]:
+async def subscribes(calling: CallingClient, channel: Any) -> list[st.Item]:
     """Get all items up to LAST, one by one or in batches. Some steps are cancelled."""
     subscription = await subscribed(calling, channel)
     batches = subscription.batches()
@@ -80,7 +80,7 @@ async def subscribes(calling: Calling, channel: Any) -> list[st.Item]:
     return items
 
 
-async def subscribed(calling: Calling, channel: Any) -> Any:
+async def subscribed(calling: CallingClient, channel: Any) -> Any:
     """A subscription from the beginning: the blocking client opens it here, and may meet a failure."""
     while True:
         made = await calling.any_way("subscribe", calling.plain(channel.subscribe, st.OLDEST), 0)

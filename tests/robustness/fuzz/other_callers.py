@@ -7,7 +7,7 @@ from collections import Counter
 from typing import Any
 
 import stampede_rt as st
-from tests.robustness.fuzz.calling import ENDED, FAILED, INTERRUPTED, Calling
+from tests.robustness.fuzz.calling import ENDED, FAILED, INTERRUPTED, CallingClient
 from tests.robustness.fuzz.channel_callers import payload_of
 from tests.robustness.fuzz.ledger import Ledger
 
@@ -15,7 +15,7 @@ LEASE = "1s"
 NOBODY = (None, FAILED, INTERRUPTED)
 
 
-async def enqueues(calling: Calling, queue: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
+async def enqueues(calling: CallingClient, queue: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
     """Put messages one after the other."""
     number = 0
     while not over.is_set():
@@ -31,7 +31,7 @@ class Takers:
         self.acknowledged: Counter[bytes] = Counter()
         self.unsure: set[bytes] = set()  # the acknowledgement was interrupted, or failed
 
-    async def take(self, calling: Calling, queue: Any, over: asyncio.Event) -> None:
+    async def take(self, calling: CallingClient, queue: Any, over: asyncio.Event) -> None:
         """Get messages. Acknowledge each one, give it back, or leave it."""
         while not over.is_set():
             timeout = calling.rng.choice([0, 0.05, 1, None if calling.is_async else 1])
@@ -40,7 +40,7 @@ class Takers:
             if message not in NOBODY:
                 await self._settle(calling, message)
 
-    async def take_the_rest(self, calling: Calling, queue: Any) -> None:
+    async def take_the_rest(self, calling: CallingClient, queue: Any) -> None:
         """Take messages until the queue holds none."""
         async with asyncio.timeout(60):
             while (await calling.plain(queue.stats)).held:
@@ -49,7 +49,7 @@ class Takers:
                     await calling.plain(message.ack)
                     self.acknowledged[message.payload] += 1
 
-    async def _settle(self, calling: Calling, message: Any) -> None:
+    async def _settle(self, calling: CallingClient, message: Any) -> None:
         kind = calling.rng.random()
         if kind < 0.1:
             return
@@ -63,7 +63,7 @@ class Takers:
             self.acknowledged[message.payload] += 1
 
 
-async def settled(calling: Calling, settle: Any) -> bool:
+async def settled(calling: CallingClient, settle: Any) -> bool:
     """Whether the message was settled before its lease ended."""
     try:
         await calling.plain(settle)
@@ -72,7 +72,7 @@ async def settled(calling: Calling, settle: Any) -> bool:
     return True
 
 
-async def reads_groups(calling: Calling, group: Any, over: asyncio.Event) -> None:
+async def reads_groups(calling: CallingClient, group: Any, over: asyncio.Event) -> None:
     """Reads at one cut."""
     while not over.is_set():
         call = group.newest if calling.rng.random() < 0.5 else group.get
@@ -80,7 +80,7 @@ async def reads_groups(calling: Calling, group: Any, over: asyncio.Event) -> Non
         await calling.any_way("read of a group", calling.plain(call, *arguments, payloads=False), 1)
 
 
-async def matches(calling: Calling, group: Any, per: Any, over: asyncio.Event) -> None:
+async def matches(calling: CallingClient, group: Any, per: Any, over: asyncio.Event) -> None:
     """Matches, at most one for each item."""
     made = await opened(calling, group.match, per, "1s", partial=True)
     seen = await stepped(calling, made, over)
@@ -88,7 +88,7 @@ async def matches(calling: Calling, group: Any, per: Any, over: asyncio.Event) -
     assert len(set(seqs)) == len(seqs), "a match came twice"
 
 
-async def cuts(calling: Calling, group: Any, over: asyncio.Event) -> None:
+async def cuts(calling: CallingClient, group: Any, over: asyncio.Event) -> None:
     """Cut events, whose times ascend, and which bring each item at most once."""
     made = await opened(calling, group.subscribe, "100ms")
     events = await stepped(calling, made, over)
@@ -103,7 +103,7 @@ async def cuts(calling: Calling, group: Any, over: asyncio.Event) -> None:
     assert len(set(brought)) == len(brought), f"{len(brought)} entries, {len(set(brought))} of them distinct"
 
 
-async def opened(calling: Calling, make: Any, *arguments: Any, **named: Any) -> Any:
+async def opened(calling: CallingClient, make: Any, *arguments: Any, **named: Any) -> Any:
     """Open a stream by a call that nothing interrupts.
 
     The blocking client waits in this call until the stream is open. The asyncio client waits for this later.
@@ -114,7 +114,7 @@ async def opened(calling: Calling, make: Any, *arguments: Any, **named: Any) -> 
             return made
 
 
-async def stepped(calling: Calling, made: Any, over: asyncio.Event) -> list[Any]:
+async def stepped(calling: CallingClient, made: Any, over: asyncio.Event) -> list[Any]:
     """The results of an iterator until its end."""
     seen: list[Any] = []
     ending = asyncio.ensure_future(_close_when(over, made))

@@ -18,7 +18,7 @@ from typing import Any
 import stampede_rt as st
 from stampede_rt import aio
 from tests.robustness.fuzz import channel_callers, other_callers
-from tests.robustness.fuzz.calling import BOUND_S, Calling
+from tests.robustness.fuzz.calling import BOUND_S, CallingClient
 from tests.robustness.fuzz.ledger import Ledger
 from tests.support.relayed_cluster import RelayedCluster
 
@@ -37,7 +37,7 @@ class Scenario:
         self._seconds = seconds
         self._pool = ThreadPoolExecutor(THREADS) if client == "sync" else None
         self._over = asyncio.Event()
-        self._callings: list[Calling] = []
+        self._callings: list[CallingClient] = []
         self._complaints: list[str] = []
 
     async def play(self) -> str:
@@ -62,18 +62,18 @@ class Scenario:
     def _complain(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         self._complaints.append(f"{context.get('message')}: {context.get('exception')!r}")
 
-    def _calling(self, who: str) -> Calling:
-        self._callings.append(Calling(f"{self._seed} {who}", self._pool))
+    def _calling(self, who: str) -> CallingClient:
+        self._callings.append(CallingClient(f"{self._seed} {who}", self._pool))
         return self._callings[-1]
 
-    async def _connect(self, calling: Calling) -> Any:
+    async def _connect(self, calling: CallingClient) -> Any:
         """Connect the scenario's client. The relay cuts connections of gRPC and of TCP sockets, and no Unix socket."""
         transport = TRANSPORTS[self._seed % len(TRANSPORTS)]
         return await calling.plain(
             aio.connect if calling.is_async else st.connect, self._world.address, transport=transport
         )
 
-    async def _call_all(self, calling: Calling, rt: Any, name: str) -> None:
+    async def _call_all(self, calling: CallingClient, rt: Any, name: str) -> None:
         """Run all callers together while connections are cut.
 
         Then compare their results with the cluster's contents.
@@ -115,7 +115,7 @@ class Scenario:
         assert len(seqs) == accepted, f"a subscription gave {len(seqs)} of {accepted} items"
         await self._judge_queue(calling, queue, eager, ledgers[queue], takers)
 
-    async def _while_cut(self, callers: dict[str, Callable[[Calling], Coroutine[Any, Any, None]]]) -> None:
+    async def _while_cut(self, callers: dict[str, Callable[[CallingClient], Coroutine[Any, Any, None]]]) -> None:
         cutting = asyncio.ensure_future(self._world.cut(random.Random(self._seed)))
         tasks = [asyncio.ensure_future(call(self._calling(who))) for who, call in callers.items()]
         try:
@@ -127,7 +127,7 @@ class Scenario:
             self._over.set()
         await asyncio.gather(*tasks)
 
-    async def _judge_queue(self, calling: Calling, queue: Any, eager: Any, ledger: Ledger, takers: Any) -> None:
+    async def _judge_queue(self, calling: CallingClient, queue: Any, eager: Any, ledger: Ledger, takers: Any) -> None:
         await calling.plain(eager.aclose if calling.is_async else eager.close)
         await takers.take_the_rest(calling, queue)
         seen = takers.acknowledged.copy()
@@ -135,7 +135,7 @@ class Scenario:
         ledger.open |= takers.unsure
         ledger.judge(seen)
 
-    async def _comes_and_goes(self, calling: Calling) -> None:
+    async def _comes_and_goes(self, calling: CallingClient) -> None:
         """Open separate connections, and close each in the middle of its calls."""
         while not self._over.is_set():
             rt = await calling.any_way("connect", self._connect(calling), 5)
@@ -152,7 +152,7 @@ class Scenario:
             for put in puts:
                 await calling.ended("put beside a close", put, 1)
 
-    async def _close_under_load(self, calling: Calling, rt: Any, name: str) -> None:
+    async def _close_under_load(self, calling: CallingClient, rt: Any, name: str) -> None:
         """Check that waiting callers get an error when the connection is closed."""
         channel = await calling.plain(rt.channel, f"{name}/a")
         queue = await calling.plain(rt.queue, name)

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from tests.robustness.histories.linearizability import NotLinearizable, Undecided, check_linearizable
+from tests.robustness.histories.linearizability import NotLinearizable, SearchGivenUp, check_linearizable
 from tests.robustness.histories.operations import Operation, by_key
 
 
@@ -45,7 +45,7 @@ class Delete:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class SeenChannel:
     """The channel as an answer showed it."""
 
     channel_id: bytes
@@ -63,17 +63,17 @@ class Refusal:
 
 
 @dataclass(frozen=True, slots=True)
-class Deleted:
+class DeletedChannel:
     """The channel was deleted."""
 
 
 @dataclass(frozen=True, slots=True)
-class Absent:
+class NoChannel:
     """No channel has the name."""
 
 
 @dataclass(frozen=True, slots=True)
-class Present:
+class ExistingChannel:
     """The channel with the name.
 
     An id of None: the answer to its creation was lost, and no later answer has shown it.
@@ -85,7 +85,7 @@ class Present:
     version: int
 
 
-State: TypeAlias = Absent | Present
+State: TypeAlias = NoChannel | ExistingChannel
 
 
 class ChannelModel:
@@ -112,11 +112,11 @@ class ChannelModel:
         raise AssertionError(f"no such call: {operation.call}")
 
     def _open(self, state: State, value: int, answer: object) -> State | None:
-        if isinstance(state, Absent):
+        if isinstance(state, NoChannel):
             if answer is None:
-                return Present(None, 1, value, 1)
+                return ExistingChannel(None, 1, value, 1)
             if (
-                isinstance(answer, Seen)
+                isinstance(answer, SeenChannel)
                 and answer.created
                 and (answer.epoch, answer.value, answer.version)
                 == (
@@ -125,26 +125,26 @@ class ChannelModel:
                     1,
                 )
             ):
-                return Present(answer.channel_id, 1, value, 1)
+                return ExistingChannel(answer.channel_id, 1, value, 1)
             return None
         if answer is None:
             return None  # without effect, so it may as well not have happened
-        return self._observe(state, answer) if isinstance(answer, Seen) and not answer.created else None
+        return self._observe(state, answer) if isinstance(answer, SeenChannel) and not answer.created else None
 
     def _resolve(self, state: State, answer: object) -> State | None:
         if answer == Refusal("CHANNEL_NOT_FOUND"):
-            return state if isinstance(state, Absent) else None
-        return self._observe(state, answer) if isinstance(answer, Seen) else None
+            return state if isinstance(state, NoChannel) else None
+        return self._observe(state, answer) if isinstance(answer, SeenChannel) else None
 
-    def _observe(self, state: State, seen: Seen) -> State | None:
-        if isinstance(state, Absent):
+    def _observe(self, state: State, seen: SeenChannel) -> State | None:
+        if isinstance(state, NoChannel):
             return None
         known = self._bind(state, seen.channel_id, seen.epoch)
         if known is None or (known.epoch, known.value, known.version) != (seen.epoch, seen.value, seen.version):
             return None
         return known
 
-    def _bind(self, state: Present, channel_id: bytes, epoch: int) -> Present | None:
+    def _bind(self, state: ExistingChannel, channel_id: bytes, epoch: int) -> ExistingChannel | None:
         """The state with this id and at least this epoch; None if the state contradicts them."""
         if state.channel_id is None and channel_id in self._created_ids:
             return None
@@ -153,7 +153,7 @@ class ChannelModel:
         return replace(state, channel_id=channel_id, epoch=max(state.epoch, epoch))
 
     def _update(self, state: State, call: Update, answer: object) -> State | None:
-        known = self._bind(state, call.channel_id, call.epoch) if isinstance(state, Present) else None
+        known = self._bind(state, call.channel_id, call.epoch) if isinstance(state, ExistingChannel) else None
         if answer == Refusal("CHANNEL_NOT_FOUND"):
             return self._without(state, call.channel_id)
         if answer == Refusal("WRONG_EPOCH"):
@@ -164,23 +164,23 @@ class ChannelModel:
         changed = replace(known, value=call.value, version=known.version + (known.value != call.value))
         if answer is None:
             return changed
-        return self._observe(changed, answer) if isinstance(answer, Seen) else None
+        return self._observe(changed, answer) if isinstance(answer, SeenChannel) else None
 
     def _delete(self, state: State, channel_id: bytes, answer: object) -> State | None:
         if answer == Refusal("CHANNEL_NOT_FOUND"):
             return self._without(state, channel_id)
-        if answer not in (None, Deleted()):
+        if answer not in (None, DeletedChannel()):
             return None
-        known = self._bind(state, channel_id, 0) if isinstance(state, Present) else None
-        return Absent() if known is not None else None
+        known = self._bind(state, channel_id, 0) if isinstance(state, ExistingChannel) else None
+        return NoChannel() if known is not None else None
 
     def _without(self, state: State, channel_id: bytes) -> State | None:
         """The state in which no channel has this id. A channel with an unknown id counts as another channel."""
-        return None if isinstance(state, Present) and state.channel_id == channel_id else state
+        return None if isinstance(state, ExistingChannel) and state.channel_id == channel_id else state
 
 
 def check_channel_histories(operations: Iterable[Operation]) -> int:
-    """Check each name's history. Returns the number of names. Raises NotLinearizable or Undecided."""
+    """Check each name's history. Returns the number of names. Raises NotLinearizable or SearchGivenUp."""
     histories = by_key(operations)
     for history in histories.values():
         _check(history)
@@ -194,15 +194,15 @@ def violations(operations: Iterable[Operation]) -> tuple[int, list[str]]:
     for history in histories.values():
         try:
             _check(history)
-        except (NotLinearizable, Undecided) as error:
+        except (NotLinearizable, SearchGivenUp) as error:
             wrong.append(str(error))
     return len(histories), wrong
 
 
 def _check(history: list[Operation]) -> None:
-    answers = [one.answer for one in history if isinstance(one.answer, Seen) and one.answer.created]
+    answers = [one.answer for one in history if isinstance(one.answer, SeenChannel) and one.answer.created]
     model = ChannelModel(frozenset(answer.channel_id for answer in answers))
-    check_linearizable([one for one in history if not _says_nothing(one)], Absent(), model.step)
+    check_linearizable([one for one in history if not _says_nothing(one)], NoChannel(), model.step)
 
 
 def _says_nothing(operation: Operation) -> bool:
@@ -212,7 +212,7 @@ def _says_nothing(operation: Operation) -> bool:
 def acknowledged_writes(operations: Iterable[Operation]) -> int:
     """The number of acknowledged changes: channels created, values set, channels deleted."""
     return sum(
-        isinstance(one.answer, Deleted)
-        or (isinstance(one.answer, Seen) and (one.answer.created or isinstance(one.call, Update)))
+        isinstance(one.answer, DeletedChannel)
+        or (isinstance(one.answer, SeenChannel) and (one.answer.created or isinstance(one.call, Update)))
         for one in operations
     )

@@ -22,7 +22,7 @@ class NotLinearizable(AssertionError):
     """No order explains the answers."""
 
 
-class Undecided(AssertionError):
+class SearchGivenUp(AssertionError):
     """The search was given up. This counts as a failure, because nothing is proven."""
 
 
@@ -67,7 +67,7 @@ def check_linearizable(
     """Check the history. `step` gives the state after an operation with the recorded answer, or None if that is
     impossible.
 
-    Raises NotLinearizable with the operation at which every order fails, or Undecided.
+    Raises NotLinearizable with the operation at which every order fails, or SearchGivenUp.
     """
     head = _linked(operations)
     unfinished = sum(not operation.ambiguous for operation in operations)
@@ -101,13 +101,13 @@ def check_linearizable(
 def _is_new(configuration: tuple[int, Hashable], visited: set[tuple[int, Hashable]], most: int) -> bool:
     """Whether the search reaches this configuration for the first time.
 
-    Raises Undecided after too many configurations.
+    Raises SearchGivenUp after too many configurations.
     """
     if configuration in visited:
         return False
     visited.add(configuration)
     if len(visited) > most:
-        raise Undecided(f"more than {most} configurations were searched without a proof")
+        raise SearchGivenUp(f"more than {most} configurations were searched without a proof")
     return True
 
 

@@ -10,7 +10,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from tests.robustness.histories.linearizability import NotLinearizable, Undecided, check_linearizable
+from tests.robustness.histories.linearizability import NotLinearizable, SearchGivenUp, check_linearizable
 from tests.robustness.histories.operations import Operation, by_key
 
 LAG_SECONDS_MAX = 1.0  # the greatest lag of a replica in sync
@@ -35,7 +35,7 @@ class ReadAll:
 
 
 @dataclass(frozen=True, slots=True)
-class Accepted:
+class ItemStored:
     """The host has stored the item."""
 
     incarnation: int
@@ -43,7 +43,7 @@ class Accepted:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class NewestSeq:
     """The newest item's seq; 0 if there was none."""
 
     incarnation: int
@@ -51,7 +51,7 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class AllItems:
     """All items: (seq, payload)."""
 
     incarnation: int
@@ -59,38 +59,38 @@ class Listed:
 
 
 @dataclass(frozen=True, slots=True)
-class Owned:
+class OwnerState:
     """The owner's incarnation, the newest known seq, and the incarnations that are over."""
 
     incarnation: int = 0
     seq: int = 0
     past: frozenset[int] = frozenset()
 
-    def under(self, incarnation: int) -> Owned | None:
+    def under(self, incarnation: int) -> OwnerState | None:
         """The state after an answer of `incarnation`; None if that incarnation is over."""
         if incarnation == self.incarnation:
             return self
-        return None if incarnation in self.past else Owned(incarnation, 0, self.past | {self.incarnation})
+        return None if incarnation in self.past else OwnerState(incarnation, 0, self.past | {self.incarnation})
 
 
-def step(state: Owned, operation: Operation) -> Owned | None:
+def step(state: OwnerState, operation: Operation) -> OwnerState | None:
     """The state after `operation`; None if the operation cannot give this answer in `state`."""
     answer = operation.answer
-    if isinstance(answer, Accepted):
+    if isinstance(answer, ItemStored):
         owned = state.under(answer.incarnation)
         fits = owned is not None and answer.seq > owned.seq
-        return Owned(owned.incarnation, answer.seq, owned.past) if owned is not None and fits else None
-    if isinstance(answer, Found | Listed):
+        return OwnerState(owned.incarnation, answer.seq, owned.past) if owned is not None and fits else None
+    if isinstance(answer, NewestSeq | AllItems):
         owned = state.under(answer.incarnation)
-        newest = answer.seq if isinstance(answer, Found) else max((seq for seq, _ in answer.items), default=0)
+        newest = answer.seq if isinstance(answer, NewestSeq) else max((seq for seq, _ in answer.items), default=0)
         # The seq is higher than the known one: other puts whose answers are unknown came before.
         fits = owned is not None and newest >= owned.seq
-        return Owned(owned.incarnation, newest, owned.past) if owned is not None and fits else None
+        return OwnerState(owned.incarnation, newest, owned.past) if owned is not None and fits else None
     raise AssertionError(f"no such answer: {answer}")
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class Judgement:
     """The judgement of the histories.
 
     `lost`: items that were acknowledged, or that a reader saw, but that a later reader of the same incarnation did not
@@ -108,7 +108,7 @@ class Judged:
     violations: tuple[str, ...]
 
 
-def judge_items(operations: Iterable[Operation]) -> Judged:
+def judge_items(operations: Iterable[Operation]) -> Judgement:
     """Check each channel's history. Raises nothing: the result has all violations."""
     histories = by_key(operations)
     lost = doubled = gone = acknowledged = 0
@@ -120,12 +120,12 @@ def judge_items(operations: Iterable[Operation]) -> Judged:
         violations += [f"{name}: {payload!r} was stored twice" for payload in sorted(twice)]
         violations += [f"{name}: {payload!r} was put by nobody" for payload in sorted(strange)]
         try:
-            check_linearizable([one for one in history if not one.ambiguous], Owned(), step)
-        except (NotLinearizable, Undecided) as error:
+            check_linearizable([one for one in history if not one.ambiguous], OwnerState(), step)
+        except (NotLinearizable, SearchGivenUp) as error:
             violations.append(str(error))
-        acknowledged += sum(isinstance(one.answer, Accepted) for one in history)
+        acknowledged += sum(isinstance(one.answer, ItemStored) for one in history)
         gone += sum(len(lost) for _, _, lost in _lost_with_hosts(history))
-    return Judged(len(histories), acknowledged, lost, doubled, gone, tuple(violations))
+    return Judgement(len(histories), acknowledged, lost, doubled, gone, tuple(violations))
 
 
 def _known(history: Sequence[Operation]) -> dict[int, dict[tuple[int, bytes], float]]:
@@ -135,9 +135,9 @@ def _known(history: Sequence[Operation]) -> dict[int, dict[tuple[int, bytes], fl
     """
     found: dict[int, dict[tuple[int, bytes], float]] = defaultdict(dict)
     for one in sorted(history, key=lambda one: one.returned):
-        if isinstance(one.answer, Accepted):
+        if isinstance(one.answer, ItemStored):
             found[one.answer.incarnation].setdefault((one.answer.seq, one.call.payload), one.returned)
-        elif isinstance(one.answer, Listed):
+        elif isinstance(one.answer, AllItems):
             for item in one.answer.items:
                 found[one.answer.incarnation].setdefault(item, one.returned)
     return found
@@ -164,7 +164,7 @@ def early_losses(operations: Iterable[Operation], slack_s: float = SLACK_SECONDS
     """
     found: list[str] = []
     for name, history in by_key(operations).items():
-        read = {one.answer.incarnation for one in history if isinstance(one.answer, Listed)}
+        read = {one.answer.incarnation for one in history if isinstance(one.answer, AllItems)}
         for incarnation, after, lost in _lost_with_hosts(history):
             last = _last_acknowledgement(history, incarnation)  # an owner may show later items, and acknowledge none
             early = [item for item, since in lost.items() if since < last - LAG_SECONDS_MAX - slack_s]
@@ -177,7 +177,7 @@ def early_losses(operations: Iterable[Operation], slack_s: float = SLACK_SECONDS
 
 def _last_acknowledgement(history: Sequence[Operation], incarnation: int) -> float:
     answers = ((one.returned, one.answer) for one in history)
-    times = (at for at, one in answers if isinstance(one, Accepted) and one.incarnation == incarnation)
+    times = (at for at, one in answers if isinstance(one, ItemStored) and one.incarnation == incarnation)
     return max(times, default=0.0)
 
 
@@ -189,7 +189,7 @@ def _shown_wrong(history: Sequence[Operation]) -> tuple[set[bytes], set[bytes], 
     doubled: set[bytes] = set()
     strange: set[bytes] = set()
     for reading in history:
-        if not isinstance(reading.answer, Listed):
+        if not isinstance(reading.answer, AllItems):
             continue
         payloads = [payload for _, payload in reading.answer.items]
         before = {item for item, since in known[reading.answer.incarnation].items() if since < reading.invoked}

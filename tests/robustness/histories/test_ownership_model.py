@@ -6,10 +6,10 @@ import pytest
 
 from tests.robustness.histories.operations import Operation
 from tests.robustness.histories.ownership_model import (
-    Accepted,
-    Found,
-    Listed,
+    AllItems,
+    ItemStored,
     Newest,
+    NewestSeq,
     Put,
     ReadAll,
     early_losses,
@@ -24,15 +24,15 @@ def op(call: object, invoked: float, returned: float | None, answer: object = No
 
 
 def put(payload: bytes, invoked: float, incarnation: int, seq: int, *, took: float = 1.0) -> Operation:
-    return op(Put(payload), invoked, invoked + took, Accepted(incarnation, seq))
+    return op(Put(payload), invoked, invoked + took, ItemStored(incarnation, seq))
 
 
 def newest(invoked: float, incarnation: int, seq: int) -> Operation:
-    return op(Newest(), invoked, invoked + 1, Found(incarnation, seq))
+    return op(Newest(), invoked, invoked + 1, NewestSeq(incarnation, seq))
 
 
 def listed(invoked: float, incarnation: int, *items: tuple[int, bytes]) -> Operation:
-    return op(ReadAll(), invoked, invoked + 1, Listed(incarnation, items))
+    return op(ReadAll(), invoked, invoked + 1, AllItems(incarnation, items))
 
 
 FIRST, SECOND = put(b"1", 0, A, 1), put(b"2", 2, A, 2)

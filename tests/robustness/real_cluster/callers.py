@@ -15,7 +15,7 @@ from stampede_rt.v1 import channel_pb2, directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_channel_host.cluster.host_lease import HostLease
 from stampede_rt_runtime.identity import Role
-from tests.robustness.histories.channel_model import Delete, Deleted, Open, Refusal, Resolve, Seen, Update
+from tests.robustness.histories.channel_model import Delete, DeletedChannel, Open, Refusal, Resolve, SeenChannel, Update
 from tests.robustness.histories.operations import Recorder
 from tests.robustness.real_cluster.cluster import Cluster, request_id
 
@@ -73,7 +73,7 @@ class Caller:
         self._cluster, self._recorder, self._hosts = cluster, recorder, hosts
         self._random_source = random.Random(f"{seed}-{number}")
         self._value = 1_000_000 * (number + 1)
-        self._seen: dict[str, Seen] = {}
+        self._seen: dict[str, SeenChannel] = {}
         self.not_done = 0
 
     async def run(self, began: float, pause_s: float = 0.05) -> None:
@@ -99,7 +99,7 @@ class Caller:
                 raise
         else:
             self._recorder.done(name, call, invoked, answer)
-            if isinstance(answer, Seen):
+            if isinstance(answer, SeenChannel):
                 self._seen[name] = answer
             else:
                 self._seen.pop(name, None)
@@ -115,7 +115,7 @@ class Caller:
         self._value += 1
         return Update(seen.channel_id, seen.epoch, self._value)
 
-    async def _answer(self, name: str, call: Open | Resolve | Update | Delete) -> Seen | Deleted:
+    async def _answer(self, name: str, call: Open | Resolve | Update | Delete) -> SeenChannel | DeletedChannel:
         invoked = time.monotonic()
         match call:
             case Open():
@@ -136,17 +136,17 @@ class Caller:
             case Delete(channel_id=channel_id):
                 forget = pb.DeleteChannelRequest(request_id=request_id(), channel_id=channel_id)
                 await persist(self._cluster, "DeleteChannel", forget, self._random_source)
-                return Deleted()
+                return DeletedChannel()
 
     def _check_owner(self, answer: Any, invoked: float) -> None:
         for host in self._hosts:
             host.hear(answer.channel, invoked)
 
 
-def seen_in(record: channel_pb2.ChannelRecord, *, created: bool = False) -> Seen:
+def seen_in(record: channel_pb2.ChannelRecord, *, created: bool = False) -> SeenChannel:
     """The facts about a channel that an answer showed."""
     value = record.spec.retention.max_items  # 0 if no limit was stated, because the directory allows no limit of 0
-    return Seen(record.channel_id, record.epoch, value, record.spec_version, created)
+    return SeenChannel(record.channel_id, record.epoch, value, record.spec_version, created)
 
 
 class HostActor:

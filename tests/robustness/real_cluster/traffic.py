@@ -11,7 +11,7 @@ import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_runtime.identity import Role
 from tests.robustness.histories.operations import Recorder
-from tests.robustness.histories.ownership_model import Accepted, Found, Listed, Newest, Put, ReadAll
+from tests.robustness.histories.ownership_model import AllItems, ItemStored, Newest, NewestSeq, Put, ReadAll
 from tests.robustness.real_cluster.cluster import Cluster
 
 CLIENT = "traffic"
@@ -98,7 +98,7 @@ class Traffic:
         except BaseException:
             self.recorder.ambiguous(channel.name, call, invoked)
             raise
-        self.recorder.done(channel.name, call, invoked, Accepted(item.incarnation, item.seq))
+        self.recorder.done(channel.name, call, invoked, ItemStored(item.incarnation, item.seq))
         return item
 
     async def newest(self, channel: aio.Channel) -> None:
@@ -106,11 +106,11 @@ class Traffic:
         invoked = time.monotonic()
         items = await channel.get(st.OLDEST, st.NEWEST, newest_first=True, limit=1, payloads=False)
         seq = items[0].seq if items else 0
-        self.recorder.done(channel.name, Newest(), invoked, Found(items.incarnation, seq))
+        self.recorder.done(channel.name, Newest(), invoked, NewestSeq(items.incarnation, seq))
 
     async def read_all(self, channel: aio.Channel) -> None:
         """Get all items. Raises StampedeError."""
         invoked = time.monotonic()
         items = await channel.get(st.OLDEST, st.NEWEST)
         listed = tuple((item.seq, item.payload or b"") for item in items)
-        self.recorder.done(channel.name, ReadAll(), invoked, Listed(items.incarnation, listed))
+        self.recorder.done(channel.name, ReadAll(), invoked, AllItems(items.incarnation, listed))

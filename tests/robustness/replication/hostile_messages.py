@@ -1,7 +1,7 @@
 """Well-formed messages with false contents, as a hostile holder of valid credentials may send them.
 
-A seed decides the messages. Half of the numbers are close to the victim's own numbers, where a rule is easily missed.
-The other numbers are arbitrary.
+A seed decides the messages. Half of the numbers are close to the victim's own numbers, because a missing check shows
+there first. The other numbers are arbitrary.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from tests.support.supernode.list_machine import PromiseBroken
 
 
 @dataclass
-class Said:
+class MemberPromises:
     """The promises that one member has made to others."""
 
     member_id: str
@@ -54,7 +54,7 @@ class Said:
 
 
 @dataclass
-class Committed:
+class CommittedEntries:
     """The entries that leaders have committed: the term of each index."""
 
     terms: dict[int, int] = field(default_factory=dict)

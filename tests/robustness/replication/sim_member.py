@@ -16,7 +16,7 @@ from stampede_rt_supernode.replication.storage.store import StoredState
 from stampede_rt_supernode.replication.wire.buffered_transport import (
     Outgoing,
 )
-from tests.robustness.replication.raft_rules import Said, check_match
+from tests.robustness.replication.raft_rules import MemberPromises, check_match
 from tests.support.supernode.list_machine import ListMachine, OlderListMachine, PromiseBroken
 from tests.support.supernode.simulated_disk import Disk, DiskStore
 
@@ -81,7 +81,7 @@ class SimMember:
             kept_log_bytes_max=world.kept_log_bytes,
         )
         self.disk = Disk()
-        self.said = Said(member.member_id)
+        self.said = MemberPromises(member.member_id)
         # Whether it does not know the command `NEWER_COMMAND`, like a member of an older release.
         self.is_older = self.was_older = False
         self.machine = ListMachine(world.history)
@@ -137,7 +137,7 @@ class SimMember:
     def put_back(self, state: StoredState) -> None:
         """Restore a backup of its disk while it is down."""
         self.disk.put_back(state)
-        self.said, self.rolled_back = Said(self.member.member_id), True
+        self.said, self.rolled_back = MemberPromises(self.member.member_id), True
 
     def hang(self, seconds: float) -> None:
         """Stop its disk for `seconds`: the log stands still, and the rest of the process goes on."""

@@ -35,7 +35,7 @@ from stampede_rt_supernode.replication.wire.messages import ForwardedCommand, Re
 from stampede_rt_supernode.replication.wire.records import MalformedMessage
 from tests.robustness.replication.fault_rates import FaultRates
 from tests.robustness.replication.hostile_messages import Liar
-from tests.robustness.replication.raft_rules import Committed
+from tests.robustness.replication.raft_rules import CommittedEntries
 from tests.robustness.replication.simulate import Trial, draw_fault_rates, heal_and_check
 from tests.robustness.replication.world import World
 from tests.support.supernode.list_machine import History, ListMachine
@@ -86,7 +86,7 @@ class Credulous(History):
         """Do nothing."""
 
 
-class Unjudged(Committed):
+class UncheckedRules(CommittedEntries):
     """The rules without checks, because a misled member may commit wrong entries."""
 
     def by_leader(self, *facts: object) -> None:  # type: ignore[override]
@@ -241,7 +241,7 @@ def test_callers_that_are_not_members_cannot_stop_the_cluster(seed: int) -> None
 def test_members_that_outsiders_have_misled_find_each_other_after_a_restart(seed: int) -> None:
     """A member that is cut off may listen to outsiders. No process ends, and the members find each other again."""
     world = World(seed, size=3, fault_rates=draw_fault_rates(random.Random(seed)))
-    world.history, world.committed, world.may_be_misled = Credulous(), Unjudged(), True
+    world.history, world.committed, world.may_be_misled = Credulous(), UncheckedRules(), True
     for member in world.members.values():
         member.start()
     outsider = Outsider(world)

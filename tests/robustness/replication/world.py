@@ -28,7 +28,7 @@ from stampede_rt_supernode.replication.wire.buffered_transport import (
 from stampede_rt_supernode.replication.wire.codec import decode_message, encode_message
 from stampede_rt_supernode.replication.wire.messages import ForwardedCommand, Message
 from tests.robustness.replication.fault_rates import FaultRates
-from tests.robustness.replication.raft_rules import Committed
+from tests.robustness.replication.raft_rules import CommittedEntries
 from tests.robustness.replication.sim_member import SimMember, Wire
 from tests.support.supernode.list_machine import History, PromiseBroken
 
@@ -58,7 +58,7 @@ class World:
         self.now = 0.0
         self.timing = timing
         self.history = History()
-        self.committed = Committed()
+        self.committed = CommittedEntries()
         # Whether there are hostile peers, whose false statements members may repeat.
         self.may_be_misled = False
         self._events: list[tuple[float, int, Callable[[], None]]] = []

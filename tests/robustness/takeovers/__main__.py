@@ -23,7 +23,7 @@ SIMULATORS: dict[str, Callable[[int], Any]] = {
 }
 
 
-class Played(NamedTuple):
+class PlayedSeed(NamedTuple):
     """One seed. `failure`: the traceback of a broken promise; empty if all were kept."""
 
     seed: int
@@ -46,15 +46,15 @@ def main() -> int:
     return 1 if any(failed) else 0
 
 
-def _play(kind: str, seed: int) -> Played:
+def _play(kind: str, seed: int) -> PlayedSeed:
     logging.disable(logging.ERROR)
     try:
-        return Played(seed, SIMULATORS[kind](seed), "")
+        return PlayedSeed(seed, SIMULATORS[kind](seed), "")
     except Exception:  # noqa: BLE001 - every failure is reported with its seed
-        return Played(seed, None, traceback.format_exc())
+        return PlayedSeed(seed, None, traceback.format_exc())
 
 
-def _report(kind: str, played: Iterable[Played]) -> int:
+def _report(kind: str, played: Iterable[PlayedSeed]) -> int:
     """Print the failures and the sums of all figures. Returns the number of failures."""
     failures, found = 0, []
     for one in played:

@@ -37,7 +37,7 @@ class VirtualClock:
         return _START_UNIX_NANO + self.monotonic_ns()
 
 
-class _Jumping(selectors.DefaultSelector):
+class _JumpingSelector(selectors.DefaultSelector):
     """Moves the clock instead of waiting. It does not look at files: the tasks use none."""
 
     def __init__(self, clock: VirtualClock) -> None:
@@ -91,7 +91,7 @@ def run_virtually(
             patches.enter_context(patch.object(time, "monotonic", clock.monotonic))
             patches.enter_context(patch.object(time, "monotonic_ns", clock.monotonic_ns))
             patches.enter_context(patch.object(asyncio, "to_thread", _on_the_loop))
-            with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(_Jumping(clock))) as runner:
+            with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(_JumpingSelector(clock))) as runner:
                 return runner.run(main(clock))
     finally:
         random.setstate(state)

@@ -29,7 +29,7 @@ ANSWER_SECONDS_MAX = 0.03  # of the directory, one way
 WAY_SECONDS_MAX = 0.005  # between two hosts
 
 
-class Between(Protocol):
+class StreamEnds(Protocol):
     """A stream from `caller` to `source`; `caller` None: from a client."""
 
     source: Host
@@ -226,14 +226,14 @@ class Cluster(World):
             if not self.reaches(link):
                 link.cut()
 
-    def reaches(self, link: Between) -> bool:
+    def reaches(self, link: StreamEnds) -> bool:
         return frozenset(self._ends(link)) not in self.cut_pairs
 
-    def delay_s(self, link: Between) -> float:
+    def delay_s(self, link: StreamEnds) -> float:
         slow_s = (self.slow_s.get(one, 0.0) for one in self._ends(link))
         return max(self.rng.uniform(0, WAY_SECONDS_MAX), *slow_s)
 
-    def _ends(self, link: Between) -> list[int]:
+    def _ends(self, link: StreamEnds) -> list[int]:
         """The numbers of the hosts at both ends; 0 for a client."""
         return [0 if one is None else self._number(one.identity.host_id) for one in (link.source, link.caller)]
 

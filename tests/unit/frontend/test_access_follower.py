@@ -15,7 +15,7 @@ from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
 
 
-class Told(access_service_pb2_grpc.AccessServiceServicer):
+class SupernodeAnswers(access_service_pb2_grpc.AccessServiceServicer):
     """A supernode's answers. `version` 0: the supernode refuses to answer."""
 
     def __init__(self) -> None:
@@ -29,8 +29,8 @@ class Told(access_service_pb2_grpc.AccessServiceServicer):
 
 
 @asynccontextmanager
-async def followed() -> AsyncIterator[tuple[Told, AccessControl, AccessFollower, grpc.aio.Channel]]:
-    told, control = Told(), AccessControl()
+async def followed() -> AsyncIterator[tuple[SupernodeAnswers, AccessControl, AccessFollower, grpc.aio.Channel]]:
+    told, control = SupernodeAnswers(), AccessControl()
     async with (
         serving(lambda server: access_service_pb2_grpc.add_AccessServiceServicer_to_server(told, server)) as server,
         dial(server.address, secret=None) as channel,

@@ -15,7 +15,7 @@ CALLERS = 200
 async def test_callers_that_wait_for_a_supernode_go_on_a_few_in_each_turn() -> None:
     healthy = False
     roster: Any = SupernodeRoster(("s:1",))
-    prober = Prober(_Judged(lambda: healthy), lambda target: roster)
+    prober = Prober(_JudgedRoster(lambda: healthy), lambda target: roster)
     turns: Counter[int] = Counter()
     turn = 0
 
@@ -38,7 +38,7 @@ async def test_callers_that_wait_for_a_supernode_go_on_a_few_in_each_turn() -> N
     assert not prober._waiting
 
 
-class _Judged(SupernodeRoster):
+class _JudgedRoster(SupernodeRoster):
     """A roster whose health a test decides."""
 
     __slots__ = ("_judge",)

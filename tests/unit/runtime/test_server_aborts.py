@@ -32,15 +32,15 @@ SERVED = {"RPCState", "_ServicerContext", "CallerWork", "_ChargedCoroutine"}  # 
 UPDATE = "/stampede_rt.v1.DirectoryService/UpdateChannel"
 
 
-class Held:
+class HeldObject:
     """Stands for an object that a method holds when it refuses."""
 
 
-class Refusing(grpc.GenericRpcHandler):
+class RefusingServicer(grpc.GenericRpcHandler):
     """A single call and a stream that hold something and then raise."""
 
     def __init__(self) -> None:
-        self.held: list[weakref.ref[Held]] = []
+        self.held: list[weakref.ref[HeldObject]] = []
         self.begun = asyncio.Event()
 
     def service(self, details: grpc.HandlerCallDetails) -> Any:
@@ -53,7 +53,7 @@ class Refusing(grpc.GenericRpcHandler):
         return grpc.unary_stream_rpc_method_handler(self._watch, pb.ListChannelsRequest.FromString)
 
     async def _list(self, _request: pb.ListChannelsRequest, _context: Any) -> bytes:
-        held = Held()
+        held = HeldObject()
         self.held.append(weakref.ref(held))
         failure = InvalidArgument("refused")  # the frame and the error now refer to each other
         raise failure
@@ -67,7 +67,7 @@ class Refusing(grpc.GenericRpcHandler):
         await asyncio.Event().wait()
 
     async def _watch(self, _request: pb.ListChannelsRequest, _context: Any) -> AsyncIterator[bytes]:
-        held = Held()
+        held = HeldObject()
         self.held.append(weakref.ref(held))
         yield b""
         raise InvalidArgument("refused")
@@ -75,7 +75,7 @@ class Refusing(grpc.GenericRpcHandler):
 
 @pytest.mark.parametrize("method", [LIST, WATCH])
 async def test_the_memory_of_a_refused_call_is_freed_without_the_collector(method: str) -> None:
-    handler = Refusing()
+    handler = RefusingServicer()
     gc.collect()
     gc.disable()
     try:
@@ -99,7 +99,7 @@ async def test_the_task_of_a_call_is_freed_without_the_collector(method: str) ->
 
     These were 14 objects, 77 if the call was refused, and 89 if its caller cancelled it.
     """
-    handler = Refusing()
+    handler = RefusingServicer()
     async with serving(lambda server: server.add_generic_rpc_handlers((handler,))) as server:
         channel = dial(server.address, secret=None)
         gc.collect()

@@ -31,7 +31,7 @@ class Sample:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Demanding:
+class DemandingSettings:
     """Needs a name."""
 
     name: str = field(metadata=setting(help="its name", example="rig1"))
@@ -178,7 +178,7 @@ def test_settings_that_exclude_each_other_are_refused_by_the_dataclass() -> None
 
 def test_a_setting_without_a_default_must_be_given() -> None:
     with pytest.raises(SettingsError, match=r"--name is missing; give it, or set \$STAMPEDE_DEMANDING_NAME"):
-        load_settings(Demanding, service="demanding", argv=(), environ={})
+        load_settings(DemandingSettings, service="demanding", argv=(), environ={})
 
 
 def test_help_lists_every_flag_with_its_text_and_default() -> None:
@@ -197,7 +197,7 @@ def test_help_lists_every_flag_with_its_text_and_default() -> None:
 
 def test_help_wins_over_a_missing_setting() -> None:
     with pytest.raises(HelpRequested):
-        load_settings(Demanding, service="demanding", argv=["--help"], environ={})
+        load_settings(DemandingSettings, service="demanding", argv=["--help"], environ={})
 
 
 def sample_of(cls: type) -> str:
@@ -220,9 +220,9 @@ def test_every_setting_of_the_sample_shows_its_default_in_a_form_that_loads(tmp_
 
 
 def test_a_required_setting_of_the_sample_has_its_example(tmp_path: Path) -> None:
-    (tmp_path / "sample.toml").write_text(sample_of(Demanding))
+    (tmp_path / "sample.toml").write_text(sample_of(DemandingSettings))
     argv = ["--config", str(tmp_path / "sample.toml")]
-    assert load_settings(Demanding, service="sample", argv=argv, environ={}).name == "rig1"
+    assert load_settings(DemandingSettings, service="sample", argv=argv, environ={}).name == "rig1"
 
 
 def test_arguments_that_ask_for_help_are_distinguished_from_a_run_a_wrong_flag_and_a_verb() -> None:

@@ -64,7 +64,7 @@ def records_of_services(source: ByteSource) -> None:
     repr(read(drawn_message(source, kind.DESCRIPTOR, KNOWN)))
 
 
-class _Failed(Exception):
+class _FailedCall(Exception):
     """An error as gRPC raises it for a failed call."""
 
     def __init__(self, code: Any, details: str | None, trailers: Any) -> None:
@@ -85,7 +85,7 @@ def error(source: ByteSource) -> None:
     if source.chance(50):
         encoded = damaged(source, encoded)
     trailers = ((DETAILS_KEY, encoded), ("other", hostile_values.text(source)))
-    failed: Any = _Failed(source.choice(tuple(grpc.StatusCode)), hostile_values.text(source), trailers)
+    failed: Any = _FailedCall(source.choice(tuple(grpc.StatusCode)), hostile_values.text(source), trailers)
     assert str(from_rpc_error(failed, "localhost:1")) is not None
     assert isinstance(from_rpc_error(failed, "localhost:1"), StampedeError)
 

@@ -116,7 +116,7 @@ def test_the_loss_of_the_first_file_goes_to_the_object_store_with_the_second_one
     check(files, (moved,), {1, 2, 3, 4}, 8)
 
 
-def test_the_first_file_after_an_only_file_without_a_whole_block_says_lost(tmp_path: Path) -> None:
+def test_a_second_file_says_lost_if_the_first_file_has_no_whole_block(tmp_path: Path) -> None:
     files, _ = opened(tmp_path)
     write(files, 1, 2)
     files.close(CleanStop(7, epoch=2))

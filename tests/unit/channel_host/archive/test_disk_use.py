@@ -61,7 +61,7 @@ def test_a_full_archive_still_takes_items_of_channels_that_are_charged_with_thei
     first.check(2**17)
 
 
-def test_items_and_a_new_folder_count_from_the_acceptance_of_the_items_on() -> None:
+def test_items_and_a_new_folder_count_as_soon_as_the_channel_accepts_the_items() -> None:
     disk = DiskUse(MIB)
     one = disk.of_channel(ONE, "cam")
     one.check(MIB - FOLDER_BYTES)
@@ -123,7 +123,7 @@ def refused(*_: Any) -> None:
 def test_a_refusal_makes_room_of_outdated_files_and_of_folders_that_an_operator_has_deleted(
     folder: ArchiveFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Although the files of another channel cannot be deleted. In an earlier version this failure ended the pass."""
+    """The files of another channel cannot be deleted. In an earlier version this failure ended the pass."""
     monkeypatch.setattr(host_archive, "RETRY_SECONDS", 0)
     recorded(folder, TWO, "")
     disk = DiskUse(1)

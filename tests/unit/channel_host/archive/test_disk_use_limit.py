@@ -23,7 +23,7 @@ MS = 10**6
 Step = tuple[str, int, int]  # the kind of step, the channel, the bytes
 
 
-class Recorded:
+class RecordedChannelRig:
     """A channel with its recorder. The recorder writes only when the test says so."""
 
     def __init__(self, disk: DiskUse, folder: Path, number: int, limits: ArchiveLimits) -> None:
@@ -80,7 +80,9 @@ def test_the_files_stay_within_the_limit(
 ) -> None:
     with TemporaryDirectory() as name:
         folder, disk = Path(name), DiskUse(LIMIT)
-        channels = [Recorded(disk, folder, one, ArchiveLimits(age_nanos, own_limits[one])) for one in range(3)]
+        channels = [
+            RecordedChannelRig(disk, folder, one, ArchiveLimits(age_nanos, own_limits[one])) for one in range(3)
+        ]
         for at, (what, which, size) in enumerate((*steps, ("write", 0, 0), ("write", 1, 0), ("write", 2, 0))):
             one, now = channels[which], (at + 1) * MS
             if what == "put":
@@ -98,7 +100,9 @@ def test_the_files_stay_within_the_limit(
 
 def test_a_channel_at_its_own_limit_is_still_recorded_while_the_archive_is_full(tmp_path: Path) -> None:
     disk = DiskUse(LIMIT)
-    ring, other = (Recorded(disk, tmp_path, number, ArchiveLimits(None, own)) for number, own in ((0, MIB), (1, None)))
+    ring, other = (
+        RecordedChannelRig(disk, tmp_path, number, ArchiveLimits(None, own)) for number, own in ((0, MIB), (1, None))
+    )
     for at in range(40):
         assert ring.put(2**16, at * MS)
         ring.write()
@@ -114,7 +118,7 @@ def test_a_channel_at_its_own_limit_is_still_recorded_while_the_archive_is_full(
 
 def test_items_that_memory_drops_while_the_disk_fails_stop_counting(tmp_path: Path) -> None:
     disk = DiskUse(10 * BYTES_PER_WRITE)
-    one = Recorded(disk, tmp_path, 0, ArchiveLimits(None, None))
+    one = RecordedChannelRig(disk, tmp_path, 0, ArchiveLimits(None, None))
     for at in range(40 * BYTES_PER_WRITE // MIB):  # memory keeps one of them
         assert one.put(MIB, at * MS)
     assert disk.used_bytes <= BYTES_PER_WRITE + 3 * MIB
@@ -122,7 +126,7 @@ def test_items_that_memory_drops_while_the_disk_fails_stop_counting(tmp_path: Pa
 
 def test_a_channel_that_the_host_has_given_up_reserves_no_bytes(tmp_path: Path) -> None:
     disk = DiskUse(LIMIT)
-    one = Recorded(disk, tmp_path, 0, ArchiveLimits(None, None))
+    one = RecordedChannelRig(disk, tmp_path, 0, ArchiveLimits(None, None))
     assert one.put(MIB, MS)
     one.advance(2 * MS)
     one.recorder.stop()

@@ -24,7 +24,7 @@ from tests.support.channel_host.recorded_hosts import Host, Owner, host, quick_l
 def test_a_host_without_an_archive_refuses_a_recorded_channel_with_its_name_and_advice() -> None:
     recordings = Recordings()
     recordings.check("rig/imu", is_recorded=False)
-    with pytest.raises(InvalidArgument, match=r"rig/imu is to be recorded .* start the host with --archive FOLDER"):
+    with pytest.raises(InvalidArgument, match=r"rig/imu is to be recorded .* with an archive \(--archive FOLDER"):
         recordings.check("rig/imu", is_recorded=True)
 
 
@@ -166,8 +166,9 @@ async def lost(path: Path, store: FakeStore, epoch: int, *times: int) -> None:
 @pytest.mark.usefixtures("quick_looks")
 @pytest.mark.asyncio
 async def test_items_of_lost_owners_that_come_to_the_store_later_are_all_there(tmp_path: Path) -> None:
-    """In an earlier version each owner used the seqs of the items again that it did not find in the store. So the items
-    of one owner hid those of the other, and reads said COLLECTED for them."""
+    """In an earlier version, an owner that did not find some items in the store gave their seqs to new items. The items
+    of one owner then hid the items of the other, and reads said COLLECTED for the hidden ones.
+    """
     store = FakeStore()
     await lost(tmp_path / "a", store, 1, 10, 11, 12)
     await lost(tmp_path / "b", store, 2, 20, 21)

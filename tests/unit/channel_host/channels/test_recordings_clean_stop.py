@@ -179,7 +179,7 @@ async def test_after_an_item_in_the_future_the_next_owner_says_lost_from_the_las
 
 
 async def idle_run(path: Path, store: FakeStore, epoch: int, *, is_clean: bool = True) -> None:
-    """A process of the host that owns the channel in this epoch, and that no client asks for it."""
+    """A process of the host that owns the channel in this epoch. No client uses the channel meanwhile."""
     one = Host(path, store)
     one.mover.own({CHANNEL: epoch})
     if is_clean:
@@ -210,7 +210,7 @@ async def test_a_channel_that_nobody_used_since_the_start_of_its_host_is_known_a
 
 
 @pytest.mark.asyncio
-async def test_files_that_a_stop_has_left_behind_reach_the_store_at_an_idle_start_and_so_does_the_stop(
+async def test_a_start_without_callers_moves_the_last_files_and_the_clean_stop_to_the_store(
     tmp_path: Path,
 ) -> None:
     store = FakeStore()
@@ -268,7 +268,7 @@ def test_an_object_with_another_name_says_nothing_about_the_stop(name: str) -> N
 
 @pytest.mark.asyncio
 async def test_a_listing_that_began_before_the_last_segment_was_made_is_repeated(tmp_path: Path) -> None:
-    class Late(FakeStore):
+    class LateListing(FakeStore):
         """A store whose first listing has the clean stop, but not the segment that the owner made before it."""
 
         hides = False
@@ -277,7 +277,7 @@ async def test_a_listing_that_began_before_the_last_segment_was_made_is_repeated
             hides, self.hides = self.hides, False
             yield from (one for one in super().find(prefix) if not (hides and one.name.endswith(".segment")))
 
-    store = Late()
+    store = LateListing()
     first = await owner(tmp_path / "a", store, 1)
     await first.put(1, 2, 3)
     await stop(first)
@@ -292,7 +292,7 @@ async def test_a_listing_that_began_before_the_last_segment_was_made_is_repeated
 async def test_a_host_that_cannot_tell_the_next_owner_about_its_stop_logs_why(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    class Refusing(FakeStore):
+    class SegmentsOnlyStore(FakeStore):
         """A store that takes segments only."""
 
         async def create(self, name: str, content: bytes | bytearray) -> bool:
@@ -300,7 +300,7 @@ async def test_a_host_that_cannot_tell_the_next_owner_about_its_stop_logs_why(
                 raise StoreError("the store refuses this name")
             return await super().create(name, content)
 
-    one = await owner(tmp_path / "a", Refusing(), 1)
+    one = await owner(tmp_path / "a", SegmentsOnlyStore(), 1)
     await one.put(1)
     await stop(one)
     whys = [vars(line).get("why") for line in caplog.records if vars(line).get("event") == "archive_store_failed"]

@@ -34,7 +34,7 @@ CLOCK = 1000
 LAST = 12  # the seq and the time of the last item
 
 
-class Restarted:
+class RestartedChannel:
     """A channel of a host that has started with this folder."""
 
     def __init__(self, folder: Path, restored_bytes: int = 2**20) -> None:
@@ -85,7 +85,7 @@ def flips(former: bytes) -> Iterator[bytes]:
         yield bytes(flipped)
 
 
-def check(host: Restarted, last: int) -> None:
+def check(host: RestartedChannel, last: int) -> None:
     """Check that a read that lacks items up to the seq `last` says so, whatever its interval and direction."""
     assert last - len(seqs(host.read(0, last + 1))) in (0, 2), "a flipped bit costs one block"
     for start in range(0, last + 1, 2):
@@ -101,7 +101,7 @@ def test_each_read_that_lacks_items_of_a_damaged_block_says_so(path: Path, resto
     for flipped in flips(former):
         path.write_bytes(flipped)
         path.with_name("stopped-cleanly").write_bytes(note)
-        host = Restarted(path.parent, restored_bytes)
+        host = RestartedChannel(path.parent, restored_bytes)
         assert (host.found.damaged_blocks, host.found.torn_bytes) == (1, 0)
         assert host.channel.next_seq == LAST + 1, "no later item gets the seq of a lost one"
         check(host, LAST)
@@ -112,18 +112,18 @@ def test_a_damaged_block_stays_a_loss_when_later_items_and_another_stop_have_com
     for flipped in [*flips(former)][::3]:
         path.write_bytes(flipped)
         path.with_name("stopped-cleanly").write_bytes(note)
-        first = Restarted(path.parent)
+        first = RestartedChannel(path.parent)
         write(first.files, LAST + 1, 1)
         first.files.close(
             CleanStop(7, epoch=2, lost_from=first.channel.lost_from, lost_before=first.channel.lost_before)
         )
-        check(Restarted(path.parent), LAST + 2)
+        check(RestartedChannel(path.parent), LAST + 2)
         for later in {*path.parent.glob("*.segment")} - {path}:
             later.unlink()
 
 
 def test_an_item_with_the_time_of_the_last_archived_items_hides_none_of_them(path: Path) -> None:
-    host = Restarted(path.parent, restored_bytes=1)
+    host = RestartedChannel(path.parent, restored_bytes=1)
     held, _ = host.channel.look(CLOCK)
     edge = held.newest_collected
     assert edge is not None
@@ -141,7 +141,7 @@ def test_a_channel_whose_items_have_times_before_a_loss_takes_and_shows_later_it
     lost_before = 500  # the host was lost at 500, and the items after it have the times 5 and 6
     files.write([SeqGap(5, 5, lost_before), [ArchivedRun(600, run_at(5))]], NO_LIMITS)
     files.close(CleanStop(7, lost_from=4, lost_before=lost_before, epoch=2))
-    host = Restarted(tmp_path)
+    host = RestartedChannel(tmp_path)
     kept = host.channel.put(Offer(times=[7], durations=None, lengths=[1]), CLOCK, lambda *_: b"7")
     assert kept.run is not None
     newest = Query(interval=Interval(OLDEST, NOW), newest_first=True, limit=1)
@@ -157,7 +157,7 @@ def test_a_ring_asks_the_host_for_the_newest_item_if_only_the_archive_has_items(
     files, _ = opened(tmp_path)
     files.write([SeqGap(5, 5, 500), [ArchivedRun(600, run_at(5))]], NO_LIMITS)
     files.close(CleanStop(7, lost_from=4, lost_before=500, epoch=2))
-    channel = Restarted(tmp_path).channel
+    channel = RestartedChannel(tmp_path).channel
     channel.record(channel.next_seq)
     facts, size = channel.ring_facts(), ring_size(2**12)
     memory = memoryview(bytearray(size.whole_bytes))

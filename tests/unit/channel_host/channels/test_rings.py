@@ -250,7 +250,7 @@ async def test_a_short_share_gives_a_shorter_ring_and_a_longer_one_when_there_is
     assert host.hosted.ring.fit.data_bytes == 40 * MIB
 
 
-async def test_a_longer_ring_takes_the_runs_for_which_the_short_one_ended() -> None:
+async def test_a_longer_ring_takes_the_runs_that_were_too_long_for_the_short_one() -> None:
     """In an earlier version, the longer ring had room for the newest runs only. The next large item ended it again."""
     host = Host(bytes_max=8 * MIB * MEMORY_SHARE)
     host.put(bytes(300_000))

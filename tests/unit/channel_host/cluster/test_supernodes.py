@@ -35,7 +35,7 @@ async def test_a_call_repeats_after_an_error_unless_the_caller_names_its_reason(
     assert min(directory.calls["ResolveChannel"], 2) == asked
 
 
-class Stopped(FakeDirectory):
+class SilentSupernode(FakeDirectory):
     """A supernode that takes questions, and never answers one."""
 
     async def ResolveChannel(self, request: Any, context: Any) -> Any:  # noqa: N802
@@ -44,7 +44,7 @@ class Stopped(FakeDirectory):
 
 
 async def test_a_call_asks_another_supernode_if_the_cluster_removes_the_stopped_one_meanwhile() -> None:
-    stopped, directory = Stopped(), FakeDirectory()
+    stopped, directory = SilentSupernode(), FakeDirectory()
     directory.refuse["ResolveChannel"] = ChannelNotFound("no such channel")
     async with serving(stopped.register) as gone, serving(directory.register) as stays:
         directory.target = gone.address

@@ -50,7 +50,7 @@ def test_a_replica_reports_new_items_immediately_and_a_sign_of_life_needs_no_rep
     assert not rig.hears()
 
 
-def test_reports_repeat_the_reading_of_the_clock_which_the_source_would_answer() -> None:
+def test_reports_soon_after_each_other_have_the_same_clock_reading() -> None:
     rig = Rig()
     first = rig.feed._request().sent_nanos
     rig.clock.boot_nanos += 50 * MS

@@ -127,14 +127,14 @@ async def test_a_replica_that_knows_the_producer_gets_the_short_form_of_a_put_if
 async def test_a_producer_has_its_ack_when_the_host_wakes_the_readers() -> None:
     async with fed() as one:
         acks_at_wakes: list[int] = []
-        one.hosted.group_observers[Waking(lambda: acks_at_wakes.append(len(one.acks())))] = None
+        one.hosted.group_observers[WakingObserver(lambda: acks_at_wakes.append(len(one.acks())))] = None
         for _ in range(2):
             one.put()
             one.report()
         assert acks_at_wakes == [1, 2]
 
 
-class Waking:
+class WakingObserver:
     """An observer of a channel that calls `wake`."""
 
     def __init__(self, wake: Callable[[], object]) -> None:

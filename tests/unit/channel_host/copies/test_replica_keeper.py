@@ -56,7 +56,7 @@ class Directory:
         self.has_changed.set()
 
 
-class Frozen:
+class FrozenConnection:
     """A connection to a host that never answers."""
 
     def unary_unary(self, method: str, **_: Any) -> Any:
@@ -80,7 +80,7 @@ async def test_the_flag_of_a_silent_replica_is_cleared_while_another_host_is_fro
     store: Any = Store()
     directory: Any = Directory()
     identity = HostIdentity(host_id=OWNER, name="h1", boot_incarnation=1)
-    keeper = ReplicaKeeper(identity, store, directory, lambda target: Frozen())  # type: ignore[arg-type,return-value]
+    keeper = ReplicaKeeper(identity, store, directory, lambda target: FrozenConnection())  # type: ignore[arg-type,return-value]
     store.on_replicated(hosted)
     try:
         async with asyncio.timeout(WAIT_SECONDS_MAX):
@@ -100,7 +100,7 @@ class LonelyDirectory(Directory):
 async def test_an_owner_asks_less_often_while_no_host_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
     store: Any = Store()
     directory: Any = LonelyDirectory()
-    kept = KeptChannel(OWNER, store, directory, lambda target: Frozen(), opened(replicas=1))  # type: ignore[arg-type,return-value]
+    kept = KeptChannel(OWNER, store, directory, lambda target: FrozenConnection(), opened(replicas=1))  # type: ignore[arg-type,return-value]
     tried_at_s = []
     for now_s in range(1000, 1040):
         monkeypatch.setattr(asyncio.get_running_loop(), "time", lambda now_s=now_s: float(now_s))

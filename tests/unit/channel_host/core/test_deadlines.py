@@ -40,7 +40,7 @@ def test_a_deadline_that_is_extended_repeatedly_takes_no_more_room() -> None:
     assert deadlines.pop(9_999) is one
 
 
-class Watched:
+class WatchedEntry:
     """Counts how often its deadline is read, in `reads`."""
 
     reads = 0
@@ -51,7 +51,7 @@ class Watched:
 
     @property
     def due(self) -> int | None:
-        Watched.reads += 1
+        WatchedEntry.reads += 1
         return self._due
 
     @due.setter
@@ -60,15 +60,15 @@ class Watched:
 
 
 def test_no_call_looks_at_all_deadlines_though_nearly_all_of_them_are_outdated() -> None:
-    deadlines = Deadlines[Watched]()
-    things = [Watched(order) for order in range(10_000)]
+    deadlines = Deadlines[WatchedEntry]()
+    things = [WatchedEntry(order) for order in range(10_000)]
     for thing in things:
         deadlines.arm(thing, 10**6 + thing.order)
     for thing in things[1:]:
         deadlines.disarm(thing)
     for due in range(10_000):
-        Watched.reads = 0
+        WatchedEntry.reads = 0
         deadlines.arm(things[-1], 10**7 - due)
-        assert Watched.reads < 50
+        assert WatchedEntry.reads < 50
     assert len(deadlines._heap) + len(deadlines._old) < 200
     assert [deadlines.pop(10**8) for _ in range(3)] == [things[0], things[-1], None]

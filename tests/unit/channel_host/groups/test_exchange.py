@@ -21,7 +21,7 @@ from stampede_rt_channel_host.groups.table import HostedGroups
 OWN, LEFT, RIGHT = b"o" * 16, b"l" * 16, b"r" * 16
 
 
-class Walked(dict[bytes, HostedGroup]):
+class WalkCounter(dict[bytes, HostedGroup]):
     """Counts the walks over all groups."""
 
     walks = 0
@@ -40,7 +40,7 @@ class Groups:
 
     def __init__(self) -> None:
         self.table = HostedGroups()
-        self.table.groups = self.walked = Walked()
+        self.table.groups = self.walked = WalkCounter()
         identity: Any = SimpleNamespace(host_id=OWN, name="own")
         channels: Any = SimpleNamespace(scheduler=PieceScheduler(), lease_held=lambda: True, now=lambda: 0)
         dial: Any = None

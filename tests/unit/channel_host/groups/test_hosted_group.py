@@ -43,7 +43,7 @@ def told(incarnation: int = 1) -> ResolvedGroup:
     return ResolvedGroup(group=group, channels={MEMBER: channel}, targets={HOST: "h:1"}, host_names={HOST: "h"})
 
 
-class Hosted:
+class GroupRig:
     """The group, and its one member's times, which a test moves on."""
 
     def __init__(self) -> None:
@@ -75,7 +75,7 @@ def most(counts: list[int]) -> int:
 
 
 async def test_a_cut_that_moves_wakes_a_few_readers_in_a_turn() -> None:
-    hosted = Hosted()
+    hosted = GroupRig()
     readers = [Reader() for _ in range(MANY)]
     for reader in readers:
         hosted.group.cut_observers.add(reader)
@@ -85,7 +85,7 @@ async def test_a_cut_that_moves_wakes_a_few_readers_in_a_turn() -> None:
 
 
 async def test_a_cut_that_moves_releases_a_few_waiting_calls_in_each_turn() -> None:
-    hosted, released = Hosted(), 0
+    hosted, released = GroupRig(), 0
 
     async def wait() -> None:
         nonlocal released
@@ -104,7 +104,7 @@ async def test_a_cut_that_moves_releases_a_few_waiting_calls_in_each_turn() -> N
 
 
 async def test_an_end_is_reported_to_a_few_in_a_turn() -> None:
-    hosted = Hosted()
+    hosted = GroupRig()
     readers = [Reader() for _ in range(MANY)]
     for reader in readers[::2]:
         hosted.group.cut_observers.add(reader)
@@ -122,7 +122,7 @@ async def test_an_end_is_reported_to_a_few_in_a_turn() -> None:
 
 
 async def test_a_reader_of_the_former_incarnation_of_a_group_reads_nothing_of_the_new_one() -> None:
-    hosted = Hosted()
+    hosted = GroupRig()
     incarnation = hosted.group.record.incarnation
     hosted.group.check_incarnation(incarnation)
     hosted.group.adopt(told(incarnation=2))

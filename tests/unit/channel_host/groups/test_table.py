@@ -21,7 +21,7 @@ from stampede_rt_channel_host.groups.table import HostedGroups
 HOST, NOW, GROUPS = b"h" * 16, 1_000_000, 100
 
 
-class Walked(dict[bytes, KnownTimes]):
+class WalkCounter(dict[bytes, KnownTimes]):
     """Counts the walks over all channels."""
 
     walks = 0
@@ -54,7 +54,7 @@ def ignored(one: bytes) -> None: ...
 
 async def test_a_group_that_loses_members_deletes_their_state_and_looks_at_no_others() -> None:
     table = HostedGroups()
-    table.board._known = known = Walked()
+    table.board._known = known = WalkCounter()
     begin = PieceScheduler().begin
     for number in range(GROUPS):
         one = told(number, number, number + 1)
@@ -69,7 +69,7 @@ async def test_a_group_that_loses_members_deletes_their_state_and_looks_at_no_ot
     assert known.walks == 0
 
 
-class Shown:
+class ShownGroups:
     """Confirmed groups of the channels 0 to 3, and the times of these channels."""
 
     def __init__(self) -> None:
@@ -97,7 +97,7 @@ class Shown:
 
 async def test_a_put_looks_only_at_the_groups_that_it_can_move() -> None:
     """In an earlier version, each put looked at all groups of the channel. 500 groups made a put four times as long."""
-    shown = Shown()
+    shown = ShownGroups()
     groups = [shown.group(number, 1, 2) for number in range(GROUPS)]
     groups += [shown.group(GROUPS + number, 1, 2, reference=channel(2)) for number in range(GROUPS)]
     shown.note(1, 10)
@@ -112,7 +112,7 @@ async def test_a_put_looks_only_at_the_groups_that_it_can_move() -> None:
 
 
 async def test_a_reader_of_changes_gets_each_member_until_it_leaves() -> None:
-    shown = Shown()
+    shown = ShownGroups()
     one, _ = shown.group(0, 1, 2), shown.group(1, 1, 2)
     shown.note(1, 10)
     shown.note(2, 5)
@@ -124,7 +124,7 @@ async def test_a_reader_of_changes_gets_each_member_until_it_leaves() -> None:
 
 
 async def test_a_deleted_group_holds_no_cut_and_no_channel() -> None:
-    shown = Shown()
+    shown = ShownGroups()
     one = shown.group(0, 1, 2)
     shown.table.forget(one.record.group_id)
     shown.table.refresh(one)
@@ -149,7 +149,7 @@ def test_groups_have_the_same_cuts_as_if_each_change_updated_all_groups(
     settings: list[dict[str, Any]], scenario: list[tuple[int, int, int | None, int]]
 ) -> None:
     async def compare() -> None:
-        shown, all_looked_at = Shown(), Shown()
+        shown, all_looked_at = ShownGroups(), ShownGroups()
         some = [shown.group(number, 0, *range(1, 2 + number % 3), **one) for number, one in enumerate(settings)]
         every = [
             all_looked_at.group(number, 0, *range(1, 2 + number % 3), **one) for number, one in enumerate(settings)

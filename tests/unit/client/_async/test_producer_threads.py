@@ -59,7 +59,7 @@ class Place:
         return operation(Binding(subject_id=b"c", target="there", epoch=1, incarnation=1), timeout_s)
 
 
-class LookedAt(UnackedRuns):
+class WatchedRuns(UnackedRuns):
     """The unacknowledged runs. Its `len` first calls the next function of `looks`."""
 
     looks: list[Any] | None = None
@@ -89,7 +89,7 @@ def test_a_flush_raises_the_refusal_that_another_thread_counts_while_the_flush_l
     """In an earlier version, the flush returned between the end of the last run and the count of its refusals."""
     place = Place()
     producer = producer_at(place)
-    unacked = producer._unacked = LookedAt()
+    unacked = producer._unacked = WatchedRuns()
     producer.put(b"x")
     has_told, flushed = threading.Event(), threading.Event()
 

@@ -20,7 +20,7 @@ class Exchange:
         self.broken = True
 
 
-class Opened:
+class OpenCounter:
     """Counts opened streams."""
 
     def __init__(self, *, one_at_a_time: bool = False) -> None:
@@ -32,7 +32,7 @@ class Opened:
         return self.streams[-1]
 
 
-class Anything:
+class HandleOwner:
     """An object that has a handle."""
 
 
@@ -45,7 +45,7 @@ def shared(target: str) -> Owner:
 
 
 def test_all_channels_of_a_host_share_a_stream_and_another_host_has_its_own() -> None:
-    streams, opened = PutStreams(), Opened()
+    streams, opened = PutStreams(), OpenCounter()
     for subject in (b"one", b"two", b"three"):
         for target in ("a:1", "b:1"):
             with streams.use(shared(target), 0.0, at(target, subject), opened):  # type: ignore[arg-type]
@@ -54,7 +54,7 @@ def test_all_channels_of_a_host_share_a_stream_and_another_host_has_its_own() ->
 
 
 async def test_a_channel_that_is_bound_anew_at_its_host_keeps_the_stream() -> None:
-    streams, opened, owner = PutStreams(), Opened(), Anything()
+    streams, opened, owner = PutStreams(), OpenCounter(), HandleOwner()
     handle = streams.handle(owner)
     for epoch in (1, 2):
         binding = Binding(subject_id=b"channel", target="a:1", epoch=epoch, incarnation=1)
@@ -64,7 +64,7 @@ async def test_a_channel_that_is_bound_anew_at_its_host_keeps_the_stream() -> No
 
 
 async def test_a_faster_stream_replaces_one_that_has_become_idle() -> None:
-    streams, opened = PutStreams(), Opened()
+    streams, opened = PutStreams(), OpenCounter()
     with streams.use(shared("a:1"), 5.0, at("a:1"), opened) as first:  # type: ignore[arg-type]
         opened.streams[0].is_outdated = True
         with streams.use(shared("a:1"), 5.0, at("a:1"), opened) as second:  # type: ignore[arg-type]
@@ -78,7 +78,7 @@ async def test_a_faster_stream_replaces_one_that_has_become_idle() -> None:
 @pytest.mark.parametrize(("one_at_a_time", "streams_needed"), [(False, 1), (True, 3)])
 def test_puts_under_way_together_share_a_stream_that_takes_several(one_at_a_time: bool, streams_needed: int) -> None:
     """In the blocking client a signal handler may put while its thread is in a put."""
-    streams, opened = PutStreams(), Opened(one_at_a_time=one_at_a_time)
+    streams, opened = PutStreams(), OpenCounter(one_at_a_time=one_at_a_time)
     uses = [streams.use(shared("a:1"), 0.0, at("a:1"), opened) for _ in range(3)]  # type: ignore[arg-type]
     for use in uses:
         use.__enter__()
@@ -88,7 +88,7 @@ def test_puts_under_way_together_share_a_stream_that_takes_several(one_at_a_time
 
 
 async def test_a_handle_that_closes_closes_its_own_streams_only() -> None:
-    streams, opened, owner = PutStreams(), Opened(), Anything()
+    streams, opened, owner = PutStreams(), OpenCounter(), HandleOwner()
     handle = streams.handle(owner)
     for one in (handle, shared("a:1")):
         with streams.use(one, 5.0, at("a:1"), opened):  # type: ignore[arg-type]

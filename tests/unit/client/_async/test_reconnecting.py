@@ -31,7 +31,7 @@ class Clock:
         self.now_s += delay_s
 
 
-class Opening:
+class FailingOpener:
     """Raises the given errors one by one, and then succeeds. Keeps the time limit of each try."""
 
     def __init__(self, *errors: Exception) -> None:
@@ -59,17 +59,17 @@ def made(reconnect: Any = None, **settings: Any) -> StreamReconnector:
 async def test_the_error_of_a_stream_that_never_opened_is_raised_immediately(clock: Clock) -> None:
     one = made()
     with pytest.raises(st.Unavailable):
-        await one.open(Opening(st.Unavailable("no")))
+        await one.open(FailingOpener(st.Unavailable("no")))
     assert (clock.slept, one.connected) == ([], False)
 
 
 async def test_an_outage_of_any_length_ends_with_the_stream_open_and_counted_once(clock: Clock) -> None:
     one = made()
-    await one.open(Opening())
+    await one.open(FailingOpener())
     assert one.connected
     one.broke()
     assert not one.connected
-    opening = Opening(*[st.Unavailable("down") for _ in range(5000)])
+    opening = FailingOpener(*[st.Unavailable("down") for _ in range(5000)])
     await one.open(opening)
     assert len(opening.allowed_s) == 5001
     assert clock.now_s > 3600
@@ -79,20 +79,20 @@ async def test_an_outage_of_any_length_ends_with_the_stream_open_and_counted_onc
 
 async def test_reconnecting_ends_at_its_time_limit_and_the_next_call_has_the_whole_limit_again(clock: Clock) -> None:
     one = made("2s")
-    await one.open(Opening())
+    await one.open(FailingOpener())
     for _ in range(2):
         began_s = clock.now_s
         one.broke()
         with pytest.raises(st.Unavailable, match="down"):
-            await one.open(Opening(*[st.Unavailable("down") for _ in range(5000)]))
+            await one.open(FailingOpener(*[st.Unavailable("down") for _ in range(5000)]))
         assert clock.now_s - began_s == pytest.approx(2.0)
-    await one.open(Opening())
+    await one.open(FailingOpener())
 
 
 async def test_reconnecting_ends_when_its_connection_closes(clock: Clock) -> None:
     one = made(held=True)
     one._session.closing = True
-    opening = Opening(st.Unavailable("this connection is closed"))
+    opening = FailingOpener(st.Unavailable("this connection is closed"))
     with pytest.raises(st.Unavailable, match="this connection is closed"):
         await one.open(opening)
     assert (len(opening.allowed_s), clock.slept) == (1, [])
@@ -100,7 +100,7 @@ async def test_reconnecting_ends_when_its_connection_closes(clock: Clock) -> Non
 
 async def test_reconnecting_with_a_time_limit_of_zero_tries_once(clock: Clock) -> None:
     one = made("0s", held=True)
-    opening = Opening(st.Unavailable("down"), st.Unavailable("down"))
+    opening = FailingOpener(st.Unavailable("down"), st.Unavailable("down"))
     with pytest.raises(st.Unavailable):
         await one.open(opening)
     assert (len(opening.allowed_s), clock.slept) == (1, [])
@@ -109,13 +109,13 @@ async def test_reconnecting_with_a_time_limit_of_zero_tries_once(clock: Clock) -
 @pytest.mark.parametrize("error", [st.IncarnationLost("gone"), st.ChannelNotFound("gone"), st.PermissionDenied("no")])
 async def test_an_error_that_a_retry_cannot_mend_is_raised_immediately(clock: Clock, error: st.StampedeError) -> None:
     with pytest.raises(type(error)):
-        await made(held=True).open(Opening(error))
+        await made(held=True).open(FailingOpener(error))
     assert clock.slept == []
 
 
 async def test_a_call_that_took_too_long_is_an_outage_like_others(clock: Clock) -> None:
     one = made(held=True)
-    await one.open(Opening(st.DeadlineExceeded("slow"), st.Overloaded("full")))
+    await one.open(FailingOpener(st.DeadlineExceeded("slow"), st.Overloaded("full")))
     assert one.reconnects == 1
 
 
@@ -132,7 +132,7 @@ async def test_a_stop_during_an_attempt_ends_the_reconnecting_without_an_error(c
 
 async def test_a_stream_that_opens_at_the_first_try_is_not_counted_as_reconnected(clock: Clock) -> None:
     one = made(held=True)
-    await one.open(Opening())
+    await one.open(FailingOpener())
     assert one.reconnects == 0
 
 
@@ -141,7 +141,7 @@ async def test_a_long_outage_has_a_line_in_the_log_at_its_beginning_and_at_its_e
 ) -> None:
     one = made(held=True)
     with caplog.at_level(logging.WARNING, "stampede_rt"):
-        await one.open(Opening(*[st.Unavailable("down") for _ in range(100)]))
+        await one.open(FailingOpener(*[st.Unavailable("down") for _ in range(100)]))
     assert [record.getMessage().split(":")[0].rsplit(" after")[0] for record in caplog.records] == [
         "the subscription to channel 'cam' has been broken for 10 s; the client tries again",
         "the subscription to channel 'cam' is back",

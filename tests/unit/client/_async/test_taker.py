@@ -73,7 +73,7 @@ class Stream:
         self.answers.put_nowait(pb.TakeResponse(runs=runs, incarnation=9, drained=drained))
 
 
-class Staying(BindingCache):
+class FixedQueuePlace(BindingCache):
     """A queue whose place never changes."""
 
     def forget(self, channel_id: bytes) -> None:
@@ -93,7 +93,7 @@ class Host:
         return
 
     def __init__(self) -> None:
-        self.cache = Staying()
+        self.cache = FixedQueuePlace()
         self.endpoints = self
         self.queues = self
         self.streams: asyncio.Queue[Stream] = asyncio.Queue()

@@ -6,20 +6,20 @@ from stampede_rt.multicast.merging import SeqMerge
 
 
 @dataclass(frozen=True, slots=True)
-class Numbered:
+class NumberedItem:
     seq: int
 
 
-def items(first: int, end: int) -> list[Numbered]:
-    return [Numbered(seq) for seq in range(first, end)]
+def items(first: int, end: int) -> list[NumberedItem]:
+    return [NumberedItem(seq) for seq in range(first, end)]
 
 
-def seqs(taken: list[Numbered]) -> list[int]:
+def seqs(taken: list[NumberedItem]) -> list[int]:
     return [one.seq for one in taken]
 
 
-def merge_from(next_seq: int) -> SeqMerge[Numbered]:
-    merge = SeqMerge[Numbered](1, 100)
+def merge_from(next_seq: int) -> SeqMerge[NumberedItem]:
+    merge = SeqMerge[NumberedItem](1, 100)
     merge.pass_to(next_seq)
     return merge
 

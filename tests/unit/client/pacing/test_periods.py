@@ -55,7 +55,7 @@ class TestClock:
         return await stop.wait(0)
 
 
-class Attaching:
+class SessionParts:
     """The parts of a session that a sampler uses."""
 
     closed = False
@@ -76,12 +76,12 @@ class Attaching:
         self.attached.remove(one)
 
 
-def sampler(clock: TestClock, session: Attaching, function: Any, put: Any) -> Sampler:
+def sampler(clock: TestClock, session: SessionParts, function: Any, put: Any) -> Sampler:
     return Sampler(cast(Session, session), "channel 'x'", put, function, 10, clock)
 
 
 async def test_samples_do_not_drift_and_missed_samples_are_counted() -> None:
-    clock, session, times = TestClock(), Attaching(), []
+    clock, session, times = TestClock(), SessionParts(), []
     lasts = {0: 3, 1: 7, 2: 38, 3: 0}  # how long each call takes; a period is 10
 
     def sample() -> int:
@@ -101,7 +101,7 @@ async def test_samples_do_not_drift_and_missed_samples_are_counted() -> None:
 
 
 async def test_a_coroutine_function_can_be_sampled() -> None:
-    clock, session, put_values = TestClock(), Attaching(), []
+    clock, session, put_values = TestClock(), SessionParts(), []
 
     async def sample() -> int:
         await asyncio.sleep(0)
@@ -118,7 +118,7 @@ async def test_a_coroutine_function_can_be_sampled() -> None:
 
 
 async def test_a_cancelled_sampled_function_has_failed(caplog: pytest.LogCaptureFixture) -> None:
-    clock, session = TestClock(), Attaching()
+    clock, session = TestClock(), SessionParts()
 
     async def sample() -> None:
         if made.failures:

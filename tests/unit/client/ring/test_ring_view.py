@@ -81,7 +81,7 @@ def test_half_written_facts_of_a_stopped_host_are_ignored() -> None:
     assert ring.view.facts() is None
 
 
-class Stopped(Exception):
+class WriterStopped(Exception):
     """The writer was killed or stopped here."""
 
 
@@ -100,7 +100,7 @@ class Stores:
             if isinstance(place, slice):
                 half = len(value) // 2  # type: ignore[arg-type]
                 self._memory[place.start : place.start + half] = value[:half]  # type: ignore[index]
-            raise Stopped
+            raise WriterStopped
         self._left[0] -= 1
         self._memory[place] = value  # type: ignore[assignment]
 
@@ -120,7 +120,7 @@ def test_a_reader_sees_the_old_items_the_new_items_or_none_wherever_the_writer_s
         )
         try:
             ring.put(before + 1, body_of(before + 1))
-        except Stopped:
+        except WriterStopped:
             assert left == [0]
         else:
             break

@@ -146,7 +146,7 @@ def test_a_step_waits_for_the_step_of_another_thread() -> None:
     assert seen == ["slow", "next"]
 
 
-class Interrupting(deque[Callable[[], None]]):
+class InterruptingSteps(deque[Callable[[], None]]):
     """Waiting steps. A signal handler runs a step just before the first of them is taken."""
 
     handle: Callable[[], None] | None = None
@@ -160,7 +160,7 @@ class Interrupting(deque[Callable[[], None]]):
 
 def test_a_handler_that_runs_all_waiting_steps_leaves_none_to_the_interrupted_call() -> None:
     """In an earlier version, the interrupted call raised IndexError."""
-    steps, seen, waiting = Steps(), list[str](), Interrupting()
+    steps, seen, waiting = Steps(), list[str](), InterruptingSteps()
     steps._waiting = waiting
     waiting.handle = lambda: steps.run(seen.append, "of the handler")
     steps.offer(seen.append, "offered")

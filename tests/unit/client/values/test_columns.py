@@ -38,7 +38,7 @@ def decoded(items: Sequence[tuple[int, int, bytes]], first_seq: int = 1, *, payl
     )
 
 
-class Counting:
+class ItemCounter:
     """Makes items, and counts them."""
 
     def __init__(self) -> None:
@@ -108,7 +108,7 @@ def test_a_run_that_is_not_followed_by_the_next_bucket_states_the_end_of_its_spa
 
 
 def test_an_item_object_is_created_on_first_access() -> None:
-    make = Counting()
+    make = ItemCounter()
     parts = [decoded([(time, -1, b"x") for time in range(begin, begin + 100)], begin + 1) for begin in (0, 100, 200)]
     found = columns(parts, make=make)
     assert (len(found), make.made) == (300, 0)

@@ -27,7 +27,7 @@ class Loop:
         loop_share.spend(nanos)
 
     def run_until(self, end: int) -> None:
-        """Fire the timers that are due by then."""
+        """Fire the timers that are due at or before `end`."""
         while due := [one for one in self._timers if one[0] <= end]:
             timer = min(due, key=lambda one: one[0])
             self._timers.remove(timer)

@@ -14,7 +14,7 @@ from stampede_rt_runtime.server import serving
 from stampede_rt_supernode.joining.copied_folder import FINDINGS_NEEDED, OwnAddress
 
 
-class Answering(directory_service_pb2_grpc.DirectoryServiceServicer):
+class AnsweringSupernode(directory_service_pb2_grpc.DirectoryServiceServicer):
     """Answers each ping with the next of `pongs`, and repeats the last one."""
 
     def __init__(self, *pongs: tuple[str, str, int]) -> None:
@@ -27,7 +27,7 @@ class Answering(directory_service_pb2_grpc.DirectoryServiceServicer):
         return pb.DirectoryServicePingResponse(supernode_id=supernode_id, cluster_id=cluster_id, boot_incarnation=boot)
 
 
-async def watched(one: Answering, looks_max: int = 20) -> str:
+async def watched(one: AnsweringSupernode, looks_max: int = 20) -> str:
     """The finding of process 7 of s1, of cluster "c": "itself", "copy", or "looks" if it has found nothing yet."""
     looks = 0
 
@@ -68,7 +68,7 @@ OTHER_MEMBER, OTHER_CLUSTER = ("s2", "c", 9), ("s1", "d", 10)
 async def test_the_process_that_answers_at_the_supernodes_address_is_the_supernode(
     pongs: list[tuple[str, str, int]], outcome: str
 ) -> None:
-    assert await watched(Answering(*pongs)) == outcome
+    assert await watched(AnsweringSupernode(*pongs)) == outcome
 
 
 async def test_a_supernode_starts_even_if_its_address_does_not_answer() -> None:
@@ -79,6 +79,6 @@ async def test_a_supernode_starts_even_if_its_address_does_not_answer() -> None:
 
 async def test_a_copy_ends_before_its_start_after_one_answer_of_the_supernode() -> None:
     add = directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server
-    async with serving(lambda server: add(Answering(ORIGINAL), server)) as server:
+    async with serving(lambda server: add(AnsweringSupernode(ORIGINAL), server)) as server:
         with pytest.raises(StampedeError, match="another process with a copy of its folder; delete this copy"):
             await OwnAddress("s1", server.address, 0, lambda target: dial(target, secret=None)).check()

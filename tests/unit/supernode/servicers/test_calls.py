@@ -29,7 +29,7 @@ CONTEXT: Any = SimpleNamespace(time_remaining=lambda: 5.0, peer=lambda: "here")
 ALL = AccessRule("*", (), None, "*")
 
 
-class Behind:
+class ReplicaBehind:
     """A replica and its log. Everything but the first entries comes only with a confirmed read."""
 
     def __init__(self, known: Directory, committed: Directory) -> None:
@@ -69,8 +69,8 @@ async def called_by(name: str, *rules: AccessRule) -> AsyncIterator[None]:
         yield
 
 
-def calls_of(log: Log, *, known: Directory | None = None) -> tuple[DirectoryCalls, Behind]:
-    behind: Any = Behind(known or log.directory, log.directory)
+def calls_of(log: Log, *, known: Directory | None = None) -> tuple[DirectoryCalls, ReplicaBehind]:
+    behind: Any = ReplicaBehind(known or log.directory, log.directory)
     return DirectoryCalls(behind, behind), behind
 
 

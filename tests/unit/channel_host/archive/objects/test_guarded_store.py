@@ -61,7 +61,7 @@ def test_a_missing_object_and_an_abandoned_listing_are_not_failures_of_the_store
 def test_other_calls_do_not_wait_while_one_call_tries_a_store_that_hangs() -> None:
     asked, answers = threading.Event(), threading.Event()
 
-    class Hanging(FakeStore):
+    class HangingStore(FakeStore):
         def read(self, name: str, offset: int, size: int) -> bytes:
             if self.failure:
                 return super().read(name, offset, size)
@@ -69,7 +69,7 @@ def test_other_calls_do_not_wait_while_one_call_tries_a_store_that_hangs() -> No
             answers.wait(10)
             return b"x"
 
-    store, clock = Hanging(), Times()
+    store, clock = HangingStore(), Times()
     guarded = GuardedStore(store, clock)
     store.failure = "away"
     with pytest.raises(StoreError):
@@ -111,13 +111,13 @@ async def test_a_store_that_refuses_to_make_or_delete_objects_can_still_be_read(
 async def test_an_upload_is_always_tried_and_readers_try_only_if_the_last_upload_succeeded(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    class Hanging(FakeStore):
+    class HangingStore(FakeStore):
         async def create(self, name: str, content: bytes | bytearray) -> bool:
             if name == "hangs":
                 await asyncio.Event().wait()
             return await super().create(name, content)
 
-    store = Hanging()
+    store = HangingStore()
     guarded = GuardedStore(store, Times())
     store.failure = "away"
     with pytest.raises(StoreError):

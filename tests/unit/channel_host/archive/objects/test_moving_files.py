@@ -194,7 +194,7 @@ async def test_a_flipped_bit_in_a_block_loses_this_block_and_one_in_the_index_lo
 
 
 @pytest.mark.asyncio
-async def test_an_object_stays_in_the_store_if_no_block_before_the_blocks_of_the_next_owner_can_be_read(
+async def test_an_object_stays_in_the_store_if_all_its_blocks_before_the_next_owner_are_damaged(
     tmp_path: Path,
 ) -> None:
     store = FakeStore()

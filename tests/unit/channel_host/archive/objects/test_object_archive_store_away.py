@@ -120,13 +120,13 @@ async def test_a_listing_that_hangs_delays_a_start_only_briefly(
 ) -> None:
     answers = threading.Event()
 
-    class Hanging(FakeStore):
+    class HangingStore(FakeStore):
         def _call(self, what: str) -> None:
             super()._call(what)
             if what.startswith("find"):
                 answers.wait(10)
 
-    store = Hanging()
+    store = HangingStore()
     answers.set()
     await left(tmp_path, store)
     answers.clear()
@@ -158,14 +158,14 @@ async def test_a_host_refuses_a_channel_with_objects_of_a_later_owner_even_if_it
 async def test_a_file_that_moves_during_the_listing_of_its_channel_is_not_lost(tmp_path: Path) -> None:
     listed, moved = threading.Event(), threading.Event()
 
-    class Slow(FakeStore):
+    class SlowStore(FakeStore):
         def find(self, prefix: str) -> Iterator[FoundObject]:
             found = [*super().find(prefix)]
             listed.set()
             moved.wait(10)
             yield from found
 
-    store = Slow()
+    store = SlowStore()
     moved.set()
     await left(tmp_path, store, moved=1, local=2)
     listed.clear()

@@ -216,13 +216,13 @@ async def test_a_store_that_cannot_be_reached_is_logged_and_does_not_end_the_hos
 
 @pytest.mark.asyncio
 async def test_a_store_that_overwrites_is_refused() -> None:
-    class Overwriting(FakeStore):
+    class OverwritingStore(FakeStore):
         async def create(self, name: str, content: bytes | bytearray) -> bool:
             self.objects[name] = bytes(content)
             return True
 
     with pytest.raises(SettingsError, match="If-None-Match"):
-        await check_store(Overwriting())
+        await check_store(OverwritingStore())
 
 
 @pytest.mark.asyncio

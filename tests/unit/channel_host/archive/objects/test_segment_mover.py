@@ -107,13 +107,13 @@ async def test_a_host_that_stops_moves_its_closed_files(tmp_path: Path) -> None:
 async def test_a_host_stops_even_if_the_store_does_not_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    class Hanging(FakeStore):
+    class HangingStore(FakeStore):
         async def create(self, name: str, content: bytes | bytearray) -> bool:
             await asyncio.Event().wait()
             return True
 
     monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.CLOSE_SECONDS_MAX", 0.2)
-    async with asyncio.timeout(SECONDS_MAX), host(tmp_path, Hanging()) as one:
+    async with asyncio.timeout(SECONDS_MAX), host(tmp_path, HangingStore()) as one:
         await one.serve(1)
         await one.write()
         one.archive.start()
@@ -241,13 +241,13 @@ async def test_the_limits_of_an_idle_channel_remove_its_objects(
 async def test_an_upload_that_takes_too_long_counts_as_a_failure_of_the_store(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Hanging(FakeStore):
+    class HangingStore(FakeStore):
         async def create(self, name: str, content: bytes | bytearray) -> bool:
             await asyncio.Event().wait()
             return True
 
     monkeypatch.setattr(segment_mover, "UPLOAD_SECONDS_LEAST", 0.05)
-    async with host(tmp_path, Hanging()) as one:
+    async with host(tmp_path, HangingStore()) as one:
         await one.serve(1)
         await one.write()
         assert "has not taken an object" in await one.mover.move_all()
@@ -256,14 +256,14 @@ async def test_an_upload_that_takes_too_long_counts_as_a_failure_of_the_store(
 
 @pytest.mark.asyncio
 async def test_no_call_of_the_store_runs_on_the_event_loop(tmp_path: Path) -> None:
-    class Watching(FakeStore):
+    class WatchingStore(FakeStore):
         def _call(self, what: str) -> None:
             super()._call(what)
             if not what.startswith("create"):
                 with pytest.raises(RuntimeError):
                     asyncio.get_running_loop()
 
-    store = Watching()
+    store = WatchingStore()
     async with host(tmp_path, store) as one:
         await one.serve(1)
         await one.write()

@@ -47,7 +47,7 @@ NEWEST = Query(
 COST_BYTES_MAX = 4096
 
 
-class Blocked:
+class BlockedGets:
     """A channel whose clock the test moves, and gets that are blocked on the channel."""
 
     def __init__(self, max_items: int = 10) -> None:
@@ -91,7 +91,7 @@ def timers() -> int:
 
 
 async def test_ten_thousand_gets_cost_bounded_memory_and_end_in_the_order_of_their_arrival() -> None:
-    blocked, before = Blocked(), timers()
+    blocked, before = BlockedGets(), timers()
     gc.collect()
     tracemalloc.start()
     try:
@@ -110,7 +110,7 @@ async def test_ten_thousand_gets_cost_bounded_memory_and_end_in_the_order_of_the
 
 
 async def test_gets_whose_time_ends_together_are_answered_a_few_in_a_turn_by_one_timer() -> None:
-    blocked, before, many = Blocked(), timers(), 4 * LIMITS_PER_PIECE
+    blocked, before, many = BlockedGets(), timers(), 4 * LIMITS_PER_PIECE
     blocked.gets = WaitingGets(
         blocked.channel, ReachTracker(blocked.channel), lambda: blocked.now, begin=PieceScheduler().begin
     )
@@ -129,7 +129,7 @@ async def test_gets_whose_time_ends_together_are_answered_a_few_in_a_turn_by_one
 
 
 async def test_a_put_does_not_look_at_gets_for_future_items() -> None:
-    blocked = Blocked()
+    blocked = BlockedGets()
     for number in range(10_000):
         start = START + (number + 1) * S
         blocked.block(number, Query(interval=parse_interval(start, start + S), complete=bool(number % 2)))
@@ -145,7 +145,7 @@ async def test_a_put_does_not_look_at_gets_for_future_items() -> None:
 
 
 async def test_gets_that_end_together_are_freed_a_few_at_a_time() -> None:
-    blocked, count = Blocked(), 20 * GETS_PER_PIECE
+    blocked, count = BlockedGets(), 20 * GETS_PER_PIECE
     kept = weakref.WeakSet(
         blocked.block(number, Query(interval=parse_interval(START + S, START + 2 * S)))._on_outcome
         for number in range(count)
@@ -160,7 +160,7 @@ async def test_gets_that_end_together_are_freed_a_few_at_a_time() -> None:
 @pytest.mark.parametrize("match", [Match.START, Match.SPAN])
 async def test_a_put_does_not_look_at_gets_between_the_newest_item_and_the_clock(match: Match) -> None:
     """In an earlier version, 2000 such gets cost each put 59 ms."""
-    blocked = Blocked()
+    blocked = BlockedGets()
     blocked.now += 10_000 * S
     for number in range(2000):
         start = START + (number + 10) * S
@@ -174,7 +174,7 @@ async def test_a_put_does_not_look_at_gets_between_the_newest_item_and_the_clock
 
 
 async def test_a_late_put_does_not_look_at_gets_of_newer_items() -> None:
-    blocked = Blocked()
+    blocked = BlockedGets()
     blocked.put(START)
     for number in range(1000):
         blocked.block(number, NEWEST)
@@ -185,7 +185,7 @@ async def test_a_late_put_does_not_look_at_gets_of_newer_items() -> None:
 
 
 async def test_an_advance_wakes_only_the_gets_whose_interval_it_ends() -> None:
-    blocked = Blocked()
+    blocked = BlockedGets()
     for number in range(1000):
         start = START + (number + 1) * S
         blocked.block(number, Query(interval=parse_interval(start, start + S, "[)"), complete=bool(number % 2)))
@@ -197,7 +197,7 @@ async def test_an_advance_wakes_only_the_gets_whose_interval_it_ends() -> None:
 
 
 async def test_gets_that_one_put_ends_end_in_the_order_of_their_arrival() -> None:
-    blocked = Blocked()
+    blocked = BlockedGets()
     for number, ahead in enumerate((9, 5, 7, 5, 60, 2)):
         blocked.block(number, Query(interval=parse_interval(START + ahead * S, MAX_INSTANT)))
     blocked.block(6, NEWEST)
@@ -206,7 +206,7 @@ async def test_gets_that_one_put_ends_end_in_the_order_of_their_arrival() -> Non
 
 
 async def test_an_item_whose_span_ends_in_the_future_releases_the_gets_within_the_span() -> None:
-    blocked = Blocked()
+    blocked = BlockedGets()
     for number, ahead in enumerate((4, 6)):
         blocked.block(number, Query(interval=parse_interval(START + ahead * S, MAX_INSTANT)))
     blocked.put(START, duration=5 * S)
@@ -220,7 +220,7 @@ def kept_gets() -> int:
 
 
 async def test_cancelled_gets_are_removed_from_the_list_of_waiting_gets() -> None:
-    blocked = Blocked()
+    blocked = BlockedGets()
     before, kept_before = timers(), kept_gets()
     ahead = Query(interval=parse_interval(START + S, MAX_INSTANT))
     gets = [blocked.block(number, (NEWEST, ahead)[number % 2], 3600 * S) for number in range(10_000)]
@@ -236,7 +236,7 @@ async def test_cancelled_gets_are_removed_from_the_list_of_waiting_gets() -> Non
 
 
 async def test_the_number_of_waiting_gets_has_a_limit_and_a_cancelled_get_makes_room() -> None:
-    blocked = Blocked()
+    blocked = BlockedGets()
     gets = [blocked.block(number, NEWEST) for number in range(WAITING_GETS_MAX)]
     with pytest.raises(Overloaded, match="20000 gets wait at the channel already"):
         blocked.block(WAITING_GETS_MAX, NEWEST)
@@ -248,7 +248,7 @@ async def test_the_number_of_waiting_gets_has_a_limit_and_a_cancelled_get_makes_
 class InPieces:
     """Collects long work, and does it a piece at a time."""
 
-    def __init__(self, blocked: Blocked) -> None:
+    def __init__(self, blocked: BlockedGets) -> None:
         self.work: list[Pieces[None]] = []
         blocked.gets = WaitingGets(
             blocked.channel, ReachTracker(blocked.channel), lambda: blocked.now, begin=self.work.append
@@ -269,7 +269,7 @@ def found_times(outcome: object) -> list[int]:
 
 @pytest.mark.parametrize("query", [bucket(START + S), NEWEST, replace(bucket(START + S), match=Match.SPAN)])
 async def test_a_put_releases_very_many_gets_a_few_in_each_step_and_all_of_them(query: Query) -> None:
-    blocked = Blocked(max_items=1)
+    blocked = BlockedGets(max_items=1)
     pieces = InPieces(blocked)
     for number in range(1000):
         blocked.block(number, query)
@@ -289,7 +289,7 @@ async def test_a_put_releases_very_many_gets_a_few_in_each_step_and_all_of_them(
 
 @pytest.mark.parametrize("gets", [GETS_PER_PIECE, 4 * GETS_PER_PIECE])
 async def test_one_step_reads_a_bounded_number_of_slices_for_all_its_gets(gets: int) -> None:
-    blocked = Blocked(max_items=1000)
+    blocked = BlockedGets(max_items=1000)
     pieces = InPieces(blocked)
     held = 12 * SLICES_PER_LOOK
     for second in range(held):
@@ -308,7 +308,7 @@ async def test_one_step_reads_a_bounded_number_of_slices_for_all_its_gets(gets: 
 
 
 async def test_gets_that_one_change_does_not_release_are_released_by_the_next_one() -> None:
-    blocked = Blocked(max_items=1)
+    blocked = BlockedGets(max_items=1)
     pieces = InPieces(blocked)
     for number in range(200):
         blocked.block(number, replace(NEWEST, newer_than=Position(START + S)))
@@ -326,7 +326,7 @@ async def test_gets_that_one_change_does_not_release_are_released_by_the_next_on
 
 
 async def test_a_get_that_was_released_before_its_timeout_has_the_released_item() -> None:
-    blocked = Blocked(max_items=1)
+    blocked = BlockedGets(max_items=1)
     pieces = InPieces(blocked)
     gets = [blocked.block(number, bucket(START + S), 3600 * S) for number in range(100)]
     blocked.put(START + S)
@@ -339,7 +339,7 @@ async def test_a_get_that_was_released_before_its_timeout_has_the_released_item(
 
 
 async def test_gets_that_one_instant_releases_have_one_timer_and_are_looked_at_in_pieces() -> None:
-    blocked, before = Blocked(), timers()
+    blocked, before = BlockedGets(), timers()
     pieces = InPieces(blocked)
     blocked.put(START)
     for number in range(1000):
@@ -357,7 +357,7 @@ async def test_gets_that_one_instant_releases_have_one_timer_and_are_looked_at_i
 
 
 async def test_changes_that_arrive_faster_than_gets_are_released_are_kept_up_to_a_limit() -> None:
-    blocked = Blocked(max_items=1)
+    blocked = BlockedGets(max_items=1)
     pieces = InPieces(blocked)
     for number in range(500):
         blocked.block(number, NEWEST)

@@ -125,7 +125,7 @@ async def test_a_request_that_arrives_while_the_host_waits_for_its_turn_is_answe
         async def turn(self) -> None:
             self.must_wait = False
             self._reader.ask(3)
-            for _ in range(9):  # the host reads the question meanwhile
+            for _ in range(9):  # the host reads the request meanwhile
                 await asyncio.sleep(0)
 
     def begin(served: Subscription, reader: Reader) -> None:

@@ -75,7 +75,7 @@ def test_a_flipped_bit_is_found_anywhere_and_loses_only_its_block() -> None:
         assert bool(found.damaged) == (struck < 2)  # a damaged last block is cut off as a torn tail
 
 
-def test_seqs_of_a_gap_and_of_a_block_without_a_head_are_a_hole_beside_the_blocks_that_a_read_takes() -> None:
+def test_a_read_reports_a_gap_and_a_block_with_a_damaged_head_as_holes() -> None:
     gap = archive.encode_gap(5, 9, (1004, 4), 70)
     first, third = (archive.encode_items([ArchivedRun(50, run_at(seq, 4))]) for seq in (1, 9))
     raw = b"".join((*first[1], *gap[1], *third[1]))

@@ -63,12 +63,12 @@ def test_setting_up_consumers_of_a_full_channel_does_not_walk_over_its_items(loo
     assert [one.waiting for one in channel.consumers(CLOCK)] == [ITEMS - 100]
 
 
-def test_no_consumer_owes_items_that_leave_while_new_consumers_are_told_of_collected_items() -> None:
+def test_no_consumer_owes_an_item_that_was_collected_while_new_consumers_learn_of_collected_items() -> None:
     channel = backwards(3000)
     channel.configure(Policy(max_items=2000, max_age_nanos=10**12), CLOCK)
     channel.configure(Policy(max_items=2000, max_age_nanos=10**12, consumers=1), CLOCK)
     for at, _ in enumerate(channel.catching_up(CLOCK)):
-        put(channel, CLOCK + at)  # the earliest item goes, whose seq is the highest of the first 2000
+        put(channel, CLOCK + at)  # collects the earliest item; its seq is the highest of the first 2000
     channel.consume(1, [1], CLOCK)
     assert [one.waiting for one in channel.consumers(CLOCK)] == [1999]
     assert channel.counters(CLOCK).held == 2000
@@ -83,7 +83,7 @@ def test_the_count_of_items_that_wait_for_a_consumer_needs_no_walk_over_collecte
     channel.configure(Policy(max_items=1, max_age_nanos=10**12, consumers=10), CLOCK)  # leaves seq 1
     for _ in channel.catching_up(CLOCK):
         pass
-    for time in range(2 * BLOCK_ITEMS):  # the late half of the items goes: the items come in two orders
+    for time in range(2 * BLOCK_ITEMS):  # collects the late half: every second item comes late
         put(channel, CLOCK + (time if time % 2 else -time))
     calls, add = 0, seq_set.SeqSet.add
 

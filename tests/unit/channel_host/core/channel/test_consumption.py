@@ -389,7 +389,7 @@ def test_seqs_consumed_out_of_order_count_as_memory_of_the_channel_as_long_as_it
     )
 
 
-def test_only_seqs_that_are_next_to_no_consumed_or_collected_ones_need_memory() -> None:
+def test_a_consumed_seq_beside_a_consumed_or_collected_seq_needs_no_memory() -> None:
     channel = a_channel(consumers=2)
     put(channel, *range(10, 2010, 10))
     assert channel.consumption_bytes(ANN, [1, 2, 3]) == CONSUMER_BYTES

@@ -169,7 +169,7 @@ def test_a_future_interval_is_not_called_collected_after_a_limit_took_the_last_i
     assert get(channel, CLOCK + 5, CLOCK + 10).reason == "NOT_YET"
 
 
-def test_a_flow_of_runs_copies_no_rest_of_a_run_and_a_channel_at_rest_does() -> None:
+def test_the_kept_part_of_a_run_is_copied_once_no_further_runs_come() -> None:
     cuts: list[tuple[int, int]] = []
 
     def cut(body: bytes, lo: int, hi: int) -> bytes:

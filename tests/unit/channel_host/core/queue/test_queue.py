@@ -235,7 +235,7 @@ def test_a_retry_of_a_partly_accepted_run_continues_at_its_position() -> None:
     assert core.counted("accepted") == (3,)
 
 
-def test_an_ack_does_not_give_a_continued_run_the_seqs_that_others_got_meanwhile() -> None:
+def test_the_ack_of_a_continued_run_does_not_name_the_seqs_of_a_run_in_between() -> None:
     core = Core(max_items=1)
     run = core.put(1, 1, producer_id=5, first_number=1)
     core.queue.withdraw(run, core.now)

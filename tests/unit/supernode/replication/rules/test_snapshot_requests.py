@@ -30,7 +30,7 @@ from stampede_rt_supernode.replication.wire.records import decode_snapshot
 from tests.support.supernode.list_machine import ListMachine
 
 
-class Nobody:
+class EmptyNetwork:
     """A network without other members."""
 
     def release(self, messages: object) -> None:
@@ -43,7 +43,7 @@ class Nobody:
         pass
 
 
-class Alone:
+class LoneMember:
     """A cluster of one, stepped by hand, with a clock of its own."""
 
     def __init__(self, store: Store) -> None:
@@ -55,7 +55,7 @@ class Alone:
             settings,
             self.machine,
             store=store,
-            network=Nobody(),
+            network=EmptyNetwork(),
             clock=lambda: self.now,
             random_source=random.Random(1),
         )
@@ -93,7 +93,7 @@ def texts(record: bytes) -> list[bytes]:
 
 
 def test_a_snapshot_holds_all_entries_that_were_applied_before_the_request() -> None:
-    alone = Alone(MemoryStore())
+    alone = LoneMember(MemoryStore())
     for text in (b"a", b"b"):
         alone.propose(text)
     first = alone.snapshot()
@@ -104,20 +104,20 @@ def test_a_snapshot_holds_all_entries_that_were_applied_before_the_request() -> 
 
 
 def test_without_a_new_entry_the_last_snapshot_is_the_answer() -> None:
-    alone = Alone(MemoryStore())
+    alone = LoneMember(MemoryStore())
     alone.propose(b"a")
     assert alone.snapshot() is alone.snapshot()
 
 
 def test_waiting_requests_get_an_error_when_the_replica_closes() -> None:
-    alone = Alone(MemoryStore())
+    alone = LoneMember(MemoryStore())
     alone.ask()
     alone.replica.close()
     assert [str(one) for one in alone.outcomes] == ["this replica is closing"]
 
 
 def test_waiting_changes_of_members_are_answered_when_the_replica_closes() -> None:
-    alone = Alone(MemoryStore())
+    alone = LoneMember(MemoryStore())
     alone.propose(b"a")
     newcomer = Member(member_id="n", address="n:1")
     answers: list[object] = []
@@ -128,7 +128,7 @@ def test_waiting_changes_of_members_are_answered_when_the_replica_closes() -> No
 
 
 def test_the_number_of_waiting_requests_is_limited() -> None:
-    alone = Alone(MemoryStore())
+    alone = LoneMember(MemoryStore())
     for _ in range(SNAPSHOT_REQUESTS_MAX):
         alone.ask()
     with pytest.raises(LogUnavailable, match="try again"):
@@ -136,7 +136,7 @@ def test_the_number_of_waiting_requests_is_limited() -> None:
 
 
 def test_a_single_replica_makes_long_pauses_only_while_no_call_waits() -> None:
-    alone = Alone(MemoryStore())
+    alone = LoneMember(MemoryStore())
     timing = RaftTiming()
     assert alone.replica.pause_seconds() == timing.tick_seconds  # the replica does not lead yet
     alone.propose(b"a")
@@ -156,11 +156,11 @@ def test_a_single_replica_makes_long_pauses_only_while_no_call_waits() -> None:
             alone.now += timing.tick_seconds
 
 
-class Killed(BaseException):
+class ProcessKilled(BaseException):
     """The process was killed."""
 
 
-class Mortal(SqliteStore):
+class KillableStore(SqliteStore):
     """Is killed before or after one of its commits."""
 
     commits_left = 10**9
@@ -169,10 +169,10 @@ class Mortal(SqliteStore):
     def commit(self, changes: StoreChanges) -> None:
         self.commits_left -= 1
         if self.commits_left == 0 and not self.dies_after:
-            raise Killed
+            raise ProcessKilled
         super().commit(changes)
         if self.commits_left == 0:
-            raise Killed
+            raise ProcessKilled
 
 
 @pytest.mark.parametrize("dies_after", [False, True])
@@ -183,8 +183,8 @@ def test_a_kill_at_any_commit_of_a_snapshot_loses_nothing_acknowledged(
     survived = 0
     for commits in range(1, 40):
         folder = tmp_path / str(commits)
-        store = Mortal(folder, cluster_id="c", member_id="m", create=True)
-        alone = Alone(store)
+        store = KillableStore(folder, cluster_id="c", member_id="m", create=True)
+        alone = LoneMember(store)
         for number in range(12):
             alone.propose(b"text %d" % number)
         alone.snapshot()
@@ -192,14 +192,14 @@ def test_a_kill_at_any_commit_of_a_snapshot_loses_nothing_acknowledged(
         store.commits_left, store.dies_after = commits, dies_after
         try:
             alone.snapshot()
-        except Killed:
+        except ProcessKilled:
             store.close()
         else:
             survived += 1
             store.close()
         held = reopened(folder)
         assert held.snapshot is not None
-        again = Alone(SqliteStore(folder, cluster_id="c", member_id="m", create=False))
+        again = LoneMember(SqliteStore(folder, cluster_id="c", member_id="m", create=False))
         again.step_until(lambda again=again: len(again.machine.entries) == 13)  # type: ignore[misc]
         assert [text for _, text in again.machine.entries] == [b"text %d" % number for number in range(13)]
         again.replica.close()

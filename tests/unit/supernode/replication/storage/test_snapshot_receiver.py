@@ -42,7 +42,7 @@ def answers(said: list[tuple[str, Message]]) -> list[AppendReply]:
     return replies
 
 
-class Slow:
+class SlowDecoding:
     """A node that is being sent the snapshot up to entry 9 of term 5, and another thread that decodes it."""
 
     def __init__(self, store: MemoryStore | None = None) -> None:
@@ -60,7 +60,7 @@ class Slow:
 
 
 def test_a_leader_gets_answers_and_does_not_send_a_snapshot_again_while_a_member_decodes_it() -> None:
-    slow = Slow()
+    slow = SlowDecoding()
     slow.receive_all()
     for _ in range(3):
         slow.lone.open_snapshot()
@@ -73,7 +73,7 @@ def test_a_leader_gets_answers_and_does_not_send_a_snapshot_again_while_a_member
 
 
 def test_pieces_that_arrive_while_a_snapshot_is_decoded_are_sent_again_later() -> None:
-    slow = Slow()
+    slow = SlowDecoding()
     slow.receive_all()
     slow.lone.receive("b", append(5, (9, 5), [(10, 5)], commit=12))
     slow.open_it()
@@ -82,7 +82,7 @@ def test_pieces_that_arrive_while_a_snapshot_is_decoded_are_sent_again_later() -
 
 
 def test_entries_that_arrive_before_the_snapshot_is_decoded_are_kept() -> None:
-    slow = Slow()
+    slow = SlowDecoding()
     slow.receive_all()
     slow.lone.receive("c", append(6, (1, 0), [(index, 5) for index in range(2, 13)], commit=12))
     slow.lone.tick()
@@ -92,7 +92,7 @@ def test_entries_that_arrive_before_the_snapshot_is_decoded_are_kept() -> None:
 
 
 def test_a_second_snapshot_does_not_disturb_the_first() -> None:
-    slow = Slow()
+    slow = SlowDecoding()
     slow.receive_all()
     slow.receive_all(last=20)
     slow.open_it()
@@ -103,14 +103,14 @@ def test_a_second_snapshot_does_not_disturb_the_first() -> None:
 
 
 def test_a_member_that_decodes_a_snapshot_begins_no_snapshot_of_its_own() -> None:
-    slow = Slow()
+    slow = SlowDecoding()
     slow.receive_all()
     slow.lone.node.request_snapshot()
     slow.lone.tick()
     assert not slow.lone.node.keeper.is_taking
 
 
-class Watched(MemoryStore):
+class WatchedCommits(MemoryStore):
     """Counts the pieces of each commit."""
 
     def __init__(self) -> None:
@@ -122,8 +122,8 @@ class Watched(MemoryStore):
 
 def test_each_step_writes_one_piece_and_the_last_one_opens_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(storage, "PIECE_BYTES", 40)
-    store = Watched()
-    slow = Slow(store)
+    store = WatchedCommits()
+    slow = SlowDecoding(store)
     slow.receive_all()
     slow.background.do_it()
     while slow.lone.node.keeper.is_opening:
@@ -148,7 +148,7 @@ def test_a_snapshot_that_cannot_be_decoded_raises_an_error_before_any_acknowledg
         lone.open_snapshot()
 
 
-class Older(ListMachine):
+class OlderState(ListMachine):
     """The state of a release that does not know the level of any snapshot."""
 
     def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
@@ -156,7 +156,7 @@ class Older(ListMachine):
 
 
 def test_a_snapshot_above_the_level_of_this_release_stops_this_member_and_does_not_blame_the_sender() -> None:
-    lone = LoneNode(machine=Older())
+    lone = LoneNode(machine=OlderState())
     for chunk in snapshot_pieces(last=9, term=5):
         lone.receive("b", piece(5, chunk, commit=9))
     with pytest.raises(ReleaseTooOld):

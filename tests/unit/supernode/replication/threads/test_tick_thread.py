@@ -15,7 +15,7 @@ from stampede_rt_supernode.replication.threads import tick_thread
 from stampede_rt_supernode.replication.threads.tick_thread import EXIT_CODE, EXIT_DISK, TickThread
 
 
-class Stepping:
+class SteppedReplica:
     """Stands for a replica."""
 
     def __init__(self, *, fail: BaseException | None = None) -> None:
@@ -52,7 +52,7 @@ def start(replica: Any, *, tick_seconds: float) -> tuple[TickThread, list[BaseEx
 
 
 def test_a_wake_up_performs_a_step_before_the_next_tick() -> None:
-    replica = Stepping()
+    replica = SteppedReplica()
     thread, _, _ = start(replica, tick_seconds=60.0)
     assert replica.stepped.acquire(timeout=5)
     thread.wake()
@@ -62,14 +62,14 @@ def test_a_wake_up_performs_a_step_before_the_next_tick() -> None:
 
 
 def test_the_thread_ticks_at_regular_intervals() -> None:
-    replica = Stepping()
+    replica = SteppedReplica()
     thread, _, _ = start(replica, tick_seconds=0.001)
     assert all(replica.stepped.acquire(timeout=5) for _ in range(5))
     thread.stop()
 
 
 def test_a_failure_is_reported_and_ends_the_ticking() -> None:
-    replica = Stepping(fail=OSError("the disk is full"))
+    replica = SteppedReplica(fail=OSError("the disk is full"))
     thread, failures, failed = start(replica, tick_seconds=0.001)
     assert failed.wait(5)
     thread.stop()
@@ -112,7 +112,7 @@ def test_a_full_disk_ends_the_process_with_a_sentence_and_no_traceback() -> None
     assert "nothing that was acknowledged is lost" in ended.stderr
 
 
-class Hanging(Stepping):
+class HangingReplica(SteppedReplica):
     """A replica whose disk hangs until it is let go."""
 
     def __init__(self) -> None:
@@ -130,7 +130,7 @@ def test_a_step_that_hangs_is_logged_once_and_its_end_too(
 ) -> None:
     monkeypatch.setattr(tick_thread, "STUCK_SECONDS", 0.05)
     monkeypatch.setattr(tick_thread, "LOOK_SECONDS", 0.01)
-    replica = Hanging()
+    replica = HangingReplica()
     thread, failures, _ = start(replica, tick_seconds=0.01)
     try:
         wait_for(lambda: len(caplog.records) == 1)
