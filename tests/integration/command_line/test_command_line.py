@@ -38,13 +38,14 @@ def checked(done: subprocess.CompletedProcess[bytes], status: int) -> subprocess
 
 
 @pytest.fixture
-def stampede(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Run:
-    """Run a command in this process. `following` and `process` start processes."""
-    for name in ("STAMPEDE_URL", "STAMPEDE_SECRET_FILE"):
-        monkeypatch.setenv(name, environment[name])
+def stampede(environment: dict[str, str]) -> Run:
+    """Run a command in this process, with the cluster's secret. `following` and `process` start processes."""
 
     def run(*arguments: str, status: int = 0, stdin: bytes = b"") -> subprocess.CompletedProcess[str]:
-        return checked(run_redirected(arguments, stdin=stdin), status)
+        with pytest.MonkeyPatch.context() as patch:
+            for name in ("STAMPEDE_URL", "STAMPEDE_SECRET_FILE"):
+                patch.setenv(name, environment[name])
+            return checked(run_redirected(arguments, stdin=stdin), status)
 
     return run
 
