@@ -160,6 +160,28 @@ def test_a_host_that_restarts_after_a_crash_has_lost_only_the_newest_items(
     assert channel.get(newest.time + MS, st.NOW).reason == "LOST"
 
 
+def test_a_recording_of_the_past_names_a_crash_of_the_host(
+    cluster: LocalCluster, rt: st.Connection, tmp_path: Path
+) -> None:
+    """In an earlier version an export was complete, and a recording said that retention had collected the items."""
+    channel, began = rt.channel("rig/crashed", max_items=8, archive="7d"), time.time_ns() - 10**9
+    fill(channel, began, count=20)
+    wait_until_collected(channel, 8)
+    cluster.hosts[0].kill()
+    cluster.hosts[0].restart()
+    fill(rt.channel("rig/crashed"), time.time_ns(), first=20, count=5)
+    paths = [tmp_path / name for name in ("since.mcap", "whole.mcap")]
+    with rt.record(["rig/crashed"], paths[0], since="1h", for_="0s") as since:
+        summaries = [since.wait()]
+    with rt.record(["rig/crashed"], paths[1], since="oldest", for_="0s") as whole:
+        summaries.append(whole.wait())
+    for summary in summaries:
+        (counts,) = summary.channels
+        assert counts.recorded >= 20
+        assert [one.reason for one in counts.gaps] == ["LOST"]
+        assert "the channel's host was lost with the items before" in counts.gaps[0].detail
+
+
 def segment_with(folder: Path, payload: bytes) -> Path:
     """The file of the archive that has this payload."""
     return next(path for path in folder.rglob("*.segment") if payload in path.read_bytes())

@@ -14,6 +14,7 @@ from stampede_rt.errors import ChannelNotFound, FileError, IncarnationLost, Stam
 from stampede_rt.files.entries import POLICY_KEY
 from stampede_rt.files.tally import ChannelTally
 from stampede_rt.transports.concurrency_async import BackgroundTask, Signal
+from stampede_rt.values.answers import Items
 from stampede_rt.values.model import Item
 from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.timeline import NOW, OLDEST, Bound, format_instant
@@ -86,7 +87,9 @@ class ChannelRecording:
         """Record one incarnation, until `finish` or an error."""
         looked: list[RecordingGap] = []
         start: Bound | None = OLDEST if anew else None
-        if self._since_nanos is not None and not anew:
+        if anew and not self.tallies:
+            looked = await self._look_at_oldest()
+        elif self._since_nanos is not None and not anew:
             start, looked = await self._look(self._since_nanos)
         name = f"the recording of channel {self.name!r}"
         self._stream = stream = RecordingStream.of(self._session, self._state, start, name, held=True)
@@ -112,13 +115,13 @@ class ChannelRecording:
 
     async def _look(self, since_nanos: int) -> tuple[Bound, list[RecordingGap]]:
         """Return the instant at which the recording begins, and a gap if the channel no longer holds it all."""
-        found = await self._channel.get(
-            NOW - f"{since_nanos} ns", NOW, match="start", limit=1, payloads=False, timeout=0
-        )
+        found = await self._found_from(NOW - f"{since_nanos} ns")
         if found.interval is None:
             return OLDEST, []
         self._first = found[0] if found else None
         begins = found.interval.start
+        if found.reason == "LOST":
+            return Bound(None, begins), [self._lost_gap(found)]
         if not found.truncated:
             return Bound(None, begins), []
         ends = found[0].time if found else None
@@ -129,6 +132,18 @@ class ChannelRecording:
             "max_age, or record less of the past",
         )  # fmt: skip
         return Bound(None, begins), [gap]
+
+    async def _look_at_oldest(self) -> list[RecordingGap]:
+        """Return a gap if a former host of the channel was lost with items. Only an archive shows this here."""
+        found = await self._found_from(OLDEST)
+        return [self._lost_gap(found)] if found.reason == "LOST" else []
+
+    async def _found_from(self, start: Bound) -> Items:
+        return await self._channel.get(start, NOW, match="start", limit=1, payloads=False, timeout=0)
+
+    def _lost_gap(self, found: Items) -> RecordingGap:
+        detail = "" if found.reason is None else found.reason.detail
+        return RecordingGap(channel=self.name, incarnation=found.incarnation, reason="LOST", detail=detail)
 
     async def _write(self, tally: ChannelTally, batch: RecordedBatch, read_to: int) -> None:
         first, gaps = self._first, list(batch.gaps)

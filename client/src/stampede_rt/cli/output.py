@@ -108,14 +108,18 @@ def policy_text(policy: Policy) -> str:
     parts = parts or ["10 s (default)"]
     if policy.overlap_nanos is not None:
         parts.append(f"overlap {format_duration(policy.overlap_nanos)}")
-    if policy.archive_nanos is not None:
-        forever = policy.archive_nanos == FOREVER_NANOS
-        parts.append("archive " + ("for ever" if forever else format_duration(policy.archive_nanos)))
-    if policy.archive_bytes is not None:
-        parts.append(f"archive {bytes_text(policy.archive_bytes)}")
+    if policy.is_recorded:
+        parts.append(f"archive {_archive_text(policy)}")
     if policy.replicas:
         parts.append(replication_text(policy.replicas, policy.ack, policy.min_replicas))
     return ", ".join(parts)
+
+
+def _archive_text(policy: Policy) -> str:
+    age, most = policy.archive_nanos, policy.archive_bytes
+    limits = [] if age is None else ["for ever" if age == FOREVER_NANOS else format_duration(age)]
+    limits += [] if most is None else [f"up to {bytes_text(most)}"]
+    return " ".join(limits)
 
 
 def number_of(count: int, noun: str) -> str:
