@@ -1,4 +1,4 @@
-"""A name server like the one of an engine's network: it knows the addresses of the services (RFC 1035)."""
+"""A DNS server (RFC 1035) that knows the addresses of the services. A network of Docker has such a server, too."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class NameServer(asyncio.DatagramProtocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Called by asyncio with the socket."""
-        # It is a datagram transport, but not of this class before Python 3.12.
+        # Before Python 3.12 the transport of a datagram socket has another class.
         self._transport = cast(asyncio.DatagramTransport, transport)
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:

@@ -161,7 +161,7 @@ def test_a_host_without_its_lease_or_out_of_reach_is_reported(facts: dict[str, A
     assert (host.state, bool(host.advice)) == (state, True)
 
 
-def test_puts_that_a_host_refused_are_reported_with_its_use_of_memory_also_older_ones() -> None:
+def test_the_report_of_refused_puts_has_the_memory_of_the_host_and_counts_older_refusals() -> None:
     facts = {"refused_items": 12, "held_bytes": 2**30, "memory_bytes_max": 2**30}
     host = found(changed("h1", refused_ago_nanos=3000 * MS, **facts), "host h1")
     assert host.state == "12 puts refused"

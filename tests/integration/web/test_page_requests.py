@@ -121,7 +121,7 @@ def test_a_channel_that_is_not_recorded_has_no_archive(rt: st.Connection, page: 
     assert "archive_oldest" not in drawing(page, "tape/none", item.time)
 
 
-def test_a_window_before_the_track_is_read_beside_it(
+def test_the_page_reads_a_window_before_its_track_without_a_change_of_the_track(
     rt: st.Connection, cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     channel, began = recorded(rt, "tape/long", 30)

@@ -4,8 +4,8 @@ Three or five supernodes of today's release are replaced one by one by a newer r
 and sometimes back again. Meanwhile they are killed, split and hang, and newcomers of both releases join. A machine may
 be off while the others are upgraded, and comes back with its former release. A test caller always proposes the newer
 release's command directly to the log, which no supernode would do. The log must refuse the command until all members
-know it. No two states may differ, no command above the level may be in the log, and no member may be left behind by a
-level that it never reported to know. In the end all members run the newer release, and the command works.
+know it. No two states may differ, no command above the level may be in the log, and the level may not rise above a
+level that some member has never reported to know. In the end all members run the newer release, and the command works.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ class Operation:
     """One call.
 
     `returned` is infinite and `answer` None if its outcome is unknown: it may take effect at any time after `invoked`,
-    or never. A call that certainly had no effect is in no history. If it nevertheless shows an effect, nothing explains
-    the effect.
+    or never. The history leaves out calls that certainly had no effect. If such a call had an effect after all, no
+    order of the operations explains the later answers.
     """
 
     key: str
@@ -47,7 +47,7 @@ class Recorder:
 
 
 def by_key(operations: Iterable[Operation]) -> dict[str, list[Operation]]:
-    """The operations of each key. A history is linearizable if each key's is (Herlihy and Wing 1990, locality)."""
+    """The operations of each key. A history is linearizable if the history of each key is (Herlihy and Wing 1990)."""
     histories: dict[str, list[Operation]] = defaultdict(list)
     for operation in operations:
         histories[operation.key].append(operation)

@@ -12,7 +12,7 @@ PAGE = Path(__file__).parents[3] / "docs/command-line.md"
 
 
 def documented() -> dict[str, set[str]]:
-    """Return the fields of each command by the page. A word in capitals stands for the fields in its own row."""
+    """Return the documented fields of each command. A word in capitals stands for the fields in its own row."""
     rows = re.findall(r"^\| (.+) \| (`.+) \|$", PAGE.read_text().partition("## Fields")[2], flags=re.MULTILINE)
     cells = {one.strip("`"): re.findall(r"`([^`]+)`", right) for left, right in rows for one in left.split(", ")}
 

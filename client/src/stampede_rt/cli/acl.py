@@ -145,7 +145,7 @@ def run_ls(arguments: argparse.Namespace) -> int:
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Tell whether a client may do something."""
+    """Print whether a client may do something."""
     from stampede_rt.v1 import access_pb2
     from stampede_rt.v1 import access_service_pb2 as pb
 

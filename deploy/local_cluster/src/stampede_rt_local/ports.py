@@ -31,7 +31,8 @@ class PortBlocks:
 
     def ports(self) -> Iterator[int]:
         """The ports of this process, the longest unused first, and then the ports of further blocks, which it
-        claims."""
+        claims.
+        """
         if self._file is None or self._pid != os.getpid():
             self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
             self._pid, self._ports = os.getpid(), []
@@ -59,7 +60,7 @@ _blocks = PortBlocks(Path(tempfile.gettempdir()) / f"stampede-ports-{os.geteuid(
 
 
 def free_ports(count: int, host: str = "localhost", *, besides: int = 0) -> list[int]:
-    """Return `count` different ports that are free at `host` now, without `besides`.
+    """Return `count` different ports that are free at `host` now, and none of the ports `besides`.
 
     No other process of the same user gets them while this one runs. Raises OSError if there are none.
     """

@@ -1,4 +1,4 @@
-"""The past cut of a group, computed from marks. The archives may have only a part of them."""
+"""The past cut of a group, computed from the newest time and the advance of each member."""
 
 from __future__ import annotations
 

@@ -14,7 +14,8 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 def check_queue_access(
     verb: AccessVerb, queue: RecordedQueue, check: Callable[[AccessVerb, AccessKind, str], None] = check_access
 ) -> None:
-    """Check that the caller may perform `verb` on the queue. `check` checks one right, or holds it for a while.
+    """Check that the caller may perform `verb` on the queue. `check` checks one right, and may also demand it until a
+    wait ends.
 
     Raises PermissionDenied if not, Unavailable if this host does not know the rules yet.
     """

@@ -90,7 +90,7 @@ async def turns_until(condition: Any) -> int:
     raise AssertionError("the messages did not come")
 
 
-async def test_other_readers_get_items_in_as_few_turns_of_the_event_loop_while_one_reader_stalls() -> None:
+async def test_a_stalled_reader_costs_the_other_readers_no_turn_of_the_event_loop() -> None:
     without, _ = await turns_of_puts([Stream() for _ in range(READERS)])
     with_stalled, channel = await turns_of_puts([Stream(stalls=True), *(Stream() for _ in range(READERS))])
     assert with_stalled[1:] == without[1:]  # the first put wakes the stalled reader for the last time

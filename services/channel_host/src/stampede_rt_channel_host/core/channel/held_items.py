@@ -227,7 +227,7 @@ class HeldItems:
         )
 
     def items_below(self, key: ItemKey) -> int:
-        """The number of held items below a key. Takes most of it from the blocks, and walks over the other items."""
+        """The number of held items below a key. Adds the counts of whole blocks, and walks over the other items."""
         whole = self._blocks.whole_below(key)
         return whole.items + sum(part.items for part in self.slices(whole.end, key))
 
