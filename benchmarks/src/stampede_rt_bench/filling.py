@@ -34,7 +34,7 @@ def filled_channel(items: int, *, run_items: int = 1) -> ChannelCore:
 def filled_remote_channel(rt: st.Connection, items: int) -> st.Channel:
     """Return a channel of a cluster with `items` items of 64 B, REMOTE_PERIOD_NANOS apart.
 
-    The newest is at about now.
+    The newest item has about the present time.
     """
     channel = rt.channel(f"bench/{items}", max_items=items, max_bytes=REMOTE_BYTES_MAX)
     first = st.now() - items * REMOTE_PERIOD_NANOS

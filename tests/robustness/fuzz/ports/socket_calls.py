@@ -31,7 +31,7 @@ class SocketPort(NamedTuple):
     target: str
     tls: ssl.SSLContext | None = None
     percent: int = 100
-    """The share of the streams that go there. The others go over gRPC."""
+    """The share of the streams that use this socket. The others use gRPC."""
 
 
 async def socket_targets(channel: grpc.aio.Channel, metadata: tuple[tuple[str, str], ...]) -> list[str]:
@@ -55,7 +55,9 @@ async def called_over_socket(
     source: ByteSource,
     seconds: float,
 ) -> tuple[grpc.StatusCode, str]:
-    """Return the status; CANCELLED if none comes within `seconds`, as after damage that asks for more bytes."""
+    """Return the status; CANCELLED if none comes within `seconds`. The host may wait for more bytes if
+    the damage has changed a length.
+    """
     frames = _damaged(_frames(path, requests, metadata), source)
     if port.tls is not None and source.chance(NO_TLS_PERCENT):
         return await _sent_without_tls(port.target, frames, seconds)

@@ -106,7 +106,7 @@ class Stores:
 
 
 def body_of(seq: int) -> bytes:
-    return b"%4d" % seq * 50  # the ring has room for fewer than 8, so it overwrites older bytes
+    return b"%4d" % seq * 50  # the ring has room for fewer than 8 items, so it overwrites older ones
 
 
 @pytest.mark.parametrize("before", [0, 3, 40])  # the ring is empty, has room, or overwrites
