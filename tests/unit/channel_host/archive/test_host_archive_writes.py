@@ -233,3 +233,47 @@ def test_a_write_begins_as_soon_as_enough_bytes_wait_unless_the_disk_fails(
         return written
 
     assert asyncio.run(scenario()) == ([0, 0, 0, 0] if is_full else [0, 0, 3, 3])
+
+
+def test_items_that_come_during_a_write_wait_for_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def scenario() -> list[int]:
+        archive = archive_in(tmp_path / "a", monkeypatch)
+        monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.WRITE_AFTER_SECONDS", 10**6)
+        recorder, put = recorded(archive, tmp_path / "c")
+        disk = SlowDisk(monkeypatch)
+        put()
+        archive.hurry()
+        assert await asyncio.to_thread(disk.reached.wait, 60)
+        put()
+        disk.go_on.set()
+        await until(lambda: recorder.archived_to == 2)
+        put()
+        archive.hurry()
+        await until(lambda: recorder.archived_to == 4)
+        put()
+        await archive.close([recorder])
+        files = recorder.files
+        blocks = files.place.blocks(recorder.segments[0], 0)
+        return [one.head.items for one in blocks if one.head.items]
+
+    assert asyncio.run(scenario()) == [1, 2, 1]
+
+
+@pytest.mark.parametrize(
+    ("policy", "puts"),
+    [
+        (Policy(max_bytes=4000), 3),  # an item counts 370 bytes, because it may begin a file
+        (Policy(max_items=12, on_full="block", consumers=1), 3),
+        (Policy(max_items=12), None),  # the channel keeps more items until they are archived
+    ],
+)
+def test_a_write_begins_when_a_fourth_of_a_small_channel_waits(
+    tmp_path: Path, policy: Policy, puts: int | None
+) -> None:
+    channel, files = ChannelCore(policy, incarnation=7), SegmentFiles(tmp_path, {})
+    recorder, fills = ChannelRecorder(channel, files, ()), list[bool]()
+    for at in range(1, 6):
+        channel.put(Offer(times=[at], durations=None, lengths=[1]), at, lambda first_seq, kept, stamped: b"item")
+        recorder.note(at)
+        fills.append(recorder.fills_a_write)
+    assert fills == [puts is not None and at >= puts for at in range(1, 6)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import TypeVar
@@ -16,6 +17,7 @@ from stampede_rt_channel_host.archive.kept_blocks import KeptBlocks
 from stampede_rt_channel_host.archive.objects.object_archive import ObjectArchive
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder, WriteJob
 from stampede_rt_channel_host.archive.segment_files import OpenedArchive, SegmentFiles
+from stampede_rt_channel_host.archive.task_defects import log_defect
 from stampede_rt_channel_host.core.archive import ArchivedPart, ArchiveWindow, PastArchive, Segment, WantedWindow
 from stampede_rt_channel_host.core.channel import Run
 from stampede_rt_channel_host.core.records import RecordedChannel
@@ -35,9 +37,9 @@ class HostArchive:
     """Writes with one thread, and reads with other threads, so that the event loop never waits for the disk.
 
     After new items have come, the archive waits WRITE_AFTER_SECONDS for more, unless a channel has enough for a write.
-    Then it writes the items of all channels, one channel after the other. `decode` makes a run of its stored body.
-    `on_written` is called after each write of a channel that succeeds. `disk` counts the bytes of the files. `now` is
-    the host's clock.
+    Then it writes the items of all channels, one channel after the other. Items that come meanwhile wait for others,
+    too. `decode` makes a run of its stored body. `on_written` is called
+    after each write of a channel that succeeds. `disk` counts the bytes of the files. `now` is the host's clock.
     """
 
     def __init__(
@@ -159,7 +161,7 @@ class HostArchive:
             self._hurry.set()
         if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._write_on(), name="archive")
-            self._task.add_done_callback(_log_defect)
+            self._task.add_done_callback(log_defect)
         self._news.set()
 
     def hurry(self) -> None:
@@ -186,14 +188,13 @@ class HostArchive:
 
     async def _write_on(self) -> None:
         """Write while there is something to write, until the archive closes."""
-        while True:
+        while not self._is_closing:
             await self._news.wait()
             self._news.clear()
             if not self._is_closing:
                 await self._gather()
-            await self.write_all()
-            if self._is_closing:
-                return
+            await self._write_due()
+        await self.write_all()
 
     async def _gather(self) -> None:
         """Wait for more items, unless a put waits for stable storage."""
@@ -205,16 +206,22 @@ class HostArchive:
         self._hurry.clear()
 
     async def write_all(self) -> None:
-        """Write all items that the channels have accepted. If the write of a channel fails, its items stay in memory,
+        """Write all items that the channels have accepted, also those that come meanwhile."""
+        while self._due:
+            await self._write_due()
+
+    async def _write_due(self) -> None:
+        """Write the items of each channel that has some now. If the write of a channel fails, its items stay in memory,
         and the archive tries again a second later. The other channels do not wait for it.
         """
-        while self._due:
-            recorder = next(iter(self._due))
-            if not recorder.begin():
+        waiting = deque(self._due)
+        while waiting:
+            if waiting[0] in self._due and not waiting[0].begin():
                 await asyncio.sleep(0)
                 continue
-            on_written = self._due.pop(recorder)
-            if (job := recorder.take()).parts:
+            recorder = waiting.popleft()
+            on_written = self._due.pop(recorder, None)  # None: the host has given the channel up meanwhile
+            if on_written is not None and (job := recorder.take()).parts:
                 await self._write(recorder, on_written, job)
 
     async def _write(self, recorder: ChannelRecorder, on_written: Callable[[], None], job: WriteJob) -> None:
@@ -234,6 +241,8 @@ class HostArchive:
     def _write_later(self, recorder: ChannelRecorder, on_written: Callable[[], None]) -> None:
         if not recorder.is_stopped:
             self._due.setdefault(recorder, on_written)
+            if recorder.fills_a_write:
+                self._hurry.set()
             self._news.set()
 
     def _note_failure(self, recorder: ChannelRecorder, error: OSError) -> None:
@@ -257,7 +266,7 @@ class HostArchive:
         """Delete outdated files, because the limit of the disk has refused a write. At most once in RETRY_SECONDS."""
         if self._making_room is None or self._making_room.done():
             self._making_room = asyncio.create_task(self._delete_outdated(), name="archive-room")
-            self._making_room.add_done_callback(_log_defect)
+            self._making_room.add_done_callback(log_defect)
 
     async def _delete_outdated(self) -> None:
         """Delete outdated files, and count the files again: an operator may have deleted some."""
@@ -330,19 +339,10 @@ class HostArchive:
         for recorder in recorders:
             if recorder.backlog_items and recorder not in self._due:
                 self.touch(recorder, lambda: None)
+        self._hurry.set()
         self._news.set()
         if self._task is not None:
             await asyncio.wait([self._task])
-
-
-def _log_defect(task: asyncio.Task[None]) -> None:
-    """Log a defect that has ended the task of the writes. Items then stay in memory, as with a full disk."""
-    if not task.cancelled() and (failure := task.exception()) is not None:
-        logger.error(
-            "a task of the host ended with a defect",
-            exc_info=failure,
-            extra={"event": "task_defect", "task": task.get_name()},
-        )
 
 
 def _rest() -> None:

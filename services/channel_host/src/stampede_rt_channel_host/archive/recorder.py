@@ -184,8 +184,9 @@ class ChannelRecorder:
 
     @property
     def fills_a_write(self) -> bool:
-        """Whether as many bytes wait as one write takes, and the disk takes writes."""
-        return self._coming_bytes >= BYTES_PER_WRITE and not self.failure
+        """Whether as many bytes wait as one write takes, or as a fourth of the channel, and the disk takes writes."""
+        is_much = self._channel.limits.is_a_fourth(self._coming_bytes, self.backlog_items)
+        return (is_much or self._coming_bytes >= BYTES_PER_WRITE) and not self.failure
 
     @property
     def backlog_items(self) -> int:
@@ -206,9 +207,8 @@ class ChannelRecorder:
         if not self.has_all_items:
             return None
         channel = self._channel
-        return CleanStop(
-            channel.incarnation, channel.advanced_to, channel.lost_from, channel.lost_before, self.encoded_retries()
-        )
+        losses = channel.lost_from, channel.lost_before
+        return CleanStop(channel.incarnation, channel.advanced_to, *losses, self.encoded_retries())
 
     def note_loss(self, lost_before: int, found_to: int | None = None) -> None:
         """Note that the former owner was lost with items before this instant. The next write says so.

@@ -16,6 +16,7 @@ from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore,
 from stampede_rt_channel_host.archive.objects.stored_segments import PackedSegment
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
+from stampede_rt_channel_host.archive.task_defects import log_defect
 from stampede_rt_channel_host.core.archive import Segment
 from stampede_rt_runtime.working_threads import WorkingThreads
 
@@ -80,7 +81,7 @@ class SegmentMover:
         """Begin to move segments. Idempotent."""
         if self._task is None:
             self._task = asyncio.create_task(self._run(), name="archive-mover")
-            self._task.add_done_callback(_log_defect)
+            self._task.add_done_callback(log_defect)
 
     def record(self, recorder: ChannelRecorder) -> None:
         """Move the closed segments of a channel that this host records."""
@@ -336,13 +337,3 @@ def _failed(files: MovingFiles, now: int, seal_nanos: int, limits: ArchiveLimits
 
 def _nothing() -> None:
     """Does nothing, because the note of a stop is on the disk already."""
-
-
-def _log_defect(task: asyncio.Task[None]) -> None:
-    """Log a defect that has ended the task of the moves. Closed files then stay in their folders."""
-    if not task.cancelled() and (failure := task.exception()) is not None:
-        logger.error(
-            "a task of the host ended with a defect",
-            exc_info=failure,
-            extra={"event": "task_defect", "task": task.get_name()},
-        )

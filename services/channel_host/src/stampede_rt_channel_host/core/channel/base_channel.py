@@ -242,6 +242,11 @@ class BaseChannel:
         return self._policy
 
     @property
+    def limits(self) -> ChannelLimits:
+        """The limits of the policy, with the defaults."""
+        return self._retention.limits
+
+    @property
     def may_block(self) -> bool:
         """Whether a put may have to wait for room."""
         return self._retention.limits.on_full == BLOCK

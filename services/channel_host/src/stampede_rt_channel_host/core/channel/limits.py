@@ -62,6 +62,15 @@ class ChannelLimits:
         """Whether a full channel drops the oldest items for new ones."""
         return self.on_full == DROP_OLDEST
 
+    def is_a_fourth(self, waiting_bytes: int, waiting_items: int) -> bool:
+        """Whether so many items wait for the archive as take a fourth of the channel.
+
+        The channel frees items only when they are archived. If many more waited, max_bytes would collect items before
+        they are written, or puts would have to wait.
+        """
+        most_items = None if self.drops_oldest else self.max_items
+        return 4 * waiting_bytes >= self.max_bytes or (most_items is not None and 4 * waiting_items >= most_items)
+
     @property
     def consumer_places(self) -> int:
         """The number of consumer places. If it is 0, the channel counts no consumption, and keeps no data for it."""
