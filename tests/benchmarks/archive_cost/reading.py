@@ -15,13 +15,18 @@ AT_TIMES, INTERVALS, INTERVAL_ITEMS = 400, 5, 100_000
 US = 1000
 
 
-def filled(rt: st.Connection, name: str, items: int, **policy: Any) -> tuple[st.Channel, int]:
-    """A channel with this number of items, a microsecond apart, and the time of the first one."""
+def filled(
+    rt: st.Connection, name: str, items: int, *, one_by_one: bool = False, **policy: Any
+) -> tuple[st.Channel, int]:
+    """A channel with this number of items, a microsecond apart, and the time of the first one. `one_by_one`: each item
+    is a run of its own.
+    """
     channel = rt.channel(name, **policy)
     began = channel.stats().host_time - (items + 1) * US
     with channel.producer() as producer:
+        put = channel.put if one_by_one else producer.put
         for number in range(items):
-            producer.put(PAYLOAD, time=began + number * US)
+            put(PAYLOAD, time=began + number * US)
     if "archive" in policy:
         wait_until(lambda: channel.stats().held <= 1000, within_seconds=600)
     return channel, began
@@ -30,11 +35,16 @@ def filled(rt: st.Connection, name: str, items: int, **policy: Any) -> tuple[st.
 def reading(rt: st.Connection, largest: int) -> None:
     """Print the times of reads."""
     heading("items", "at(t), median", "at(t), p99", f"interval of {INTERVAL_ITEMS:,}, thousand items/s")
-    channel, began = filled(rt, "cost/at/memory", INTERVAL_ITEMS + 2000, max_items=10**6, max_bytes=2**30)
-    row(f"{INTERVAL_ITEMS:,} in memory", *read_figures(channel, began, INTERVAL_ITEMS + 2000))
+    least = INTERVAL_ITEMS + 2000
+    channel, began = filled(rt, "cost/at/memory", least, max_items=10**6, max_bytes=2**30)
+    row(f"{INTERVAL_ITEMS:,} in memory", *read_figures(channel, began, least))
+    channel, began = filled(rt, "cost/at/single", least, one_by_one=True, max_items=10**6, max_bytes=2**30)
+    row(f"{INTERVAL_ITEMS:,} in memory, put one by one", *read_figures(channel, began, least))
+    channel, began = filled(rt, "cost/at/archived", least, one_by_one=True, archive="forever", max_items=1000)
+    row(f"{INTERVAL_ITEMS:,} in the archive, put one by one", *read_figures(channel, began, least))
     size = 10**5
     while size <= largest:
-        items = max(size, INTERVAL_ITEMS + 2000)  # the last 1000 are in memory
+        items = max(size, least)  # the last 1000 are in memory
         channel, began = filled(rt, f"cost/at/{size}", items, archive="forever", max_items=1000)
         row(f"{size:,} in the archive", *read_figures(channel, began, items))
         size *= 10

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import struct
 from typing import NamedTuple
 
@@ -15,6 +16,15 @@ _LENGTHS_TAG = 3 << 3 | 2
 _PAYLOADS_TAG = 6 << 3 | 2
 _SEQ = struct.Struct("<BQ")
 _SEQ_TAG = 7 << 3 | 1
+_PAYLOAD_BYTES = struct.Struct("<I")
+# Layouts of stored plain runs: how the last column before the column of lengths begins, and where; where the column of
+# lengths begins; and how many bytes come after the payload.
+_LAYOUTS = (
+    (b"", 0, 0, _COLUMN.size + _SEQ.size),
+    (bytes((_TIMES_TAG, 8)), 0, _COLUMN.size, _SEQ.size),
+    (bytes((_DURATIONS_TAG, 8)), 0, _COLUMN.size, _COLUMN.size + _SEQ.size),
+    (bytes((_DURATIONS_TAG, 8)), _COLUMN.size, 2 * _COLUMN.size, _SEQ.size),
+)
 
 
 class PlainRun(NamedTuple):
@@ -30,7 +40,7 @@ def plain_run_parts(payload: bytes, time: int | None, duration: int | None) -> l
 
     The last piece is the payload. Protobuf would make the same bytes. None leaves a column out.
     """
-    head = _LENGTHS.pack(_LENGTHS_TAG, 4, len(payload), _PAYLOADS_TAG) + encode_varint(len(payload))
+    head = _lengths_of(len(payload))
     if duration is not None:
         head = _COLUMN.pack(_DURATIONS_TAG, 8, duration) + head
     if time is not None:
@@ -58,19 +68,42 @@ def read_plain_run(raw: bytes | memoryview, run_bytes: int | None = None) -> Pla
 
 def read_sealed_run(sealed: bytes) -> tuple[int, PlainRun] | None:
     """The seq and the columns of a plain run with the fields of a host (`seal_run`). None for all other bytes."""
-    end = len(sealed) - _SEQ.size
-    if end < _COLUMN.size:
+    try:
+        at, time = _number_at(sealed, 0, _TIMES_TAG)
+        at, duration = _number_at(sealed, at, _DURATIONS_TAG)
+        (length,) = _PAYLOAD_BYTES.unpack_from(sealed, at + 2)
+        end = len(sealed) - _SEQ.size
+        tag, seq = _SEQ.unpack_from(sealed, end)
+        if time is None:
+            end -= _COLUMN.size
+            times_tag, size, time = _COLUMN.unpack_from(sealed, end)
+            if times_tag != _TIMES_TAG or size != 8:
+                return None
+    except (IndexError, struct.error):  # the run ends within a field
         return None
-    tag, seq = _SEQ.unpack_from(sealed, end)
-    if tag != _SEQ_TAG:
-        return None
-    run = read_plain_run(sealed, end)
-    if run is not None:
-        return None if run.time is None else (seq, run)
-    end -= _COLUMN.size
-    tag, size, time = _COLUMN.unpack_from(sealed, end)
-    run = read_plain_run(sealed, end) if tag == _TIMES_TAG and size == 8 else None
-    return None if run is None or run.time is not None else (seq, run._replace(time=time))
+    lengths = _lengths_of(length)
+    is_plain = sealed.startswith(lengths, at) and at + len(lengths) + length == end
+    return (seq, PlainRun(time, duration, length)) if is_plain and tag == _SEQ_TAG else None
+
+
+def sealed_payload_at(sealed: bytes, payload_bytes: int) -> int:
+    """Where the payload begins in a stored run of one item, if the run is plain; otherwise 0.
+
+    Faster than `read_sealed_run`, for a caller that knows the columns. A stored run always has a time and a seq. So its
+    length says that it has no other fields.
+    """
+    lengths = _lengths_of(payload_bytes)
+    for begin, place, at, behind in _LAYOUTS:
+        if sealed.startswith(lengths, at) and sealed.startswith(begin, place):
+            payload_at = at + len(lengths)
+            return payload_at if payload_at + payload_bytes + behind == len(sealed) else 0
+    return 0
+
+
+@functools.lru_cache(maxsize=256)
+def _lengths_of(payload_bytes: int) -> bytes:
+    """The bytes of a plain run from its column of lengths up to its payload."""
+    return _LENGTHS.pack(_LENGTHS_TAG, 4, payload_bytes, _PAYLOADS_TAG) + encode_varint(payload_bytes)
 
 
 def _number_at(raw: bytes | memoryview, at: int, tag: int) -> tuple[int, int | None]:

@@ -9,6 +9,7 @@ from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.disk_use import DiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.objects.object_archive import ObjectArchive, ObjectSettings
+from stampede_rt_channel_host.channels.joined_runs import joined_runs
 from stampede_rt_channel_host.channels.recordings import Recordings
 from stampede_rt_channel_host.copies.messages import run_of
 from stampede_rt_channel_host.copies.owner_messages import retries_of, retries_to
@@ -38,4 +39,4 @@ def _archive(
     accounts.set_default(Quota.BYTES_ARCHIVED, disk.bytes_max * 7 // 8)
     disk.update(found)
     stored = None if objects is None else ObjectArchive(objects, folder, slice_run, now)
-    return HostArchive(folder, run_of, disk, now, stored)
+    return HostArchive(folder, run_of, disk, now, stored, joined_runs)

@@ -24,13 +24,13 @@ NOW = 1_700_000_000_000_000_000
 
 
 def channel_of(lengths: Sequence[int]) -> tuple[ChannelCore, list[bytes]]:
-    """A channel with one run for each length, of one item, and the stored bytes."""
+    """A channel with one run for each length, of one item with a label, and the stored bytes."""
     channel, stored = ChannelCore(Policy(max_items=1000), incarnation=9), []
     for place, length in enumerate(lengths):
         time = NOW - 1000 + place
 
         def seal(first_seq: int, kept: object, stamped: object, time: int = time, length: int = length) -> bytes:
-            stored.append(seal_run(encode_run([b"x" * length], times=[time]), first_seq))
+            stored.append(seal_run(encode_run([b"x" * length], times=[time], content_type="x"), first_seq))
             return stored[-1]
 
         channel.put(Offer(times=[time], durations=None, lengths=[length]), NOW, seal)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from stampede_rt.v1 import item_pb2
-from stampede_rt.wire.plain_runs import plain_run_parts, read_plain_run, read_sealed_run
+from stampede_rt.wire.plain_runs import plain_run_parts, read_plain_run, read_sealed_run, sealed_payload_at
 from stampede_rt.wire.run_slices import sealed_columns
 from stampede_rt.wire.runs import encode_run, parse_run, seal_run
 
@@ -70,9 +70,28 @@ def test_a_sealed_run_of_one_item_reads_as_its_columns_and_its_seq(time: int | N
     plain = b"".join(plain_run_parts(b"abc", time, duration))
     sealed = seal_run(plain, 9, None if time is not None else (6,))
     assert read_sealed_run(sealed) == (9, (6 if time is None else time, duration, 3))
+    assert sealed[sealed_payload_at(sealed, 3) :].startswith(b"abc")
     columns = sealed_columns(sealed)
     assert columns is not None
     assert (columns.first_seq, [*columns.times], [*columns.lengths]) == (9, [6 if time is None else time], [3])
+
+
+def test_the_payload_of_a_run_with_labels_or_in_another_order_is_not_found() -> None:
+    times, lengths, payload = b"\x0a\x08" + bytes(8), b"\x1a\x04\x03\x00\x00\x00", b"\x32\x03abc"
+    label = b"\x22\x08a/bcdefg"  # as long as a column
+    for raw in (
+        times + label + lengths + payload,
+        label + times + lengths + payload,
+        times + lengths + label + payload,
+        times + lengths + payload + label,
+        lengths + label + payload + times,
+        payload + times + lengths,
+        times + payload + lengths,
+    ):
+        assert sealed_payload_at(seal_run(raw, 7), 3) == 0
+    assert sealed_payload_at(seal_run(times + lengths + payload, 7), 4) == 0
+    for raw in (label + lengths + payload, lengths + payload + label):
+        assert sealed_payload_at(seal_run(raw, 7, (6,)), 3) == 0
 
 
 def test_other_sealed_runs_are_not_plain() -> None:

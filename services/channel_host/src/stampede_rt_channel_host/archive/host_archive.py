@@ -38,7 +38,7 @@ class HostArchive:
 
     After new items have come, the archive waits WRITE_AFTER_SECONDS for more, unless a channel has enough for a write.
     Then it writes the items of all channels, one channel after the other. Items that come meanwhile wait for others,
-    too. `decode` makes a run of its stored body. `on_written` is called
+    too. `decode` makes a run of its stored body, and `join` joins neighbouring runs for readers. `on_written` is called
     after each write of a channel that succeeds. `disk` counts the bytes of the files. `now` is the host's clock.
     """
 
@@ -49,13 +49,14 @@ class HostArchive:
         disk: DiskUse | None = None,
         now: Callable[[], int] = time.time_ns,
         objects: ObjectArchive | None = None,
+        join: Callable[[Sequence[Run]], Sequence[Run]] | None = None,
     ) -> None:
         """`objects`: the part in an object store; None: all files stay in the folder."""
         self.folder = folder
         self.objects = objects
         self.disk = disk or DiskUse()
         self.disk.on_full = self._make_room
-        self._decode, self.now = decode, now
+        self._decode, self._join, self.now = decode, join, now
         self._kept = KeptBlocks()
         self._recorders: set[ChannelRecorder] = set()
         self._making_room: asyncio.Task[None] | None = None
@@ -108,6 +109,8 @@ class HostArchive:
             found = await self._in_writer(files.open, record.epoch, record.incarnation)
         else:
             files, found = await self._open_stored(self.objects, record, facts, may_be_unknown, is_move)
+        if self._join is not None:
+            files.join = self._join
         if found.torn_bytes or found.damaged_blocks:
             logger.warning(
                 "the archive of a channel was damaged",

@@ -54,6 +54,8 @@ class SegmentReads:
         self._kept = KeptBlocks() if kept is None else kept
         self.cut: CutRun | None = None
         """Cuts the last run of a block whose later items are in the next segment, too; None: there is no such block."""
+        self.join: Callable[[Sequence[Run]], Sequence[Run]] = _as_they_are
+        """Joins neighbouring runs of one item, because the read takes several steps for each run."""
         self.damaged_blocks = 0
         """The blocks that reads found damaged."""
 
@@ -108,7 +110,7 @@ class SegmentReads:
             if at:
                 rest()
             found = self._archived_runs_of(decode, segment, block, wanted.wanted.times, opened)
-            runs += (one.run for one in found or ())
+            runs += self.join([one.run for one in found or ()])
             taken.setdefault(segment, set()).add(block.offset)
             if found is None:
                 missing.append(Hole(block.head.low[0], block.head.high[0], block.head.items))
@@ -143,7 +145,7 @@ class SegmentReads:
         return part_of(runs, chosen)
 
     def _runs_of(self, segment: Segment, block: PlacedBlock, decode: Callable[[bytes], Run]) -> list[Run]:
-        return [one.run for one in self._all_runs_of(decode, segment, block)]
+        return [*self.join([one.run for one in self._all_runs_of(decode, segment, block)])]
 
     def _all_runs_of(self, decode: Callable[[bytes], Run], segment: Segment, block: PlacedBlock) -> list[ArchivedRun]:
         return self._archived_runs_of(decode, segment, block) or []
@@ -207,6 +209,10 @@ class SegmentReads:
             found = FoundBlocks(segment.length, found.blocks.followed_by(more))
             self._kept.keep(self, segment.number, found)
         return found.blocks.before(segment.length)
+
+
+def _as_they_are(runs: Sequence[Run]) -> Sequence[Run]:
+    return runs
 
 
 def _go_on() -> None:

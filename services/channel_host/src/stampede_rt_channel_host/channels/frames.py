@@ -15,6 +15,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import error_pb2
 from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt.wire.varints import encode_varint
+from stampede_rt_channel_host.channels.joined_runs import joined_slices
 from stampede_rt_channel_host.core.channel import ColumnRun, DeliveredSlice, ReadAnswer, Slice, Slicer, drained
 
 MESSAGE_BYTES_MAX = 2**20  # the most bytes of runs in one message; a message with a single run may have more
@@ -22,7 +23,7 @@ SHARED_BYTES_MAX = 4 * 2**20  # the most memory of the deliveries that a host ke
 KEPT_DELIVERY_BYTES = 1024  # the approximate memory of a kept delivery besides its bytes
 JOINED_BYTES_MAX = 2**16  # up to this length a join takes less time than to send parts
 PART_BYTES_MIN = 1024  # on average; to join shorter parts takes less time
-MESSAGE_RUNS_MAX = 512  # the most runs in one message, so that the host makes it within two milliseconds
+MESSAGE_RUNS_MAX = 512  # the most stored runs in one message, so that the host makes it within two milliseconds
 
 _LENGTH_DELIMITED = 2
 _RUN = bytes((1 << 3 | _LENGTH_DELIMITED,))  # RawDeliveredRun.run
@@ -69,17 +70,18 @@ def get_responses(
     """Yield the messages that answer a get. The last message has the summary."""
     head = _CALL_ID + encode_varint(call_id) if call_id else b""  # proto3 leaves out fields of value zero
     parts, runs, size, payload_bytes, items = [head], 0, 0, 0, 0
-    next_time, rest = answer.next_time, drained(answer.slices)
+    next_time, rest = answer.next_time, joined_slices(drained(answer.slices), answer.next_times)
     following = next(rest, None)
-    while (part := following) is not None:
+    while following is not None:
+        part, stored = following
         following = next(rest, None)
         body = run_bytes(part, without_payloads=without_payloads)
-        if runs and (size + len(body) > MESSAGE_BYTES_MAX or runs >= MESSAGE_RUNS_MAX):
+        if runs and (size + len(body) > MESSAGE_BYTES_MAX or runs + stored > MESSAGE_RUNS_MAX):
             yield EncodedMessage(b"".join(parts), payload_bytes, False, items)
             parts, runs, size, payload_bytes, items = [head], 0, 0, 0, 0
         behind = answer.next_times.get((part.last_time, part.end_seq)) if following else next_time
         _add_run(parts, _GET_RUNS, body, behind)
-        runs += 1
+        runs += stored
         items += part.items
         size += len(body)
         payload_bytes += 0 if without_payloads else part.payload_bytes
