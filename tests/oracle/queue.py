@@ -1,4 +1,4 @@
-"""The oracle's queue: a second implementation that is simple and slow. It looks at every message for every question."""
+"""The oracle's queue: a second implementation that is simple and slow. It looks at every message in every call."""
 
 from __future__ import annotations
 

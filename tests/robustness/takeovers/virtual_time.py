@@ -53,7 +53,7 @@ class _JumpingSelector(selectors.DefaultSelector):
 
 @contextmanager
 def _in_place_of(function: Callable[..., Any], clock: VirtualClock) -> Iterator[None]:
-    """Let defaults of the function that are clocks of the process be the virtual ones."""
+    """Replace the default arguments of the function that are real clocks by the virtual clocks."""
     virtual = {time.monotonic: clock.monotonic, time.monotonic_ns: clock.monotonic_ns}
 
     def shown(one: Any) -> Any:

@@ -57,12 +57,12 @@ def test_a_shutdown_may_leave_out_the_calls_that_wait() -> None:
         waiting.result(LIMIT_S)
 
 
-async def test_an_event_loop_takes_them_as_its_default() -> None:
+async def test_an_event_loop_can_use_working_threads_as_its_default_executor() -> None:
     asyncio.get_running_loop().set_default_executor(WorkingThreads(1, "default"))
     assert await asyncio.to_thread(threading.current_thread) is not threading.main_thread()
 
 
-def test_they_work_after_the_main_thread_has_ended_and_do_not_keep_the_program_alive() -> None:
+def test_working_threads_run_after_the_main_thread_has_ended_and_do_not_keep_the_program_alive() -> None:
     source = """
 import threading
 from stampede_rt_runtime.working_threads import WorkingThreads

@@ -23,15 +23,8 @@ START_SECONDS, START_SECONDS_READER, DRAIN_SECONDS, END_SECONDS = 30.0, 1.0, 1.0
 WARM_SHARE, WARM_SECONDS_MIN = 0.2, 0.3
 LATE_NANOS = 1_000_000_000
 NANOS_PER_US, US_PER_SECOND = 1000, 1_000_000
-PRELOADED = [
-    "stampede_rt",
-    "grpc",
-    "grpc.aio",
-    "stampede_rt_bench.workloads.roles",
-    "redis",
-    "nats",
-    "zenoh",
-]  # if here
+# The modules that each process finds imported, if they are installed.
+PRELOADED = ["stampede_rt", "grpc", "grpc.aio", "stampede_rt_bench.workloads.roles", "redis", "nats", "zenoh"]
 
 
 class RunFailed(Exception):

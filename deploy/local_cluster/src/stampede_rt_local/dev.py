@@ -62,7 +62,7 @@ def _run(settings: DevSettings, began: float) -> int:
 
     def pass_on(process: ServiceProcess, line: str) -> None:
         if ready.is_set():  # during the start, services log errors about each other
-            shown = line if line.startswith("{") else f"{process.name}: {line}"  # a line of JSON stays one
+            shown = line if line.startswith("{") else f"{process.name}: {line}"  # a line of JSON stays one line
             print(escaped(shown), file=sys.stderr)
 
     if settings.directory is not None:
@@ -120,7 +120,7 @@ def _page(
 
 def _last_story(cluster: LocalCluster, ended: queue.SimpleQueue[ServiceProcess]) -> str:
     """Wait until the cluster cannot serve any more, and return why. Meanwhile, report parts that end."""
-    while True:  # ends with Ctrl-C, or with too many parts
+    while True:  # ends with Ctrl-C, or when too many parts have ended
         process = ended.get()
         if not _goes_on_without(process, cluster):
             return process.describe_end()

@@ -1,4 +1,4 @@
-"""The calls of a host to the directory: errors that pass or do not, and connections that close."""
+"""The calls of a host to the directory: temporary and permanent errors, and connections that close."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ async def test_a_call_repeats_after_an_error_unless_the_caller_names_its_reason(
 
 
 class SilentSupernode(FakeDirectory):
-    """A supernode that takes questions, and never answers one."""
+    """A supernode that takes requests, and never answers one."""
 
     async def ResolveChannel(self, request: Any, context: Any) -> Any:  # noqa: N802
         await self._begin("ResolveChannel", context)

@@ -1,4 +1,4 @@
-"""Saved contexts: the users who may read them, the one that counts, and no secret in any output."""
+"""Saved contexts: who may read them, which context a command uses, and no secret in any output."""
 
 from __future__ import annotations
 
@@ -53,7 +53,9 @@ def test_the_first_context_is_chosen_and_use_chooses_another(folder: Path, capsy
     assert applied(folder) == {}
 
 
-def test_an_address_of_its_own_uses_no_context_and_the_variable_chooses_for_one_command(folder: Path) -> None:
+def test_a_command_with_an_address_uses_no_context_and_the_variable_names_the_context_of_one_command(
+    folder: Path,
+) -> None:
     run(["context", "add", "lab", "--url", "lab:7580"])
     run(["context", "add", "field", "--url", "field:7580"])
     assert applied(folder, has_url=True) == {}

@@ -48,7 +48,7 @@ def runs_of(lengths: Sequence[int], first_seq: int = 1) -> list[Sequence[Item]]:
 
 
 @given(some.lists(some.one_of(LENGTHS, some.just("one"), some.just("all")), max_size=12))
-def test_steps_and_batches_in_any_turn_give_each_item_once_and_in_order(turns: list[Any]) -> None:
+def test_steps_and_batches_in_any_sequence_give_each_item_once_and_in_order(turns: list[Any]) -> None:
     ready, added, taken = ReadyItems(), 0, list[int]()
     for turn in turns:
         if turn == "one":

@@ -290,7 +290,7 @@ class QueueStore:
 
         Such an answer may be out of date: the lease ended before the host registered again, and the queue may have got
         a new owner meanwhile. Raises the error with which the directory answers. Raises StaleBinding if the host
-        registered during each of LOOKUPS_MAX questions.
+        registered during each of LOOKUPS_MAX lookups.
         """
         for _ in range(LOOKUPS_MAX):
             registrations = self._registrations
