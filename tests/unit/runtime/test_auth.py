@@ -170,7 +170,7 @@ async def test_only_the_exact_form_of_the_authorization_is_admitted(value: str) 
             await call.read()
 
 
-async def test_a_method_that_does_not_exist_is_refused_alike() -> None:
+async def test_a_method_that_does_not_exist_is_refused_in_the_same_way() -> None:
     async with serving(register, secret=RIGHT) as server, dial(server.address, secret=None) as channel:
         with pytest.raises(grpc.aio.AioRpcError) as caught:
             await channel.unary_unary("/no.Service/Method")(b"", timeout=LIMIT_S)

@@ -62,7 +62,7 @@ def matching_of(*archives: Archive) -> ArchivedMatching:
 
 
 @pytest.mark.asyncio
-async def test_a_step_that_fails_for_want_of_room_takes_no_more_memory_when_it_is_repeated(
+async def test_a_repeated_step_without_room_takes_no_further_memory(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(archived_matching, "KEYS_PER_PAGE", 4)

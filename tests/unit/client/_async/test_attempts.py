@@ -1,4 +1,4 @@
-"""Repeated tries of an operation: after errors that may pass, until its time is over; and the error at the end."""
+"""Repeated tries of an operation: after temporary errors, until its time is over; and the error at the end."""
 
 from __future__ import annotations
 

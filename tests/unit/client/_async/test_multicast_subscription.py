@@ -54,7 +54,7 @@ def datagrams_of(first_seq: int, end_seq: int) -> list[bytes]:
 
 
 class Stream:
-    """The host's end of a stream, and the socket of the group. `answers`: the responses to the next question."""
+    """The host's end of a stream, and the socket of the group. `answers`: the responses to the next request."""
 
     def __init__(self) -> None:
         cursor = pb.SubscriptionCursor(incarnation=5, next_seq=1)

@@ -47,8 +47,8 @@ def answered(told: StampedeError) -> Failure:
 
 
 class Supernodes:
-    """Three supernodes that answer every list and ping. A removal fails with the next of `failures`, which then
-    repeat the last one.
+    """Three supernodes that answer every list and ping. A removal fails with the next error of `failures`.
+    The last error repeats.
     """
 
     def __init__(self, failures: list[Failure]) -> None:

@@ -1,4 +1,4 @@
-"""A stream keeps no response that its caller has taken: a long response is a view of the memory for the next one."""
+"""A stream drops a response that its caller has taken, because the next long response uses the same memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The seqs at which an owner begins that does not know the seqs of the former owners."""
+"""The first seq of an owner that does not know the seqs of the former owners."""
 
 from __future__ import annotations
 

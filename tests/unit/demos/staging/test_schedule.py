@@ -37,7 +37,7 @@ def test_the_count_before_an_instant_is_the_number_of_items_that_begin_earlier(g
 
 
 @pytest.mark.parametrize(("offsets", "loop"), [([], 10), ([1, 2], 10), ([0, 5, 5], 10), ([0, 7, 3], 10), ([0, 5], 5)])
-def test_a_value_that_is_no_event_loop_is_refused(offsets, loop):
+def test_timestamps_that_make_no_loop_of_the_clip_are_refused(offsets, loop):
     with pytest.raises(ValueError, match="loop"):
         LoopedClock(offsets, loop)
 

@@ -153,7 +153,7 @@ def test_a_caller_with_a_long_debt_waits_little_after_other_callers_are_idle() -
     assert loop.is_quiet
 
 
-def test_a_caller_behind_a_line_waits_even_if_there_is_time() -> None:
+def test_a_caller_with_a_waiting_step_waits_even_if_the_loop_has_been_idle() -> None:
     loop = Loop()
     heavy, light = loop.caller(), loop.caller()
     loop.works(light, MS)

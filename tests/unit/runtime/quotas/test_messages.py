@@ -1,4 +1,4 @@
-"""Quotas as they travel."""
+"""Quotas in the messages of the contract."""
 
 from __future__ import annotations
 

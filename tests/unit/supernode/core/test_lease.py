@@ -141,7 +141,7 @@ def test_clock_readings_are_noted_only_during_a_tenure_and_end_with_it(table: Le
 
 
 class CountedHolder:
-    """A registration; `seen` counts how often a table has looked at one."""
+    """A registration; `seen` counts how often a table has looked at any of these registrations."""
 
     boot_incarnation = 1
     registered_index = 1

@@ -254,7 +254,7 @@ def test_a_supernode_that_was_started_before_needs_its_store(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"format_version": 1, "surprise": 2}', '{"format_version": 9}'])
-def test_a_damaged_founding_is_refused(tmp_path: Path, text: str) -> None:
+def test_a_damaged_founding_file_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "supernode.json").write_text(text)
     with pytest.raises(StampedeError, match=r"supernode\.json"):
         read_founding(tmp_path)
