@@ -182,6 +182,24 @@ def test_a_recording_of_the_past_names_a_crash_of_the_host(
         assert "the channel's host was lost with the items before" in counts.gaps[0].detail
 
 
+def test_a_recording_has_all_items_although_its_host_has_restarted_with_few_of_them_in_memory(
+    cluster: LocalCluster, rt: st.Connection, tmp_path: Path
+) -> None:
+    """In an earlier version the host's count of accepted items counted as its last seq, so a recording ended early."""
+    channel, began = rt.channel("rig/large", max_items=8, archive="7d"), time.time_ns() - 10**9
+    for number in range(300):
+        channel.put(b"%d" % number + bytes(50_000), time=began + number * MS)
+    wait_until_collected(channel, 8)
+    cluster.hosts[0].stop()
+    cluster.hosts[0].restart()
+    stats = rt.channel("rig/large").stats()
+    assert (stats.next_seq, stats.accepted < 300) == (301, True)
+    for number in range(3):  # a recording that ended early had most items nevertheless
+        with rt.record(["rig/large"], tmp_path / f"{number}.mcap", since="1h", for_="0s") as recording:
+            summary = recording.wait()
+        assert [(one.recorded, one.missing) for one in summary.channels] == [(300, 0)]
+
+
 def segment_with(folder: Path, payload: bytes) -> Path:
     """The file of the archive that has this payload."""
     return next(path for path in folder.rglob("*.segment") if payload in path.read_bytes())

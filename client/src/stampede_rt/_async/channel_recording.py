@@ -17,6 +17,7 @@ from stampede_rt.transports.concurrency_async import BackgroundTask, Signal
 from stampede_rt.values.answers import Items
 from stampede_rt.values.model import Item
 from stampede_rt.values.recording import RecordingGap
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt.values.timeline import NOW, OLDEST, Bound, format_instant
 
 
@@ -104,7 +105,7 @@ class ChannelRecording:
             await self._write(tally, batch, stream.read_to)
             if batch.next_live_seq is not None:
                 tally = await self._next_tally(tally, stream.incarnation, batch.next_live_seq)
-            if self._end_seq is not None and stream.read_to >= self._end_seq:
+            if self._end_seq is not None and not given_between(stream.read_to + 1, self._end_seq + 1):
                 stream.close()
 
     async def _next_tally(self, tally: ChannelTally, incarnation: int, live_seq: int) -> ChannelTally:
@@ -186,7 +187,7 @@ class ChannelRecording:
             self._give_up(stream)
             return
         end_seq = self._end_seq = stream.read_to if accepted is None else accepted
-        if stream.read_to >= end_seq or not await self._done.wait(drain_s):
+        if not given_between(stream.read_to + 1, end_seq + 1) or not await self._done.wait(drain_s):
             stream.close()
         await self._done.wait(drain_s)
         if self._stream is stream:  # the stream was not lost meanwhile
@@ -206,4 +207,4 @@ class ChannelRecording:
             return None, None
         if not self.tallies or stats.incarnation != self.tallies[-1].incarnation:
             return None, None
-        return stats.accepted, stats.advance
+        return stats.accepted if stats.next_seq is None else stats.next_seq - 1, stats.advance

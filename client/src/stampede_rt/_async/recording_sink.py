@@ -12,6 +12,7 @@ from stampede_rt.files.entries import FileAdvance, Topic, encoding_of, item_entr
 from stampede_rt.files.tally import ChannelTally
 from stampede_rt.files.writing import FileWriter
 from stampede_rt.transports.concurrency_async import Signal, StepLock, in_thread
+from stampede_rt.values.seq_starts import given_between
 
 ENCODINGS_MAX = 16  # the most topics of one channel; items with further content types share one more
 Metadata = tuple[tuple[str, str], ...]
@@ -76,7 +77,7 @@ class RecordingSink:
         for gap in tally.ends(last, tally.written_to):
             self.writer.add_gap(gap)
             tally.add_gap(gap)
-        if advance is not None and tally.written_to >= last:
+        if advance is not None and not given_between(tally.written_to + 1, last + 1):
             self._write_advance(tally, (advance, last))
         tally.sealed = True
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from stampede_rt.values.model import Item
 from stampede_rt.values.recording import GAPS_KEPT_MAX, NOT_READ, UNEXPLAINED, RecordedCounts, RecordingGap
+from stampede_rt.values.seq_starts import given_between
 
 
 class ChannelTally:
@@ -77,7 +78,7 @@ class ChannelTally:
         reason. The caller writes them, and adds them here.
         """
         self.reaches(accepted_to)
-        gaps, unread = [], max(0, accepted_to - read_to)
+        gaps, unread = [], given_between(read_to + 1, accepted_to + 1)
         if unread:
             detail = f"the recording ended before it had read seq {read_to + 1} to {accepted_to}"
             gaps.append(self._gap(NOT_READ, detail, read_to + 1, accepted_to, unread))

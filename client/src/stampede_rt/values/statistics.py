@@ -137,6 +137,7 @@ class ChannelStats:
     - `readers`: at most 64 open subscriptions at the channel's host, the slowest first. `writers`: the latest writers,
       at most 8, the latest first. Both are None without the right to read the channel, and in a list of channels.
     - `archive`: the archive of the channel at its host; None if the channel is not recorded.
+    - `next_seq`: the seq that the next accepted item gets; None if the host is of an earlier release.
     """
 
     accepted: int
@@ -168,3 +169,4 @@ class ChannelStats:
     readers: Sequence[ReaderStats] | None = None
     writers: Sequence[WriterStats] | None = None
     archive: ArchiveStats | None = None
+    next_seq: int | None = None

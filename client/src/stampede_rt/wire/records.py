@@ -202,6 +202,7 @@ def channel_stats(
         dropped=status.dropped,
         multicast=_multicast_stats(status.multicast) if status.HasField("multicast") else None,
         archive=_archive_stats(status.archive) if status.HasField("archive") else None,
+        next_seq=status.next_seq if status.HasField("next_seq") else None,
     )
 
 

@@ -68,6 +68,7 @@ def _status(hosted: HostedChannel, consumers: Sequence[ConsumerStanding], now: i
         fed_copies=[_fed_status(hosted, one) for one in hosted.fed or ()],
         replicated_next_seq=_replicated(hosted),
         inherited_next_seq=channel.losses.inherited_next_seq,
+        next_seq=hosted.core.next_seq,
     )
 
 
