@@ -25,7 +25,7 @@ from stampede_rt_channel_host.core.archive import (
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
 
 RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
-BYTES_PER_WRITE = 16 * 2**20
+BYTES_PER_WRITE, BYTES_AT_ONCE = 16 * 2**20, 4 * 2**20  # the most in a write, and the bytes that begin one immediately
 SLICES_PER_NOTE = 2048  # a look at this many takes about 1 ms
 GAPS_KEPT = 64
 ADVANCES_MAX = 4096  # the most that wait for the archive; of more, the recorder keeps only the latest one
@@ -184,9 +184,9 @@ class ChannelRecorder:
 
     @property
     def fills_a_write(self) -> bool:
-        """Whether as many bytes wait as one write takes, or as a fourth of the channel, and the disk takes writes."""
+        """Whether BYTES_AT_ONCE wait, or a fourth of the channel, and the disk takes writes."""
         is_much = self._channel.limits.is_a_fourth(self._coming_bytes, self.backlog_items)
-        return (is_much or self._coming_bytes >= BYTES_PER_WRITE) and not self.failure
+        return (is_much or self._coming_bytes >= BYTES_AT_ONCE) and not self.failure
 
     @property
     def backlog_items(self) -> int:
