@@ -2,8 +2,8 @@
 
 `python -m tests.benchmarks.fan_out [--readers 32] [--rounds 8] [--seconds 3]` takes three minutes. A producer puts 30
 times a second: one item of 18 KB, or a run of 64 items of 64 B. The readers are spread over four processes. A round has
-two parts of the same length: in one of them a further reader subscribes, takes the items of one second, and then reads
-no more. The order of the parts changes from round to round, so that other work on the machine counts for both alike.
+two parts of the same length: in one of them a further reader subscribes, takes the items of one second, and then stops
+reading. The order of the parts changes from round to round, so that other work on the machine counts for both alike.
 The benchmark reads the CPU time and the resident memory of the whole host process, and the age of each put when a
 reader gets the put.
 """

@@ -175,8 +175,8 @@ class OracleChannel:
         """Put one item: accept it, refuse it, or let it wait.
 
         `since`: the item has no time of its own, and has waited since then. It is judged as if it had been put at
-        `since`, or just after the newest item if that is later, because it will get such a time. If the oldest bucket
-        would be too old by now with the item accepted, the bucket makes room for it.
+        `since`, or just after the newest item if that is later, because it will get such a time. The oldest bucket
+        makes room for the item if it would be too old by now after the acceptance of the item.
         """
         self.age(clock)
         as_if_time = time if since is None else max([since, *(item.time + 1 for item in self.held)])
@@ -236,8 +236,8 @@ class OracleChannel:
     def _retry_at(self, item: Item) -> int | None:
         """The instant at which a put of the item should be tried again; None: never by itself.
 
-        At this instant age makes room, with the item accepted or without it, or a lease ends. If no place holds items
-        back, it is the item's own time, if the item would then be the newest.
+        It is the earliest instant at which a lease ends, or at which age makes room, with or without the item in the
+        channel. If no place holds items back and the item would be the newest, it is the item's own time.
         """
         instants = [self._as_if_put(item).next_due(), self.next_due()]
         if self._nobody_holds and self.newest is not None and item.time > self.newest:

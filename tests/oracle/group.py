@@ -411,9 +411,10 @@ class OracleMatcher:
         return taken
 
     @property
-    def stalls(self) -> bool:
-        """Whether the next match could be decided: each member has passed the whole chain of ever nearer items after
-        it.
+    def is_overdue(self) -> bool:
+        """Whether the next match should have been decided by now.
+
+        Each member has passed the whole chain of ever nearer items after it.
         """
         waiting = [item for item in sorted(self.per.held) if (item.time, item.seq) > self.position]
         far = self.tolerance * (2 * len(waiting) + 2)

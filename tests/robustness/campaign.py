@@ -130,7 +130,7 @@ async def run_campaign(
     quiet_s: float = 0.5,
     policy: Mapping[str, Any] = EMPTY,
 ) -> Findings:
-    """Inject the named faults in this order. After each fault wait for `quiet_s`, while all processes serve again.
+    """Inject the named faults in this order. After each fault all processes must serve again. Then wait for `quiet_s`.
 
     `policy`: the policy of all channels with items. With REPLICATED the loss of a host may lose no acknowledged item,
     and with LAGGING only items of the last second.

@@ -209,7 +209,7 @@ class Listeners:
             )  # a reader keeps the keys of the items that it got
             taken = one.core.take(one.has_passed, clock, 1000)
             wanted = one.oracle.take(1000 if one.oracle.last is None else len(taken))
-            assert not one.oracle.stalls
+            assert not one.oracle.is_overdue
             c.oracle.held = kept
             one.taken += len(taken)
             assert [

@@ -125,7 +125,7 @@ def killed_at(mover: Mover, put: Put, step: str) -> None:
 
 
 def settled(mover: Mover, put: Put) -> None:
-    """All files have moved."""
+    """Wait until all files have moved."""
     wait_until(lambda: not mover.files(put.channel), "the files have moved")
 
 

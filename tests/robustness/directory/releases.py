@@ -94,7 +94,7 @@ class UpgradedMember(DirectoryMember):
             self._judge_rise(self.replica)
 
     def _judge_rise(self, replica: RaftReplica) -> None:
-        """At the first member that applies the new level, check for which members the level is meant."""
+        """Check that all members at the log position of the new level have reported to know the level."""
         members = [self.world.members[one.member_id] for one in _applied_members(replica)]
         if unknown := [one.member.member_id for one in members if not one.was_newer]:
             raise PromiseBroken(f"the level has risen above what {unknown[0]} has ever reported to know")

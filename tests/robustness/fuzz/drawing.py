@@ -1,4 +1,4 @@
-"""Choices read from bytes: coverage guidance, seeds and a stored input then mean the same to every target."""
+"""Random choices that come from bytes. So a target needs no other input: not for guidance, seeds or stored inputs."""
 
 from __future__ import annotations
 

@@ -156,11 +156,11 @@ def _lost_with_hosts(history: Sequence[Operation]) -> list[tuple[int, int, dict[
 
 
 def early_losses(operations: Iterable[Operation], slack_s: float = SLACK_SECONDS) -> list[str]:
-    """The items that were known long before the last acknowledgement of an incarnation, and that a replica has lost as
-    the owner.
+    """Describe the items that a replica lacked when it became the owner, although it should have had them by then.
 
-    The next incarnation has the items of a replica if its number follows. Only incarnations count of which a reader has
-    read all items: without such a read it is unknown which items are lost.
+    These items were known long before the last acknowledgement of the former incarnation. If the number of the next
+    incarnation is one higher, a replica has become the owner. An incarnation counts only if a reader has read all of
+    its items. Otherwise it is unknown which items are lost.
     """
     found: list[str] = []
     for name, history in by_key(operations).items():

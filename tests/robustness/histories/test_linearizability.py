@@ -80,7 +80,7 @@ def test_a_history_that_some_order_explains_is_accepted(history: list[Operation]
         [CREATED, op(Update(A, 1, 2), 2, None), op(Resolve(), 3, 4, seen(2, 2)), op(Resolve(), 5, 6, seen(1, 1))],
         # The update took effect twice: the version shows it.
         [CREATED, op(Update(A, 1, 2), 2, 3, seen(2, 2)), op(Resolve(), 4, 5, seen(2, 3))],
-        # The call had an effect although its caller was told that it had none (so it is in no history).
+        # The call had an effect although its caller was told that it had none (so the history leaves it out).
         [CREATED, op(Resolve(), 2, 3, seen(9, 2))],
         # The epoch falls.
         [CREATED, op(Resolve(), 2, 3, seen(1, 1, epoch=3)), op(Resolve(), 4, 5, seen(1, 1, epoch=2))],

@@ -35,7 +35,7 @@ def record(host_id: bytes, epoch: int, *, incarnation: int = 7) -> RecordedChann
 
 
 class SlowDirectory:
-    """Each question waits until the test gives the answer; `asked` is signalled for each."""
+    """Each request waits until the test gives the answer; `asked` is signalled for each request."""
 
     def __init__(self) -> None:
         self.questions: asyncio.Queue[asyncio.Future[RecordedChannel]] = asyncio.Queue()
