@@ -19,8 +19,8 @@ from stampede_rt.multicast.layout import (
     MulticastMessage,
     parts_of,
 )
-from stampede_rt.multicast.receiving import ASSEMBLED_BYTES_MAX, HELD_BYTES_MAX, MulticastReceiver
-from stampede_rt.multicast.repairing import REORDERED_S, RepairStep
+from stampede_rt.multicast.multicast_receiver import ASSEMBLED_BYTES_MAX, HELD_BYTES_MAX, MulticastReceiver
+from stampede_rt.multicast.repair_pace import REORDERED_S, RepairStep
 from stampede_rt.multicast.sealing import DatagramOpener, Sealer, Signer, Verifier
 
 STEPS = 120

@@ -28,7 +28,7 @@ EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "500"))
 
 def contents(core: QueueCore, clock: int) -> list[bytes]:
     """Everything that the queue holds and knows at `clock`, without a call that changes it."""
-    state = handoff.export(core._queue_items, core._leasing, core._enqueuing, clock)
+    state = handoff.export(core._queue_items, core._queue_leases, core._enqueue_line, clock)
     items = [*sorted(state.items, key=lambda one: one.seq)]
     acknowledged = [*sorted(state.acknowledged)]
     state = replace(state, items=items, acknowledged=acknowledged)
@@ -43,7 +43,7 @@ class Copy:
     """A copy at another host, whose clock shows the same time."""
 
     def __init__(self, pair: ReplicatedPair) -> None:
-        state = handoff.export(pair.core._queue_items, pair.core._leasing, pair.core._enqueuing, pair.clock)
+        state = handoff.export(pair.core._queue_items, pair.core._queue_leases, pair.core._enqueue_line, pair.clock)
         self.arriving = ArrivingParts()
         self.arriving.begin_anew()
         ((whole, next_step),) = self.arriving.add(sent(whole_parts(state, pair.journal.next_step)))

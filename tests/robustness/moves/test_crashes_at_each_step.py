@@ -12,7 +12,7 @@ import pytest
 
 from stampede_rt.errors import MoveConflict, StampedeError
 from stampede_rt.v1 import replica_service_pb2 as pb
-from stampede_rt_channel_host.channels import moving
+from stampede_rt_channel_host.channels import move_under_way
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.new_channels import NewCopy
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
@@ -181,7 +181,7 @@ async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_whi
     """The directory is away for longer than changes wait. So the source ends the move when it reaches the directory
     again.
     """
-    for module in (moving, outgoing_moves):
+    for module in (move_under_way, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)
 
     def cut_off(world: World) -> None:
@@ -198,7 +198,7 @@ async def test_every_put_gets_an_answer_while_the_directory_is_away_for_long(
     step: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The source answers before the commit, and the destination after it. Puts that come later get answers, too."""
-    for module in (moving, outgoing_moves):
+    for module in (move_under_way, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.02)
     scenario = Scenario(step, lambda world: setattr(world, "is_cut_off", True))
     await scenario.source.store.bind(scenario.world.channel_id, 1)

@@ -14,7 +14,7 @@ import pytest
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import replica_service_pb2 as pb
-from stampede_rt_channel_host.channels import moving
+from stampede_rt_channel_host.channels import move_under_way
 from stampede_rt_channel_host.channels.owned_replicas import ServingPeriod
 from stampede_rt_channel_host.channels.replication import Replication
 from stampede_rt_channel_host.copies import (
@@ -190,7 +190,7 @@ async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_whi
     """The directory is away for longer than changes wait. So the source ends the move when it reaches the directory
     again.
     """
-    for module in (moving, outgoing_moves):
+    for module in (move_under_way, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)
 
     def cut_off(world: World) -> None:

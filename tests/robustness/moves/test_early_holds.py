@@ -8,7 +8,7 @@ import pytest
 
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.v1 import replica_service_pb2 as pb
-from stampede_rt_channel_host.copies import early_holds, handing_over
+from stampede_rt_channel_host.copies import early_holds, handoff_decision
 from tests.robustness.moves.links import Link
 from tests.robustness.moves.test_crashes_at_each_step import AFTER_THE_COMMIT, AFTER_THE_REMOVAL, Scenario, quick
 from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, World
@@ -21,7 +21,7 @@ EARLY_STEPS = STEPS[STEPS.index("handed over") :]
 @pytest.fixture
 def all_idle(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each channel counts as idle, although the scenario puts in each turn of the loop."""
-    monkeypatch.setattr(handing_over, "IDLE_NANOS", 0)
+    monkeypatch.setattr(handoff_decision, "IDLE_NANOS", 0)
 
 
 @pytest.mark.usefixtures("all_idle")

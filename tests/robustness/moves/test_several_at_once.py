@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from stampede_rt.errors import StampedeError
-from stampede_rt_channel_host.channels import moving
+from stampede_rt_channel_host.channels import move_under_way
 from stampede_rt_channel_host.copies import outgoing_moves
 from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_supernode.core.records import ReplicaKind
@@ -104,7 +104,7 @@ async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_whi
 
     So the source ends moves when it reaches the directory again.
     """
-    for module in (moving, outgoing_moves):
+    for module in (move_under_way, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)
 
     def cut_off(world: World) -> None:

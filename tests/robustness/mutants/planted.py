@@ -89,7 +89,7 @@ MUTANTS = (
     ),
     Mutant(
         name="ack_no_term",
-        file=f"{REPLICATION}/rules/leading.py",
+        file=f"{REPLICATION}/rules/leader_role.py",
         edits=(
             (
                 "if message.term != self.term or not self.is_leader:",
@@ -100,7 +100,7 @@ MUTANTS = (
     ),
     Mutant(
         name="commit_past_match",
-        file=f"{REPLICATION}/rules/following.py",
+        file=f"{REPLICATION}/rules/follower_role.py",
         edits=(
             (
                 "self.raise_commit_index(min(message.commit_index, matched))",
@@ -254,7 +254,7 @@ MUTANTS = (
     ),
     Mutant(
         name="an_idle_channel_is_handed_over_and_not_held",
-        file=f"{HOST}/copies/handing_over.py",
+        file=f"{HOST}/copies/handoff_decision.py",
         edits=(
             ("            self._move.hold()\n", "            pass\n"),
             ("if not self._move.is_held or not self._is_level():", "if not self._is_level():"),
@@ -434,7 +434,7 @@ MUTANTS = (
     ),
     Mutant(
         name="a_message_twice",
-        file="client/src/stampede_rt/multicast/merging.py",
+        file="client/src/stampede_rt/multicast/seq_merge.py",
         edits=(("[item for item in one.items if item.seq >= self.next_seq]", "one.items"),),
         noticed_by="tests/unit/client/multicast/test_merging.py",
     ),

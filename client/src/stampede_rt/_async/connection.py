@@ -7,12 +7,12 @@ from types import TracebackType
 from typing import Any
 
 from stampede_rt._async.channel import Channel
+from stampede_rt._async.connection_host import ConnectionHost, open_channel, open_queue_near
 from stampede_rt._async.cross_section import cross_section
 from stampede_rt._async.directory_client import CONNECT_TIMEOUT_S
 from stampede_rt._async.group import Group
 from stampede_rt._async.group_channel import GroupChannel
 from stampede_rt._async.group_members import GroupMembers, member_handles
-from stampede_rt._async.hosting import ConnectionHost, open_channel, open_queue_near
 from stampede_rt._async.mailbox_sender import MailboxSender
 from stampede_rt._async.mailboxes import Mailboxes
 from stampede_rt._async.presence import Mailbox, Presence

@@ -11,7 +11,7 @@ from typing import Any
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.group_members import GroupMembers
 from stampede_rt._async.reads import read
-from stampede_rt._async.reconnecting import StreamReconnector, may_heal
+from stampede_rt._async.stream_reconnector import StreamReconnector, may_heal
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import GroupNotFound, StampedeError, Unavailable

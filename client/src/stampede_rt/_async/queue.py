@@ -11,8 +11,8 @@ from stampede_rt._async.endpoints import connection_closed
 from stampede_rt._async.message import Message
 from stampede_rt._async.puts import ProducerNumbers, Puts, SingleItem, enqueued
 from stampede_rt._async.queue_locator import QueueLocator, QueueState, learn_queue
-from stampede_rt._async.reconnecting import StreamReconnector
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
+from stampede_rt._async.stream_reconnector import StreamReconnector
 from stampede_rt._async.taker import Taker
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s

@@ -9,9 +9,9 @@ from stampede_rt._async.calls_here import at_here, may_be_here, newest_here, rea
 from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.listener import Listener
 from stampede_rt._async.reads import read
-from stampede_rt._async.reconnecting import StreamReconnector
 from stampede_rt._async.ring_reads import ASK_HOST, HostMustAnswer, read_interval, read_newest
 from stampede_rt._async.session import Session
+from stampede_rt._async.stream_reconnector import StreamReconnector
 from stampede_rt._async.subscription import Subscription
 from stampede_rt._async.subscription_kinds import kind_of_subscription
 from stampede_rt.cluster.tracing import span

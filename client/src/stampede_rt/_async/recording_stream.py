@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from stampede_rt._async.channel_state import ChannelState
-from stampede_rt._async.reconnecting import StreamReconnector
 from stampede_rt._async.session import Session
+from stampede_rt._async.stream_reconnector import StreamReconnector
 from stampede_rt._async.subscription import Subscription
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, SteadyWindow
 from stampede_rt.transports.concurrency_async import monotonic_s

@@ -9,8 +9,8 @@ from typing import NoReturn, TypeVar
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.reader import Reader
 from stampede_rt._async.reads import read_as_of
-from stampede_rt._async.reconnecting import StreamReconnector
 from stampede_rt._async.replayed_subscription import ReplayedNewest, ReplayedSteps, ReplayedSubscription
+from stampede_rt._async.stream_reconnector import StreamReconnector
 from stampede_rt._async.virtual_clock import VirtualClock
 from stampede_rt.errors import AheadOfClock, DeadlineExceeded
 from stampede_rt.values.answers import Items

@@ -11,10 +11,10 @@ from typing import Any
 from stampede_rt._async.batches import Batches
 from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.copies import copy_target_of, open_at_owner_or_copy
-from stampede_rt._async.reconnecting import StreamReconnector, loss_after, may_heal
 from stampede_rt._async.ring_following import RingFollower
 from stampede_rt._async.ring_reads import HostMustAnswer
 from stampede_rt._async.session import Session
+from stampede_rt._async.stream_reconnector import StreamReconnector, loss_after, may_heal
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import IncarnationLost, StampedeError, Unavailable

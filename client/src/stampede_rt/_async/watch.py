@@ -8,8 +8,8 @@ from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
 from stampede_rt._async.directory_client import CONNECT_TIMEOUT_S
-from stampede_rt._async.reconnecting import StreamReconnector, may_heal
 from stampede_rt._async.session import Session
+from stampede_rt._async.stream_reconnector import StreamReconnector, may_heal
 from stampede_rt.errors import StampedeError, Unavailable, WatchRestart
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.retry import Backoff

@@ -8,12 +8,12 @@ from types import TracebackType
 from typing import Any
 
 from stampede_rt._sync.channel import Channel
+from stampede_rt._sync.connection_host import ConnectionHost, open_channel, open_queue_near
 from stampede_rt._sync.cross_section import cross_section
 from stampede_rt._sync.directory_client import CONNECT_TIMEOUT_S
 from stampede_rt._sync.group import Group
 from stampede_rt._sync.group_channel import GroupChannel
 from stampede_rt._sync.group_members import GroupMembers, member_handles
-from stampede_rt._sync.hosting import ConnectionHost, open_channel, open_queue_near
 from stampede_rt._sync.mailbox_sender import MailboxSender
 from stampede_rt._sync.mailboxes import Mailboxes
 from stampede_rt._sync.presence import Mailbox, Presence

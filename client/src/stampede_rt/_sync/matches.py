@@ -12,7 +12,7 @@ from typing import Any
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.group_members import GroupMembers
 from stampede_rt._sync.reads import read
-from stampede_rt._sync.reconnecting import StreamReconnector, may_heal
+from stampede_rt._sync.stream_reconnector import StreamReconnector, may_heal
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import GroupNotFound, StampedeError, Unavailable

@@ -15,13 +15,13 @@ from functools import partial
 from typing import Any
 
 from stampede_rt._sync.channel_state import ChannelState
-from stampede_rt._sync.reconnecting import StreamReconnector
 from stampede_rt._sync.session import Session
+from stampede_rt._sync.stream_reconnector import StreamReconnector
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
-from stampede_rt.multicast.receiving import MulticastReceiver
-from stampede_rt.multicast.repairing import BEAT_S_MAX, RepairStep
+from stampede_rt.multicast.multicast_receiver import MulticastReceiver
+from stampede_rt.multicast.repair_pace import BEAT_S_MAX, RepairStep
 from stampede_rt.multicast.sealing import DatagramOpener, Verifier
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
 from stampede_rt.transports.concurrency_sync import in_thread, monotonic_s, sleep

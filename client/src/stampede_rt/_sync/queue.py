@@ -12,8 +12,8 @@ from stampede_rt._sync.endpoints import connection_closed
 from stampede_rt._sync.message import Message
 from stampede_rt._sync.puts import ProducerNumbers, Puts, SingleItem, enqueued
 from stampede_rt._sync.queue_locator import QueueLocator, QueueState, learn_queue
-from stampede_rt._sync.reconnecting import StreamReconnector
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, left_s, request_id
+from stampede_rt._sync.stream_reconnector import StreamReconnector
 from stampede_rt._sync.taker import Taker
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s

@@ -10,9 +10,9 @@ from stampede_rt._sync.calls_here import at_here, may_be_here, newest_here, read
 from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.listener import Listener
 from stampede_rt._sync.reads import read
-from stampede_rt._sync.reconnecting import StreamReconnector
 from stampede_rt._sync.ring_reads import ASK_HOST, HostMustAnswer, read_interval, read_newest
 from stampede_rt._sync.session import Session
+from stampede_rt._sync.stream_reconnector import StreamReconnector
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt._sync.subscription_kinds import kind_of_subscription
 from stampede_rt.cluster.tracing import span

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from stampede_rt._sync.channel_state import ChannelState
-from stampede_rt._sync.reconnecting import StreamReconnector
 from stampede_rt._sync.session import Session
+from stampede_rt._sync.stream_reconnector import StreamReconnector
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, SteadyWindow
 from stampede_rt.transports.concurrency_sync import monotonic_s

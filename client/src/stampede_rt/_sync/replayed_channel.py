@@ -10,8 +10,8 @@ from typing import NoReturn, TypeVar
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.reader import Reader
 from stampede_rt._sync.reads import read_as_of
-from stampede_rt._sync.reconnecting import StreamReconnector
 from stampede_rt._sync.replayed_subscription import ReplayedNewest, ReplayedSteps, ReplayedSubscription
+from stampede_rt._sync.stream_reconnector import StreamReconnector
 from stampede_rt._sync.virtual_clock import VirtualClock
 from stampede_rt.errors import AheadOfClock, DeadlineExceeded
 from stampede_rt.values.answers import Items

@@ -12,10 +12,10 @@ from typing import Any
 from stampede_rt._sync.batches import Batches
 from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.copies import copy_target_of, open_at_owner_or_copy
-from stampede_rt._sync.reconnecting import StreamReconnector, loss_after, may_heal
 from stampede_rt._sync.ring_following import RingFollower
 from stampede_rt._sync.ring_reads import HostMustAnswer
 from stampede_rt._sync.session import Session
+from stampede_rt._sync.stream_reconnector import StreamReconnector, loss_after, may_heal
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import IncarnationLost, StampedeError, Unavailable

@@ -24,8 +24,8 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt_channel_host.channels.calls_here import at_now, newest_now, put_here, read_here, read_now
 from stampede_rt_channel_host.channels.gets.waiting_get import WaitingGet
+from stampede_rt_channel_host.channels.in_process_puts import InProcessPutStream, takes_runs
 from stampede_rt_channel_host.channels.puts.held_acks import HeldAck
-from stampede_rt_channel_host.channels.puts_here import InProcessPutStream, takes_runs
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.embedded_settings import MISUSES, cannot_host, credentials_of, settings_of
 from stampede_rt_channel_host.forked_sockets import close_copies

@@ -14,7 +14,7 @@ import pytest
 
 from stampede_rt._async import multicast_subscription as module
 from stampede_rt._async.multicast_subscription import MulticastSubscription
-from stampede_rt._async.reconnecting import StreamReconnector
+from stampede_rt._async.stream_reconnector import StreamReconnector
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import Unavailable
 from stampede_rt.multicast.layout import KEY_BYTES, MessageKind, MulticastMessage, parts_of

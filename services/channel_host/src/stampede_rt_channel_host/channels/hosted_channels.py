@@ -12,7 +12,7 @@ from stampede_rt_channel_host.channels.fed_copies import FedCopies
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.gets.waiting_gets import WaitingGets
 from stampede_rt_channel_host.channels.limits.memory import Charge, MemoryBudget
-from stampede_rt_channel_host.channels.moving import MoveUnderWay
+from stampede_rt_channel_host.channels.move_under_way import MoveUnderWay
 from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore, core_of_replica, new_core, replication_of
 from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts

@@ -25,7 +25,7 @@ from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
 from stampede_rt_channel_host.cluster.identity import ID_BYTES
 from stampede_rt_channel_host.copies.feed_responses import FeedResponses
-from stampede_rt_channel_host.copies.handing_over import HandoffDecision
+from stampede_rt_channel_host.copies.handoff_decision import HandoffDecision
 from stampede_rt_channel_host.copies.messages import opened_to, place_of
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
 from stampede_rt_channel_host.core.channel import CATCH_UP_NANOS, ChannelCore, ChannelFeed, FeedPart, LagWatch

@@ -11,7 +11,7 @@ from typing import Any
 from stampede_rt.errors import ChannelNotFound, StaleBinding, StampedeError
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX, MoveUnderWay
+from stampede_rt_channel_host.channels.move_under_way import HELD_SECONDS_MAX, MoveUnderWay
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.copies.allowed_moves import AllowedMoves

@@ -17,7 +17,7 @@ from grpc.aio import InternalError
 
 from stampede_rt.errors import InvalidArgument, Overloaded, QueueNotFound, StaleBinding, StampedeError
 from stampede_rt.v1 import migration_service_pb2 as pb
-from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX
+from stampede_rt_channel_host.channels.move_under_way import HELD_SECONDS_MAX
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.copies.feed_callers import FeedCallers
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from stampede_rt.errors import Overloaded, StampedeError
 from stampede_rt_channel_host.channels.limits.memory import Charge
-from stampede_rt_channel_host.channels.moving import HELD_SECONDS_MAX
+from stampede_rt_channel_host.channels.move_under_way import HELD_SECONDS_MAX
 from stampede_rt_channel_host.core.queue import QueueCore, QueueJournal
 
 

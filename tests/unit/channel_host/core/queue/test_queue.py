@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.queue import (
     QueueLimits,
     dispatcher,
     due_work,
-    enqueuing,
+    enqueue_line,
 )
 from stampede_rt_channel_host.core.queue.due_work import DUE_PER_CALL_MAX
 from tests.support.channel_host.queue_cores import Core
@@ -387,15 +387,15 @@ def test_a_terminated_item_loses_its_other_leases_and_its_last_delivery_is_repor
 
 
 def test_the_line_of_runs_that_wait_is_bounded_by_number_and_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(enqueuing, "WAITING_RUNS_MAX", 2)
+    monkeypatch.setattr(enqueue_line, "WAITING_RUNS_MAX", 2)
     core = Core(max_items=1)
     core.put(1)
     core.put(1)
     core.put(1)
     with pytest.raises(Overloaded, match="2 runs with 130 bytes wait"):
         core.put(1)
-    monkeypatch.setattr(enqueuing, "WAITING_RUNS_MAX", 10)
-    monkeypatch.setattr(enqueuing, "WAITING_BYTES_MAX", 200)
+    monkeypatch.setattr(enqueue_line, "WAITING_RUNS_MAX", 10)
+    monkeypatch.setattr(enqueue_line, "WAITING_BYTES_MAX", 200)
     with pytest.raises(Overloaded):
         core.put(100)
 
@@ -404,8 +404,8 @@ def test_the_waiting_runs_of_one_caller_leave_room_for_the_runs_of_others(monkey
     """In an earlier version, a few large runs of one caller made the queue refuse the runs of all others, which could
     have waited.
     """
-    monkeypatch.setattr(enqueuing, "WAITING_BYTES_MAX", 4000)
-    monkeypatch.setattr(enqueuing, "WAITING_BYTES_OF_ONE_MAX", 3000)
+    monkeypatch.setattr(enqueue_line, "WAITING_BYTES_MAX", 4000)
+    monkeypatch.setattr(enqueue_line, "WAITING_BYTES_OF_ONE_MAX", 3000)
     core = Core(max_items=1)
     core.put(1)
     first = core.put(2900, owner="greedy")

@@ -12,7 +12,7 @@ from stampede_rt_channel_host.cluster.records import recorded_queue
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue import Batch, Enqueue, QueueCore, QueueLimits, TakerState
 from stampede_rt_channel_host.core.queue.dispatcher import ITEMS_DISPATCHED_MAX
-from stampede_rt_channel_host.core.queue.enqueuing import DROPPED_PER_RUN_MAX, OFFERED_PER_CALL_MAX
+from stampede_rt_channel_host.core.queue.enqueue_line import DROPPED_PER_RUN_MAX, OFFERED_PER_CALL_MAX
 from stampede_rt_channel_host.core.queue.queue import EMPTIED_PER_PIECE, ENDED_PER_CALL_MAX
 from stampede_rt_channel_host.queues.hosted_queue import STREAMS_PER_PIECE, HostedQueue
 from tests.support.channel_host.queue_cores import Core

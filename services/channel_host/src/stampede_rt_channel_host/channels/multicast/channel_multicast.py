@@ -21,7 +21,7 @@ from stampede_rt.multicast.layout import (
     MulticastMessage,
     parts_of,
 )
-from stampede_rt.multicast.repairing import BEAT_S_MAX
+from stampede_rt.multicast.repair_pace import BEAT_S_MAX
 from stampede_rt.multicast.sealing import Sealer, Signer
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.multicast.group_socket import MulticastGroup

@@ -49,7 +49,7 @@ from stampede_rt_channel_host.core.archive.block import (
 )
 from stampede_rt_channel_host.core.archive.doubts import Doubt, doubts_in
 from stampede_rt_channel_host.core.archive.holes import Hole, WindowReach, border_holes, holes
-from stampede_rt_channel_host.core.archive.past import (
+from stampede_rt_channel_host.core.archive.past_archive import (
     NextItems,
     PastArchive,
     PastFacts,

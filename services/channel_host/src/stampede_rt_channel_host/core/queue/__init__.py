@@ -1,6 +1,6 @@
 """The core of queues and mailboxes (paper, section 3.5). Pure."""
 
-from stampede_rt_channel_host.core.queue.acknowledged import AcknowledgedDelivery
+from stampede_rt_channel_host.core.queue.acknowledged_deliveries import AcknowledgedDelivery
 from stampede_rt_channel_host.core.queue.dispatcher import BATCH_BYTES_MAX
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
 from stampede_rt_channel_host.core.queue.handoff import ItemState, LeaseState, QueueHandoff, SeqRange

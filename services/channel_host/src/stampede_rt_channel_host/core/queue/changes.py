@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stampede_rt_channel_host.core.dedup import KeptRun
-from stampede_rt_channel_host.core.queue.acknowledged import AcknowledgedDelivery
+from stampede_rt_channel_host.core.queue.acknowledged_deliveries import AcknowledgedDelivery
 from stampede_rt_channel_host.core.queue.items import QueuedRun, TrackedItem
 from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
 

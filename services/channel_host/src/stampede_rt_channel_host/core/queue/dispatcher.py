@@ -7,8 +7,8 @@ from heapq import heappop, heappush
 from itertools import islice
 
 from stampede_rt_channel_host.core.queue.items import QueuedRun, TrackedItem
-from stampede_rt_channel_host.core.queue.leasing import QueueLeases
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
+from stampede_rt_channel_host.core.queue.queue_leases import QueueLeases
 from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import Batch, LeasedSlice
 
@@ -115,9 +115,9 @@ class Dispatcher:
     has reached its limit, so call `dispatch` again without a wait for a change.
     """
 
-    def __init__(self, queue_items: QueueItems, leasing: QueueLeases) -> None:
+    def __init__(self, queue_items: QueueItems, queue_leases: QueueLeases) -> None:
         self._queue_items = queue_items
-        self._leasing = leasing
+        self._queue_leases = queue_leases
         self._line: OrderedDict[TakerState, None] = OrderedDict()
         self._cursors: OrderedDict[int, TakerCursor] = (
             OrderedDict()
@@ -196,7 +196,7 @@ class Dispatcher:
             return False
         if cursor is not None:
             cursor.next_seq = max(cursor.next_seq, item.seq + 1)
-        draft.add(item.run, item.position, self._leasing.deliver(item, taker, now, expires))
+        draft.add(item.run, item.position, self._queue_leases.deliver(item, taker, now, expires))
         return True
 
     def _cursor_of(self, taker_id: int) -> TakerCursor:

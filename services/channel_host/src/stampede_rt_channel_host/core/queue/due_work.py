@@ -9,10 +9,10 @@ from collections.abc import Callable
 from itertools import islice
 
 from stampede_rt_channel_host.core.queue.dispatcher import Dispatcher
-from stampede_rt_channel_host.core.queue.enqueuing import EnqueueLine
+from stampede_rt_channel_host.core.queue.enqueue_line import EnqueueLine
 from stampede_rt_channel_host.core.queue.items import TrackedItem
-from stampede_rt_channel_host.core.queue.leasing import QueueLeases
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
+from stampede_rt_channel_host.core.queue.queue_leases import QueueLeases
 
 CHECKED_PER_CALL_MAX = 256
 """The most messages that one call checks again after the limits have changed."""
@@ -26,14 +26,14 @@ class DueWork:
     def __init__(
         self,
         queue_items: QueueItems,
-        leasing: QueueLeases,
-        enqueuing: EnqueueLine,
+        queue_leases: QueueLeases,
+        enqueue_line: EnqueueLine,
         dispatcher: Dispatcher,
         may_serve: Callable[[], bool],
     ) -> None:
         self._queue_items = queue_items
-        self._leasing = leasing
-        self._enqueuing = enqueuing
+        self._queue_leases = queue_leases
+        self._enqueue_line = enqueue_line
         self._dispatcher = dispatcher
         self._may_serve = may_serve
         self._clock: int | None = None
@@ -45,22 +45,22 @@ class DueWork:
         clock = self._clock = now if self._clock is None else max(self._clock, now)
         self._dispatcher.begin_call()
         due = self._check_some()
-        while due < DUE_PER_CALL_MAX and (self._leasing.expire_one(clock) or self._end_delay(clock)):
+        while due < DUE_PER_CALL_MAX and (self._queue_leases.expire_one(clock) or self._end_delay(clock)):
             due += 1
-        for taker in self._leasing.silent:
+        for taker in self._queue_leases.silent:
             self._dispatcher.leave(taker)
-        while due < DUE_PER_CALL_MAX and self._enqueuing.give_up_one(clock):
+        while due < DUE_PER_CALL_MAX and self._enqueue_line.give_up_one(clock):
             due += 1
         if due or self._has_more:
             self.follow_up(clock)
-        while due < DUE_PER_CALL_MAX and self._enqueuing.message_ids.forget_one(clock):
+        while due < DUE_PER_CALL_MAX and self._enqueue_line.message_ids.forget_one(clock):
             due += 1
         return clock
 
     def follow_up(self, clock: int) -> None:
         """Serve the waiting runs and the waiting takers, because messages left the queue or came back."""
         if self._may_serve():
-            self._enqueuing.offer_line(clock)
+            self._enqueue_line.offer_line(clock)
         self._dispatcher.dispatch(clock)
 
     def pause(self) -> None:
@@ -85,14 +85,19 @@ class DueWork:
         """The time at which `tick` next has work, or None if it has none until another call changes the queue."""
         if self._unchecked_from is not None or self._has_more:
             return self._clock
-        known = self._enqueuing.message_ids.next_deadline()
-        due = (self._leasing.next_deadline(), self._queue_items.delays.next(), self._enqueuing.next_deadline(), known)
+        known = self._enqueue_line.message_ids.next_deadline()
+        due = (
+            self._queue_leases.next_deadline(),
+            self._queue_items.delays.next(),
+            self._enqueue_line.next_deadline(),
+            known,
+        )
         return min((one for one in due if one is not None), default=None)
 
     @property
     def _has_more(self) -> bool:
         """Whether takers or runs wait in line only because a call has reached the limit of its work."""
-        return self._dispatcher.has_more or self._enqueuing.has_more
+        return self._dispatcher.has_more or self._enqueue_line.has_more
 
     def _check_some(self) -> int:
         """Check some tracked messages against the limits, if not all are checked. Returns their number."""
@@ -101,7 +106,7 @@ class DueWork:
             items = [*islice(self._queue_items.tracked.values(self._unchecked_from), CHECKED_PER_CALL_MAX)]
             self._unchecked_from = items[-1].seq + 1 if len(items) == CHECKED_PER_CALL_MAX else None
         for item in items:
-            self._leasing.check_again(item)
+            self._queue_leases.check_again(item)
         self._dispatcher.is_paused = self._is_paused or self._unchecked_from is not None or not self._may_serve()
         return len(items)
 

@@ -13,13 +13,13 @@ from itertools import chain, groupby
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.dedup import KeptRun
-from stampede_rt_channel_host.core.queue.acknowledged import AcknowledgedDelivery
+from stampede_rt_channel_host.core.queue.acknowledged_deliveries import AcknowledgedDelivery
 from stampede_rt_channel_host.core.queue.changes import ItemChange
-from stampede_rt_channel_host.core.queue.enqueuing import EnqueueLine
+from stampede_rt_channel_host.core.queue.enqueue_line import EnqueueLine
 from stampede_rt_channel_host.core.queue.items import FailedDelivery, QueuedRun, TrackedItem
-from stampede_rt_channel_host.core.queue.leasing import Lease, QueueLeases
 from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems, QueueTally
+from stampede_rt_channel_host.core.queue.queue_leases import Lease, QueueLeases
 from stampede_rt_channel_host.core.queue.takers import TakerState
 
 
@@ -83,30 +83,36 @@ class QueueHandoff:
 
 
 def export(
-    queue_items: QueueItems, leasing: QueueLeases, enqueuing: EnqueueLine, now: int, chunks_max: int | None = None
+    queue_items: QueueItems,
+    queue_leases: QueueLeases,
+    enqueue_line: EnqueueLine,
+    now: int,
+    chunks_max: int | None = None,
 ) -> QueueHandoff:
     """The queue as of `now`. The result shares no mutable object with the queue."""
     tracked = _ranges(item.seq for item in queue_items.tracked.values())
     fresh = (SeqRange(run.first_seq + position, run.end_seq - 1) for run, position in queue_items.fresh())
     return QueueHandoff(
         next_seq=queue_items.next_seq,
-        next_delivery_id=leasing.next_delivery_id,
+        next_delivery_id=queue_leases.next_delivery_id,
         tally=replace(queue_items.tally),
         runs=[run_with_age(run, now) for run in _runs(queue_items)],
         held=_joined(chain(tracked, fresh)),
-        items=[state_of(item, leasing, now) for item in chain(_not_leaving(queue_items), queue_items.leaving.values())],
-        acknowledged=[one._replace(time=now - one.time) for one in leasing.acknowledged.all(now, chunks_max)],
-        producers=[aged(kept, now) for kept in enqueuing.retries.kept(now)],
-        message_ids=[known._replace(time=now - known.time) for known in enqueuing.message_ids.all(now)],
+        items=[
+            state_of(item, queue_leases, now) for item in chain(_not_leaving(queue_items), queue_items.leaving.values())
+        ],
+        acknowledged=[one._replace(time=now - one.time) for one in queue_leases.acknowledged.all(now, chunks_max)],
+        producers=[aged(kept, now) for kept in enqueue_line.retries.kept(now)],
+        message_ids=[known._replace(time=now - known.time) for known in enqueue_line.message_ids.all(now)],
     )
 
 
 def restore(
-    state: QueueHandoff, queue_items: QueueItems, leasing: QueueLeases, enqueuing: EnqueueLine, now: int
+    state: QueueHandoff, queue_items: QueueItems, queue_leases: QueueLeases, enqueue_line: EnqueueLine, now: int
 ) -> None:
     """Fill an empty queue with `state`. The next `QueueCore.tick` ends the expired leases and delays."""
     queue_items.tally = replace(state.tally)
-    leasing.next_delivery_id = state.next_delivery_id
+    queue_leases.next_delivery_id = state.next_delivery_id
     states = {one.seq: one for one in state.items}
     fresh_from = _fresh_from(state)
     runs = iter(state.runs)
@@ -116,18 +122,18 @@ def restore(
             run = fresh_run_of(next(runs), now)
         queue_items.put_back(run, seq - run.first_seq, is_fresh=seq >= fresh_from)
         if seq in states:
-            enter(queue_items, leasing, states[seq], now)
+            enter(queue_items, queue_leases, states[seq], now)
         elif seq < fresh_from:
             queue_items.refresh(queue_items.tracked[seq])
     queue_items.next_seq = state.next_seq
     for seq in [one.seq for one in state.items if one.is_leaving]:  # in the order in which these messages will leave
         queue_items.leaving.move_to_end(seq)
     for one in state.acknowledged:
-        leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
+        queue_leases.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
     for kept in state.producers:
-        enqueuing.retries.record(kept.producer_id, kept.first_number, aged(kept, now).outcome, kept.owner)
+        enqueue_line.retries.record(kept.producer_id, kept.first_number, aged(kept, now).outcome, kept.owner)
     for known in state.message_ids:
-        enqueuing.message_ids.record(known.message_id, known.seq, now - known.time, known.owner)
+        enqueue_line.message_ids.record(known.message_id, known.seq, now - known.time, known.owner)
 
 
 def run_with_age(run: QueuedRun, now: int) -> QueuedRun:
@@ -195,9 +201,9 @@ def _not_leaving(queue_items: QueueItems) -> Iterator[TrackedItem]:
             yield item
 
 
-def state_of(item: TrackedItem, leasing: QueueLeases, now: int) -> ItemState:
+def state_of(item: TrackedItem, queue_leases: QueueLeases, now: int) -> ItemState:
     """A tracked message as a value."""
-    leases = [leasing.leases[delivery_id] for delivery_id in item.leases.values()]
+    leases = [queue_leases.leases[delivery_id] for delivery_id in item.leases.values()]
     return ItemState(
         seq=item.seq,
         deliveries=[*(lease.number for lease in leases), *item.returned],
@@ -209,9 +215,9 @@ def state_of(item: TrackedItem, leasing: QueueLeases, now: int) -> ItemState:
     )
 
 
-def change_of(item: TrackedItem, change: ItemChange, leasing: QueueLeases, now: int) -> ItemState:
+def change_of(item: TrackedItem, change: ItemChange, queue_leases: QueueLeases, now: int) -> ItemState:
     """The change of a tracked message as a value."""
-    found = {delivery_id: leasing.leases.get(delivery_id) for delivery_id in change.deliveries}
+    found = {delivery_id: queue_leases.leases.get(delivery_id) for delivery_id in change.deliveries}
     leases = [lease for lease in found.values() if lease is not None]
     return ItemState(
         seq=item.seq,
@@ -230,15 +236,15 @@ def _lease_state(lease: Lease, now: int) -> LeaseState:
     return LeaseState(lease.order, taker.taker_id, taker.name, (lease.due or now) - now, now - lease.leased_at)
 
 
-def enter(queue_items: QueueItems, leasing: QueueLeases, state: ItemState, now: int) -> None:
+def enter(queue_items: QueueItems, queue_leases: QueueLeases, state: ItemState, now: int) -> None:
     """Give a tracked message the history that another host knows, in place of its own. Or change its history."""
     item = queue_items.tracked[state.seq]
-    former = {one.delivery_id: leasing.leases.get(one.delivery_id) for one in state.leases}
+    former = {one.delivery_id: queue_leases.leases.get(one.delivery_id) for one in state.leases}
     if state.ended is None:
-        leasing.void(item)
+        queue_leases.void(item)
         item.acknowledged = tuple(state.acknowledged)
     else:
-        leasing.end(state.ended)
+        queue_leases.end(state.ended)
         item.acknowledged += tuple(state.acknowledged)
     item.last = state.last
     item.returned = sorted(state.deliveries[len(state.leases) :])
@@ -247,7 +253,7 @@ def enter(queue_items: QueueItems, leasing: QueueLeases, state: ItemState, now: 
         taker = TakerState(lease.taker_id, name=lease.taker_name)
         leased = former[lease.delivery_id]  # the deadlines distinguish leases by their ids, so one id is one object
         leased = leased or Lease(lease.delivery_id, item, number, taker, now - lease.leased_ago_nanos)
-        leasing.enter(leased, now + lease.lease_nanos)
+        queue_leases.enter(leased, now + lease.lease_nanos)
     if state.delay_nanos > 0:
         queue_items.delays.arm(item, now + state.delay_nanos)
     if state.is_leaving:

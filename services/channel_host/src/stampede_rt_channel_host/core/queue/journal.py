@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt_channel_host.core.queue.changes import QueueChanges
-from stampede_rt_channel_host.core.queue.enqueuing import EnqueueLine
+from stampede_rt_channel_host.core.queue.enqueue_line import EnqueueLine
 from stampede_rt_channel_host.core.queue.handoff import (
     ItemState,
     QueueHandoff,
@@ -26,8 +26,8 @@ from stampede_rt_channel_host.core.queue.handoff import (
     state_of,
 )
 from stampede_rt_channel_host.core.queue.items import TrackedItem
-from stampede_rt_channel_host.core.queue.leasing import QueueLeases
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
+from stampede_rt_channel_host.core.queue.queue_leases import QueueLeases
 
 JOURNAL_BYTES_MAX = 64 * 2**20
 """The most bytes of the steps that a queue keeps for its replicas. A replica that lacks older steps begins anew."""
@@ -69,12 +69,12 @@ class QueueJournal:
     """
 
     def __init__(
-        self, queue_items: QueueItems, leasing: QueueLeases, enqueuing: EnqueueLine, next_step: int = 1,
+        self, queue_items: QueueItems, queue_leases: QueueLeases, enqueue_line: EnqueueLine, next_step: int = 1,
         bytes_max: int = JOURNAL_BYTES_MAX,
     ) -> None:  # fmt: skip
         self._queue_items = queue_items
-        self._leasing = leasing
-        self._enqueuing = enqueuing
+        self._queue_leases = queue_leases
+        self._enqueue_line = enqueue_line
         self.bytes_max = bytes_max
         self._steps: deque[QueueStep] = deque()
         self._changes = queue_items.changes = QueueChanges()
@@ -98,7 +98,7 @@ class QueueJournal:
         items = sorted(changes.items.values(), key=lambda item: item.seq)
         return QueueHandoff(
             next_seq=self._queue_items.next_seq,
-            next_delivery_id=self._leasing.next_delivery_id,
+            next_delivery_id=self._queue_leases.next_delivery_id,
             tally=replace(self._queue_items.tally),
             runs=[run_with_age(run, now) for run in changes.runs],
             held=(),
@@ -111,8 +111,8 @@ class QueueJournal:
     def _state_of(self, item: TrackedItem, now: int) -> ItemState:
         change = self._changes.of_items[item.seq] if self.takes_changes else None
         if change is None:
-            return state_of(item, self._leasing, now)
-        return change_of(item, change, self._leasing, now)
+            return state_of(item, self._queue_leases, now)
+        return change_of(item, change, self._queue_leases, now)
 
     def steps_from(self, number: int, bytes_max: int) -> list[QueueStep] | None:
         """The steps from `number` on, of about `bytes_max` bytes, but at least one. None if the journal lacks some."""
@@ -156,10 +156,10 @@ class QueueJournal:
         for seq in sorted(states.keys() | removed):
             item = self._queue_items.tracked.get(seq) or self._tracked(seq)
             if seq in removed:
-                self._leasing.void(item)
+                self._queue_leases.void(item)
                 self._queue_items.remove(item)
             else:
-                enter(self._queue_items, self._leasing, states[seq], now)
+                enter(self._queue_items, self._queue_leases, states[seq], now)
         self._note_rest(step.changes, now)
         self._append(step._replace(time=now))
 
@@ -179,13 +179,13 @@ class QueueJournal:
     def _note_rest(self, changes: QueueHandoff, now: int) -> None:
         """Take over the other facts of a step, which do not concern the state of messages."""
         self._queue_items.tally = replace(changes.tally)
-        self._leasing.next_delivery_id = changes.next_delivery_id
+        self._queue_leases.next_delivery_id = changes.next_delivery_id
         for one in changes.acknowledged:
-            self._leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
+            self._queue_leases.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
         for kept in changes.producers:
-            self._enqueuing.retries.record(kept.producer_id, kept.first_number, aged(kept, now).outcome, kept.owner)
+            self._enqueue_line.retries.record(kept.producer_id, kept.first_number, aged(kept, now).outcome, kept.owner)
         for known in changes.message_ids:
-            self._enqueuing.message_ids.record(known.message_id, known.seq, now - known.time, known.owner)
+            self._enqueue_line.message_ids.record(known.message_id, known.seq, now - known.time, known.owner)
 
     def _append(self, step: QueueStep) -> None:
         self._changes.clear()

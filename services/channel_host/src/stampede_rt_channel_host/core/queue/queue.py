@@ -12,12 +12,12 @@ from stampede_rt_channel_host.core.queue import handoff
 from stampede_rt_channel_host.core.queue.dispatcher import Dispatcher
 from stampede_rt_channel_host.core.queue.due_work import DueWork
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
-from stampede_rt_channel_host.core.queue.enqueuing import EnqueueLine
+from stampede_rt_channel_host.core.queue.enqueue_line import EnqueueLine
 from stampede_rt_channel_host.core.queue.handoff import QueueHandoff
 from stampede_rt_channel_host.core.queue.journal import QueueJournal
-from stampede_rt_channel_host.core.queue.leasing import QueueLeases
 from stampede_rt_channel_host.core.queue.limits import QueueLimits
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
+from stampede_rt_channel_host.core.queue.queue_leases import QueueLeases
 from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import (
     Batch,
@@ -58,10 +58,10 @@ class QueueCore:
         self.incarnation = incarnation
         self._name = f"queue {name!r}" if name else "the queue"
         self._queue_items = QueueItems(limits)
-        self._leasing = QueueLeases(self._queue_items, self._name, first_delivery_id)
-        self._enqueuing = EnqueueLine(self._queue_items, self._name)
-        self._dispatcher = Dispatcher(self._queue_items, self._leasing)
-        self._due_work = DueWork(self._queue_items, self._leasing, self._enqueuing, self._dispatcher, may_serve)
+        self._queue_leases = QueueLeases(self._queue_items, self._name, first_delivery_id)
+        self._enqueue_line = EnqueueLine(self._queue_items, self._name)
+        self._dispatcher = Dispatcher(self._queue_items, self._queue_leases)
+        self._due_work = DueWork(self._queue_items, self._queue_leases, self._enqueue_line, self._dispatcher, may_serve)
 
     def export(self, now: int, chunks_max: int | None = None) -> QueueHandoff:
         """The whole queue as values, without waiting runs and takers.
@@ -70,7 +70,7 @@ class QueueCore:
         `AcknowledgedDeliveries.all`.
         """
         clock = self._due_work.tick(now)
-        return handoff.export(self._queue_items, self._leasing, self._enqueuing, clock, chunks_max)
+        return handoff.export(self._queue_items, self._queue_leases, self._enqueue_line, clock, chunks_max)
 
     @classmethod
     def restore(
@@ -96,25 +96,25 @@ class QueueCore:
     def restored(cls, limits: QueueLimits, state: QueueHandoff, now: int, **about: Any) -> QueueCore:
         """As `restore`, for a copy: the queue does no work that is due, because its owner does it."""
         queue = cls(limits, **about)
-        handoff.restore(state, queue._queue_items, queue._leasing, queue._enqueuing, now)
+        handoff.restore(state, queue._queue_items, queue._queue_leases, queue._enqueue_line, now)
         return queue
 
     def journal(self, next_step: int = 1) -> QueueJournal:
         """A journal of all changes of the queue from now on. The first step gets the number `next_step`."""
-        return QueueJournal(self._queue_items, self._leasing, self._enqueuing, next_step)
+        return QueueJournal(self._queue_items, self._queue_leases, self._enqueue_line, next_step)
 
     def recall(self, taker: TakerState, now: int) -> None:
         """Take back the taker's batch, which the host has not begun to send. The taker waits again."""
         clock = self._due_work.tick(now)
         if taker.unsent is not None:
-            self._leasing.recall(taker.unsent.slices)
+            self._queue_leases.recall(taker.unsent.slices)
             taker.credit += taker.unsent.items
             taker.unsent, taker.is_busy = None, False
             self._dispatcher.wait(taker, clock)
 
     def postpone(self, nanos: int) -> None:
         """Let all leases last longer, because no host has served the queue for `nanos`."""
-        self._leasing.postpone(nanos)
+        self._queue_leases.postpone(nanos)
 
     def enqueue(self, run: Enqueue, now: int) -> None:
         """Judge a run. When this method returns, the run is done, or it waits and `take_finished` returns it later.
@@ -124,19 +124,19 @@ class QueueCore:
         Overloaded if too many runs wait.
         """
         clock = self._due_work.tick(now)
-        self._enqueuing.enqueue(run, clock)
+        self._enqueue_line.enqueue(run, clock)
         self._dispatcher.dispatch(clock)
 
     def withdraw(self, run: Enqueue, now: int) -> None:
         """Take a run out of the line, because its producer does not wait for it any more. Idempotent."""
         clock = self._due_work.tick(now)
-        self._enqueuing.withdraw(run, clock)
+        self._enqueue_line.withdraw(run, clock)
         self._due_work.follow_up(clock)
 
     def refuse(self, run: Enqueue, error: StampedeError, now: int) -> None:
         """Take a run out of the line, and refuse its unjudged messages because of `error`. Idempotent."""
         clock = self._due_work.tick(now)
-        self._enqueuing.refuse(run, error, clock)
+        self._enqueue_line.refuse(run, error, clock)
         self._due_work.follow_up(clock)
 
     def pause(self) -> None:
@@ -148,7 +148,7 @@ class QueueCore:
 
         Returns True if more runs wait: then call this method again. While runs wait, the queue refuses new runs, too.
         """
-        return self._enqueuing.refuse_waiting(error, self._due_work.tick(now), ENDED_PER_CALL_MAX)
+        return self._enqueue_line.refuse_waiting(error, self._due_work.tick(now), ENDED_PER_CALL_MAX)
 
     def resume(self, now: int) -> None:
         """Serve takers and waiting runs again, after `pause` or `refuse_waiting`."""
@@ -201,23 +201,23 @@ class QueueCore:
         clock = self._due_work.tick(now)
         self.drain(taker)
         self._dispatcher.batches = [one for one in self._dispatcher.batches if one[0] is not taker]
-        self._leasing.silent = [silent for silent in self._leasing.silent if silent is not taker]
+        self._queue_leases.silent = [silent for silent in self._queue_leases.silent if silent is not taker]
         if taker.unsent is not None:
-            self._leasing.recall(taker.unsent.slices)
+            self._queue_leases.recall(taker.unsent.slices)
             taker.unsent = None
         self._due_work.follow_up(clock)
 
     def settle(self, taker_id: int, settlements: Iterable[Settlement], now: int) -> list[SettlementResult]:
         """Perform the taker's settlements, in order. Returns one result for each settlement."""
         clock = self._due_work.tick(now)
-        results = [self._leasing.settle(taker_id, settlement, clock) for settlement in settlements]
+        results = [self._queue_leases.settle(taker_id, settlement, clock) for settlement in settlements]
         self._due_work.follow_up(clock)
         return results
 
     def pending(self, after_delivery_id: int, limit: int, now: int) -> list[PendingDelivery]:
         """At most `limit` leased deliveries after `after_delivery_id`, with their takers, in the order of their ids."""
         self._due_work.tick(now)
-        return self._leasing.pending(after_delivery_id, limit)
+        return self._queue_leases.pending(after_delivery_id, limit)
 
     def dead_letters(self, items_max: int) -> list[DeadLetter]:
         """At most `items_max` messages that wait for their move to the dead-letter queue.
@@ -256,7 +256,7 @@ class QueueCore:
         """Remove all messages, in pieces. The caller must not use the queue between the pieces or afterwards."""
         while self._queue_items.items:
             for item in [*islice(self._queue_items.tracked.values(), EMPTIED_PER_PIECE)]:
-                self._leasing.expel(item)
+                self._queue_leases.expel(item)
             yield
             for _ in range(EMPTIED_PER_PIECE):
                 self._queue_items.drop_oldest()
@@ -272,11 +272,11 @@ class QueueCore:
 
     def expire(self, now: int) -> None:
         """Forget producers that have put nothing for ten minutes."""
-        self._enqueuing.retries.expire(now)
+        self._enqueue_line.retries.expire(now)
 
     def next_expiry(self) -> int | None:
         """The time at which `expire` next has work, or None if no producer is known."""
-        return self._enqueuing.retries.next_expiry()
+        return self._enqueue_line.retries.next_expiry()
 
     def take_batches(self) -> list[tuple[TakerState, Batch]]:
         """The new batches since the last call, with their takers.
@@ -292,12 +292,12 @@ class QueueCore:
         A silent taker let a lease end, and has sent nothing since that lease began. It does not count as waiting, and
         gets no messages, until it sends something (`grant`).
         """
-        silent, self._leasing.silent = self._leasing.silent, []
+        silent, self._queue_leases.silent = self._queue_leases.silent, []
         return silent
 
     def take_finished(self) -> list[Enqueue]:
         """The waiting runs that became done since the last call."""
-        finished, self._enqueuing.finished = self._enqueuing.finished, []
+        finished, self._enqueue_line.finished = self._enqueue_line.finished, []
         return finished
 
     def counters(self, now: int) -> QueueCounters:
@@ -328,7 +328,7 @@ class QueueCore:
     @property
     def waiting_enqueues(self) -> int:
         """The number of runs that wait for room."""
-        return len(self._enqueuing)
+        return len(self._enqueue_line)
 
     @property
     def has_dead_letters(self) -> bool:
@@ -347,7 +347,7 @@ class QueueCore:
         They include stored runs, 64 bytes for each message, waiting runs, acknowledged deliveries, producers' latest
         runs, and message ids.
         """
-        queue_items, enqueuing = self._queue_items, self._enqueuing
-        known = self._leasing.acknowledged.footprint_bytes + enqueuing.retries.footprint_bytes
-        known += enqueuing.message_ids.footprint_bytes
-        return queue_items.stored_bytes + queue_items.items * 64 + enqueuing.waiting_bytes + known
+        queue_items, enqueue_line = self._queue_items, self._enqueue_line
+        known = self._queue_leases.acknowledged.footprint_bytes + enqueue_line.retries.footprint_bytes
+        known += enqueue_line.message_ids.footprint_bytes
+        return queue_items.stored_bytes + queue_items.items * 64 + enqueue_line.waiting_bytes + known

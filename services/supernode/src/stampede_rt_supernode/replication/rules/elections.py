@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import assert_never
 
 from stampede_rt_supernode.replication.library.node import CANDIDATE
-from stampede_rt_supernode.replication.rules.following import FollowerRole
-from stampede_rt_supernode.replication.rules.leading import LeaderRole
+from stampede_rt_supernode.replication.rules.follower_role import FollowerRole
+from stampede_rt_supernode.replication.rules.leader_role import LeaderRole
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.wire.buffered_transport import MemberNode
 from stampede_rt_supernode.replication.wire.messages import (

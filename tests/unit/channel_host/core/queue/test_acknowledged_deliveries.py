@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt_channel_host.core.queue.acknowledged import KEPT_NANOS, AcknowledgedDeliveries
+from stampede_rt_channel_host.core.queue.acknowledged_deliveries import KEPT_NANOS, AcknowledgedDeliveries
 
 
 def test_acknowledged_deliveries_are_known_to_their_taker_for_ten_minutes() -> None:

@@ -13,7 +13,7 @@ from stampede_rt.errors import InvalidArgument, Overloaded, StaleBinding, Stampe
 from stampede_rt.status import from_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.batching import NumberedRun, RunBuilder
-from stampede_rt_channel_host.channels.puts_here import STEP_BYTES_MAX, InProcessPutStream
+from stampede_rt_channel_host.channels.in_process_puts import STEP_BYTES_MAX, InProcessPutStream
 from stampede_rt_channel_host.core.channel import ReferencedBody
 
 

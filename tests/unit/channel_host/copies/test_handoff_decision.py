@@ -10,7 +10,7 @@ from stampede_rt.wire.runs import encode_run
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
-from stampede_rt_channel_host.copies.handing_over import IDLE_NANOS, HandoffDecision
+from stampede_rt_channel_host.copies.handoff_decision import IDLE_NANOS, HandoffDecision
 from stampede_rt_channel_host.core.channel import ChannelCore, ChannelFeed
 
 MOST_BYTES = 2**20

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stampede_rt.multicast.merging import SeqMerge
+from stampede_rt.multicast.seq_merge import SeqMerge
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 import stampede_rt as st
-from stampede_rt._async import reconnecting
-from stampede_rt._async.reconnecting import StreamReconnector, parse_reconnect
+from stampede_rt._async import stream_reconnector
+from stampede_rt._async.stream_reconnector import StreamReconnector, parse_reconnect
 
 
 class Session:
@@ -47,8 +47,8 @@ class FailingOpener:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    monkeypatch.setattr(reconnecting, "monotonic_s", clock.monotonic_s)
-    monkeypatch.setattr(reconnecting, "sleep", clock.sleep)
+    monkeypatch.setattr(stream_reconnector, "monotonic_s", clock.monotonic_s)
+    monkeypatch.setattr(stream_reconnector, "sleep", clock.sleep)
     return clock
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 from stampede_rt.multicast.assembling import Assembler
 from stampede_rt.multicast.layout import MessageKind, MessagePart, MulticastMessage
-from stampede_rt.multicast.merging import SeqMerge
-from stampede_rt.multicast.repairing import RepairPace
+from stampede_rt.multicast.repair_pace import RepairPace
 from stampede_rt.multicast.sealing import DatagramOpener, RejectReason, Verifier
+from stampede_rt.multicast.seq_merge import SeqMerge
 from stampede_rt.values.statistics import MulticastStats
 
 ASSEMBLED_BYTES_MAX = 4 * 2**20

@@ -12,7 +12,7 @@ from itertools import islice
 
 from stampede_rt.errors import LeaseExpired
 from stampede_rt_channel_host.core.deadlines import Deadlines
-from stampede_rt_channel_host.core.queue.acknowledged import AcknowledgedDeliveries, AcknowledgedDelivery
+from stampede_rt_channel_host.core.queue.acknowledged_deliveries import AcknowledgedDeliveries, AcknowledgedDelivery
 from stampede_rt_channel_host.core.queue.chunked_map import ChunkedMap
 from stampede_rt_channel_host.core.queue.items import (
     GIVEN_BACK,

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from stampede_rt.multicast.repairing import (
+from stampede_rt.multicast.repair_pace import (
     BEAT_S_MAX,
     KEY_ASKED_S,
     REORDERED_S,
