@@ -11,7 +11,9 @@ from stampede_rt_channel_host.core.channel import (
     ChannelCore,
     ChannelFeed,
     FedChannel,
+    FedItem,
     FeedPart,
+    NewItem,
     Query,
     SavedCursor,
     Slice,
@@ -91,6 +93,22 @@ class FedCopy:
             self.apply(self.last)
             self.check_part()
         return self.last is not None
+
+    def take_ahead(self, item: NewItem) -> FedItem | None:
+        """The item, if the copy may get it before the owner stores it."""
+        has_owner = self.source is self.pair.core and self.feed is not None and self.window is not None
+        return self.feed.take_ahead(item) if has_owner and self.feed is not None else None
+
+    def apply_item(self, fed: FedItem) -> None:
+        """Apply an item that the owner has sent ahead. The items that the owner has collected meanwhile stay here."""
+        self.channel.check_item(fed)
+        self.channel.apply_item(fed, self.pair.clock)
+        self.last = None  # an item comes once
+        here = held_by(self.channel, self.pair.clock)
+        assert self.channel.next_seq == self.source.next_seq
+        assert {item.seq for item in here} >= {item.seq for item in held_by(self.source, self.pair.clock)}
+        counters = self.channel.counters(self.pair.clock)
+        assert counters.accepted == counters.held + sum(counters.collected.values())
 
     def apply(self, part: FeedPart) -> None:
         self.channel.apply(

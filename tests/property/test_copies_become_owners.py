@@ -16,7 +16,17 @@ from hypothesis import strategies as st
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import ChannelCore, FedChannel, Offer, item_blocks, owner_facts, pieces
+from stampede_rt_channel_host.core.channel import (
+    ABSENT,
+    ChannelCore,
+    FedChannel,
+    FedItem,
+    NewItem,
+    Offer,
+    item_blocks,
+    owner_facts,
+    pieces,
+)
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunProgress
 from tests.oracle import Item, OracleRetries, RefusedItem
@@ -55,7 +65,7 @@ class Scenario:
         self.window, self.retries = RetryWindow(), OracleRetries()
         self.producers = Producers()
         self.copies = self._new_copies()
-        self.moves = 0
+        self.moves = self.sent_ahead = 0
 
     def _new_copies(self) -> list[FedCopy]:
         return [FedCopy(self.pair, window=self.window), FedCopy(self.pair, window=self.window)]
@@ -68,7 +78,10 @@ class Scenario:
             copy.repeat()
         elif kind == 2:
             self.move(copy)
-        elif kind <= 5:
+        elif kind <= 4:
+            copy.catch_up()  # so that it may get an item ahead
+            self.produce(rng)
+        elif kind == 5:
             self.produce(rng)
         else:
             copy.take(rng.pick((0, 1, 150, 10**6)))
@@ -99,7 +112,22 @@ class Scenario:
         progress = RunProgress(items)
         if known is not None:
             progress.resume(known)
-        outcome, more = self.pair.put(offer)
+        ahead: list[tuple[FedCopy, FedItem]] = []
+
+        def send_ahead(first_seq: int, stamped_time: int | None) -> None:
+            """As `ReplicatedPuts`, to the copies that lack nothing else."""
+            if items > 1 or first_seq != self.pair.core.next_seq:
+                return
+            time = offer.times[0] if offer.times is not None else stamped_time
+            assert time is not None
+            duration = ABSENT if offer.durations is None else offer.durations[0]
+            is_stamped = stamped_time is not None
+            item = NewItem(
+                first_seq, producer_id, number, time, duration, offer.lengths[0], is_stamped, self.pair.clock, b"body"
+            )
+            ahead.extend((copy, found) for copy in self.copies if (found := copy.take_ahead(item)) is not None)
+
+        outcome, more = self.pair.put(offer, send_ahead)
         offered, accepted = progress.judged_items, [at for at, one in enumerate(more) if isinstance(one, Item)]
         if outcome.run is not None:
             progress.accept(offered + accepted[0], outcome.run.first_seq, len(accepted), outcome.stamped_time)
@@ -110,6 +138,9 @@ class Scenario:
             self.pair.waiting.pop()  # the producer does not wait
         self.window.record(producer_id, number, progress.outcome(self.pair.clock))
         self.retries.record(producer_id, number, items, [*verdicts, *more], self.pair.clock)
+        for copy, fed in ahead:
+            copy.apply_item(fed)
+            self.sent_ahead += 1
 
     def move(self, copy: FedCopy) -> None:
         """Give the copy everything, and make it the owner."""

@@ -365,8 +365,14 @@ MUTANTS = (
     Mutant(
         name="a_replica_continues_with_items_of_a_former_owner",
         file=f"{HOST}/copies/feed_stream.py",
-        edits=(("place is not None and _has_others_items(hosted, opening.place)", "False"),),
+        edits=(("place is not None and has_others_items(hosted, opening)", "False"),),
         noticed_by="tests/robustness/moves/test_crashes_with_replicas.py -k anew",
+    ),
+    Mutant(
+        name="a_replica_keeps_an_item_that_the_owner_could_not_store",
+        file=f"{HOST}/channels/puts/replicated_puts.py",
+        edits=(("                feed.take_back()\n", "                pass\n"),),
+        noticed_by="tests/unit/channel_host/copies/test_ahead_item_sender.py",
     ),
     Mutant(
         name="a_queue_that_comes_back_trusts_its_replicas",

@@ -26,7 +26,7 @@ FEED_CAUSE_BYTES: FeedCause
 FEED_CAUSE_CONSUMPTION: FeedCause
 
 class FeedRequest(_message.Message):
-    __slots__ = ("open", "credit_bytes", "sent_nanos", "subscriptions", "ready", "hold", "committed_epoch", "released", "held_next_seq")
+    __slots__ = ("open", "credit_bytes", "sent_nanos", "subscriptions", "ready", "hold", "committed_epoch", "released", "held_next_seq", "item_next_seq")
     OPEN_FIELD_NUMBER: _ClassVar[int]
     CREDIT_BYTES_FIELD_NUMBER: _ClassVar[int]
     SENT_NANOS_FIELD_NUMBER: _ClassVar[int]
@@ -36,6 +36,7 @@ class FeedRequest(_message.Message):
     COMMITTED_EPOCH_FIELD_NUMBER: _ClassVar[int]
     RELEASED_FIELD_NUMBER: _ClassVar[int]
     HELD_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    ITEM_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     open: FeedOpen
     credit_bytes: int
     sent_nanos: int
@@ -45,10 +46,11 @@ class FeedRequest(_message.Message):
     committed_epoch: int
     released: bool
     held_next_seq: int
-    def __init__(self, open: _Optional[_Union[FeedOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., sent_nanos: _Optional[int] = ..., subscriptions: _Optional[int] = ..., ready: bool = ..., hold: bool = ..., committed_epoch: _Optional[int] = ..., released: bool = ..., held_next_seq: _Optional[int] = ...) -> None: ...
+    item_next_seq: int
+    def __init__(self, open: _Optional[_Union[FeedOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., sent_nanos: _Optional[int] = ..., subscriptions: _Optional[int] = ..., ready: bool = ..., hold: bool = ..., committed_epoch: _Optional[int] = ..., released: bool = ..., held_next_seq: _Optional[int] = ..., item_next_seq: _Optional[int] = ...) -> None: ...
 
 class FeedOpen(_message.Message):
-    __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts", "move_id", "another_may_follow", "hand_over_when_idle", "takes_puts")
+    __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts", "move_id", "another_may_follow", "hand_over_when_idle", "takes_puts", "takes_items")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
@@ -59,6 +61,7 @@ class FeedOpen(_message.Message):
     ANOTHER_MAY_FOLLOW_FIELD_NUMBER: _ClassVar[int]
     HAND_OVER_WHEN_IDLE_FIELD_NUMBER: _ClassVar[int]
     TAKES_PUTS_FIELD_NUMBER: _ClassVar[int]
+    TAKES_ITEMS_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     host_id: bytes
@@ -69,7 +72,8 @@ class FeedOpen(_message.Message):
     another_may_follow: bool
     hand_over_when_idle: bool
     takes_puts: bool
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ..., owner_facts: bool = ..., move_id: _Optional[bytes] = ..., another_may_follow: bool = ..., hand_over_when_idle: bool = ..., takes_puts: bool = ...) -> None: ...
+    takes_items: bool
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ..., owner_facts: bool = ..., move_id: _Optional[bytes] = ..., another_may_follow: bool = ..., hand_over_when_idle: bool = ..., takes_puts: bool = ..., takes_items: bool = ...) -> None: ...
 
 class FeedPlace(_message.Message):
     __slots__ = ("incarnation", "next_seq", "floor_resets", "owner_until_unix_nano", "owner_epoch")
@@ -86,16 +90,48 @@ class FeedPlace(_message.Message):
     def __init__(self, incarnation: _Optional[int] = ..., next_seq: _Optional[int] = ..., floor_resets: _Optional[int] = ..., owner_until_unix_nano: _Optional[int] = ..., owner_epoch: _Optional[int] = ...) -> None: ...
 
 class FeedResponse(_message.Message):
-    __slots__ = ("opened", "state", "runs", "move_over")
+    __slots__ = ("opened", "state", "runs", "move_over", "item")
     OPENED_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     RUNS_FIELD_NUMBER: _ClassVar[int]
     MOVE_OVER_FIELD_NUMBER: _ClassVar[int]
+    ITEM_FIELD_NUMBER: _ClassVar[int]
     opened: FeedOpened
     state: FeedState
     runs: _containers.RepeatedCompositeFieldContainer[_item_pb2.DeliveredRun]
     move_over: bool
-    def __init__(self, opened: _Optional[_Union[FeedOpened, _Mapping]] = ..., state: _Optional[_Union[FeedState, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., move_over: bool = ...) -> None: ...
+    item: FedItem
+    def __init__(self, opened: _Optional[_Union[FeedOpened, _Mapping]] = ..., state: _Optional[_Union[FeedState, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., move_over: bool = ..., item: _Optional[_Union[FedItem, _Mapping]] = ...) -> None: ...
+
+class FedItem(_message.Message):
+    __slots__ = ("seq", "producer_id", "first_number", "time_unix_nano", "duration_nanos", "payload_length_bytes", "is_stamped", "judged_unix_nano", "floor_time_unix_nano", "floor_seq", "newest_collected_unix_nano", "collected_end_unix_nano", "run")
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    PRODUCER_ID_FIELD_NUMBER: _ClassVar[int]
+    FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
+    TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    DURATION_NANOS_FIELD_NUMBER: _ClassVar[int]
+    PAYLOAD_LENGTH_BYTES_FIELD_NUMBER: _ClassVar[int]
+    IS_STAMPED_FIELD_NUMBER: _ClassVar[int]
+    JUDGED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    FLOOR_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    FLOOR_SEQ_FIELD_NUMBER: _ClassVar[int]
+    NEWEST_COLLECTED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    COLLECTED_END_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    producer_id: int
+    first_number: int
+    time_unix_nano: int
+    duration_nanos: int
+    payload_length_bytes: int
+    is_stamped: bool
+    judged_unix_nano: int
+    floor_time_unix_nano: int
+    floor_seq: int
+    newest_collected_unix_nano: int
+    collected_end_unix_nano: int
+    run: bytes
+    def __init__(self, seq: _Optional[int] = ..., producer_id: _Optional[int] = ..., first_number: _Optional[int] = ..., time_unix_nano: _Optional[int] = ..., duration_nanos: _Optional[int] = ..., payload_length_bytes: _Optional[int] = ..., is_stamped: bool = ..., judged_unix_nano: _Optional[int] = ..., floor_time_unix_nano: _Optional[int] = ..., floor_seq: _Optional[int] = ..., newest_collected_unix_nano: _Optional[int] = ..., collected_end_unix_nano: _Optional[int] = ..., run: _Optional[bytes] = ...) -> None: ...
 
 class FeedOpened(_message.Message):
     __slots__ = ("begins_anew", "lost_before_unix_nano", "lost_from_unix_nano", "former")

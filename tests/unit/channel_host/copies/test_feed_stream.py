@@ -20,9 +20,10 @@ from stampede_rt.wire.runs import run_parts
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.copies.copy_feed import GRANTS, RUNS_PER_TURN, CopyFeed
+from stampede_rt_channel_host.copies.fed_items import encode_answer
 from stampede_rt_channel_host.copies.fed_responses import FedResponse, read_response
 from stampede_rt_channel_host.copies.feed_stream import FeedStream
-from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelFeed
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelFeed, FedItem
 from stampede_rt_channel_host.core.replication import KnownReplica
 from stampede_rt_runtime import pacing
 from tests.support.channel_host.held_transport import HeldStream, held_stream
@@ -52,6 +53,10 @@ class Fed:
         self.producer.send(put_request(head, self._number, run_parts((b"x",), times=None), 10**9))
         return self.feed.written()[before:]
 
+    def answer(self) -> None:
+        """Report it in answer to an item."""
+        assert self.feed.send(encode_answer(self.hosted.core.next_seq)) == []
+
     def report(self, **fields: Any) -> None:
         """Report that the replica has all items so far."""
         request = pb.FeedRequest(held_next_seq=self.hosted.core.next_seq, sent_nanos=1, **fields)
@@ -62,15 +67,15 @@ class Fed:
 
 
 @asynccontextmanager
-async def fed(*, takes_puts: bool = True) -> AsyncIterator[Fed]:
+async def fed(*, takes_puts: bool = True, takes_items: bool = False, **policy: Any) -> AsyncIterator[Fed]:
     async with running_host() as rig:
-        spec = policy_to_spec(parse_policy(replicas=1, ack="replica"))
+        spec = policy_to_spec(parse_policy(replicas=1, ack="replica", **policy))
         record = rig.directory.add_channel("a", rig.host.identity.host_id, spec)
         channel = OpenedChannel(rig, record)
         feed = await held_stream(rig.sockets, "/stampede_rt.v1.ReplicaService/Feed")
         opening = pb.FeedOpen(
             channel_id=record.channel_id, epoch=record.epoch, host_id=REPLICA, target="replica:1", owner_facts=True,
-            takes_puts=takes_puts,
+            takes_puts=takes_puts, takes_items=takes_items,
         )  # fmt: skip
         hosted = await rig.host.store.bind_for_feed(record.channel_id, record.epoch)
         assert hosted.replication is not None
@@ -94,7 +99,11 @@ async def pauses() -> None:
 
 
 def parts_in(messages: list[bytes]) -> list[FedResponse]:
-    return [read_response(one) for one in messages]
+    return [one for one in map(read_response, messages) if isinstance(one, FedResponse)]
+
+
+def items_in(messages: list[bytes]) -> list[FedItem]:
+    return [one for one in map(read_response, messages) if isinstance(one, FedItem)]
 
 
 async def test_a_put_goes_to_the_replica_in_the_turn_in_which_it_comes() -> None:

@@ -16,6 +16,7 @@ from stampede_rt_channel_host.channels.move_under_way import MoveUnderWay
 from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore, core_of_replica, new_core, replication_of
 from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
+from stampede_rt_channel_host.channels.puts.replicated_puts import send_ahead
 from stampede_rt_channel_host.channels.recording import Recording
 from stampede_rt_channel_host.channels.replication import Replication, ReplicationKind, kind_of, own_again
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
@@ -110,7 +111,7 @@ class HostedChannel:
         self.order, self.due = next(_orders), None  # set here: Python shares at most 30 attribute names of all channels
         self._on_touched, self._now = on_touched, now
         if self.replication is not None:
-            self.puts.check_room = self.replication.check_room
+            send_ahead(self.puts, self.core, self.replication)
             begin(self.replication.filling())
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from enum import Enum
 from typing import Protocol
 
@@ -11,7 +11,7 @@ from stampede_rt.errors import Overloaded, StampedeError, Unavailable
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.channels.owned_replicas import READY_SECONDS_MAX, OwnedReplicas, OwnersFeed
-from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, Pieces, ReplicatedView
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, NewItem, Pieces, ReplicatedView
 from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_channel_host.core.replication import ReplicasInSync, ReplicaState
 
@@ -24,6 +24,12 @@ class ReplicaFeed(OwnersFeed, Protocol):
 
     def end(self, error: StampedeError) -> None:
         """Note that the host no longer feeds the replica over this stream."""
+
+    def send_ahead(self, item: NewItem) -> None:
+        """See `AheadFeed`."""
+
+    def take_back(self) -> None:
+        """See `AheadFeed`."""
 
 
 class ReplicationKind(Enum):
@@ -48,7 +54,8 @@ class Replication(OwnedReplicas[ReplicaFeed]):
     after each change of `shown`.
     """
 
-    _is_filled = False
+    is_filled = False
+    """Whether `filling` is over."""
 
     def __init__(
         self, core: ChannelCore, now: Callable[[], int], on_shown: Callable[[int], None],
@@ -66,6 +73,8 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         self._now = now
         self._on_shown = on_shown
         self._view = None if may_lag else ReplicatedView(core, now(), slice_run)
+        self.strays: set[bytes] = set()
+        """The replicas that may hold an item that this owner does not have. They must begin anew."""
 
     @property
     def shown(self) -> ChannelCore:
@@ -75,7 +84,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
     @property
     def is_ready(self) -> bool:
         """Whether readers and producers may use the channel."""
-        return self._view is None or (self._is_filled and self._in_sync.is_ready)
+        return self._view is None or (self.is_filled and self._in_sync.is_ready)
 
     @property
     def is_within_lag(self) -> bool:
@@ -109,7 +118,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         """Take in the items that the channel has from before, in pieces."""
         if self._view is not None:
             yield from self._view.filling(self._now())
-        self._is_filled = True
+        self.is_filled = True
         self.accepted(self._now())
 
     async def ready(self) -> bool:
@@ -125,7 +134,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
 
     def accepted(self, now: int) -> None:
         """Send a change of the channel to the replicas, and show the change as soon as it is replicated."""
-        if not self._is_filled:
+        if not self.is_filled:
             return
         for feed in self._feeds.values():  # first: the replicas work while this host goes on
             feed.wake()
@@ -170,6 +179,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
 
     def add(self, host_id: bytes, feed: ReplicaFeed, error: StampedeError) -> None:
         """Note the feed of a replica. An earlier feed of the same replica ends with `error`."""
+        self.strays.discard(host_id)
         former = self._feeds.get(host_id)
         self._feeds[host_id] = feed
         if former is not None:
@@ -180,6 +190,11 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         for feed in [*self._feeds.values()]:
             feed.end(error)
         super().end(error)
+
+    @property
+    def feeds(self) -> Collection[ReplicaFeed]:
+        """The feeds of the replicas."""
+        return self._feeds.values()
 
     def close(self) -> None:
         """End the replication, because the host gives the channel up. Idempotent."""
@@ -193,7 +208,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
 
     def _show(self, now: int) -> None:
         self.wake_waits()  # first: no reader can ask before the change is shown, in the same turn of the event loop
-        if self._view is not None and self._is_filled and self._view.show(self.replicated_next, now):
+        if self._view is not None and self.is_filled and self._view.show(self.replicated_next, now):
             self._on_shown(now)
 
 

@@ -10,8 +10,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
-from stampede_rt.status import from_rpc_error
+from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.copy_state import CopyState
@@ -21,7 +20,9 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.cut_floors import floor_from_message
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.cluster.task_failures import first_failure
-from stampede_rt_channel_host.copies.fed_responses import FedResponse, read_response
+from stampede_rt_channel_host.copies.fed_items import encode_answer
+from stampede_rt_channel_host.copies.fed_responses import FedResponse
+from stampede_rt_channel_host.copies.feed_calls import BROKEN_AFTER_SECONDS, feed_over, plain_error
 from stampede_rt_channel_host.copies.messages import (
     advance_of,
     cleared_of,
@@ -32,7 +33,7 @@ from stampede_rt_channel_host.copies.messages import (
     run_of,
 )
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
-from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, FedChannel, Losses, Run
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, FedChannel, FedItem, Losses, Run
 from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_runtime.sockets.dialing import HostStream
 
@@ -40,9 +41,7 @@ WINDOW_BYTES = 4 * 2**20  # how far the source may be ahead of the copy, unless 
 GRANTS = 4  # the copy grants its window in this many parts; each request costs the source a message
 REQUEST_SECONDS = 0.5  # the copy sends a request at least this often, and the source answers it
 REPLICA_REQUEST_SECONDS = 0.2  # a replica that is silent for a second is out of sync
-BROKEN_AFTER_SECONDS = 3.0  # after this silence of its source, the copy opens the feed again
 RUNS_PER_TURN = 64  # the storing of a run takes about 15 us
-METHOD = "/stampede_rt.v1.ReplicaService/Feed"
 Write = Callable[[pb.FeedRequest], Awaitable[None]]
 
 
@@ -101,9 +100,9 @@ class CopyFeed:
                 async with self._turn:  # gRPC would end a stream in which a write is cancelled
                     writing.cancel()
         except BaseExceptionGroup as group:
-            raise _plain(first_failure(group), source.target) from group
+            raise plain_error(first_failure(group), source.target) from group
         except (grpc.RpcError, asyncio.InvalidStateError, TimeoutError) as error:
-            raise _plain(error, source.target) from error
+            raise plain_error(error, source.target) from error
 
     def _opening(self, source: FeedSource) -> pb.FeedOpen:
         held = self._held()
@@ -117,6 +116,7 @@ class CopyFeed:
             place=None if held is None else place_to(_core(held).place, held.epoch),
             owner_facts=self._owner_facts,
             takes_puts=self._owner_facts,
+            takes_items=self._owner_facts,
         )
 
     def _held(self) -> HostedChannel | None:
@@ -175,10 +175,10 @@ class CopyFeed:
 
     async def _read_all(self, call: Any, source: FeedSource) -> None:
         loop = asyncio.get_running_loop()
-        while isinstance(response := await call.read(), FedResponse):
+        while isinstance(response := await call.read(), FedResponse | FedItem):
             self._heard_s = loop.time()
             await self._take(response)
-            if response.fields.move_over:
+            if isinstance(response, FedResponse) and response.fields.move_over:
                 return
             if self._owes_request:
                 await self._answer(call.write)
@@ -186,11 +186,13 @@ class CopyFeed:
                 call.answer_at_once(partial(self._take_at_once, call))
         raise Unavailable(f"the source at {source.target} has ended the feed")
 
-    def _take_at_once(self, call: Any, response: FedResponse) -> bool:
+    def _take_at_once(self, call: Any, response: FedResponse | FedItem) -> bool:
         """Take a short part, and answer it, in the turn of the event loop in which it comes: puts wait for the answer.
 
         Returns False for any other message.
         """
+        if isinstance(response, FedItem):
+            return self._take_item_at_once(call, response)
         if response.fields.HasField("opened") or len(response.runs) > RUNS_PER_TURN or self._turn.locked():
             return False
         self._heard_s = asyncio.get_running_loop().time()
@@ -204,6 +206,32 @@ class CopyFeed:
         elif self._owes_request:
             self._news.set()
         return True
+
+    def _take_item_at_once(self, call: Any, fed: FedItem) -> bool:
+        write = None if self._turn.locked() else call.write_now
+        if write is None or not self._state.caught_up or self._granted >= self._grant_bytes:
+            return False
+        self._heard_s = asyncio.get_running_loop().time()
+        self._store_item(fed, partial(write, encode_answer(fed.item.seq + 1)))
+        return True
+
+    def _store_item(self, fed: FedItem, answer: Callable[[], None] | None = None) -> None:
+        """Store an item of the feed. `answer`: see `_store_runs`."""
+        held, now, item = self._held(), self._store.now(), fed.item
+        if held is None:
+            raise Unavailable("the copy was dropped")
+        held.make_room(len(item.body) + ITEM_OVERHEAD_BYTES)
+        core = _core(held)
+        core.check_item(fed)
+        if answer is not None:
+            self._reported_seq = item.seq + 1
+            answer()
+        core.apply_item(fed, now)
+        held.fed_part(now)
+        self._state.source_next_seq = item.seq + 1
+        self._state.note_progress()
+        self._granted += item.length + ITEM_OVERHEAD_BYTES
+        self._owes_request |= answer is None
 
     def _report(self, write: Callable[[pb.FeedRequest], None], next_seq: int) -> None:
         """Tell the source that this host holds all items before `next_seq`, because it stores them in this step."""
@@ -219,7 +247,10 @@ class CopyFeed:
         async with self._turn:
             await self._send(write)
 
-    async def _take(self, response: FedResponse) -> None:
+    async def _take(self, response: FedResponse | FedItem) -> None:
+        if isinstance(response, FedItem):
+            self._store_item(response)
+            return
         self._follow(response.fields)
         await self._apply(response.fields.state, response.runs)
 
@@ -318,28 +349,6 @@ class CopyFeed:
         self._owes_request |= self._granted >= self._grant_bytes
 
 
-def feed_over(channel: grpc.aio.Channel) -> Any:
-    """A new stream for feeds over a connection to the source."""
-    return channel.stream_stream(
-        METHOD,
-        request_serializer=pb.FeedRequest.SerializeToString,
-        response_deserializer=read_response,
-    )()
-
-
 def _core(held: HostedChannel) -> FedChannel:
     assert isinstance(held.channel, FedChannel), "the store has found a copy"
     return held.channel
-
-
-def _plain(error: BaseException, target: str) -> BaseException:
-    """The product's error for a broken stream; any other error stays as it is."""
-    if isinstance(error, grpc.RpcError):
-        return from_rpc_error(error, target)
-    if isinstance(error, StampedeError):
-        return error
-    if isinstance(error, TimeoutError):
-        return Unavailable(f"the source at {target} was silent for {BROKEN_AFTER_SECONDS:g} s")
-    if isinstance(error, asyncio.InvalidStateError):  # grpc raises this for a write after the end of the call
-        return Unavailable(f"the stream to {target} is broken")
-    return error

@@ -32,6 +32,10 @@ class FeedResponses:
         """Whether the copy waits for a message, even if no item has come."""
         return self.heard_nanos != self._sent_heard_nanos or hosted.record.message != self._sent_record
 
+    def owes_facts(self, hosted: HostedChannel) -> bool:
+        """Whether the next message may need more than its items: a sign, or cuts of groups."""
+        return self.owes_sign(hosted) or bool(self._floors_of(hosted.record.channel_id))
+
     def bare(
         self, hosted: HostedChannel, source: ChannelCore, feed: ChannelFeed,
         opened: pb.FeedOpened | None = None, handoff: pb.FeedHandoff | None = None,

@@ -23,25 +23,27 @@ from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
-from stampede_rt_channel_host.cluster.identity import ID_BYTES
+from stampede_rt_channel_host.copies.ahead_item_sender import AheadItemSender
+from stampede_rt_channel_host.copies.fed_items import read_answer
+from stampede_rt_channel_host.copies.feed_opening import fed_channel, has_others_items
 from stampede_rt_channel_host.copies.feed_responses import FeedResponses
 from stampede_rt_channel_host.copies.handoff_decision import HandoffDecision
 from stampede_rt_channel_host.copies.messages import opened_to, place_of
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
-from stampede_rt_channel_host.core.channel import CATCH_UP_NANOS, ChannelCore, ChannelFeed, FeedPart, LagWatch
+from stampede_rt_channel_host.core.channel import (
+    ITEM_OVERHEAD_BYTES,
+    ChannelCore,
+    ChannelFeed,
+    FeedPart,
+    LagWatch,
+    NewItem,
+)
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.rpc import Context, answer_at_once, write_now
 
-FEEDS_MAX = 64  # the most feeds of one channel; the directory allows 16 copies, and broken streams may linger
 SILENT_SECONDS_MAX = 4.0  # the destination of a move sends several requests a second
 WRITE_SECONDS_MAX = 10.0  # the stream of a copy ends if the copy takes nothing for this time during a write
-
-
-def check_named_host(opening: pb.FeedOpen) -> None:
-    """Raises InvalidArgument if the first request of a feed does not name the host of the copy."""
-    if len(opening.host_id) != ID_BYTES or not opening.target:
-        raise InvalidArgument("the feed's open has no host_id of 16 bytes, or no target; state both")
 
 
 class FeedStream:
@@ -62,8 +64,10 @@ class FeedStream:
         self._heard_s = time.monotonic()  # when this host got the last request
         self._held_next_seq = 0  # the copy has reported the items before this seq
         self._send_at_once: Callable[[], bool] | None = None  # while the feed waits for news, and no move is under way
-        self._failure: Exception | None = None  # the error of `_send_at_once`, which ends the feed
-        self._source: ChannelCore  # the channel that is fed; set when the feed begins
+        self._ahead: AheadItemSender | None = None  # if the copy takes items before the channel stores them
+        self._failure: Exception | None = None  # an error outside of the feed's task, which ends the feed
+        self._source: ChannelCore  # the channel that is fed; set when the feed begins, as `_feed`
+        self._feed: ChannelFeed
         self._replication: Replication | None = None  # the replication of the channel, if the copy is a replica
         self._host_id = b""
         self._begins_anew = False
@@ -75,18 +79,46 @@ class FeedStream:
         self._is_released = False
 
     def wake(self) -> None:
-        """Note that the channel has changed. Sends the change in this turn of the event loop if the copy has everything
-        else.
+        """Send a change of the channel in this turn of the event loop, if the copy has everything else.
 
         The puts wait for the copy's answer. If the copy lacks something, the items that come until the next turn go out
         together. Raises nothing, because the host has accepted the change: an error ends the feed.
         """
+        if self._ahead is not None and self._ahead.stored():
+            return
         try:
             is_sent = self._send_at_once is not None and self._send_at_once()
         except Exception as error:  # noqa: BLE001 - the task of the feed raises it
-            self._failure, self._send_at_once, is_sent = error, None, False
+            self._fail(error)
+            return
         if not is_sent:
             self._news.set()
+
+    def send_ahead(self, item: NewItem) -> None:
+        """Send an item that the channel has accepted and is about to store, if the copy has everything else.
+
+        Then the copy works while this host stores the item. Raises nothing, as `wake`.
+        """
+        ahead = None if self._send_at_once is None or self._news.is_set() else self._ahead
+        try:
+            write = None if ahead is None else self._free_write()
+            if ahead is not None and write is not None and ahead.send(item, write):
+                self._credit.spend(item.length + ITEM_OVERHEAD_BYTES)
+                self._work.spend_write()
+        except Exception as error:  # noqa: BLE001 - as in `wake`
+            self._fail(error)
+
+    def take_back(self) -> None:
+        """See `AheadFeed`."""
+        error = None if self._ahead is None else self._ahead.take_back()
+        if error is not None and self._replication is not None:
+            self._replication.discard(self._host_id, self)  # no report counts any more
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        """Let the task of the feed raise the error."""
+        self._failure, self._send_at_once = error, None
+        self._news.set()
 
     def end(self, error: StampedeError) -> None:
         """Note that the host no longer serves the channel. The feed of a move continues, because the destination still
@@ -103,7 +135,7 @@ class FeedStream:
         the copy takes nothing.
         """
         opening = request.open
-        hosted = await self._checked(opening)
+        hosted = await fed_channel(self._store, self._moves, opening)
         if hosted.fed is None:
             hosted.fed = FedCopies()
         with closing(await self._begin(hosted, opening)) as feed:
@@ -118,13 +150,14 @@ class FeedStream:
                 self._handing_over = HandoffDecision(hosted, self._move, feed, when_idle=opening.hand_over_when_idle)
             else:
                 hosted.fed.add(copy)
-            self._observe(hosted, opening, feed)
+            self._feed = feed
+            self._observe(hosted, opening)
             self._take(request, hosted, copy)
             if self._move is None:  # the stream would keep this object beyond the end of a move
-                answer_at_once(self._context, partial(self._take_at_once, hosted, copy, feed))
-            reading = self._stream.spawn(self._read(hosted, copy, feed))
+                answer_at_once(self._context, partial(self._take_at_once, hosted, copy))
+            reading = self._stream.spawn(self._read(hosted, copy))
             try:
-                await self._serve(hosted, feed)
+                await self._serve(hosted)
                 return await self._is_free(opening)
             finally:
                 reading.cancel()
@@ -134,18 +167,6 @@ class FeedStream:
                 hosted.fed.discard(copy)
                 if self._move is not None:
                     self._move.feed_ended()
-
-    async def _checked(self, opening: pb.FeedOpen) -> HostedChannel:
-        """The channel of a feed. Raises the errors of `run`."""
-        hosted = await self._store.bind_for_feed(opening.channel_id, opening.epoch)  # perhaps no caller has used it yet
-        if len([*(hosted.fed or ())]) >= FEEDS_MAX:
-            raise Overloaded(f"channel {hosted.record.name} has {FEEDS_MAX} feeds, the limit; end some")
-        if opening.owner_facts and hosted.copy is not None:
-            raise refusals.copy_cannot(hosted.record.name, "does not know the facts that only the owner has")
-        if opening.move_id:
-            # before the feed begins, because the feed of a replica that begins anew clears the replica's flag
-            self._moves.check(hosted, opening.host_id)
-        return hosted
 
     async def _begin(self, hosted: HostedChannel, opening: pb.FeedOpen) -> ChannelFeed:
         """The feed at the copy's place. A replica gets all accepted items. Other copies get the items that readers see.
@@ -160,7 +181,7 @@ class FeedStream:
             follows = hosted.copy is not None and opening.place.owner_epoch >= hosted.epoch
             return ChannelFeed(hosted.channel, place, self._store.now(), follows=follows)
         self._source, self._replication = hosted.core, hosted.replication
-        self._begins_anew = place is not None and _has_others_items(hosted, opening.place)
+        self._begins_anew = place is not None and has_others_items(hosted, opening)
         place = None if self._begins_anew else place
         is_exact, retries = hosted.replication is not None, hosted.puts.retries
         now, takes_puts = self._store.now(), opening.takes_puts
@@ -172,62 +193,57 @@ class FeedStream:
         feed.close()
         raise refusals.not_ready(hosted.record.name)
 
-    def _observe(self, hosted: HostedChannel, opening: pb.FeedOpen, feed: ChannelFeed) -> None:
+    def _observe(self, hosted: HostedChannel, opening: pb.FeedOpen) -> None:
         self._host_id = opening.host_id
         if self._replication is None:
             hosted.group_observers[self] = None
             return
+        if opening.takes_items and not opening.move_id:
+            self._ahead = AheadItemSender(hosted, opening.host_id, self._feed, self._responses)
         self._replication.add(opening.host_id, self, refusals.not_ready(hosted.record.name))
-        self._replication.report(opening.host_id, self, feed.next_seq)
+        self._replication.report(opening.host_id, self, self._feed.next_seq)
 
-    async def _read(self, hosted: HostedChannel, copy: FedCopy, feed: ChannelFeed) -> None:
+    async def _read(self, hosted: HostedChannel, copy: FedCopy) -> None:
         async for raw in requests_of(self._context.read):
-            request: pb.FeedRequest = parse(pb.FeedRequest, raw, "FeedRequest")
-            if request.HasField("open"):
+            if not self._take_at_once(hosted, copy, raw):
                 raise InvalidArgument("the stream is open already; leave `open` out after the first request")
-            self._take(request, hosted, copy)
-            self._report(request, feed)
             if self._is_released:
                 return  # the next request may begin another move
         self._credit.end()
 
     def _take_at_once(
-        self, hosted: HostedChannel, copy: FedCopy, feed: ChannelFeed, raw: bytes | memoryview, _write: object
+        self, hosted: HostedChannel, copy: FedCopy, raw: bytes | memoryview, _write: object = None
     ) -> bool:
-        """Take a request in the turn of the event loop in which it comes, because puts wait for it."""
+        """Take a request, if possible in the turn of the event loop in which it comes, because puts wait for it.
+
+        Returns False for a request that begins a feed.
+        """
+        if next_seq := read_answer(raw):
+            self._report(next_seq)
+            return True
         request: pb.FeedRequest = parse(pb.FeedRequest, bytes(raw), "FeedRequest")
         if request.HasField("open"):
             return False
         self._take(request, hosted, copy)
-        self._report(request, feed)
+        self._report(request.held_next_seq)
         return True
 
-    def _report(self, request: pb.FeedRequest, feed: ChannelFeed) -> None:
-        self._held_next_seq = request.held_next_seq
+    def _report(self, next_seq: int) -> None:
+        self._held_next_seq = next_seq
         if self._replication is not None:
-            self._replication.report(self._host_id, self, min(request.held_next_seq, feed.next_seq))
+            self._replication.report(self._host_id, self, min(next_seq, self._feed.next_seq))
 
     def _take(self, request: pb.FeedRequest, hosted: HostedChannel, copy: FedCopy) -> None:
         self._responses.heard_nanos, self._heard_s = request.sent_nanos, time.monotonic()
         self._credit.grant(request.credit_bytes)
         copy.report(request.subscriptions, ready=request.ready)
-        if self._move is not None:
-            self._step(request, self._move)
+        if self._move is not None and self._move.step(request):
+            self._is_released = True
+            self._credit.end()  # ends the feed
         if hosted.fed is not None:
             hosted.fed.relieve(hosted.record.name, copy, hosted.subscriptions)
         if self._move is not None or self._responses.owes_sign(hosted):  # a grant of credit is news anyway
             self._news.set()
-
-    def _step(self, request: pb.FeedRequest, move: OutgoingMove) -> None:
-        """Take the next step of a move."""
-        if request.hold:
-            move.hold()
-        if request.committed_epoch:
-            move.committed(request.committed_epoch)
-        if request.released:
-            move.released()
-            self._is_released = True
-            self._credit.end()  # ends the feed
 
     async def _is_free(self, opening: pb.FeedOpen) -> bool:
         """Whether the move is over, and the caller may begin another one. If so, tells the caller."""
@@ -236,37 +252,38 @@ class FeedStream:
             await self._write(pb.FeedResponse(move_over=True).SerializeToString())
         return is_free
 
-    async def _greet(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
+    async def _greet(self, hosted: HostedChannel) -> None:
         """Tell the copy how the feed begins. In the feed of a move, the first part does so."""
-        self._opened = opened_to(self._source.losses, begins_anew=feed.begins_anew or self._begins_anew)
+        self._opened = opened_to(self._source.losses, begins_anew=self._feed.begins_anew or self._begins_anew)
         if self._move is None:
-            await self._write(self._bare(hosted, feed))
+            await self._write(self._bare(hosted))
 
-    async def _serve(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
-        await self._greet(hosted, feed)
+    async def _serve(self, hosted: HostedChannel) -> None:
+        await self._greet(hosted)
         while not self._credit.is_final:
             self._news.clear()  # before each wait, so that no news is lost
             if self._work.must_wait:
                 await self._work.turn()
             self._check_destination(hosted)
             now = self._store.now()
-            part = feed.take(now, max(0, min(self._credit.left, MESSAGE_BYTES_MAX)))
-            self._check_lag(hosted, feed, now)
+            part = self._feed.take(now, max(0, min(self._credit.left, MESSAGE_BYTES_MAX)))
+            if self._feed.owner is not None:  # a proxy shows its readers its age instead
+                self._lag.check(hosted.record.name, self._source.next_seq - self._feed.next_seq, now)
             handoff = None if self._handing_over is None else self._handing_over.due(now)
-            encoded = self._next_message(hosted, feed, part, handoff)
+            encoded = self._next_message(hosted, part, handoff)
             # a proxy that has all items needs no second look
-            has_all = feed.owner is None and part is not None and part.next_seq == self._source.next_seq
+            has_all = self._feed.owner is None and part is not None and part.next_seq == self._source.next_seq
             part = None  # frees the runs before the message is written
             if handoff is not None:
                 await self._hand_off(encoded)
             elif encoded:
                 await self._write(encoded)
             if not encoded or (has_all and not self._news.is_set()):
-                await self._wait_for_news(hosted, feed)
+                await self._wait_for_news(hosted)
 
-    async def _wait_for_news(self, hosted: HostedChannel, feed: ChannelFeed) -> None:
+    async def _wait_for_news(self, hosted: HostedChannel) -> None:
         if self._move is None:
-            self._send_at_once = partial(self._send_now, hosted, feed)
+            self._send_at_once = partial(self._send_now, hosted)
             try:
                 await self._news.wait()
             finally:
@@ -286,45 +303,36 @@ class FeedStream:
                 "the channel again"
             )
 
-    def _next_message(
-        self, hosted: HostedChannel, feed: ChannelFeed, part: FeedPart | None, handoff: pb.FeedHandoff | None
-    ) -> bytes:
+    def _next_message(self, hosted: HostedChannel, part: FeedPart | None, handoff: pb.FeedHandoff | None) -> bytes:
         """The message that is due; empty if there is none."""
         if part is not None:
             return self._encoded(hosted, part, handoff)
         if handoff is not None or self._opened is not None or self._responses.owes_sign(hosted):
-            return self._bare(hosted, feed, handoff)
+            return self._bare(hosted, handoff)
         return b""
 
     async def _hand_off(self, encoded: bytes) -> None:
         """Write the message that hands the channel over."""
         await self._write(encoded)
 
-    def _bare(self, hosted: HostedChannel, feed: ChannelFeed, handoff: pb.FeedHandoff | None = None) -> bytes:
+    def _bare(self, hosted: HostedChannel, handoff: pb.FeedHandoff | None = None) -> bytes:
         opened, self._opened = self._opened, None
-        return self._responses.bare(hosted, self._source, feed, opened, handoff)
+        return self._responses.bare(hosted, self._source, self._feed, opened, handoff)
 
-    def _check_lag(self, hosted: HostedChannel, feed: ChannelFeed, now: int) -> None:
-        """End the feed of a replica or move if the copy stays behind. A proxy shows its readers its age instead."""
-        behind = self._source.next_seq - feed.next_seq
-        if feed.owner is not None and self._lag.stays_behind(behind, now):
-            raise Overloaded(
-                f"the copy of channel {hosted.record.name} cannot catch up: it is {behind} items behind, no fewer than "
-                f"{CATCH_UP_NANOS // 10**9} s ago; put less, or give it a faster link (--copy-bytes-per-second)",
-                metadata={"channel": hosted.record.name},
-            )
-
-    def _send_now(self, hosted: HostedChannel, feed: ChannelFeed) -> bool:
+    def _send_now(self, hosted: HostedChannel) -> bool:
         """Send the next part if the copy has all earlier ones, and the transport takes it immediately."""
-        write = None
-        if self._held_next_seq >= feed.next_seq and self._credit.left > 0 and not self._work.must_wait:
-            write = write_now(self._context)
-        part = None if write is None else feed.take(self._store.now(), min(self._credit.left, MESSAGE_BYTES_MAX))
+        write = self._free_write()
+        part = None if write is None else self._feed.take(self._store.now(), min(self._credit.left, MESSAGE_BYTES_MAX))
         if write is None or part is None:
             return False
         self._lag.stays_behind(0, 0)
         write(self._encoded(hosted, part))
         return part.next_seq == self._source.next_seq
+
+    def _free_write(self) -> Callable[[bytes], None] | None:
+        """Writes in this turn. None if the copy lacks earlier parts, or the next part has to wait."""
+        has_all = self._held_next_seq >= self._feed.next_seq and self._credit.left > 0 and not self._work.must_wait
+        return write_now(self._context) if has_all else None
 
     def _encoded(self, hosted: HostedChannel, part: FeedPart, handoff: pb.FeedHandoff | None = None) -> bytes:
         """The message with a part, which is written now."""
@@ -344,11 +352,3 @@ class FeedStream:
                 f"the copy took nothing for {WRITE_SECONDS_MAX:g} s, and its feed is ended; feed it again when it can "
                 "take items"
             ) from None
-
-
-def _has_others_items(hosted: HostedChannel, place: pb.FeedPlace) -> bool:
-    """Whether the copy may have items of a former owner that this owner does not have."""
-    if hosted.replication is None or place.incarnation != hosted.core.incarnation:
-        return False
-    start, since_epoch = hosted.replication.start, hosted.replication.since_epoch
-    return place.owner_epoch < since_epoch and (place.owner_epoch + 1 < since_epoch or place.next_seq > start)

@@ -13,6 +13,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.copies.copy_feed import WINDOW_BYTES, CopyFeed
 from stampede_rt_channel_host.copies.fed_responses import FedResponse
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
+from stampede_rt_channel_host.core.channel import FedItem
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 
@@ -75,7 +76,7 @@ class MoveFeed(CopyFeed):
         request.ready = False  # so that the source sends no readers here before this host is the owner
         return request
 
-    def _take_at_once(self, call: Any, response: FedResponse) -> bool:
+    def _take_at_once(self, call: Any, response: FedResponse | FedItem) -> bool:
         """Leave all messages to `_take`: no put waits for a move."""
         return False
 
@@ -89,7 +90,8 @@ class MoveFeed(CopyFeed):
         if self._state.caught_up and not was_caught_up and not self._record.policy.replicas:
             self._owes_request = False
 
-    async def _take(self, response: FedResponse) -> None:
+    async def _take(self, response: FedResponse | FedItem) -> None:
+        assert isinstance(response, FedResponse), "the source of a move sends no items ahead"
         if self.handoff.done():  # the copy has become the owner, or soon will; the rest are signs of life, and the end
             return
         has_handoff = response.fields.state.HasField("handoff")

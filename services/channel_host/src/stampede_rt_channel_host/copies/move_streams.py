@@ -9,7 +9,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt_channel_host.copies.copy_feed import feed_over
+from stampede_rt_channel_host.copies.feed_calls import feed_over
 from stampede_rt_channel_host.copies.move_slots import MOVES_MAX
 
 FREE_SECONDS = 1.0  # a stream without a move ends after this time; the source keeps it for longer

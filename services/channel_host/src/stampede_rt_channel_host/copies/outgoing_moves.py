@@ -9,6 +9,7 @@ from collections.abc import Coroutine
 from typing import Any
 
 from stampede_rt.errors import ChannelNotFound, StaleBinding, StampedeError
+from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.move_under_way import HELD_SECONDS_MAX, MoveUnderWay
@@ -115,6 +116,16 @@ class OutgoingMove:
         """The permit with which the destination may become the owner. It is for the present epoch."""
         hosted = self._hosted
         return self._moves.allowed.permit(hosted.record.channel_id, hosted.epoch, self._host_id)
+
+    def step(self, request: pb.FeedRequest) -> bool:
+        """Take the steps that the destination asks for. Returns whether it asks for `released`."""
+        if request.hold:
+            self.hold()
+        if request.committed_epoch:
+            self.committed(request.committed_epoch)
+        if request.released:
+            self.released()
+        return request.released
 
     def hold(self) -> None:
         """Let all changes wait. Idempotent.

@@ -59,6 +59,19 @@ class WindowFeed:
         self._recorded, self._left_at = window.recorded, outcome.time
         return KeptRun(producer_id, first_number, outcome, producer.owner)
 
+    def pass_put(self, producer_id: int, owner: str, time: int) -> bool:
+        """Note that the other window gets the next record of this window, made at `time`, in another way.
+
+        Returns False, and notes nothing, if the other window lacks earlier records, or does not know the producer.
+        """
+        producer = self._window.producers.get(producer_id)
+        is_known = producer is not None and self._sent.get(producer_id) == (producer, producer.recorded)
+        if producer is None or not is_known or not self.is_level or producer.owner != owner:
+            return False
+        self._sent[producer_id] = producer, producer.recorded + 1
+        self._recorded, self._left_at = self._recorded + 1, time
+        return True
+
     def _changed(self) -> list[tuple[int, KnownProducer]]:
         """The producers with new records, the longest silent one first."""
         changed = []

@@ -14,7 +14,7 @@ from stampede_rt_channel_host.channels.limits.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.puts.acks import ack_of, refused
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.puts.writers import Writers
-from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Pieces
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Pieces, PutOutcome
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.run_outcome import RunOutcome
 
@@ -53,6 +53,8 @@ class ChannelPuts:
         self._may_serve = may_serve
         self.check_room: Callable[[int], None] = _has_room
         """Raises Overloaded while the channel takes no items, or has no room for a run of this size."""
+        self.store: Callable[[IncomingRun, int], PutOutcome] | None = None
+        """Puts the rest of a run into the channel, in place of `ChannelCore.put`."""
         self._ending: StampedeError | None = None  # set while the waiting puts are being refused
         self.retries = RetryWindow()
         self._waiting_bytes = 0
@@ -291,7 +293,7 @@ class ChannelPuts:
         The retry window has the outcome so far before the items are announced. A replica gets both together.
         """
         self.check_room(run.charged_bytes)
-        outcome = self._channel.put(run.offer, now, run.seal)
+        outcome = self._channel.put(run.offer, now, run.seal) if self.store is None else self.store(run, now)
         is_done = run.take_outcome(outcome, now)
         if is_done:
             self._finish(run, now)

@@ -50,6 +50,7 @@ from stampede_rt_channel_host.core.channel.former_incarnations import FORMER_MAX
 from stampede_rt_channel_host.core.channel.held_items import COLLECTED_FOR
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
+from stampede_rt_channel_host.core.channel.new_item import FedItem, NewFloor, NewItem
 from stampede_rt_channel_host.core.channel.owner_facts import FedPlaces, OwnerFacts, OwnerPart
 from stampede_rt_channel_host.core.channel.pieces import (
     Pieces,
@@ -69,6 +70,7 @@ from stampede_rt_channel_host.core.channel.run import (
     ITEM_OVERHEAD_BYTES,
     Body,
     ColumnRun,
+    OneRun,
     ReferencedBody,
     Run,
     Slice,
@@ -125,6 +127,7 @@ __all__ = [
     "Counters",
     "DeliveredSlice",
     "FedChannel",
+    "FedItem",
     "FedPlaces",
     "FeedPart",
     "FeedPlace",
@@ -136,8 +139,11 @@ __all__ = [
     "LagWatch",
     "Losses",
     "Needs",
+    "NewFloor",
+    "NewItem",
     "NewestCursor",
     "Offer",
+    "OneRun",
     "OwnerFacts",
     "OwnerPart",
     "PendingGet",

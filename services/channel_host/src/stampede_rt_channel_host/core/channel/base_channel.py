@@ -128,6 +128,11 @@ class BaseChannel:
         self._age_and_free(self._tick(now))
         return self._held, self._retention
 
+    @property
+    def held(self) -> Holdings:
+        """The items, as of the last call. The caller must only read them."""
+        return self._held
+
     def snapshot(self, now: int) -> ChannelSnapshot:
         """The channel's present state, for later reads.
 

@@ -10,13 +10,14 @@ from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel.base_channel import FREED_ENTRIES_PER_CALL
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.fed_holdings import FedHoldings
-from stampede_rt_channel_host.core.channel.feeding import CollectionFacts, FeedPlace
+from stampede_rt_channel_host.core.channel.feeding import CollectionFacts, FeedPlace, collection_of
 from stampede_rt_channel_host.core.channel.former_incarnations import Losses
 from stampede_rt_channel_host.core.channel.held_items import Cut
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
+from stampede_rt_channel_host.core.channel.new_item import FedItem
 from stampede_rt_channel_host.core.channel.owner_facts import OwnerFacts, OwnerPart
-from stampede_rt_channel_host.core.channel.run import Run
+from stampede_rt_channel_host.core.channel.run import OneRun, Run
 from stampede_rt_channel_host.core.dedup import RetryWindow
 
 
@@ -43,6 +44,7 @@ class FedChannel(ChannelCore):
             held=FedHoldings(cut) if held is None else held,
         )  # fmt: skip
         self.owner_facts = OwnerFacts() if knows_owner else None
+        self._collection = collection_of(self._held)  # as the source last had it
         self.configure(policy, 0)
 
     @classmethod
@@ -118,11 +120,29 @@ class FedChannel(ChannelCore):
                 self._held.store_fed(run)
         self._held.skip_to(next_seq)
         if collection is not None:
+            self._collection = collection
             self._held.follow(collection)
             self._reading.consumed_up_to = collection.newest_consumed
             self._held.free(FREED_ENTRIES_PER_CALL)
         if advance is not None:
             self._acceptance.advance = self._reading.advance = advance
+
+    def check_item(self, fed: FedItem) -> None:
+        """Raises InvalidArgument if the copy cannot apply the item, because earlier parts of the feed are missing."""
+        facts = self.owner_facts
+        if fed.item.seq != self.next_seq or facts is None or facts.counters is None:
+            raise InvalidArgument(f"the feed has the item with seq {fed.item.seq}, and the copy is at {self.next_seq}")
+
+    def apply_item(self, fed: FedItem, now: int) -> None:
+        """Apply a part of the feed for which `check_item` raises nothing."""
+        item = fed.item
+        run = OneRun(item.seq, item.time, item.duration, item.length, item.body)
+        moved = None if fed.collected is None else self._collection.with_floor(fed.collected)
+        owner = None if self.owner_facts is None else self.owner_facts.part_of(item, now)
+        self.apply(
+            first_seq=item.seq, cleared=None, runs=(run,), next_seq=item.seq + 1, collection=moved, advance=None,
+            now=now, owner=owner,
+        )  # fmt: skip
 
     def check_place(self, first_seq: int) -> None:
         """Raises InvalidArgument if the parts of the feed before the seq `first_seq` are missing."""

@@ -11,11 +11,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from stampede_rt.errors import Unavailable
+from stampede_rt.errors import Overloaded, Unavailable
 from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
+from stampede_rt_channel_host.core.channel.new_item import FedItem, NewFloor, NewItem
 from stampede_rt_channel_host.core.channel.owner_facts import OwnerFactsFeed, OwnerPart
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice
@@ -49,6 +50,10 @@ class CollectionFacts(NamedTuple):
     collected_by: str
     newest_consumed: int | None
     came_up_to: int | None
+
+    def with_floor(self, new: NewFloor) -> CollectionFacts:
+        """This collection with the fields of `new`."""
+        return self._replace(floor=new.floor, newest_collected=new.newest_collected, collected_end=new.collected_end)
 
 
 class FeedPart(NamedTuple):
@@ -103,6 +108,15 @@ class LagWatch:
             return False
         self._began = now, items
         return items >= before
+
+    def check(self, channel: str, items: int, now: int) -> None:
+        """Raises Overloaded if the copy of the channel stays behind."""
+        if self.stays_behind(items, now):
+            raise Overloaded(
+                f"the copy of channel {channel} cannot catch up: it is {items} items behind, no fewer than "
+                f"{CATCH_UP_NANOS // 10**9} s ago; put less, or give it a faster link (--copy-bytes-per-second)",
+                metadata={"channel": channel},
+            )
 
 
 class ChannelFeed:
@@ -180,6 +194,26 @@ class ChannelFeed:
             owner,
         )
 
+    def take_ahead(self, item: NewItem) -> FedItem | None:
+        """The next part, if `item` is all of it. The source has accepted the item, and must store it next.
+
+        Moves the place. The items that the source collects because of this item leave the copy with a later part. None
+        if the copy needs more facts: call `take` when the item is stored.
+        """
+        held, owner = self._source.held, self.owner
+        known, advance = self._sent
+        is_next = self._cursor.next_seq == item.seq == held.next_seq and not self._cursor.losses
+        is_newest = held.newest is not None and item.time >= held.newest
+        if not (is_next and is_newest) or self._cleared is not None or advance != self._source.advanced_to:
+            return None
+        present = collection_of(held)
+        collected = None if present == known else _new_floor(known, present)
+        if owner is None or (collected is None and present != known) or not owner.pass_put(item):
+            return None
+        self._sent = present, advance
+        self._cursor.pass_next(item.seq)
+        return FedItem(item, collected)
+
     def close(self) -> None:
         """End the feed. Idempotent."""
         held, _ = self._source.look(0)
@@ -187,6 +221,15 @@ class ChannelFeed:
 
     def _note_reset(self, floor: ItemKey) -> None:
         self._cleared = floor if self._cleared is None else max(self._cleared, floor)
+
+
+def _new_floor(known: CollectionFacts | None, present: CollectionFacts) -> NewFloor | None:
+    """The difference of two collections; None if it has more than the fields of a `NewFloor`."""
+    floor, newest, end = present.floor, present.newest_collected, present.collected_end
+    if known is None or newest is None or end is None:
+        return None
+    found = NewFloor(floor, newest, end)
+    return found if known.with_floor(found) == present else None
 
 
 def _continues(source: ChannelCore, held: Holdings, place: FeedPlace | None, *, follows: bool) -> bool:

@@ -18,6 +18,7 @@ from typing import NamedTuple
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.consumer_places import ConsumerPlace, Place
 from stampede_rt_channel_host.core.channel.consumption import Consumers
+from stampede_rt_channel_host.core.channel.new_item import NewItem
 from stampede_rt_channel_host.core.channel.values import Counters, GrowingCounts, OddCounts
 from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.window_feed import WindowFeed
@@ -107,6 +108,20 @@ class OwnerFactsFeed:
         self._sent_counts = counts
         return OwnerPart((run,), None, growth, now)
 
+    def pass_put(self, item: NewItem) -> bool:
+        """Note that the copy gets the item, which the source is about to store, in another way.
+
+        Returns False, and notes nothing, if the copy lacks other facts, or would not find out all facts from the item.
+        """
+        has_all = self._round is None and self._places_now() == self._sent
+        growth, odd = counts = self._counts_now()
+        if not (self._takes_puts and has_all and counts == self._sent_counts):
+            return False
+        if not self._window.pass_put(item.producer_id, item.owner, item.judged_at):
+            return False
+        self._sent_counts = GrowingCounts(growth.accepted + 1, growth.accepted_bytes + item.length), odd
+        return True
+
     def _counts_now(self) -> tuple[GrowingCounts, OddCounts | Counters]:
         """The counts that the copy must get. A copy that takes puts computes the other counts."""
         source = self._source
@@ -188,6 +203,15 @@ class OwnerFacts:
             self.until = part.until
         if part.places is not None:
             self._take_places(part.places, now)
+
+    def part_of(self, item: NewItem, now: int) -> OwnerPart | None:
+        """The facts that follow from an item of the feed. None: the feed has brought no facts before."""
+        known, producer = self.counters, self.window.producers.get(item.producer_id)
+        if known is None:
+            return None
+        run = item.kept_run(now, "" if producer is None else producer.owner)
+        growth = GrowingCounts(known.accepted + 1, known.accepted_bytes + item.length)
+        return OwnerPart((run,), None, growth, item.judged_at)
 
     def places(self, now: int) -> list[ConsumerPlace]:
         """The consumer places, with the rest of their leases at `now`."""

@@ -116,6 +116,12 @@ class AllCursor:
         end = self._owed[1]
         self._owed = (seq, end) if seq < end else next(self._owed_before, None)
 
+    def pass_next(self, seq: int) -> None:
+        """Note that the reader gets the next accepted item, which has this seq, in another way."""
+        self.owed(seq + 1)
+        self.mark_done(seq + 1)
+        self.delivered += 1
+
 
 def missing_from(held: Holdings, cursor: AllCursor) -> Range | None:
     """The first owed seqs if memory does not have them; otherwise None. The range may end before the first held seq."""

@@ -1,0 +1,71 @@
+"""Sends a put to the replicas of its channel before the host stores it, so that the replicas work meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from functools import partial
+from typing import Protocol
+
+from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
+from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
+from stampede_rt_channel_host.channels.replication import Replication
+from stampede_rt_channel_host.core.channel import ABSENT, Body, ChannelCore, NewItem, PutOutcome
+
+
+class AheadFeed(Protocol):
+    """The feed of a replica."""
+
+    def send_ahead(self, item: NewItem) -> None:
+        """Send an item that the channel is about to store, if the replica lacks nothing else. Raises nothing."""
+
+    def take_back(self) -> None:
+        """Note that the channel has not stored the item of the last `send_ahead`, because of a defect."""
+
+
+class ReplicatedPuts:
+    """Puts runs into a channel. Sends a run of one item to the feeds as soon as the channel has accepted it.
+
+    After the judgement only a defect can keep the channel from storing the item. Then the feeds end, and the replicas
+    begin anew.
+    """
+
+    def __init__(self, core: ChannelCore, replication: Replication) -> None:
+        self._core = core
+        self._replication = replication
+
+    def store(self, run: IncomingRun, now: int) -> PutOutcome:
+        """Judge and store the rest of a run."""
+        if run.items > 1 or not run.producer_id or not self._replication.is_filled:
+            return self._core.put(run.offer, now, run.seal)
+        try:
+            return self._core.put(run.offer, now, partial(self._seal, run, now))
+        except BaseException:
+            for feed in self._feeds:
+                feed.take_back()
+            raise
+
+    @property
+    def _feeds(self) -> Collection[AheadFeed]:
+        return self._replication.feeds
+
+    def _seal(
+        self, run: IncomingRun, now: int, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None
+    ) -> Body:
+        body, offer = run.seal(first_seq, kept, stamped_time), run.offer
+        if first_seq != self._core.next_seq:  # stored already
+            return body
+        time = stamped_time if offer.times is None else offer.times[0]
+        assert time is not None, "the channel gives a time to an item without one"
+        duration = ABSENT if offer.durations is None else offer.durations[0]
+        item = NewItem(
+            first_seq, run.producer_id, run.first_number, time, duration, offer.lengths[0], stamped_time is not None,
+            now, body, run.owner,
+        )  # fmt: skip
+        for feed in self._feeds:
+            feed.send_ahead(item)
+        return body
+
+
+def send_ahead(puts: ChannelPuts, core: ChannelCore, replication: Replication) -> None:
+    """From now on send the puts of a channel to its replicas ahead, and refuse them if the replicas are far behind."""
+    puts.check_room, puts.store = replication.check_room, ReplicatedPuts(core, replication).store

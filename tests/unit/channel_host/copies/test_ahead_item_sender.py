@@ -1,0 +1,144 @@
+"""The owner of a channel sends an item to its replica before it stores the item itself."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import replica_service_pb2 as pb
+from stampede_rt.wire.put_frames import put_head, put_request
+from stampede_rt.wire.runs import run_parts
+from stampede_rt_channel_host.channels.copy_state import CopyState
+from stampede_rt_channel_host.copies.copy_feed import CopyFeed
+from stampede_rt_channel_host.copies.fed_items import read_answer
+from stampede_rt_channel_host.copies.fed_responses import read_response
+from stampede_rt_channel_host.copies.feed_calls import encode_request
+from stampede_rt_channel_host.copies.feed_opening import has_others_items
+from stampede_rt_channel_host.core.channel.holdings import Holdings
+from tests.support.channel_host.rig import running_host
+from tests.unit.channel_host.copies.test_feed_stream import (
+    REPLICA,
+    Fed,
+    fed,
+    items_in,
+    parts_in,
+    pauses,
+    unlimited_time,
+)
+
+__all__ = ["unlimited_time"]
+
+
+def begin(one: Fed) -> None:
+    """Put the first item, so that the replica knows the producer."""
+    assert len(parts_in(one.put())) == 1
+    one.report()
+
+
+async def test_an_item_goes_to_the_replica_before_the_owner_stores_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with fed(takes_items=True) as one:
+        begin(one)
+        written_before: list[int] = []
+        store = Holdings.store
+
+        def noted(held: Holdings, *arguments: Any) -> None:
+            written_before.append(len(items_in(one.feed.written())))
+            store(held, *arguments)
+
+        monkeypatch.setattr(Holdings, "store", noted)
+        for count in (1, 2):
+            written_before.clear()
+            [item] = items_in(one.put())
+            assert (item.item.seq, one.hosted.core.next_seq) == (count + 1, count + 2)
+            assert written_before[0] == count
+            assert len(one.acks()) == count, "the replica has not answered yet"
+            one.answer()
+            assert [len(one.acks()), one.acks()[-1].copies] == [count + 1, 2]
+
+
+async def test_the_replica_loses_collected_items_with_the_next_item_or_sign_of_life() -> None:
+    async with fed(takes_items=True, max_items=2) as one:
+        begin(one)
+        floors: list[int | None] = []
+        for _ in range(5):
+            message = one.put()
+            found = [None if item.collected is None else item.collected.floor[1] for item in items_in(message)]
+            floors += found or [-part.fields.state.collection.floor.seq for part in parts_in(message)]
+            one.report()
+            await pauses()
+        # seq 4 goes in the general form, because an item was collected for another cause than before
+        assert floors == [None, None, -3, None, 4]
+        count = len(one.feed.written())
+        one.feed.send(pb.FeedRequest(held_next_seq=7, sent_nanos=2).SerializeToString())
+        [part] = parts_in((await one.feed.until_written(count + 1))[count:])
+        assert part.fields.state.collection.floor.seq == 5
+
+
+async def test_a_replica_answers_an_item_before_it_stores_it() -> None:
+    async with fed(takes_items=True) as one, running_host() as other:
+        copied = CopyFeed(
+            other.host.store, one.hosted.record, CopyState(lambda: 0), REPLICA, "replica:1", owner_facts=True
+        )
+        sent: list[tuple[int, int]] = []
+        held: Any = None
+
+        def write(request: pb.FeedRequest | bytes) -> None:
+            sent.append((read_answer(encode_request(request)), held.channel.next_seq))
+
+        call: Any = SimpleNamespace(write_now=write)
+        await copied._take(read_response(one.feed.written()[0]))
+        held = copied._held()
+        [first] = parts_in(one.put())
+        assert copied._take_at_once(call, first)
+        one.report()
+        for seq in (2, 3):
+            [item] = items_in(one.put())
+            one.answer()
+            assert copied._take_at_once(call, item)
+            assert sent[-1] == (seq + 1, seq), "the answer comes before the storing"
+            assert held.channel.next_seq == seq + 1
+        assert held.channel.counters(0).accepted == one.hosted.core.counters(0).accepted
+        assert held.channel.owner_facts.window.producers[7].recorded == 3
+        with pytest.raises(InvalidArgument, match="has the item with seq 3, and the copy is at 4"):
+            copied._take_at_once(call, item)
+
+
+async def test_a_replica_that_has_got_an_item_which_the_owner_could_not_store_begins_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with fed(takes_items=True) as one:
+        begin(one)
+        replication = one.hosted.replication
+        assert replication is not None
+
+        def fail(*_: object) -> None:
+            raise RuntimeError("a defect")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Holdings, "store", fail)
+            assert items_in(one.put())
+        assert one.hosted.core.next_seq == 2
+        assert not replication.feeds, "no report of the replica counts any more"
+        opening = pb.FeedOpen(
+            host_id=REPLICA,
+            place=pb.FeedPlace(incarnation=one.hosted.core.incarnation, next_seq=3, owner_epoch=one.hosted.epoch),
+        )
+        assert has_others_items(one.hosted, opening)
+        await pauses()
+
+
+@pytest.mark.parametrize("reason", ["a late item", "two items", "no producer", "an unknown producer"])
+async def test_other_puts_go_to_the_replica_when_they_are_stored(reason: str) -> None:
+    async with fed(takes_items=True) as one:
+        begin(one)
+        payloads = (b"x", b"y") if reason == "two items" else (b"x",)
+        producer_id = {"no producer": 0, "an unknown producer": 8}.get(reason, 7)
+        times = [one.hosted.core.newest - 1] if reason == "a late item" and one.hosted.core.newest is not None else None
+        head = put_head(one.channel.channel_id, one.channel.epoch, producer_id)
+        count = len(one.feed.written())
+        one.producer.send(put_request(head, 2, run_parts(payloads, times=times), 10**9))
+        assert items_in(one.feed.written()[count:]) == []
+        assert len(parts_in(one.feed.written()[count:])) == 1
