@@ -10,6 +10,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt.cli.main import main as stampede
+from stampede_rt.files.editing import cut
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.channel_host.recording_guide import check_guide
 from tests.support.waiting import wait_until
@@ -180,6 +181,8 @@ def test_a_recording_of_the_past_names_a_crash_of_the_host(
         assert counts.recorded >= 20
         assert [one.reason for one in counts.gaps] == ["LOST"]
         assert "the channel's host was lost with the items before" in counts.gaps[0].detail
+    part = cut(paths[1], tmp_path / "part.mcap", start=began, end=began + 5 * MS)
+    assert [one.gap_count for one in part.channels] == [1]
 
 
 def test_a_recording_has_all_items_although_its_host_has_restarted_with_few_of_them_in_memory(

@@ -143,8 +143,9 @@ class ChannelRecording:
         return await self._channel.get(start, NOW, match="start", limit=1, payloads=False, timeout=0)
 
     def _lost_gap(self, found: Items) -> RecordingGap:
-        detail = "" if found.reason is None else found.reason.detail
-        return RecordingGap(channel=self.name, incarnation=found.incarnation, reason="LOST", detail=detail)
+        detail, within = found.reason.detail if found.reason else "", found.interval
+        bounds = {} if within is None else {"start": within.start, "end": within.end}  # the detail has the instant
+        return RecordingGap(channel=self.name, incarnation=found.incarnation, reason="LOST", detail=detail, **bounds)
 
     async def _write(self, tally: ChannelTally, batch: RecordedBatch, read_to: int) -> None:
         first, gaps = self._first, list(batch.gaps)

@@ -58,7 +58,7 @@ class OpenGet:
         if copied_archives.lacks_archive(self.hosted):
             raise copied_archives.refusal(self.hosted)
         if self.hosted.recording is None:
-            why = f"channel {name} is not recorded, so its host does not know its past; open it with archive="
+            why = f"channel {name} is not recorded, so its host does not know its past; record it (archive)"
         elif self.plan.wait_nanos:
             why = f"the read of channel {name} waits, and a read as of an instant does not"
         elif as_of > now:
