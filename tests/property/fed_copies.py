@@ -130,7 +130,7 @@ class FedCopy:
             assert before == (held_by(self.channel, self.pair.clock), self.channel.place, self.channel.counters(0))
 
     def check_part(self) -> None:
-        """The copy holds the items of its source that lie before its place, and no others."""
+        """Check that the copy holds the items of its source that lie before its place, and no others."""
         clock, place = self.pair.clock, self.channel.next_seq
         expected = [item for item in held_by(self.source, clock) if item.seq < place]
         assert facts(held_by(self.channel, clock)) == facts(expected)
@@ -147,7 +147,7 @@ class FedCopy:
             pass
 
     def check_equal(self, query: Query) -> None:
-        """A copy without lag gives the answers of its owner."""
+        """Check that a copy without lag gives the answers of its owner."""
         clock, core = self.pair.clock, self.pair.core
         core.read(query, clock)  # so that both have applied the present time
         self.catch_up()

@@ -150,7 +150,7 @@ class LaggingModel(Model):
         assert before <= self.owner.replicated <= self.next_seq
 
     def check_loss(self) -> None:
-        """A host that becomes the owner now lacks no item that was accepted long before the last acknowledgement."""
+        """Check that a host that becomes the owner now has all items accepted long before the last acknowledgement."""
         old = [seq for seq, at in self.accepted.items() if at < self.acknowledged_at - LAG_NANOS_MAX]
         assert all(one.holds > max(old, default=0) for one in self.hosts.values() if one.has_flag)
 

@@ -335,7 +335,7 @@ def test_a_replay_with_wrong_arguments_is_refused(rt: st.Connection, arguments: 
         rt.replay(10, **arguments)
 
 
-def test_the_asyncio_client_replays_the_same(cluster: LocalCluster) -> None:
+def test_the_asyncio_client_replays_like_the_blocking_client(cluster: LocalCluster) -> None:
     async def replayed() -> list[bytes]:
         async with aio.connect(cluster.address, secret=cluster.secret.text) as rt:
             channel = await rt.channel("clock/aio", max_age="60s", archive="7d")

@@ -52,7 +52,7 @@ def test_held_items_and_new_items_of_a_channel_are_recorded(rt: st.Connection, t
     check_both(path, [*channel.get(st.OLDEST, st.NOW)], recorder.summary)
 
 
-async def test_the_asyncio_client_records_the_same(cluster: LocalCluster, tmp_path: Path) -> None:
+async def test_the_asyncio_client_records_like_the_blocking_client(cluster: LocalCluster, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     async with aio.connect(cluster.address) as rt:
         channel = await rt.channel("aio/both", max_age="1h")

@@ -59,7 +59,7 @@ def test_a_replay_has_the_items_advances_and_gaps_of_the_file(rt: st.Connection,
     assert advance - shift == START + 20 * MS
 
 
-async def test_the_asyncio_client_replays_the_same(cluster: LocalCluster, drive: Path) -> None:
+async def test_the_asyncio_client_replays_like_the_blocking_client(cluster: LocalCluster, drive: Path) -> None:
     async with aio.connect(cluster.address) as rt, rt.replay_file(drive, "two/", speed=10.0, shift="now") as player:
         summary = await player.wait()
         assert summary is not None

@@ -29,7 +29,7 @@ async def a_pair(host: Host) -> tuple[GroupedChannel, GroupedChannel, group_pb2.
 
 
 async def shown(channel: GroupedChannel, group: group_pb2.GroupRecord, time: int) -> None:
-    """The group shows the channel up to that time."""
+    """Wait until the group shows the channel up to that time."""
     async with asyncio.timeout(WAIT_SECONDS):
         while time not in (await channel.get(group))[0]:
             pass

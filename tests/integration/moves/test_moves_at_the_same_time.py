@@ -68,7 +68,7 @@ def test_a_move_of_a_channel_that_moves_to_another_host_is_a_conflict(
     assert capsys.readouterr().err == "stampede: another move of channel cam is under way; wait until it is over\n"
 
 
-async def test_with_asyncio_it_is_the_same_conflict(slow: Any, cluster: LocalCluster) -> None:
+async def test_a_second_move_is_a_conflict_for_callers_with_asyncio_too(slow: Any, cluster: LocalCluster) -> None:
     async with aio.connect(cluster.address, transport="grpc") as rt:
         with pytest.raises(st.MoveConflict, match="another move of channel cam is under way"):
             await rt.move("cam", "h3")

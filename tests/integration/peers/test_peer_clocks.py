@@ -54,7 +54,7 @@ class Robot:
         assert output is not None
         if output.readline() != "in\n":
             self.kill()
-            raise AssertionError(f"{name} did not come in")
+            raise AssertionError(f"{name} did not connect")
 
     def step(self, off_nanos: int) -> None:
         """Set the offset of its wall clock."""
@@ -80,7 +80,7 @@ def robot(cluster: LocalCluster, tmp_path: Path) -> Iterator[Callable[[str, int]
 
 
 def is_off(clock: st.ClockOffset | None, nanos: int) -> bool:
-    """Whether a clock is known, and its measured offset agrees with this one within the uncertainty."""
+    """Whether a clock is known, and its measured offset is `nanos` within the uncertainty."""
     return clock is not None and abs(clock.offset_nanos - nanos) <= clock.uncertainty_nanos
 
 
@@ -116,7 +116,9 @@ def test_every_leader_reports_the_clock_offset_of_a_participant(
         assert told["robot/gone"] == (False, True)
 
 
-async def test_the_asyncio_client_does_the_same(cluster: LocalCluster, robot: Callable[[str, int], Robot]) -> None:
+async def test_the_asyncio_client_reports_the_clock_offset_of_a_peer(
+    cluster: LocalCluster, robot: Callable[[str, int], Robot]
+) -> None:
     early = robot("robot/early", 90 * SECOND)
     async with aio.connect(cluster.address) as rt, asyncio.timeout(PATIENCE_SECONDS):
         while not (known := [peer.clock for peer in await rt.peers(early.name) if peer.clock is not None]):

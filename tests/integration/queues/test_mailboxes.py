@@ -39,7 +39,7 @@ def test_a_message_reaches_a_peer_that_its_sender_found_by_name(cluster: LocalCl
         assert planner.mailbox.name == "planner"
 
 
-def test_a_value_is_sent_with_a_codec_and_read_with_the_same(cluster: LocalCluster) -> None:
+def test_a_value_is_sent_and_read_with_the_same_codec(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="valued") as rt:
         rt.send("valued", {"x": [1, 2]}, codec="json")
         message = rt.mailbox.get(timeout=10)
@@ -130,7 +130,7 @@ def test_closing_the_connection_wakes_the_caller_that_waits_at_its_mailbox(clust
     assert [error.message for error in told] == ["this connection is closed; call connect() again"]
 
 
-async def test_the_asyncio_client_does_the_same(cluster: LocalCluster) -> None:
+async def test_a_mailbox_of_the_asyncio_client_gets_and_acknowledges_a_message(cluster: LocalCluster) -> None:
     async with aio.connect(cluster.address, name="aio") as rt:
         get = asyncio.ensure_future(rt.mailbox.get())
         await rt.send("aio", b"x")

@@ -1,4 +1,4 @@
-"""Hostile and good callers at the same time, in processes: the checks must hold on any busy machine, too.
+"""Hostile and good callers at the same time, in processes of their own. The checks must hold on busy machines, too.
 
 `python -m tests.benchmarks.attacks` measures the same attacks, and more of them. The suite runs a few, and `make
 robustness` runs all.
@@ -19,7 +19,7 @@ MARGIN_MIB = 100
 
 
 def rare(*names: str) -> list[ParameterSet]:
-    """Attacks that only long runs play."""
+    """Attacks that only long runs include."""
     return [pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
@@ -57,7 +57,7 @@ async def test_bytes_that_are_no_request_cause_no_line_in_the_logs() -> None:
 
 
 @pytest.mark.parametrize("name", ["unfinished-puts", *rare("unfinished-messages")])
-async def test_unfinished_requests_take_at_most_their_room_and_a_small_window_for_each_stream(
+async def test_unfinished_requests_take_at_most_the_room_of_a_caller_and_a_small_window_for_each_stream(
     name: str,
 ) -> None:
     found = await attacked(name)

@@ -104,7 +104,7 @@ class Put:
             self.one()
 
     def check(self, *, is_limited: bool = False) -> list[int]:
-        """Each acknowledged item is there once. `is_limited`: the oldest ones may be gone. Returns the numbers."""
+        """Check that each acknowledged item is there once. `is_limited`: old ones may be gone. Returns the numbers."""
         items = self.channel.get(self.began, st.NEWEST)
         found = [int((item.payload or b"").split(b" ")[0]) for item in items]
         assert found == sorted(set(found))

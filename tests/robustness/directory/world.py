@@ -56,7 +56,7 @@ class Submission:
         self._member, self._world = member, member.world
 
     def check_state(self) -> None:
-        """End the run if the state differs (SimMember)."""
+        """See `SimMember`. Ends the run if the state differs."""
 
     async def submit(
         self,

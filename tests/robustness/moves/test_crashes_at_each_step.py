@@ -117,7 +117,7 @@ class Scenario:
                 await asyncio.sleep(0.001)
 
     def check(self, items: list[int]) -> None:
-        """No acknowledged item is lost, no item is there twice, and one host serves the channel."""
+        """Check that no acknowledged item is lost, no item is there twice, and one host serves the channel."""
         assert set(self.acknowledged) <= set(items)
         assert len(set(items)) == len(items)
         assert self.world.record_of(self.channel_id).incarnation == self.world.incarnation

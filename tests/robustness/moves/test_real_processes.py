@@ -192,7 +192,7 @@ def moved(rt: Any, channel: Any, destination: str) -> st.StampedeError | None:
 
 
 def check(channel: Any, producer: Producer, *, may_lose: bool) -> None:
-    """The owner has every acknowledged item once. After a loss, it has only the items of the new incarnation."""
+    """Check that the owner has every acknowledged item once; after a loss, only those of the new incarnation."""
     incarnations = {incarnation for _, incarnation in producer.acknowledged}
     assert len(incarnations) == 1 or (may_lose and len(incarnations) == 2), incarnations
     last = producer.acknowledged[-1][1]

@@ -39,7 +39,7 @@ class Several:
         return await asyncio.gather(*(scenario.move() for scenario in self.scenarios))
 
     async def check(self) -> None:
-        """Nothing acknowledged is lost in any channel, and puts go on."""
+        """Check that nothing acknowledged is lost in any channel, and puts go on."""
         for scenario in self.scenarios:
             scenario.check(await scenario.settle())
             scenario.put()

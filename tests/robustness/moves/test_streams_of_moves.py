@@ -36,7 +36,7 @@ class InTurn:
         return await self.scenarios[1].move()
 
     async def check(self, *scenarios: Scenario) -> None:
-        """Nothing acknowledged is lost, and puts go on."""
+        """Check that nothing acknowledged is lost, and that puts go on."""
         for scenario in scenarios or self.scenarios:
             scenario.check(await scenario.settle())
             scenario.put()

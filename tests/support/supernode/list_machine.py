@@ -53,7 +53,7 @@ class History:
             raise PromiseBroken(f"term {term} has two leaders: {self._leader_of_term[term]} and {member_id}")
 
     def check_end(self, survivors: list[ListMachine]) -> None:
-        """After all faults have ended: all replicas agree, have every acknowledged command, and no refused one."""
+        """Check, after all faults, that all replicas agree, and have all acknowledged and no refused commands."""
         first = survivors[0].entries
         for other in survivors[1:]:
             if other.entries != first:

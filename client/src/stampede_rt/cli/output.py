@@ -68,7 +68,7 @@ def print_document(value: Any, form: str) -> None:
 
 
 def print_done(facts: Mapping[str, Any], text: str, form: str) -> None:
-    """Tell what a verb has changed: `text` for people, `facts` as one JSON object for programs."""
+    """Print what a verb has changed: `text` for people, `facts` as one JSON object for programs."""
     if form == "table":
         print(escaped(text))
     else:

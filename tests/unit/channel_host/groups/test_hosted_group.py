@@ -109,7 +109,7 @@ async def test_an_end_is_reported_to_a_few_in_a_turn() -> None:
     for reader in readers[::2]:
         hosted.group.cut_observers.add(reader)
     for reader in readers[1::2]:
-        hosted.group.news_observers.add(reader)
+        hosted.group.member_observers.add(reader)
     waiting = [asyncio.create_task(hosted.group.reach(9, None)) for _ in range(MANY)]
     await asyncio.sleep(0)
     hosted.group.end(Unavailable("gone"))

@@ -117,7 +117,7 @@ async def test_a_reader_of_changes_gets_each_member_until_it_leaves() -> None:
     shown.note(1, 10)
     shown.note(2, 5)
     reader = ChangeObserver()
-    shown.table.observe(one, reader, news=True)
+    shown.table.observe(one, reader, of_members=True)
     assert shown.table.concerned_by(channel(1)) == [one]
     shown.table.stop_observing(one, reader)
     assert shown.table.concerned_by(channel(1)) == []

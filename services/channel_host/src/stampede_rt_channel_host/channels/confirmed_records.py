@@ -8,7 +8,7 @@ from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.core.records import RecordedChannel
 
-LOOKUPS_MAX = 3  # the most questions for one record: the host asks again if it registered during a question
+LOOKUPS_MAX = 3  # the most lookups of one record: the host repeats a lookup during which it registered
 
 
 async def confirmed_record(

@@ -74,7 +74,7 @@ class FeedStream:
         self._lag = LagWatch()
         self._moves = moves
         self._move: OutgoingMove | None = None
-        self._handing_over: HandoffDecision | None = None  # of the move
+        self._handoff: HandoffDecision | None = None  # of the move
         self._opened: pb.FeedOpened | None = None  # goes into the next message
         self._is_released = False
 
@@ -147,7 +147,7 @@ class FeedStream:
             )
             if opening.move_id:
                 self._move = self._moves.begin(hosted, opening.host_id, opening.target)
-                self._handing_over = HandoffDecision(hosted, self._move, feed, when_idle=opening.hand_over_when_idle)
+                self._handoff = HandoffDecision(hosted, self._move, feed, when_idle=opening.hand_over_when_idle)
             else:
                 hosted.fed.add(copy)
             self._feed = feed
@@ -269,7 +269,7 @@ class FeedStream:
             part = self._feed.take(now, max(0, min(self._credit.left, MESSAGE_BYTES_MAX)))
             if self._feed.owner is not None:  # a proxy shows its readers its age instead
                 self._lag.check(hosted.record.name, self._source.next_seq - self._feed.next_seq, now)
-            handoff = None if self._handing_over is None else self._handing_over.due(now)
+            handoff = None if self._handoff is None else self._handoff.due(now)
             encoded = self._next_message(hosted, part, handoff)
             # a proxy that has all items needs no second look
             has_all = self._feed.owner is None and part is not None and part.next_seq == self._source.next_seq

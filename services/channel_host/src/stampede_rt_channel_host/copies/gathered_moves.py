@@ -20,8 +20,8 @@ OwnedChannel = tuple[RecordedChannel, FeedSource]  # a channel, and its owner
 
 MOVES_MAX = 32  # the most moves in one call
 CHANGE_SECONDS = 0.01  # the least time between two entries; puts of the channels wait meanwhile
-OWNER_SECONDS = 0.01  # the least time between two questions for owners, before moves begin
-DROP_SECONDS = 0.1  # the least time between two questions of a former owner, which has its items until then
+OWNER_SECONDS = 0.01  # the least time between two lookups of owners; moves have not begun yet
+DROP_SECONDS = 0.1  # the least time between two lookups by a former owner; it keeps its items meanwhile
 
 
 class MoveCommit(NamedTuple):
@@ -72,7 +72,7 @@ class GatheredMoves(ABC):
     async def is_released(self, channel_id: bytes) -> bool:
         """Whether the directory names this host, the former owner, neither as fallback nor as replica of a channel.
 
-        If not, `kept_here` says which it is.
+        If it names this host, `kept_here` tells as which of the two.
         """
         return await self._drops.ask(channel_id)
 

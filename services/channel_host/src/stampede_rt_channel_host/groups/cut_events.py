@@ -88,7 +88,7 @@ class CutEvents:
         await self._writer.turn()  # many streams may have waited for the same group
         check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         await self._begin(group, opening)
-        self._groups.observe(group, self._waiter, news=opening.decides)
+        self._groups.observe(group, self._waiter, of_members=opening.decides)
         reading = self._stream.spawn(self._read(group, decides=opening.decides))
         try:
             await self._writer.write(pb.SubscribeCutsResponse(opened=self._opened(group)).SerializeToString())

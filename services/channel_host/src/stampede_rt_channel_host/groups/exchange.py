@@ -132,24 +132,22 @@ class TimesExchange:
         """See `LinkHandler`. Accepts only times of channels that the other host owns, as the directory says."""
         table, now, wanted = self._table, self._channels.now(), self.peers.wanted_of(host_id)
         table.board.confirm(wanted, now)
-        news: set[bytes] = set()
+        changed: set[bytes] = set()
         is_silent = True
         for reported in update.times:
             if reported.channel_id in wanted and table.ids_of(reported.channel_id):
-                is_news = table.board.hear(
-                    reported.channel_id, times_from_message(reported), reported.silent_nanos, now
-                )
+                is_new = table.board.hear(reported.channel_id, times_from_message(reported), reported.silent_nanos, now)
                 concerned = table.concerned_by(reported.channel_id)
-                news |= {one.record.group_id for one in concerned if is_news or one.record.group_id in table.idling}
-                is_silent = is_silent and not is_news
+                changed |= {one.record.group_id for one in concerned if is_new or one.record.group_id in table.idling}
+                is_silent = is_silent and not is_new
         floors = map(floor_from_message, update.floors)
-        news |= {floor.group_id for floor in floors if self._merge(host_id, floor)}
-        if is_silent and not news:  # a sign of life: channels of the other host may have become idle
-            news |= {one for one in table.idling if host_id in table.groups[one].targets}
+        changed |= {floor.group_id for floor in floors if self._merge(host_id, floor)}
+        if is_silent and not changed:  # a sign of life: channels of the other host may have become idle
+            changed |= {one for one in table.idling if host_id in table.groups[one].targets}
         if is_first:
             self._fully_heard.add(host_id)
-            news |= {one for one, group in table.groups.items() if host_id in group.unheard}
-        self._to_look_at.add(news)
+            changed |= {one for one, group in table.groups.items() if host_id in group.unheard}
+        self._to_look_at.add(changed)
 
     def _look_at(self, group_id: bytes) -> None:
         group = self._table.groups.get(group_id)

@@ -34,8 +34,8 @@ class HostedGroup:
     live hosts. `unheard`: the live hosts that own members and have not reported their cut. A new group shows nothing
     until all of them have reported it.
     The group wakes `cut_observers` and `gets` when it shows more or when members or owners change. It wakes
-    `news_observers` at all news of a member. `generation` grows whenever members, their hosts, or the members served
-    here may have changed.
+    `member_observers` after each change of a member. `generation` grows whenever members, their hosts, or the members
+    served here may have changed.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class HostedGroup:
         """
         self.cut = GroupCut(resolved.group.definition, board)
         self.cut_observers = Observers(begin)
-        self.news_observers = Observers(begin)
+        self.member_observers = Observers(begin)
         self.gets: dict[object, ChannelObserver] = {}  # by channel: the object with the blocked gets of that channel
         # the floors that callers wait for, with their futures
         self._reaching: Any = SortedKeyList(key=itemgetter(0, 1))
@@ -149,7 +149,7 @@ class HostedGroup:
 
     def concerning(self) -> Collection[bytes]:
         """The members whose changes may concern the group or its observers, as of the last `changed`."""
-        if self.news_observers or self.cut.definition.idle_after_nanos is not None:
+        if self.member_observers or self.cut.definition.idle_after_nanos is not None:
             return self.cut.definition.members
         holder = self.cut.holder
         return () if holder is None else (holder,)
@@ -165,7 +165,7 @@ class HostedGroup:
             for gets in [*self.gets.values()]:
                 gets.wake()
             self.cut_observers.wake()
-        self.news_observers.wake()
+        self.member_observers.wake()
         self._arm()
 
     def end(self, error: StampedeError) -> None:
@@ -182,9 +182,9 @@ class HostedGroup:
         for gets in [*self.gets.values()]:
             gets.end(error)
         reaching = [reached for _, _, reached in self._reaching]
-        of_cut, of_news = self.cut_observers.ending(error), self.news_observers.ending(error)
+        of_cut, of_members = self.cut_observers.ending(error), self.member_observers.ending(error)
         yield from of_cut
-        yield from of_news
+        yield from of_members
         for part in batched(reaching, OBSERVERS_PER_PIECE):
             yield
             for reached in part:

@@ -86,7 +86,7 @@ class MatchStream:
         if request.after.group_incarnation not in (0, group.record.incarnation):
             raise other_incarnation(group.record)
         hosted = self._groups.channels.find(request.per_channel_id, request.epoch)
-        self._groups.observe(group, self._waiter, news=True)
+        self._groups.observe(group, self._waiter, of_members=True)
         hosted.match_streams.add(self._waiter)
         reading = self._stream.spawn(self._read())
         try:

@@ -84,9 +84,9 @@ class GroupStore:
             raise _not_found(group_id)
         return group
 
-    def observe(self, group: HostedGroup, observer: ChangeObserver, *, news: bool) -> None:
+    def observe(self, group: HostedGroup, observer: ChangeObserver, *, of_members: bool) -> None:
         """See `HostedGroups`."""
-        self._table.observe(group, observer, news=news)
+        self._table.observe(group, observer, of_members=of_members)
 
     def stop_observing(self, group: HostedGroup, observer: ChangeObserver) -> None:
         """See `HostedGroups`."""
@@ -196,7 +196,7 @@ class GroupStore:
             return False
         if group.is_stale:
             return True  # other hosts may wait for this host, even if nobody here reads the group
-        has_callers = group.cut_observers or group.news_observers or group.gets
+        has_callers = group.cut_observers or group.member_observers or group.gets
         if not has_callers and _now_s() - group.named_s > IN_USE_SECONDS:
             return False
         return since_s >= LOOK_UP_SECONDS or self._misses_a_host(group)

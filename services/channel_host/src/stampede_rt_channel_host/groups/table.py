@@ -48,14 +48,14 @@ class HostedGroups:
         group.changed()
         self._file(group)
 
-    def observe(self, group: HostedGroup, observer: ChangeObserver, *, news: bool) -> None:
-        """Have the group wake `observer` when it shows more. `news`: also at all news of a member."""
-        (group.news_observers if news else group.cut_observers).add(observer)
+    def observe(self, group: HostedGroup, observer: ChangeObserver, *, of_members: bool) -> None:
+        """Have the group wake `observer` when it shows more. `of_members`: also after each change of a member."""
+        (group.member_observers if of_members else group.cut_observers).add(observer)
         self._file(group)
 
     def stop_observing(self, group: HostedGroup, observer: ChangeObserver) -> None:
         """End the effect of `observe`. Idempotent."""
-        group.news_observers.discard(observer)
+        group.member_observers.discard(observer)
         group.cut_observers.discard(observer)
         self._file(group)
 

@@ -182,7 +182,7 @@ class TakeStream:
             hosted.sent(taker)
 
     async def _wait_for_news(self) -> bool:
-        """Wait for news. Returns False if the taker got no message for SIGN_OF_LIFE_SECONDS."""
+        """Wait until there may be something to send. Returns False if a sign of life is due first."""
         try:
             async with asyncio.timeout_at(self._silent_at_s):
                 await self._news.wait()

@@ -37,9 +37,9 @@ def _version(glibc: str) -> tuple[int, ...]:
 def start_again_with_huge_pages(command: str, words: Sequence[str]) -> None:
     """Replace this program by itself, with the variable set. Does nothing if the program would gain nothing.
 
-    Call it before the program loads much or starts anything. `command` and `words` are the end of the process's command
-    line. Does nothing if they are not, because the caller then runs inside another program. Process id, standard
-    streams and parent stay.
+    Call it before the program loads much or starts anything. Process id, standard streams and parent stay. If the
+    process's command line does not end with `command` and `words`, the caller runs inside another program, and this
+    function does nothing.
 
     The second start knows by an option of Python that it is the second. glibc removes the variable from a program with
     special rights, such as file capabilities. Such a program continues without huge pages.

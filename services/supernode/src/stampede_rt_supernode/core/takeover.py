@@ -39,8 +39,8 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
     """Apply the loss of all items of a host.
 
     The host's lease must have ended, or a new process of the host must have registered. The directory removes the
-    copies that the host held. If other hosts hold warm replicas in sync of its channels and queues, they become the
-    owners of these. If the host is not alive, its other mailboxes move to other hosts.
+    copies that the host held. A channel or queue with a warm replica in sync gets the host of this replica as its
+    owner. If the lost host is not alive, its mailboxes without such a replica move to other hosts.
     """
     for channel_id in tables.replicas.channel_ids_at(host_id):
         drop_copy(tables, copied_with_id(tables, channel_id), host_id)

@@ -95,7 +95,7 @@ def test_the_former_owner_continues_the_incarnation_if_the_new_owner_is_lost_imm
 
 
 @pytest.mark.parametrize("acknowledged", [True, False])
-def test_a_former_owner_that_replaces_a_replica_becomes_one_of_the_same_kind(log: Log, acknowledged: bool) -> None:
+def test_a_former_owner_becomes_the_same_kind_of_replica_as_the_replaced_replica(log: Log, acknowledged: bool) -> None:
     before = cam(log)
     log.apply(add_replica(before.channel_id, 2, warm=True, acknowledged=acknowledged))
     log.apply(set_in_sync(before.channel_id, 2))

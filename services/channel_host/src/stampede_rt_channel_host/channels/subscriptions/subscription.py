@@ -72,7 +72,7 @@ class Subscription(ChangeObserver):
             self._look()
 
     def _look(self) -> None:
-        """End the present wait for news, if there is one."""
+        """End the present wait of `_wait_for_news`, if there is one."""
         if self._news is not None and not self._news.done():
             self._news.set_result(True)
 
@@ -267,7 +267,7 @@ class Subscription(ChangeObserver):
         return self._hosted.channel.advanced_to != self._sent_advance
 
     async def _wait_for_news(self, until_s: float | None) -> bool:
-        """Wait for news. Returns True when news comes, False at the loop time `until_s`. None: waits without limit."""
+        """Wait until there may be something to send. Returns False at the loop time `until_s`, if given."""
         if self._multicast.has_asked:  # the reader has asked before this wait began
             return True
         loop = asyncio.get_running_loop()
