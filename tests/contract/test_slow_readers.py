@@ -88,7 +88,7 @@ async def test_a_run_of_many_items_is_sent_one_by_one_to_a_reader_that_takes_one
 
 
 @pytest.mark.parametrize("surface", ["aio", "sync"], indirect=True)
-async def test_a_slow_function_is_called_with_the_newest(surface: Surface) -> None:
+async def test_a_slow_function_is_called_with_the_newest_item(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     gate, calls = threading.Event(), []
     opened = asyncio.Event()

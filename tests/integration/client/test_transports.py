@@ -1,4 +1,4 @@
-"""Streams over sockets and over gRPC: the choice of a transport, and the failure of one."""
+"""Streams over sockets and over gRPC: the choice of a transport, and transports that fail."""
 
 from __future__ import annotations
 

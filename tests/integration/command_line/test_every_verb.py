@@ -89,7 +89,7 @@ def test_a_verb_prints_the_fields_that_the_page_names(
     require_fields(name, out, may_be_empty=name == "rebalance")  # there is nothing to even out
 
 
-# Commands that go on until Ctrl-C, or wait for long, with their statuses after Ctrl-C. NAME is a channel without news.
+# Commands that go on until Ctrl-C, or wait for long, with their statuses after Ctrl-C. NAME gets no new items.
 # A `put` that reads a payload from standard input loads gRPC only after it has read the payload. So the test of this
 # command is in tests/unit/client/cli/test_standard_input.py.
 UNENDING: dict[str, tuple[int, ...]] = {

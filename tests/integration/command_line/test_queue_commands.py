@@ -139,7 +139,7 @@ def test_a_queue_is_deleted(stampede: Run) -> None:
         assert said.startswith("stampede: there is no queue cli/gone; `stampede queue ls` lists the queues")
 
 
-def test_a_policy_that_differs_from_that_of_the_queue_is_refused(stampede: Run) -> None:
+def test_a_policy_that_differs_from_the_present_policy_of_the_queue_is_refused(stampede: Run) -> None:
     stampede("queue", "put", "cli/stated", "x", "--max-items", "5")
     _, said = stampede("queue", "put", "cli/stated", "x", "--max-items", "6", status=1)
     assert "max_items 5" in said

@@ -60,7 +60,7 @@ class BackgroundProducer:
             self.last = self._channel.put(b"an item").seq
 
     def stop(self) -> int:
-        """The seq of the last item."""
+        """End the puts. Returns the seq of the last item."""
         self._stop.set()
         self._thread.join(20)
         return self.last
@@ -130,7 +130,7 @@ def produced(channel: Any) -> Iterator[BackgroundProducer]:
 
 
 def all_saw(readers: list[BackgroundReader], last: int) -> None:
-    """Every reader got each item up to `last` once and in order."""
+    """Check that every reader got each item up to `last` once and in order."""
     wait_until(
         lambda: all(reader.last >= last or reader.error for reader in readers), f"all readers have seen seq {last}"
     )

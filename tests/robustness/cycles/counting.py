@@ -30,7 +30,7 @@ TYPES_SHOWN = 6
 
 @dataclass(frozen=True, kw_only=True)
 class HeldResources:
-    """The things that a process holds. `objects`: their number by the name of their type, after a look for garbage."""
+    """The things that a process holds. `objects`: their number by the type's name, after a garbage collection."""
 
     memory_bytes: int
     files: int

@@ -89,7 +89,7 @@ def run(cluster: LocalCluster, folder: Path, kind: str, warm_up: int, cycles: in
 
 
 def _free_cancelled_calls(cycle: Cycle) -> None:
-    """Run the event loop after a look for garbage: the loop closes the generators of cancelled calls of grpc.aio."""
+    """Run the event loop after a garbage collection: the loop closes the generators of cancelled calls of grpc.aio."""
     gc.collect()
     cycle()
 

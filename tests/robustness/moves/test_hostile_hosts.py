@@ -95,7 +95,7 @@ async def test_the_permit_of_a_failed_move_is_refused() -> None:
 async def test_a_destination_that_is_no_longer_the_owner_when_it_hears_of_its_commit_drops_the_channel() -> None:
     """The lease of the destination ends right after the commit.
 
-    If the destination kept the channel, the directory would count it as a replica that it is not.
+    If the destination kept the channel, the directory would wrongly count the destination as a replica.
     """
     scenario = Scenario("committed", lambda world: world.expire(DESTINATION))
     with suppress(StampedeError):

@@ -25,7 +25,7 @@ from stampede_rt.wire.subscribing import beginning
 Result = TypeVar("Result")
 
 _MAY_COME = (Reason.NOT_YET, Reason.LOST, Reason.HIDDEN)
-"""The reasons for which items may still come into the interval."""
+"""If an answer has one of these reasons, items may still come into its interval."""
 
 
 class ReplayedChannel(Reader):

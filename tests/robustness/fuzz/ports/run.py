@@ -68,7 +68,7 @@ async def run(
 
 
 def _judge_leases(cluster: FuzzedCluster) -> None:
-    """A lease may be lost only while the machine kept the services from a processor."""
+    """Check that leases were lost only while the machine kept the services from a processor."""
     outcome, waits = cluster.outcome, cluster.waits
     outcome.starved_share = waits.most_share
     outcome.excused = sum(waits.starved_at(moment_s) for moment_s in cluster.leases_lost_at)

@@ -1,4 +1,4 @@
-"""Somebody removes files or folders of an archive while its host runs: no write counts, and readers hear LOST."""
+"""Somebody removes files or folders of an archive while its host runs: writes fail, and reads say LOST."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_a_write_fails_if_somebody_has_removed_the_open_file_and_the_next_one_be
     files.close(None)
 
 
-def test_no_write_counts_and_no_read_says_lost_while_the_folder_of_the_archive_is_away(tmp_path: Path) -> None:
+def test_writes_fail_and_no_read_says_lost_while_the_folder_of_the_archive_is_away(tmp_path: Path) -> None:
     folder = tmp_path / "channels"
     files, before = opened(folder / "one")
     folder.rename(tmp_path / "elsewhere")
@@ -65,7 +65,7 @@ def test_a_file_that_somebody_removes_is_a_loss_also_if_its_blocks_are_known(tmp
     check(files, segments, {5, 6, 7, 8}, 12, knows_times=True)
 
 
-def test_a_file_that_leaves_by_the_limits_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_the_limits_remove_is_no_loss(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files = SegmentFiles(tmp_path, {})
     files.open(2)
     for number in range(3):

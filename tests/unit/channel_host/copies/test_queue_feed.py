@@ -127,7 +127,7 @@ class AtOnceStream(HostStream):
         self.sent.append(request)
 
     async def begin(self, next_step: int) -> None:
-        """Let the feed read the first answer, and wait for news."""
+        """Let the feed read the first answer, and wait for a change."""
         self._first.put_nowait(pb.FeedQueueResponse(next_step=next_step))
         for _ in range(10):
             await asyncio.sleep(0)

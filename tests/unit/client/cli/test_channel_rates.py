@@ -45,7 +45,7 @@ def test_rows_are_sorted_by_the_chosen_column_and_then_by_name() -> None:
     assert [row.channel for row in arranged(rows, "bytes", "a")] == ["a", "cam"]
 
 
-def test_the_lag_is_that_of_the_slowest_consumer() -> None:
+def test_the_lag_is_the_lag_of_the_slowest_consumer() -> None:
     places = tuple(ConsumerStats(consumer_id=number, lease_nanos=1, waiting=number * 10) for number in range(3))
     (row,) = rates_of({}, {"a": ("h1", replace(STATS, consumers=places))})
     assert row.lag_items == 20

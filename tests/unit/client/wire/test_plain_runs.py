@@ -15,7 +15,9 @@ instants = some.integers(-(2**63), 2**63 - 1)
 
 
 @given(some.binary(max_size=300), some.none() | instants, some.none() | instants)
-def test_a_plain_run_equals_that_of_protobuf(payload: bytes, time: int | None, duration: int | None) -> None:
+def test_a_plain_run_has_the_bytes_that_protobuf_encodes(
+    payload: bytes, time: int | None, duration: int | None
+) -> None:
     made = b"".join(plain_run_parts(payload, time, duration))
     expected = item_pb2.ItemRun(
         time_unix_nano=() if time is None else (time,),

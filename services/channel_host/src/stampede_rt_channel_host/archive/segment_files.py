@@ -54,7 +54,7 @@ class ArchiveLimits(NamedTuple):
 
 class OpenedArchive(NamedTuple):
     """The archive in the folder of a channel. `stop`: the note that the last host process had archived all accepted
-    items, or None. `torn_bytes` were cut off the end. `own`: the end of the archive, if the host knows only this.
+    items, or None. `torn_bytes` were cut off the end. `own`: the last items, if the host knows no others.
     """
 
     segments: tuple[Segment, ...]
@@ -158,8 +158,9 @@ class SegmentFiles(SegmentReads):
     def _open_one(
         self, number: int, following: int | None, *, is_last: bool, may_be_torn: bool
     ) -> tuple[Segment | None, int, int]:
-        """Open a segment of the folder. `following`: the first seq of the next segment, or None. A failed write left
-        the blocks from that seq on, and their items were written again. A file without other blocks leaves the archive.
+        """Open a segment of the folder. `following`: the first seq of the next segment, or None. Blocks
+        from that seq on come from a failed write, whose items were written again. The archive drops a file that has no
+        other blocks.
         """
         path = self._files.file_of(number)
         file = os.open(path, os.O_RDWR if is_last else os.O_RDONLY)

@@ -187,7 +187,7 @@ class Recordings:
         """Bring the archives to the object store, while no other host can own the channels. Without an object store it
         does nothing.
 
-        The store must refuse all requests. After `seconds_max` the work goes on, and `close` waits for it. A
+        Call it when the host refuses all requests. After `seconds_max` the work goes on, and `close` waits for it. A
         channel whose replicas must still show items is left to `close`.
         """
         if self.archive is not None and self.archive.objects is not None:

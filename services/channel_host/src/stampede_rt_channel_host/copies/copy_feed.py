@@ -145,8 +145,7 @@ class CopyFeed:
         return self._sent_nanos
 
     async def _write_all(self, write: Write) -> None:
-        """Send the requests that are due after some time, and the requests about news that does not come from the
-        source.
+        """Send the requests that no response of the source causes: after some time, and after a change at this host.
 
         Raises TimeoutError if the source is silent, or takes nothing: this task watches the task that reads, too.
         """

@@ -41,7 +41,7 @@ NAMES_LOGGED_MAX = 20
 # the move, and tries again.
 _AGAIN = (Overloaded, Unavailable, DeadlineExceeded, MoveConflict, StaleBinding)
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.05, 1.0
-BEGIN_SECONDS_MAX = 2.0  # the drain tries another host if one has not begun a move by then
+BEGIN_SECONDS_MAX = 2.0  # the drain tries another host if one has not begun a move after this time
 
 
 class DrainResult(NamedTuple):

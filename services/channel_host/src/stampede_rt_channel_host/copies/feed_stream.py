@@ -63,7 +63,7 @@ class FeedStream:
         self._credit = Credit(self._news.set)
         self._heard_s = time.monotonic()  # when this host got the last request
         self._held_next_seq = 0  # the copy has reported the items before this seq
-        self._send_at_once: Callable[[], bool] | None = None  # while the feed waits for news, and no move is under way
+        self._send_at_once: Callable[[], bool] | None = None  # while the feed waits for a change, and has no move
         self._ahead: AheadItemSender | None = None  # if the copy takes items before the channel stores them
         self._failure: Exception | None = None  # an error outside of the feed's task, which ends the feed
         self._source: ChannelCore  # the channel that is fed; set when the feed begins, as `_feed`
@@ -242,7 +242,7 @@ class FeedStream:
             self._credit.end()  # ends the feed
         if hosted.fed is not None:
             hosted.fed.relieve(hosted.record.name, copy, hosted.subscriptions)
-        if self._move is not None or self._responses.owes_sign(hosted):  # a grant of credit is news anyway
+        if self._move is not None or self._responses.owes_sign(hosted):  # a grant of credit wakes the feed anyway
             self._news.set()
 
     async def _is_free(self, opening: pb.FeedOpen) -> bool:
@@ -261,7 +261,7 @@ class FeedStream:
     async def _serve(self, hosted: HostedChannel) -> None:
         await self._greet(hosted)
         while not self._credit.is_final:
-            self._news.clear()  # before each wait, so that no news is lost
+            self._news.clear()  # before each wait, so that no change is lost
             if self._work.must_wait:
                 await self._work.turn()
             self._check_destination(hosted)

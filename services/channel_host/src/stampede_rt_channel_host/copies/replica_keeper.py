@@ -96,12 +96,12 @@ class KeptReplicas(ABC):
     async def run(self) -> None:
         """Keep the replicas until the host gives the channel or queue up."""
         try:
-            while self.is_served():  # paced by the wait for news
+            while self.is_served():  # paced by the wait for a change
                 await self.look()
                 with suppress(TimeoutError):
                     async with asyncio.timeout(ROUND_SECONDS):
                         await self._replication.news.wait()
-                await asyncio.sleep(PAUSE_SECONDS)  # news come with each report of a replica that is out of sync
+                await asyncio.sleep(PAUSE_SECONDS)  # a change comes with each report of a replica that is out of sync
                 self._replication.news.clear()
         except (ChannelNotFound, QueueNotFound):
             return

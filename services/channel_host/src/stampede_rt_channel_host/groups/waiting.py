@@ -9,7 +9,7 @@ from stampede_rt_channel_host.channels.observers import ChangeObserver
 
 
 class Waiter(ChangeObserver):
-    """An observer on which a coroutine waits. Register it at each source of news."""
+    """An observer on which a coroutine waits. Register it at each source of changes."""
 
     def __init__(self) -> None:
         super().__init__()

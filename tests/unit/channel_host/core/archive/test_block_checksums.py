@@ -17,7 +17,7 @@ from stampede_rt_channel_host.core.channel.run import OneRun
 
 
 @pytest.mark.parametrize("length", [0, 1, 15, 16, 80, 255, 256, 257, 4095, 4097, 300_001])
-def test_a_checksum_is_that_of_zlib_also_when_it_goes_on_from_another_one(length: int) -> None:
+def test_a_checksum_equals_zlib_crc32_also_when_it_continues_another_checksum(length: int) -> None:
     draw = random.Random(length)
     data = draw.randbytes(length)
     assert block.crc32(data) == zlib.crc32(data)

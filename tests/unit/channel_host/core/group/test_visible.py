@@ -195,7 +195,7 @@ def test_counting_from_a_key_without_an_item_is_exact() -> None:
     assert gap.items == 2
 
 
-def test_the_lowest_owed_seq_of_a_subscription_is_that_of_a_hidden_item() -> None:
+def test_the_lowest_owed_seq_of_a_subscription_is_the_seq_of_a_hidden_item() -> None:
     made = channel(10, 40, 20, 30)
     reader = VisibleAllCursor(made, horizon(15), CLOCK)
     assert reader.lowest_owed_seq(CLOCK) == 2
@@ -221,7 +221,7 @@ def test_a_newest_subscription_yields_the_newest_visible_item_and_counts_skipped
     assert (reader.delivered, reader.skipped) == (2, 1)
 
 
-def test_the_newest_begins_at_or_after_its_start() -> None:
+def test_a_newest_subscription_begins_at_or_after_its_start() -> None:
     made = channel(10, 20)
     assert newest_time(VisibleNewestCursor(made, horizon(25), CLOCK, start=NEWEST), 25) == 20
     assert newest_time(VisibleNewestCursor(made, horizon(25), CLOCK, start=NEWEST, start_exclusive=True), 25) is None

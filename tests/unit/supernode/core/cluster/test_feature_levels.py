@@ -77,7 +77,7 @@ def test_a_command_is_accepted_when_the_feature_level_has_risen() -> None:
     assert result.channel.policy.max_items == CAPPED.max_items
 
 
-def test_a_supernode_stops_at_a_feature_level_above_that_of_its_release() -> None:
+def test_a_supernode_stops_at_a_feature_level_that_its_release_does_not_know() -> None:
     older = DirectoryReplica()
     driven(older, *START)
     with pytest.raises(ReleaseTooOld, match=f"knows feature level {HIGHEST_LEVEL}.* at level {NEW_LEVEL}; start"):

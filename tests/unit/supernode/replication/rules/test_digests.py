@@ -85,7 +85,7 @@ def test_a_difference_after_the_first_digest_is_found() -> None:
     assert follower.digests.diverged_at == 3
 
 
-def test_a_digest_of_an_earlier_position_than_that_of_the_state_is_ignored() -> None:
+def test_a_digest_of_a_position_before_the_state_is_ignored() -> None:
     follower = Follower(snapshot_at(2, with_digest=False))
     follower.apply(3, COMMANDS[2])
     follower.digests.compare(*leader_at(2).digest())

@@ -1,4 +1,4 @@
-"""Sends the items of one channel to the multicast group: an observer of the channel, as all push is.
+"""Sends the items of one channel to the multicast group. It is an observer of the channel, like a subscription.
 
 It keeps a cursor into the channel, and no queue. If the rate is too low, or retention is faster than the rate, readers
 miss datagrams and ask the host for the items.

@@ -97,7 +97,7 @@ class OwnerFactsFeed:
         return OwnerPart(runs, places, self._source.latest_counters(), now if self._window.is_level else None)
 
     def _take_put(self, now: int) -> OwnerPart | None:
-        """The part if one accepted run is the only news; otherwise None."""
+        """The part if one accepted run is the only change; otherwise None."""
         growth, odd = counts = self._counts_now()
         is_only = self._sent_counts is not None and self._sent_counts[1] == odd
         if not is_only or self._round is not None or self._places_now() != self._sent:
