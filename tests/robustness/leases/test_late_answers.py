@@ -38,11 +38,11 @@ class SlowDirectory:
     """Each request waits until the test gives the answer; `asked` is signalled for each request."""
 
     def __init__(self) -> None:
-        self.questions: asyncio.Queue[asyncio.Future[RecordedChannel]] = asyncio.Queue()
+        self.requests: asyncio.Queue[asyncio.Future[RecordedChannel]] = asyncio.Queue()
 
     async def resolve(self, channel_id: bytes) -> RecordedChannel:
         answer: asyncio.Future[RecordedChannel] = asyncio.get_running_loop().create_future()
-        self.questions.put_nowait(answer)
+        self.requests.put_nowait(answer)
         return await answer
 
     async def update(self, channel_id: bytes, *_: Any, **__: Any) -> RecordedChannel:
@@ -64,10 +64,10 @@ async def test_an_answer_from_before_a_registration_is_not_served() -> None:
     directory = SlowDirectory()
     store = store_over(directory)
     binding = asyncio.create_task(store.bind(CHANNEL, 1))
-    late = await directory.questions.get()
+    late = await directory.requests.get()
     run_to_end(store.registering([], is_complete=True))  # the lease had ended, and the channel went elsewhere meanwhile
     late.set_result(record(ME, 1))
-    again = await asyncio.wait_for(directory.questions.get(), 5)
+    again = await asyncio.wait_for(directory.requests.get(), 5)
     again.set_result(record(OTHER, 2, incarnation=8))
     with pytest.raises(StaleBinding):
         await binding
@@ -83,10 +83,10 @@ async def test_a_change_whose_answer_is_older_than_a_registration_does_not_bring
     change = asyncio.create_task(
         changes.configure(CHANNEL, 1, policy_change(channel_pb2.ChannelSpec()), b"r" * 16, time.monotonic())
     )
-    late = await directory.questions.get()
+    late = await directory.requests.get()
     run_to_end(store.registering([], is_complete=True))
     late.set_result(record(ME, 1))
-    again = await asyncio.wait_for(directory.questions.get(), 5)
+    again = await asyncio.wait_for(directory.requests.get(), 5)
     again.set_result(record(OTHER, 2, incarnation=8))
     with pytest.raises(StaleBinding):
         await change
@@ -98,7 +98,7 @@ async def answered(
     directory: SlowDirectory, ask: Callable[[], Coroutine[Any, Any, Any]], answer: RecordedChannel
 ) -> None:
     asking = asyncio.create_task(ask())
-    (await directory.questions.get()).set_result(answer)
+    (await directory.requests.get()).set_result(answer)
     await asking
 
 
@@ -107,12 +107,12 @@ async def test_a_host_that_keeps_registering_gives_up_asking() -> None:
     store = store_over(directory)
     binding = asyncio.create_task(store.bind(CHANNEL, 1))
     while not binding.done():
-        question = asyncio.create_task(directory.questions.get())
-        await asyncio.wait({question, binding}, return_when=asyncio.FIRST_COMPLETED)
-        if not question.done():
-            question.cancel()
+        request = asyncio.create_task(directory.requests.get())
+        await asyncio.wait({request, binding}, return_when=asyncio.FIRST_COMPLETED)
+        if not request.done():
+            request.cancel()
             break
         run_to_end(store.registering([], is_complete=True))
-        question.result().set_result(record(ME, 1))
+        request.result().set_result(record(ME, 1))
     with pytest.raises(StaleBinding, match="resolve the channel again"):
         await binding

@@ -47,7 +47,7 @@ class Wire:
 
 
 class LateResult(Generic[T]):
-    """Work of another thread, which ends after a certain number of questions about it."""
+    """Work of another thread, which is done when its state was polled a certain number of times."""
 
     def __init__(self, work: Callable[[], T], times: int) -> None:
         self._work = work

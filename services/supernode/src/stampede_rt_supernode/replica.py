@@ -120,10 +120,10 @@ class DirectoryReplica:
 
         return restore
 
-    def read(self, question: Callable[[Directory], T]) -> T:
-        """The answer of `question`, which gets the state between two commands, and must neither keep nor change it."""
+    def read(self, query: Callable[[Directory], T]) -> T:
+        """The answer of `query`, which gets the state between two commands, and must neither keep nor change it."""
         with self._lock:
-            return question(self._directory)
+            return query(self._directory)
 
 
 def _no_listener() -> None:

@@ -46,7 +46,7 @@ def test_the_skew_of_a_run_is_the_root_of_the_mean_square_of_its_frames() -> Non
     assert [place for place, ms in run.skews_ms if ms] == [14]
 
 
-def test_frames_of_captions_between_frames_have_their_places_too() -> None:
+def test_captions_that_begin_between_two_frames_also_have_frames_in_each_place() -> None:
     late = [Receipt(caption.time + FRAME_NANOS // 2, caption.received) for caption in CAPTIONS]
     run = judge(frames(40), late)
     assert [place for place, _ in run.skews_ms] == [*range(15), *range(15)]

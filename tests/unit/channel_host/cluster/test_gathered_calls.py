@@ -90,7 +90,7 @@ async def test_questions_that_come_soon_after_a_call_wait_for_each_other(monkeyp
     directory = Directory()
     directory.go.set()
     calls = GatheredCalls(directory.ask, 3, interval_s=3600)
-    assert await calls.ask(1) == 1, "a lone question does not wait"
+    assert await calls.ask(1) == 1, "a lone request does not wait"
     soon = await asked(calls, 2) + await asked(calls, 3)
     assert directory.calls == [[1]]
     is_time.set()
@@ -112,10 +112,10 @@ async def test_after_a_long_call_more_questions_wait_for_each_other(
 ) -> None:
     loop, now_s, waits = asyncio.get_running_loop(), 0.0, []
 
-    async def ask(questions: Sequence[int]) -> list[int | StampedeError]:
+    async def ask(requests: Sequence[int]) -> list[int | StampedeError]:
         nonlocal now_s
         now_s += took_s
-        return [*questions]
+        return [*requests]
 
     async def sleep(seconds: float) -> None:
         waits.append(seconds)

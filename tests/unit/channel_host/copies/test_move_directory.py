@@ -1,4 +1,4 @@
-"""The questions of a host to the directory about moves."""
+"""The requests of a host to the directory about moves."""
 
 from __future__ import annotations
 

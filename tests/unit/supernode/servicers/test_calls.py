@@ -36,8 +36,8 @@ class ReplicaBehind:
         self._state, self._committed = known, committed
         self.confirmed = 0
 
-    def read(self, question: Callable[[Directory], Any]) -> Any:
-        return question(self._state)
+    def read(self, query: Callable[[Directory], Any]) -> Any:
+        return query(self._state)
 
     async def confirm(self, *, seconds: float) -> int:
         self._state = self._committed

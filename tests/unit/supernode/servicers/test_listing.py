@@ -20,10 +20,10 @@ class Calls:
 
     reads = confirmed = 0
 
-    async def read(self, context: Any, question: Any, *, stale_ok: bool = False) -> Any:
+    async def read(self, context: Any, query: Any, *, stale_ok: bool = False) -> Any:
         self.reads += 1
         self.confirmed += not stale_ok
-        return question(SimpleNamespace(applied_index=self.reads))
+        return query(SimpleNamespace(applied_index=self.reads))
 
 
 def search(_: Directory, after: str, most: int) -> SearchStep[str, str]:

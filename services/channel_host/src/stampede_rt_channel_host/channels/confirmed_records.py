@@ -18,7 +18,7 @@ async def confirmed_record(
 
     Such an answer may be out of date: the lease ended before the host registered again, and the channel may have got a
     new owner meanwhile. `registrations` returns the number of registrations up to now. Raises the error that the
-    directory answers. Raises StaleBinding if the host registered during each of LOOKUPS_MAX questions.
+    directory answers. Raises StaleBinding if the host registered during each of LOOKUPS_MAX lookups.
     """
     for _ in range(LOOKUPS_MAX):
         before = registrations()

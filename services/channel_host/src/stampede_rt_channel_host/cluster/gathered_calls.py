@@ -11,89 +11,89 @@ from typing import Generic, TypeVar
 
 from stampede_rt.errors import StampedeError, Unavailable
 
-Question = TypeVar("Question")
+Request = TypeVar("Request")
 Answer = TypeVar("Answer")
 
 logger = logging.getLogger(__name__)
 
 LONG_CALL_PARTS = 4
 LONG_CALL_INTERVAL_S_MAX = 0.05
-"""After a long call the directory has much to do, so the next call waits for more questions. The time between the
+"""After a long call the directory has much to do, so the next call waits for more requests. The time between the
 beginnings of the two calls is LONG_CALL_PARTS times the duration of the first call, but at most
 LONG_CALL_INTERVAL_S_MAX.
 """
 
 
-class GatheredCalls(Generic[Question, Answer]):
-    """Questions that come while a call is under way go together into the next call. So a lone question never waits.
+class GatheredCalls(Generic[Request, Answer]):
+    """Requests that come while a call is under way go together into the next call. So a lone request never waits.
 
-    `ask` makes a call for some questions, `most` at most. It returns an answer or an error for each, in their order.
+    `ask` makes a call for some requests, `most` at most. It returns an answer or an error for each, in their order.
     """
 
     def __init__(
         self,
-        ask: Callable[[Sequence[Question]], Awaitable[Sequence[Answer | StampedeError]]],
+        ask: Callable[[Sequence[Request]], Awaitable[Sequence[Answer | StampedeError]]],
         most: int,
         interval_s: float = 0.0,
     ) -> None:
         """`interval_s`: the least time between the beginnings of two calls; 0: no call waits.
 
-        After a long call the time is longer. Questions that come earlier wait, and go together into the next call.
+        After a long call the time is longer. Requests that come earlier wait, and go together into the next call.
         """
         self._ask = ask
         self._most = most
         self._interval_s = interval_s
         self._not_before_s = 0.0
-        self._waiting: deque[tuple[Question, asyncio.Future[Answer]]] = deque()
+        self._waiting: deque[tuple[Request, asyncio.Future[Answer]]] = deque()
         self._calls: asyncio.Task[None] | None = None
 
-    async def ask(self, question: Question) -> Answer:
-        """The answer. Raises the error of this question, or of the call."""
+    async def ask(self, request: Request) -> Answer:
+        """The answer. Raises the error of this request, or of the call."""
         answer: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
-        self._waiting.append((question, answer))
+        self._waiting.append((request, answer))
         if self._calls is None:
             self._calls = asyncio.create_task(self._call_each(), name="gathered calls")
         return await answer
 
     async def _call_each(self) -> None:
-        """Make calls while questions wait."""
+        """Make calls while requests wait."""
         try:
             while self._waiting:
                 await self._pause()
                 asked = [self._waiting.popleft() for _ in range(min(self._most, len(self._waiting)))]
-                if asked := [one for one in asked if not one[1].done()]:  # the caller of a done question was cancelled
-                    _deal([answer for _, answer in asked], await self._answers([question for question, _ in asked]))
+                if asked := [one for one in asked if not one[1].done()]:  # the caller of a done request was cancelled
+                    _deal([answer for _, answer in asked], await self._answers([request for request, _ in asked]))
         finally:
             self._calls = None
 
     async def _pause(self) -> None:
-        """Wait until the time of the next call, unless enough questions for a whole call wait already."""
+        """Wait until the time of the next call, unless enough requests for a whole call wait already."""
         wait_s = self._not_before_s - asyncio.get_running_loop().time()
         if wait_s > 0 and len(self._waiting) < self._most:
             await sleep(wait_s)
         self._not_before_s = asyncio.get_running_loop().time() + self._interval_s
 
-    async def _timed(self, questions: Sequence[Question]) -> Sequence[Answer | StampedeError]:
+    async def _timed(self, requests: Sequence[Request]) -> Sequence[Answer | StampedeError]:
         begun_s = asyncio.get_running_loop().time()
         try:
-            return await self._ask(questions)
+            return await self._ask(requests)
         finally:
             if self._interval_s:
                 took_s = asyncio.get_running_loop().time() - begun_s
                 distance_s = min(LONG_CALL_PARTS * took_s, LONG_CALL_INTERVAL_S_MAX)
                 self._not_before_s = max(self._not_before_s, begun_s + distance_s)
 
-    async def _answers(self, questions: Sequence[Question]) -> Sequence[Answer | StampedeError]:
+    async def _answers(self, requests: Sequence[Request]) -> Sequence[Answer | StampedeError]:
         try:
-            return await self._timed(questions)
+            return await self._timed(requests)
         except StampedeError as error:
-            return [error] * len(questions)
+            return [error] * len(requests)
         except Exception as error:
             logger.exception(
                 "a call for several moves failed", extra={"event": "task_defect", "task": "gathered calls"}
             )
             # The directory may have performed the call. So this is an error after which the caller may repeat the call.
-            return [Unavailable(f"the host failed ({error!r}); please report it")] * len(questions)
+            return [Unavailable(f"the host failed ({error!r}); please report it")] * len(requests)
 
 
 def _deal(waiting: Sequence[asyncio.Future[Answer]], answers: Sequence[Answer | StampedeError]) -> None:

@@ -1,4 +1,4 @@
-"""Asks the directory in the background: one question at a time about each thing, and not too often."""
+"""Makes lookups in the directory in the background: one at a time of each thing, and not too often."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stampede_rt.errors import StampedeError
 
 logger = logging.getLogger(__name__)
 
-LOOKUPS_MAX = 1_000  # the most questions at the same time
+LOOKUPS_MAX = 1_000  # the most lookups at the same time
 PAUSE_SECONDS = 0.2  # between two lookups of the same thing
 
 
@@ -28,8 +28,8 @@ class BackgroundLookups:
     def ask(self, about: bytes | None, work: Coroutine[Any, Any, None]) -> None:
         """Run `work`, the lookup of the thing `about`, in a task. Does not wait.
 
-        Does nothing if a question about this thing is under way, or ended less than PAUSE_SECONDS ago. `about` None:
-        the question is not about one thing.
+        Does nothing if a lookup of this thing is under way, or ended less than PAUSE_SECONDS ago. `about` None: the
+        lookup is not about one thing.
         """
         if self._closed or about in self._asked or len(self._asked) >= LOOKUPS_MAX:
             work.close()

@@ -74,8 +74,8 @@ class DirectoryCalls:
         self._replica = replica
         self._submission = submission
 
-    async def read(self, context: Context, question: Callable[[Directory], T], *, stale_ok: bool = False) -> T:
-        """The result of `question`, called with the directory.
+    async def read(self, context: Context, query: Callable[[Directory], T], *, stale_ok: bool = False) -> T:
+        """The result of `query`, called with the directory.
 
         `stale_ok`: do not wait for a majority; the state may then lack the latest updates. Raises Unavailable with
         reason NO_QUORUM or SHUTTING_DOWN.
@@ -83,7 +83,7 @@ class DirectoryCalls:
         self._submission.check_state()
         if not stale_ok:
             await self._submission.confirm(seconds=seconds_left(context))
-        return self._replica.read(question)
+        return self._replica.read(query)
 
     async def submit(
         self,
@@ -210,10 +210,10 @@ class DirectoryCalls:
                 check_known(kind, found, by_id=True)
                 check_access(verb, kind, found)
 
-    async def _known(self, context: Context, question: Callable[[Directory], T | None]) -> T | None:
-        """The result of `question` on the local state; if that is None, its result after a confirmed read."""
-        found = self._replica.read(question)
-        return await self.read(context, question) if found is None else found
+    async def _known(self, context: Context, query: Callable[[Directory], T | None]) -> T | None:
+        """The result of `query` on the local state; if that is None, its result after a confirmed read."""
+        found = self._replica.read(query)
+        return await self.read(context, query) if found is None else found
 
     def holder_of(self, name: str) -> PeerRecord | None:
         """The live peer of that name, as this replica knows it; None if it knows none."""
