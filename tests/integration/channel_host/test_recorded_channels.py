@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -280,3 +281,41 @@ def test_a_caller_that_fills_its_disk_quota_gets_an_error_with_the_name_of_the_q
     channel.put(b"more")
     plain.configure(archive="forever")
     capsys.readouterr()
+
+
+def test_items_of_any_kind_that_came_one_by_one_are_the_same_from_memory_and_from_the_archive(
+    rt: st.Connection,
+) -> None:
+    draw, began = random.Random(7), rt.channel("record/kinds/memory").stats().host_time - 10**9
+    channels = [
+        rt.channel("record/kinds/memory", max_items=10_000),
+        rt.channel("record/kinds/archive", max_items=10, archive="forever"),
+    ]
+    fields = [
+        {
+            "time": began + (number - draw.choice([0, 0, 0, 5])) // 2 * MS,
+            "duration": draw.choice([None, None, 0, 3 * MS]),
+            "attributes": draw.choice([None] * 9 + [{"kind": "odd"}]),
+        }
+        for number in range(700)
+    ]
+    for channel in channels:
+        for number, chosen in enumerate(fields):
+            channel.put(b"%d" % number * (5000 if number == 300 else 1), **chosen)
+    wait_until_collected(channels[1], 20)
+    reads = {
+        "whole": lambda one: one.get(st.OLDEST, st.NEWEST),
+        "part": lambda one: one.get(began + 20 * MS, began + 200 * MS, limit=300),
+        "backwards": lambda one: one.get(st.OLDEST, st.NEWEST, newest_first=True),
+        "without payloads": lambda one: one.get(st.OLDEST, st.NEWEST, payloads=False),
+        "followed": lambda one: followed(one, began, len(fields)),
+    }
+    for name, read in reads.items():
+        in_memory, archived = ([one._replace(incarnation=0) for one in read(channel)] for channel in channels)
+        assert len(in_memory) > 100
+        assert archived == in_memory, name
+
+
+def followed(channel: st.Channel, began: int, count: int) -> list[st.Item]:
+    with channel.subscribe(start=began - 10 * MS) as items:
+        return [next(items) for _ in range(count)]
