@@ -13,7 +13,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt._async import stream_reconnector as reconnecting_async
-from stampede_rt._sync import reconnecting as reconnecting_sync
+from stampede_rt._sync import stream_reconnector as reconnecting_sync
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 from tests.support.waiting import wait_until
