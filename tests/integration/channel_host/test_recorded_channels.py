@@ -12,8 +12,10 @@ import pytest
 import stampede_rt as st
 from stampede_rt.cli.main import main as stampede
 from stampede_rt.files.editing import cut
+from stampede_rt.files.entries import FileEntry
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.channel_host.recording_guide import check_guide
+from tests.support.files.recordings import read as events_of
 from tests.support.waiting import wait_until
 
 ITEMS = 400
@@ -202,6 +204,28 @@ def test_a_recording_has_all_items_although_its_host_has_restarted_with_few_of_t
         with rt.record(["rig/large"], tmp_path / f"{number}.mcap", since="1h", for_="0s") as recording:
             summary = recording.wait()
         assert [(one.recorded, one.missing) for one in summary.channels] == [(300, 0)]
+
+
+@pytest.mark.parametrize("since", [None, "1h"])
+def test_a_recording_that_lives_through_a_crash_has_each_item_once(
+    cluster: LocalCluster, rt: st.Connection, tmp_path: Path, since: str | None
+) -> None:
+    """In an earlier version it recorded the whole archive again."""
+    channel = rt.channel(f"rig/live-{since}", max_items=8, archive="7d")
+    channel.put(b"before", ack="disk")
+    with rt.record([channel], tmp_path / "live.mcap", since=since) as recording:
+        for number in range(5):
+            channel.put(b"%d" % number, ack="disk")
+        wait_until(lambda: recording.recorded == 5 + bool(since))
+        cluster.hosts[0].kill()
+        cluster.hosts[0].restart()
+        for number in range(5, 10):
+            rt.channel(channel.name).put(b"%d" % number, ack="disk")
+        wait_until(lambda: recording.recorded == 10 + bool(since))
+    events, _ = events_of(tmp_path / "live.mcap")
+    payloads = [one.data for one in events if isinstance(one, FileEntry)]
+    assert payloads == [b"before"] * bool(since) + [b"%d" % number for number in range(10)]
+    assert [gap.reason for one in recording.summary.channels for gap in one.gaps] == ["LOST"]
 
 
 def segment_with(folder: Path, payload: bytes) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import asdict
 
 from stampede_rt._async.channel import Channel
@@ -43,6 +44,10 @@ class ChannelRecording:
         self._stream: RecordingStream | None = None
         # The earliest item that the first read found; None after it is recorded or named as missing.
         self._first: Item | None = None
+        # From which time on items of the recording may be; None: from the oldest item on.
+        self._begins: int | None = None if later else time.time_ns()
+        # After the loss of the host: items of this time, up to this seq, come again from an archive.
+        self._repeated: tuple[int | None, int] = (None, 0)
         self._end_seq: int | None = None
         self._ending = False
         self._done = Signal()
@@ -70,8 +75,9 @@ class ChannelRecording:
             try:
                 await self._record(anew)
             except IncarnationLost as error:
+                read_to = 0 if self._stream is None else self._stream.read_to
                 await self._end_incarnation("LOST", error.message)
-                anew = True
+                anew, self._repeated = True, (self._recorded_to(), read_to)
 
     async def _fail(self, error: StampedeError) -> None:
         """Note that the channel cannot be recorded any further."""
@@ -87,7 +93,7 @@ class ChannelRecording:
     async def _record(self, anew: bool) -> None:
         """Record one incarnation, until `finish` or an error."""
         looked: list[RecordingGap] = []
-        start: Bound | None = OLDEST if anew else None
+        start = self._start_anew() if anew else None
         if anew and not self.tallies:
             looked = await self._look_at_oldest()
         elif self._since_nanos is not None and not anew:
@@ -108,6 +114,18 @@ class ChannelRecording:
             if self._end_seq is not None and not given_between(stream.read_to + 1, self._end_seq + 1):
                 stream.close()
 
+    def _recorded_to(self) -> int | None:
+        """The greatest time of the recorded items; without items the time at which the recording began, if known."""
+        times = [one.newest for one in self.tallies if one.newest is not None]
+        return max(times, default=self._begins)
+
+    def _start_anew(self) -> Bound:
+        """Where to begin if the host was lost. The archive of a recorded channel also has the items that the recording
+        has already.
+        """
+        known = self._recorded_to() if self.tallies and self._state.info.policy.is_recorded else None
+        return OLDEST if known is None else Bound(None, known)
+
     async def _next_tally(self, tally: ChannelTally, incarnation: int, live_seq: int) -> ChannelTally:
         """End the tally of a lost owner. The next one has the items that a replica accepts from `live_seq` on."""
         await self._sink.seal(tally, None, None)
@@ -120,7 +138,7 @@ class ChannelRecording:
         if found.interval is None:
             return OLDEST, []
         self._first = found[0] if found else None
-        begins = found.interval.start
+        begins = self._begins = found.interval.start
         if found.reason == "LOST":
             return Bound(None, begins), [self._lost_gap(found)]
         if not found.truncated:
@@ -148,6 +166,10 @@ class ChannelRecording:
         return RecordingGap(channel=self.name, incarnation=found.incarnation, reason="LOST", detail=detail, **bounds)
 
     async def _write(self, tally: ChannelTally, batch: RecordedBatch, read_to: int) -> None:
+        again, again_to = self._repeated
+        if again is not None and batch.items:
+            batch.items = [one for one in batch.items if one.time != again or one.seq > again_to]
+            self._repeated = (again if read_to < again_to else None, again_to)
         first, gaps = self._first, list(batch.gaps)
         if first is not None and (read_to >= first.seq or batch.items):
             self._first = None

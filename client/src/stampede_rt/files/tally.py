@@ -40,6 +40,11 @@ class ChannelTally:
         return self._recorded
 
     @property
+    def newest(self) -> int | None:
+        """The greatest time of the items in the file; None: there is none."""
+        return self._end
+
+    @property
     def end_seq(self) -> int:
         """The last seq that belongs to the recording, as known so far."""
         return self._end_seq

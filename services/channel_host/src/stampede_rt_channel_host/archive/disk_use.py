@@ -71,8 +71,8 @@ class DiskUse:
         if self.used_bytes + more > self.bytes_max:
             raise Overloaded(
                 f"the archive of the host has {self.used_bytes} bytes on its disk, and needs {more} more, of at most "
-                f"{self.bytes_max} (--archive-bytes-max, or max_archive of st.host); record less, use another host, or "
-                "have an operator delete the folders of deleted channels",
+                f"{self.bytes_max} (--archive-bytes-max, or max_archive of st.host); record less (archive, "
+                "archive_bytes), use another host, or have an operator delete the folders of deleted channels",
                 metadata={"archive_bytes_max": str(self.bytes_max)},
             )
 
