@@ -159,7 +159,7 @@ class FedCopy:
 
 
 @dataclass
-class Wanderer:
+class MovingSubscription:
     """A subscription that moves from host to host, each time with its last cursor."""
 
     saved: SavedCursor

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Offer, SavedCursor, item_blocks, pieces
 from tests.property.channel_pair import INCARNATION, ChannelPair
-from tests.property.fed_copies import FedCopy, Wanderer, held_by, refuses_behind
+from tests.property.fed_copies import FedCopy, MovingSubscription, held_by, refuses_behind
 from tests.property.random_source import RandomSource
 from tests.property.test_channel_against_oracle import FIRST_CLOCK, SET_UPS, STEPS, a_query, consume
 
@@ -30,7 +30,7 @@ class Scenario:
         self.pair = ChannelPair(policy, FIRST_CLOCK, lost_before)
         near = FedCopy(self.pair)
         self.copies = [near, FedCopy(self.pair), FedCopy(self.pair, near)]
-        self.reader = Wanderer(SavedCursor(incarnation=INCARNATION, next_seq=1))
+        self.reader = MovingSubscription(SavedCursor(incarnation=INCARNATION, next_seq=1))
 
     def step(self, rng: RandomSource) -> None:
         copy, limit_bytes = rng.pick(self.copies), rng.pick((0, 1, 150, 10**6))

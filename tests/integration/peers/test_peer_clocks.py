@@ -38,7 +38,7 @@ with st.connect(sys.argv[1], name=sys.argv[2]) as rt:
 """
 
 
-class Robot:
+class ClockedPeer:
     """A participant with a wall clock of its own."""
 
     def __init__(self, cluster: LocalCluster, name: str, file: Path, off_nanos: int) -> None:
@@ -67,11 +67,11 @@ class Robot:
 
 
 @pytest.fixture
-def robot(cluster: LocalCluster, tmp_path: Path) -> Iterator[Callable[[str, int], Robot]]:
-    made: list[Robot] = []
+def robot(cluster: LocalCluster, tmp_path: Path) -> Iterator[Callable[[str, int], ClockedPeer]]:
+    made: list[ClockedPeer] = []
 
-    def make(name: str, off_nanos: int) -> Robot:
-        made.append(Robot(cluster, name, tmp_path / str(len(made)), off_nanos))
+    def make(name: str, off_nanos: int) -> ClockedPeer:
+        made.append(ClockedPeer(cluster, name, tmp_path / str(len(made)), off_nanos))
         return made[-1]
 
     yield make
@@ -85,7 +85,7 @@ def is_off(clock: st.ClockOffset | None, nanos: int) -> bool:
 
 
 def test_every_leader_reports_the_clock_offset_of_a_participant(
-    cluster: LocalCluster, robot: Callable[[str, int], Robot], capsys: pytest.CaptureFixture[str]
+    cluster: LocalCluster, robot: Callable[[str, int], ClockedPeer], capsys: pytest.CaptureFixture[str]
 ) -> None:
     late = robot("robot/late", -7200 * SECOND)
     robot("robot/gone", 0).kill()
@@ -117,7 +117,7 @@ def test_every_leader_reports_the_clock_offset_of_a_participant(
 
 
 async def test_the_asyncio_client_reports_the_clock_offset_of_a_peer(
-    cluster: LocalCluster, robot: Callable[[str, int], Robot]
+    cluster: LocalCluster, robot: Callable[[str, int], ClockedPeer]
 ) -> None:
     early = robot("robot/early", 90 * SECOND)
     async with aio.connect(cluster.address) as rt, asyncio.timeout(PATIENCE_SECONDS):

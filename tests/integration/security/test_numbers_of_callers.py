@@ -34,7 +34,7 @@ def operator(cluster: LocalCluster) -> Iterator[Operator]:
         yield made
 
 
-class Thief:
+class IdThief:
     """A caller that learns the ids of another caller's delivery from a listing, and names them in its own calls."""
 
     def __init__(self, channel: grpc.Channel, queue: st.Queue, token: str) -> None:
@@ -63,7 +63,7 @@ class Thief:
 
 
 @contextmanager
-def robbed(operator: Operator) -> Iterator[tuple[Thief, st.Message]]:
+def robbed(operator: Operator) -> Iterator[tuple[IdThief, st.Message]]:
     """Yield a thief, and the message that another caller has taken. At the end this other caller acknowledges it."""
     operator.add("worker-*", "take", "jobs", "--kind", "queue")
     tokens = [operator.token(name) for name in ("worker-1", "worker-2")]
@@ -73,7 +73,7 @@ def robbed(operator: Operator) -> Iterator[tuple[Thief, st.Message]]:
         message = queue.get(timeout=10)
         assert message is not None
         with grpc.insecure_channel(own.hosts()[0].endpoints[0]) as channel:
-            yield Thief(channel, queue, tokens[1]), message
+            yield IdThief(channel, queue, tokens[1]), message
         assert message.ack() is None
         assert queue.stats().held == 0
 

@@ -322,7 +322,7 @@ def test_a_host_in_a_shell_with_a_clients_certificates_uses_the_certificates_of_
     assert host.exit_code == 0
 
 
-class Bomb:
+class FileMakingPickle:
     """A pickle that makes a file when it is loaded."""
 
     def __init__(self, place: Path) -> None:
@@ -361,7 +361,7 @@ async def outcome(call: Any) -> grpc.StatusCode:
 
 def test_random_bytes_and_pickles_have_no_effect_at_any_port(cluster: LocalCluster, tmp_path: Path) -> None:
     place = tmp_path / "exploded"
-    bombs = [pickle.dumps(Bomb(place), protocol) for protocol in (0, 2, 5)]
+    bombs = [pickle.dumps(FileMakingPickle(place), protocol) for protocol in (0, 2, 5)]
     preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
     noise = [random.Random(seed).randbytes(4096) for seed in range(3)]
     member = cluster.tls_files("s1", Role.SUPERNODE)

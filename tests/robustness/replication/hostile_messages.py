@@ -24,7 +24,7 @@ FAR = (0, 1, 2**20, 2**31, 2**61, 2**62, 2**62 + 1, 2**63 - 1, 2**63, 2**64 - 1)
 NAMES = "abcdexyz"
 
 
-class Liar:
+class FalseMessages:
     """Draws messages to one replica whose state it knows."""
 
     def __init__(self, random_source: random.Random, victim: RaftReplica, asked: Sequence[int] = ()) -> None:

@@ -34,7 +34,7 @@ from stampede_rt_supernode.replication.wire.codec import decode_message
 from stampede_rt_supernode.replication.wire.messages import ForwardedCommand, ReadIndexRequest
 from stampede_rt_supernode.replication.wire.records import MalformedMessage
 from tests.robustness.replication.fault_rates import FaultRates
-from tests.robustness.replication.hostile_messages import Liar
+from tests.robustness.replication.hostile_messages import FalseMessages
 from tests.robustness.replication.raft_rules import CommittedEntries
 from tests.robustness.replication.simulate import Trial, draw_fault_rates, heal_and_check
 from tests.robustness.replication.world import World
@@ -44,7 +44,7 @@ SEEDS = range(int(os.environ.get("STAMPEDE_HOSTILE_SEEDS", "15")))
 MESSAGES = 400
 
 
-class Ears:
+class VictimNetwork:
     """The victim's network. It notes the dropped streams, and sends nothing."""
 
     def __init__(self) -> None:
@@ -70,7 +70,7 @@ class Ears:
         """Do nothing: all are connected."""
 
 
-class Credulous(History):
+class UncheckedHistory(History):
     """A history without checks, because a hostile leader may make the victim's state wrong."""
 
     def applied(self, index: int, command: bytes) -> None:
@@ -99,7 +99,7 @@ class UncheckedRules(CommittedEntries):
         """Do nothing."""
 
 
-class CredulousMachine(ListMachine):
+class UncheckedMachine(ListMachine):
     """A state machine that a hostile leader may set back."""
 
     def apply(self, index: int, command: bytes) -> bytes:
@@ -121,13 +121,13 @@ class Victim:
             snapshot_every_entries=20,
             snapshot_piece_bytes=100,
         )
-        self.now, self.network = 100.0, Ears()
+        self.now, self.network = 100.0, VictimNetwork()
         self.replica = self._open()
 
     def _open(self) -> RaftReplica:
         replica = RaftReplica(
             self._settings,
-            CredulousMachine(Credulous()),
+            UncheckedMachine(UncheckedHistory()),
             store=SqliteStore(self._folder, cluster_id="", member_id="a", create=True),
             network=self.network,
             clock=lambda: self.now,
@@ -165,7 +165,9 @@ def test_no_message_of_a_member_ends_a_process_or_spoils_its_store(seed: int, tm
     random_source = random.Random(f"hostile-{seed}")
     victim = Victim(random_source, tmp_path)
     for _ in range(MESSAGES):
-        victim.hear(random_source.choice("bbc"), Liar(random_source, victim.replica, victim.network.asked).message())
+        victim.hear(
+            random_source.choice("bbc"), FalseMessages(random_source, victim.replica, victim.network.asked).message()
+        )
         if random_source.random() < 0.5:
             victim.step()
         if random_source.random() < 0.01:
@@ -208,7 +210,7 @@ class Outsider:
         replica.deliver(StreamOpened(name))
         replica.deliver(MembersReported(name, (member, Member(member_id=f"{name}'", address="elsewhere:1"))))
         try:
-            message = Liar(self._random_source, replica).message()
+            message = FalseMessages(self._random_source, replica).message()
             replica.deliver(
                 MessageReceived(name, decode_message(pb.RaftMessage.FromString(message.SerializeToString())))
             )
@@ -241,7 +243,7 @@ def test_callers_that_are_not_members_cannot_stop_the_cluster(seed: int) -> None
 def test_members_that_outsiders_have_misled_find_each_other_after_a_restart(seed: int) -> None:
     """A member that is cut off may listen to outsiders. No process ends, and the members find each other again."""
     world = World(seed, size=3, fault_rates=draw_fault_rates(random.Random(seed)))
-    world.history, world.committed, world.may_be_misled = Credulous(), UncheckedRules(), True
+    world.history, world.committed, world.may_be_misled = UncheckedHistory(), UncheckedRules(), True
     for member in world.members.values():
         member.start()
     outsider = Outsider(world)

@@ -182,7 +182,7 @@ def execute(what: str) -> None:
     EXECUTED.append(what)
 
 
-class Bomb:
+class CodePickle:
     """A pickle that runs code when a program loads it."""
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -213,7 +213,7 @@ async def refusal(address: str, *requests: bytes) -> grpc.StatusCode:
 
 async def test_pickles_and_random_bytes_at_the_port_execute_nothing(tmp_path: Path) -> None:
     EXECUTED.clear()
-    bomb = pickle.dumps(Bomb())
+    bomb = pickle.dumps(CodePickle())
     command = pb.RaftMessage(forwarded_command=pb.RaftForwardedCommand(request_id=1, command=b"\x00" + bomb))
     async with LiveCluster(1, tmp_path) as cluster:
         [member] = cluster.all

@@ -43,7 +43,7 @@ class RunFigures(NamedTuple):
     breaks: int
 
 
-class HastyCallers(ChannelCallers):
+class HandoffCallers(ChannelCallers):
     """The callers of one channel. The producer often puts just when a channel is handed over, perhaps its own
     channel.
     """
@@ -104,7 +104,7 @@ class DrainTrial:
         self.clock = clock
         cluster = self.cluster = DrainCluster(clock, seed, rng.choice((2, 3, 3)), rng.choice((1, 4, 8)))
         self.callers = [
-            HastyCallers(cluster, one, Policy(), rng, rng.choice(PAUSES_SECONDS)) for one in cluster.channel_ids
+            HandoffCallers(cluster, one, Policy(), rng, rng.choice(PAUSES_SECONDS)) for one in cluster.channel_ids
         ]
         self.faults = DrainFaults(cluster, rng, self.owner_number, self.drain)
         self.moved = 0

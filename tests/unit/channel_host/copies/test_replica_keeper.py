@@ -90,7 +90,7 @@ async def test_the_flag_of_a_silent_replica_is_cleared_while_another_host_is_fro
     assert directory.tries_to_add >= 1
 
 
-class LonelyDirectory(Directory):
+class DirectoryWithoutHosts(Directory):
     """A directory without a host for a replica."""
 
     async def replicas_of(self, channel_id: bytes) -> ListedReplicas:
@@ -99,7 +99,7 @@ class LonelyDirectory(Directory):
 
 async def test_an_owner_asks_less_often_while_no_host_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
     store: Any = Store()
-    directory: Any = LonelyDirectory()
+    directory: Any = DirectoryWithoutHosts()
     kept = KeptChannel(OWNER, store, directory, lambda target: FrozenConnection(), opened(replicas=1))  # type: ignore[arg-type,return-value]
     tried_at_s = []
     for now_s in range(1000, 1040):

@@ -61,7 +61,7 @@ def log() -> Log:
 
 @asynccontextmanager
 async def called_by(name: str, *rules: AccessRule) -> AsyncIterator[None]:
-    """The block is a call of the client `name` under these rules."""
+    """Make the block a call of the client `name` under these rules."""
     control = AccessControl()
     control.set_state(AccessState(version=1, cluster_id="c", rules=AccessRules(rules)))
     caller = Caller(kind=CallerKind.TOKEN, roles=frozenset({Role.CLIENT}), name=name)

@@ -152,7 +152,7 @@ def reads_of(file: int) -> ReadAt:
 def _read_at_hand(file: int, offset: int, size: int) -> bytes:
     """Bytes from the cache of the system. Raises BlockingIOError if it does not have all of them.
 
-    Raises another OSError if the file system cannot refuse to wait, as an overlay.
+    Raises another OSError if the file system, such as an overlay, cannot refuse to wait.
     """
     found = bytearray(size)
     if sys.platform != "linux" or os.preadv(file, [found], offset, os.RWF_NOWAIT) < size:

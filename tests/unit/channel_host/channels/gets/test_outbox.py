@@ -31,7 +31,7 @@ class Context:
         self.written.append(message)
 
 
-class Box:
+class OutboxRig:
     """An outbox, and its effects: the ended calls, the payload bytes sent, and the long work that it began."""
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ def answer(call_id: int, messages: int) -> Iterator[EncodedMessage]:
 
 
 async def test_a_single_message_is_written_by_the_caller_itself() -> None:
-    box = Box()
+    box = OutboxRig()
     tasks = len(asyncio.all_tasks())
     box.add(1)
     await box.outbox.flush()
@@ -65,7 +65,7 @@ async def test_a_single_message_is_written_by_the_caller_itself() -> None:
 
 
 async def test_answers_to_several_gets_are_written_in_turns() -> None:
-    box = Box()
+    box = OutboxRig()
     box.add(1, messages=3)
     box.add(2)
     box.add(3, messages=2)
@@ -77,7 +77,7 @@ async def test_answers_to_several_gets_are_written_in_turns() -> None:
 
 
 async def test_a_dropped_call_gets_no_further_messages() -> None:
-    box = Box()
+    box = OutboxRig()
     box.context.open.clear()
     box.add(1, messages=3)
     box.add(2)
@@ -90,7 +90,7 @@ async def test_a_dropped_call_gets_no_further_messages() -> None:
 
 
 async def test_a_stream_with_too_many_queued_answers_waits_until_they_are_written() -> None:
-    box = Box()
+    box = OutboxRig()
     box.context.open.clear()
     for call_id in range(ANSWERS_QUEUED_MAX + 2):
         box.add(call_id)
@@ -104,7 +104,7 @@ async def test_a_stream_with_too_many_queued_answers_waits_until_they_are_writte
 
 
 async def test_a_closed_outbox_writes_no_more() -> None:
-    box = Box()
+    box = OutboxRig()
     box.context.open.clear()
     box.add(1)
     box.add(2)
@@ -117,7 +117,7 @@ async def test_a_closed_outbox_writes_no_more() -> None:
 
 
 async def test_answers_are_bounded_by_the_bytes_that_they_keep() -> None:
-    box = Box()
+    box = OutboxRig()
     box.context.open.clear()
     for call_id in range(3):
         box.outbox.add(call_id, answer(call_id, 1), box.count, QUEUED_BYTES_MAX // 2 + 1)
@@ -132,7 +132,7 @@ async def test_answers_are_bounded_by_the_bytes_that_they_keep() -> None:
 
 
 async def test_a_dropped_answer_frees_its_items_and_makes_room() -> None:
-    box = Box()
+    box = OutboxRig()
     box.outbox.add(1, answer(1, 1), box.count, 10 * QUEUED_BYTES_MAX)
     box.outbox.drop(1)
     assert (box.outbox.queued_bytes, box.ended) == (0, [1])
@@ -143,7 +143,7 @@ def gathered(parts: int) -> SlicesInParts:
 
 
 async def test_unsent_items_of_a_dropped_call_or_an_ended_stream_are_freed_in_pieces() -> None:
-    box, one, other = Box(), gathered(5), gathered(7)
+    box, one, other = OutboxRig(), gathered(5), gathered(7)
     box.outbox.add(1, answer(1, 1), box.count, slices=one)
     box.outbox.add(2, answer(2, 1), box.count, slices=other)
     box.outbox.drop(1)
@@ -155,7 +155,7 @@ async def test_unsent_items_of_a_dropped_call_or_an_ended_stream_are_freed_in_pi
 
 
 async def test_an_answer_after_the_end_of_the_stream_is_freed_and_not_written() -> None:
-    box = Box()
+    box = OutboxRig()
     box.outbox.close()
     box.add(1)
     box.outbox.kick()

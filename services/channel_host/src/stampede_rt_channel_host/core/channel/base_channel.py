@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.channel.reading import QueryReader
 from stampede_rt_channel_host.core.channel.restoring import leave_to_archive, restore
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.run import Run, Slice
-from stampede_rt_channel_host.core.channel.values import Counters, GrowingCounts, OddCounts
+from stampede_rt_channel_host.core.channel.values import Counters, GrowingCounts, OtherCounts
 from stampede_rt_channel_host.core.ring_writer import RingFacts
 
 FREED_ENTRIES_PER_CALL = 32
@@ -112,11 +112,11 @@ class BaseChannel:
         return GrowingCounts(self._held.accepted, self._held.accepted_bytes)
 
     @property
-    def odd_counts(self) -> OddCounts:
+    def other_counts(self) -> OtherCounts:
         """The counts that a copy cannot work out from the items alone, as of the last call."""
         held = self._held
         others = sum(held.collected.values()) - held.collected.get(held.last_cause, 0)
-        return OddCounts(self._acceptance.refused_items, held.late, held.last_cause, others)
+        return OtherCounts(self._acceptance.refused_items, held.late, held.last_cause, others)
 
     @property
     def known_consumers(self) -> Consumers | None:

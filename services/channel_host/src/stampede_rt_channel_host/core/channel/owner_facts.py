@@ -19,7 +19,7 @@ from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.consumer_places import ConsumerPlace, Place
 from stampede_rt_channel_host.core.channel.consumption import Consumers
 from stampede_rt_channel_host.core.channel.new_item import NewItem
-from stampede_rt_channel_host.core.channel.values import Counters, GrowingCounts, OddCounts
+from stampede_rt_channel_host.core.channel.values import Counters, GrowingCounts, OtherCounts
 from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.window_feed import WindowFeed
 
@@ -69,7 +69,7 @@ class OwnerFactsFeed:
         self._next_round = -(2**63)
         self._clock = 0
         self._takes_puts = takes_puts
-        self._sent_counts: tuple[GrowingCounts, OddCounts | Counters] | None = None  # as of the last part
+        self._sent_counts: tuple[GrowingCounts, OtherCounts | Counters] | None = None  # as of the last part
 
     @property
     def is_level(self) -> bool:
@@ -122,10 +122,10 @@ class OwnerFactsFeed:
         self._sent_counts = GrowingCounts(growth.accepted + 1, growth.accepted_bytes + item.length), odd
         return True
 
-    def _counts_now(self) -> tuple[GrowingCounts, OddCounts | Counters]:
+    def _counts_now(self) -> tuple[GrowingCounts, OtherCounts | Counters]:
         """The counts that the copy must get. A copy that takes puts computes the other counts."""
         source = self._source
-        return source.growth, source.odd_counts if self._takes_puts else source.latest_counters()
+        return source.growth, source.other_counts if self._takes_puts else source.latest_counters()
 
     def _places_now(self) -> tuple[Consumers | None, int]:
         consumers = self._source.known_consumers

@@ -224,8 +224,8 @@ class GrowingCounts(NamedTuple):
     accepted_bytes: int
 
 
-class OddCounts(NamedTuple):
-    """Sums of the other counts: refused items, late items, and the items collected for other causes than the last."""
+class OtherCounts(NamedTuple):
+    """The other counts: refused items, late items, and the items that were not collected for `last_cause`."""
 
     refused: int
     late: int

@@ -316,9 +316,9 @@ class Membership(NodeState):
         return node is not None and self.transport.send(node, TimeoutNow(term=self.term))
 
 
-def _remember(members: dict[str, Member], news: Iterable[Member], members_max: int) -> None:
-    """Put `news` last, and forget the first members if there are too many."""
-    for member in news:
+def _remember(members: dict[str, Member], named: Iterable[Member], members_max: int) -> None:
+    """Put the `named` members last, and forget the first members if there are too many."""
+    for member in named:
         members.pop(member.member_id, None)
         members[member.member_id] = member
     for member_id in list(members)[:-members_max]:
