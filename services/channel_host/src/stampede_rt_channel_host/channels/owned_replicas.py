@@ -54,6 +54,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
         self._steady_nanos = steady_nanos
         self._feeds: dict[bytes, Feed] = {}
         self._changed = asyncio.Event()
+        self._wait_count = 0  # the calls of `wait_until`
         self._watchers: dict[Callable[[bool], None], None] = {}
         self.news = asyncio.Event()
         """Set when the keeper of the replicas has work to do."""
@@ -118,7 +119,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
         """Note that the replica at the end of this feed holds everything before `next_place`."""
         if self._feeds.get(host_id) is feed:
             self._in_sync.report(host_id, next_place, self._steady_nanos())
-            if self.states().get(host_id) is ReplicaState.OUT:
+            if self._in_sync.is_out(host_id):
                 self.news.set()
             self.go_on()
 
@@ -145,12 +146,15 @@ class OwnedReplicas(ABC, Generic[Feed]):
         Waits `seconds_max` at most; None: without a limit.
         """
         period = period or self.period
+        self._wait_count += 1
         try:
             async with asyncio.timeout(seconds_max):
                 while not condition() and period.ended is None:
                     await self._changed.wait()
         except TimeoutError:
             pass
+        finally:
+            self._wait_count -= 1
         return condition()
 
     def end(self, error: StampedeError) -> None:
@@ -180,7 +184,8 @@ class OwnedReplicas(ABC, Generic[Feed]):
 
     def wake_waits(self) -> None:
         """Let all waits look at their conditions."""
-        changed, self._changed = self._changed, asyncio.Event()
-        changed.set()
+        if self._wait_count:
+            changed, self._changed = self._changed, asyncio.Event()
+            changed.set()
         for at, look in enumerate([*self._watchers]):
             look(at < WRITES_AT_ONCE_MAX)

@@ -120,6 +120,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
             yield from self._view.filling(self._now())
         self.is_filled = True
         self.accepted(self._now())
+        self.wake_waits()
 
     async def ready(self) -> bool:
         """Wait until readers and producers may use the channel, READY_SECONDS_MAX at most. Returns whether they may."""
@@ -140,9 +141,12 @@ class Replication(OwnedReplicas[ReplicaFeed]):
             feed.wake()
         if self._view is not None:
             self._view.stage(now)
+        before = self.replicated_next
         self._in_sync.put(self._core.next_seq)
         if self._view is None:
             self._on_shown(now)
+        if self.replicated_next != before:
+            self.wake_waits()  # as in `go_on`
         self._show(now)
 
     @property
@@ -204,10 +208,10 @@ class Replication(OwnedReplicas[ReplicaFeed]):
 
     def go_on(self) -> None:
         """Show the replicated items to readers, and release the calls that wait for them."""
+        self.wake_waits()  # first: no reader can ask before the change is shown, in the same turn of the event loop
         self._show(self._now())
 
     def _show(self, now: int) -> None:
-        self.wake_waits()  # first: no reader can ask before the change is shown, in the same turn of the event loop
         if self._view is not None and self.is_filled and self._view.show(self.replicated_next, now):
             self._on_shown(now)
 

@@ -9,7 +9,7 @@ import pytest
 
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Match
-from stampede_rt_channel_host.core.channel import ChannelCore, Offer
+from stampede_rt_channel_host.core.channel import ChannelCore, ChannelFeed, Offer
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_blocks import BLOCK_ITEMS
 from stampede_rt_channel_host.core.channel.run import Slice
@@ -182,7 +182,12 @@ def test_the_kept_part_of_a_run_is_copied_once_no_further_runs_come() -> None:
         channel.put(Offer(times=None, durations=None, lengths=(1000,) * 8), now, lambda *_: bytes(8000))
     assert cuts == [(7, 8)], "only the third put has freed no whole run"
     full_bytes = channel.footprint_bytes
-    channel.next_deadline(CLOCK + 8)
+    feed = ChannelFeed(channel, None, CLOCK + 8)
+    while feed.take(CLOCK + 8, 10**6) is not None:  # a reader comes in between two puts
+        pass
+    assert cuts == [(7, 8)]
+    assert channel.next_deadline(CLOCK + 8) == CLOCK + 8
+    channel.collect(CLOCK + 8)
     assert cuts == [(7, 8)] * 2
     assert channel.footprint_bytes == full_bytes - 7 * 64 - 8000 + 10
     assert channel.next_deadline(CLOCK + 8) is None

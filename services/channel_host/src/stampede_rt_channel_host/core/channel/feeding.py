@@ -174,7 +174,7 @@ class ChannelFeed:
         owner = None if self.owner is None else self.owner.take(now)
         has_runs = self.owner is None or self.owner.is_level  # the copy must know the runs of the items that it gets
         batch = self._source.since(self._cursor, now, limit_bytes if has_runs else 0)
-        held, _ = self._source.look(now)
+        held = self._source.held
         collection: CollectionFacts | None = collection_of(held)
         advance = self._source.advanced_to
         cleared, self._cleared = self._cleared, None

@@ -291,11 +291,11 @@ class Holdings(HeldItems):
         if self.newest_collected is None or time > self.newest_collected:
             self.newest_collected = time
 
-    def free(self, entries_max: int, backlog_bytes_max: int | None = None) -> bool:
+    def free(self, entries_max: int, backlog_bytes_max: int | None = None, *, trims: bool = True) -> bool:
         """Free up to `entries_max` entries of outdated items. Returns True if another call may free more.
 
         While the outdated items are charged with more than `backlog_bytes_max`, frees more entries, but at most
-        FREED_ENTRIES_MAX.
+        FREED_ENTRIES_MAX. `trims` False: leaves the part of an entry to a call that trims.
         """
         floor: ItemKey | None = None
         for freed in range(FREED_ENTRIES_MAX):
@@ -306,7 +306,7 @@ class Holdings(HeldItems):
                 return self.has_backlog
             if not self._free_entry(floor := floor or self._free_floor):
                 # In a steady flow the next call frees the whole entry, and a copy of its rest would be in vain.
-                self._owes_trim = freed > 0 and self._may_trim(floor)
+                self._owes_trim = (freed > 0 or not trims) and self._may_trim(floor)
                 if not self._owes_trim:
                     self._trim(floor)
                 return self._owes_trim

@@ -82,7 +82,9 @@ class ReplicatedView:
         if isinstance(run, OneRun):
             return OneRun(run.first_seq, run.first_time, run.duration, run.length, run.body)
         if part.is_whole:
-            return ColumnRun(run.first_seq, run.times, run.durations, run.lengths, run.body)
+            whole = ColumnRun(run.first_seq, run.times, run.durations, run.lengths, run.body)
+            whole.whole_bytes = run.payload_bytes(0, len(run))
+            return whole
         durations = None if run.durations is None else run.durations[part.lo : part.hi]
         body = self._cut(bytes(run.body), part.lo, part.hi)
         return make_run(part.first_seq, run.times[part.lo : part.hi], durations, run.lengths[part.lo : part.hi], body)

@@ -143,6 +143,11 @@ class ReplicasInSync:
     def _waited_for(self) -> list[_Replica]:
         return [one for one in self._replicas.values() if one.is_waited_for]
 
+    def is_out(self, host_id: bytes) -> bool:
+        """Whether the replica at this host is known, and has no flag."""
+        replica = self._replicas.get(host_id)
+        return replica is not None and not replica.is_waited_for
+
     def states(self) -> dict[bytes, ReplicaState]:
         """The state of each replica, by its host."""
         return {host_id: one.state for host_id, one in self._replicas.items()}
@@ -212,8 +217,10 @@ class ReplicasInSync:
     def _go_on(self) -> None:
         if not self._is_known:
             return
-        waited_for = self._waited_for()
-        least = min((one.next_seq for one in waited_for), default=self._next_seq)
-        in_sync = sum(one.state is ReplicaState.IN for one in waited_for)
-        most = self._next_seq if in_sync >= self.min_replicas else self.start
-        self.replicated = max(self.replicated, min(least, most, self._next_seq))
+        least, in_sync = self._next_seq, 0
+        for one in self._replicas.values():  # at each put and each report: in one walk, without lists
+            if one.is_waited_for:
+                least = min(least, one.next_seq)
+                in_sync += one.state is ReplicaState.IN
+        most = least if in_sync >= self.min_replicas else min(least, self.start)
+        self.replicated = max(self.replicated, most)
