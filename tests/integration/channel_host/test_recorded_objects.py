@@ -107,7 +107,7 @@ def test_an_archive_in_an_object_store_equals_one_in_a_folder_and_follows_a_move
 
 
 def test_the_next_owner_of_a_channel_serves_the_items_that_its_lost_host_had_moved(
-    server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection
+    server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection, tmp_path: Path
 ) -> None:
     channel, began = filled(rt, "rig/lost", "h1")
     moved(server, folder, channel, "h1")
@@ -117,6 +117,10 @@ def test_the_next_owner_of_a_channel_serves_the_items_that_its_lost_host_had_mov
         channel = rt.channel("rig/lost")
         assert numbers(channel.get(began, began + (ITEMS - 1) * MS)) == list(range(ITEMS))
         assert channel.get(began + ITEMS * MS, st.NOW).reason == "LOST"
+        for number in range(3):  # the next seq is far above the last item
+            with rt.record(["rig/lost"], tmp_path / f"{number}.mcap", since="1h", for_="0s") as recording:
+                (counts,) = recording.wait().channels
+            assert (counts.recorded, counts.missing, [one.reason for one in counts.gaps]) == (ITEMS, 0, ["LOST"])
         put(channel, began, ITEMS, ITEMS + 5)
         assert numbers(channel.get(began, st.NOW)) == list(range(ITEMS + 5))
     finally:

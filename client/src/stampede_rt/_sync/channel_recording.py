@@ -112,7 +112,7 @@ class ChannelRecording:
             self._write(tally, batch, stream.read_to)
             if batch.next_live_seq is not None:
                 tally = self._next_tally(tally, stream.incarnation, batch.next_live_seq)
-            if self._end_seq is not None and not given_between(stream.read_to + 1, self._end_seq + 1):
+            if self._end_seq is not None and stream.read_to >= self._end_seq:
                 stream.close()
 
     def _recorded_to(self) -> int | None:
@@ -158,8 +158,10 @@ class ChannelRecording:
         found = self._found_from(OLDEST)
         return [self._lost_gap(found)] if found.reason == "LOST" else []
 
-    def _found_from(self, start: Bound) -> Items:
-        return self._channel.get(start, NOW, match="start", limit=1, payloads=False, timeout=0)
+    def _found_from(self, start: Bound, *, newest_first: bool = False) -> Items:
+        return self._channel.get(
+            start, NOW, match="start", limit=1, newest_first=newest_first, payloads=False, timeout=0
+        )
 
     def _lost_gap(self, found: Items) -> RecordingGap:
         detail, within = found.reason.detail if found.reason else "", found.interval
@@ -211,7 +213,7 @@ class ChannelRecording:
             self._give_up(stream)
             return
         end_seq = self._end_seq = stream.read_to if accepted is None else accepted
-        if not given_between(stream.read_to + 1, end_seq + 1) or not self._done.wait(drain_s):
+        if stream.read_to >= end_seq or not self._done.wait(drain_s):
             stream.close()
         self._done.wait(drain_s)
         if self._stream is stream:  # the stream was not lost meanwhile
@@ -231,4 +233,16 @@ class ChannelRecording:
             return None, None
         if not self.tallies or stats.incarnation != self.tallies[-1].incarnation:
             return None, None
-        return stats.accepted if stats.next_seq is None else stats.next_seq - 1, stats.advance
+        return stats.accepted if stats.next_seq is None else self._last_seq(stats.next_seq), stats.advance
+
+    def _last_seq(self, next_seq: int) -> int | None:
+        """The seq of the last item before `next_seq`. An owner that follows a lost one has left out many seqs; before
+        its first item the newest item tells it.
+        """
+        if next_seq == 1 or given_between(1, next_seq):
+            return next_seq - 1
+        try:
+            found = self._found_from(OLDEST, newest_first=True)
+        except StampedeError:
+            return None
+        return found[0].seq if found else 0
