@@ -120,9 +120,7 @@ class Scenario:
         self._begin_copy()
 
     def _expect_loss(self, reader: Reader, there: int) -> None:
-        """The reader keeps the items that it has. It gets none of the lost items, and hears of their loss after all
-        other items.
-        """
+        """Expect that the reader gets none of the lost items, and is told of their loss after all other items."""
         known = len(reader.seen)
         rest = [one for one in reader.expected[known:] if one[1] < 0 or one[0] < there]
         ends = [at for at, one in enumerate(rest) if one[1] < 0 and one[0] >= there]  # earlier losses at the same place

@@ -17,7 +17,7 @@ from tests.support.supernode.operations import id_of
 
 STORIES = int(os.environ.get("STAMPEDE_STORIES", "4"))
 CHANNELS, ROUNDS = 5, 6
-QUIET_SECONDS = 30.0  # by then each move has ended, and each free stream too
+QUIET_SECONDS = 30.0  # after this time each move has ended, and each free stream, too
 
 
 class Story:

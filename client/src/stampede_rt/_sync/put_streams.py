@@ -46,7 +46,7 @@ class PutStream:
         return self.target == binding.target and not self.exchange.broken and not is_behind
 
     def is_free(self, ends_s: float) -> bool:
-        """Whether all puts under way give up by `ends_s`, so that a new put can end by then, too."""
+        """Whether all puts under way give up by `ends_s`, so that a new put can end by `ends_s`, too."""
         return not self.puts or (self.ends_s <= ends_s and not self.exchange.one_at_a_time)
 
 

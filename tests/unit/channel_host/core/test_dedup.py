@@ -233,7 +233,7 @@ def test_parts_whose_seqs_follow_each_other_are_one() -> None:
 
 
 @pytest.mark.parametrize("bounds", [{"producers_max": 200}, {"bytes_max": 100_000}])
-def test_one_caller_with_very_many_producers_displaces_only_its_own(bounds: dict[str, int]) -> None:
+def test_one_caller_with_very_many_producers_displaces_only_its_own_producers(bounds: dict[str, int]) -> None:
     window = RetryWindow(**bounds)
     for producer_id in range(1, 11):
         window.record(producer_id, 1, accepted(1, producer_id), owner="good")

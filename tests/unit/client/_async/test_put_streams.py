@@ -44,7 +44,7 @@ def shared(target: str) -> Owner:
     return "puts", target
 
 
-def test_all_channels_of_a_host_share_a_stream_and_another_host_has_its_own() -> None:
+def test_all_channels_of_a_host_share_a_stream_and_another_host_has_another_stream() -> None:
     streams, opened = PutStreams(), OpenCounter()
     for subject in (b"one", b"two", b"three"):
         for target in ("a:1", "b:1"):

@@ -1,7 +1,7 @@
 """Files of other writers, and other readers of our files.
 
-Two other writers: foxglove-sdk (in Rust) and rosbags. Two other readers: the one of the mcap library, and the one of
-rosbags, which has its own code for MCAP. foxglove-sdk has no reader.
+Two other writers: foxglove-sdk (in Rust) and rosbags. Two other readers: the reader of the mcap library, and the
+reader of rosbags, which has its own code for MCAP. foxglove-sdk has no reader.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The use of a port by callers, and the refusals of more."""
+"""The use of a port by its callers, and the refusals of calls beyond their quotas."""
 
 from __future__ import annotations
 

@@ -195,7 +195,7 @@ class CopyKeeper:
             await channel.close(None)
 
     async def _pause(self, copy: _Copy, pause_s: float) -> None:
-        """Wait before the next try. End the readers of a copy that is too old by then."""
+        """Wait before the next try. End the readers of a copy that has become too old."""
         await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
         held = self._store.copies.of(copy.record.channel_id)
         if held is not None and copy.state.staleness_nanos > SERVED_STALENESS_NANOS_MAX:

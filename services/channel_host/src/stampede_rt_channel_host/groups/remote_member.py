@@ -82,7 +82,7 @@ class RemoteMember:
         return AHEAD_ITEMS * self._item_bytes
 
     async def keep(self, dial: Dial, on_news: Callable[[], None]) -> None:
-        """Follow the member at its owner. If that fails, try again at the host that the directory names by then."""
+        """Follow the member at its owner. If that fails, try again at the host that the directory then names."""
         while True:  # paced by the sleep; ends by cancellation
             if self.target:
                 try:

@@ -1,4 +1,4 @@
-"""A host that starts while its object store is away: it serves what it has, and lists the store when it is back."""
+"""A host that starts while its object store is away serves its own items, and lists the store when it is back."""
 
 from __future__ import annotations
 

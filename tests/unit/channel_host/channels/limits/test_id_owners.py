@@ -56,7 +56,7 @@ def test_an_id_that_members_use_belongs_to_no_other_caller(caller: list[str]) ->
         use(owners, QUEUE, 7, "consumer")
 
 
-def test_a_caller_with_too_many_numbers_displaces_only_its_own(caller: list[str]) -> None:
+def test_a_caller_with_too_many_numbers_displaces_only_its_own_numbers(caller: list[str]) -> None:
     owners = IdOwners()
     use(owners, QUEUE, 7, "taker")
     caller.append("thief")

@@ -18,7 +18,7 @@ def told(of: ChannelCore, follower: OwnChannelTimes) -> tuple[int | None, int | 
     return times.newest, times.newest_end
 
 
-def test_the_largest_end_in_the_newest_bucket_counts_and_a_later_bucket_has_its_own() -> None:
+def test_the_largest_end_in_the_newest_bucket_counts_and_a_later_bucket_has_its_own_end() -> None:
     made = channel(10, durations=[5])
     follower = OwnChannelTimes(made, NOW)
     assert told(made, follower) == (10, 15)

@@ -1,4 +1,4 @@
-"""Feature levels: the commands that a cluster of several releases may use, and a release that knows too few."""
+"""Feature levels: the commands that a cluster of several releases may use, and releases that do not know all."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_a_supernode_does_not_open_a_snapshot_above_the_level_of_its_release() -
         DirectoryReplica().prepare_restore(snapshot)
 
 
-def test_the_level_never_falls_and_a_founding_cluster_begins_at_its_own() -> None:
+def test_the_level_never_falls_and_a_new_cluster_begins_at_the_level_of_its_founder() -> None:
     founded = BeginTenure(
         tenure=1, supernode_id="s1", new_cluster_id="c", new_lease_ttl_nanos=TTL_NANOS, new_feature_level=NEW_LEVEL
     )

@@ -130,7 +130,7 @@ class QueueJournal:
     def surely_takes(self, step: QueueStep) -> bool:
         """Whether `apply` cannot fail: this is the next step, and the copy holds each message that the step changes.
 
-        False also if only a longer look would find out.
+        Also False if only a longer search could show this.
         """
         changed = (*(one.seq for one in step.changes.items), *step.removed)
         new = {seq for seq in changed if self._queue_items.tracked.get(seq) is None}
