@@ -47,6 +47,7 @@ class FedCopy:
     channel: FedChannel = field(init=False)
     feed: ChannelFeed | None = None
     last: FeedPart | None = None
+    last_at: int = 0
     begun_anew: int = 0
 
     def __post_init__(self) -> None:
@@ -88,7 +89,7 @@ class FedCopy:
                 self._drop_items()
         if self.channel.policy != self.source.policy:
             self.channel.configure(self.source.policy, clock)
-        self.last = self.feed.take(clock, limit_bytes)
+        self.last, self.last_at = self.feed.take(clock, limit_bytes), clock
         if self.last is not None:
             self.apply(self.last)
             self.check_part()
@@ -123,8 +124,13 @@ class FedCopy:
         )
 
     def repeat(self) -> None:
-        """Apply the last part a second time. This changes nothing."""
+        """Apply the last part a second time. This changes nothing.
+
+        If time has passed, without the consumer places: their leases would last longer.
+        """
         if self.last is not None and self.feed is not None:
+            if self.last.owner is not None and self.last_at != self.pair.clock:
+                self.last = self.last._replace(owner=self.last.owner._replace(places=None))
             before = held_by(self.channel, self.pair.clock), self.channel.place, self.channel.counters(0)
             self.apply(self.last)
             assert before == (held_by(self.channel, self.pair.clock), self.channel.place, self.channel.counters(0))

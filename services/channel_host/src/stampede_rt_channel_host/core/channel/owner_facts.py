@@ -181,7 +181,7 @@ class OwnerFacts:
         self.counters: Counters | None = None
         self._places: tuple[ConsumerPlace, ...] = ()
         self._arrived = 0
-        self._arriving: list[ConsumerPlace] = []
+        self._arriving: dict[int, tuple[ConsumerPlace, int]] = {}  # by consumer, with the time of its first part
 
     @classmethod
     def of_owner(cls, window: RetryWindow, counters: Counters, places: Iterable[ConsumerPlace], now: int) -> OwnerFacts:
@@ -215,17 +215,23 @@ class OwnerFacts:
 
     def places(self, now: int) -> list[ConsumerPlace]:
         """The consumer places, with the rest of their leases at `now`."""
-        passed = max(0, now - self._arrived)
-        return [one._replace(lease_nanos=max(0, one.lease_nanos - passed)) for one in self._places]
+        return [_aged(one, now - self._arrived) for one in self._places]
 
     def _take_places(self, part: FedPlaces, now: int) -> None:
         if part.begins:
-            self._arriving = []
+            self._arriving = {}
         for place in part.places:
-            last = self._arriving[-1] if self._arriving else None
-            if last is not None and last.consumer_id == place.consumer_id:
-                self._arriving[-1] = last._replace(consumed=(*last.consumed, *place.consumed))
-            else:
-                self._arriving.append(place)
+            first, arrived = self._arriving.get(place.consumer_id, (None, now))
+            if first is None:
+                self._arriving[place.consumer_id] = place, now
+            elif tuple(place.consumed[:1]) > tuple(first.consumed[-1:]):  # not a repeated part
+                whole = first._replace(consumed=(*first.consumed, *place.consumed))
+                self._arriving[place.consumer_id] = whole, arrived
         if part.ends:
-            self._places, self._arrived, self._arriving = tuple(self._arriving), now, []
+            self._places = tuple(_aged(one, now - arrived) for one, arrived in self._arriving.values())
+            self._arrived = now
+
+
+def _aged(place: ConsumerPlace, passed: int) -> ConsumerPlace:
+    """The place with the rest of its lease after `passed` nanoseconds."""
+    return place._replace(lease_nanos=max(0, place.lease_nanos - max(0, passed)))
