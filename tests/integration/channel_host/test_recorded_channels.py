@@ -206,6 +206,20 @@ def test_a_recording_has_all_items_although_its_host_has_restarted_with_few_of_t
         assert [(one.recorded, one.missing) for one in summary.channels] == [(300, 0)]
 
 
+def test_an_import_of_a_recorded_channel_has_all_items(rt: st.Connection, tmp_path: Path) -> None:
+    channel, began = rt.channel("imported", max_items=12, archive="7d"), st.now() - 10_000 * MS
+    fill(channel, began)
+    with rt.record(channel.name, tmp_path / "a.mcap", since="oldest"):
+        pass
+    summary = rt.import_file(tmp_path / "a.mcap", "import/").wait()
+    assert summary is not None
+    assert summary.complete
+    found = rt.channel("import/imported", create=False)
+    assert found.stats().policy.is_recorded
+    wait_until_collected(found, 12)
+    assert numbers(found.get(st.OLDEST, st.NEWEST)) == list(range(ITEMS))
+
+
 @pytest.mark.parametrize("since", [None, "1h"])
 def test_a_recording_that_lives_through_a_crash_has_each_item_once(
     cluster: LocalCluster, rt: st.Connection, tmp_path: Path, since: str | None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
@@ -12,7 +13,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 import stampede_rt as st
 from stampede_rt import aio
-from stampede_rt.files.entries import FileAdvance, Topic, item_entry
+from stampede_rt.files.entries import POLICY_KEY, FileAdvance, FileEntry, Topic, item_entry
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.files.foreign_files import foxglove_file, rosbag, xdf_file
 from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, item, topic, write
@@ -131,6 +132,38 @@ def test_refused_items_are_counted_and_the_first_refusal_is_reported(rt: st.Conn
     assert summary is not None
     assert (summary.items, summary.refused, summary.complete) == ({"refused/cam": 8}, 2, False)
     assert "advance" in summary.first_refusal
+
+
+def with_policy(name: str, **policy: int) -> list[FileEntry]:
+    """Ten items of a channel with this policy."""
+    metadata = ((POLICY_KEY, json.dumps(policy)),)
+    kind = Topic(name, "application/octet-stream", INCARNATION, metadata=metadata)
+    return [item_entry(kind, item(seq)) for seq in range(1, 11)]
+
+
+def test_an_import_keeps_all_items_of_a_channel_that_held_few(rt: st.Connection, tmp_path: Path) -> None:
+    """No host of this cluster has an archive, so the channel that had one keeps its items in memory."""
+    few, recorded = with_policy("few", max_items=3), with_policy("recorded", max_items=3, archive_nanos=10**9)
+    path = write(tmp_path / "a.mcap", [*few, *recorded])
+    summary = rt.import_file(path, "kept/").wait()
+    assert summary is not None
+    assert (summary.complete, summary.collected) == (True, {})
+    assert [len(rt.channel(f"kept/{one}").get(st.OLDEST, st.NEWEST)) for one in ("few", "recorded")] == [10, 10]
+    rt.channel("small/few", max_items=3)
+    summary = rt.import_file(path, "small/").wait()
+    assert summary is not None
+    assert (summary.complete, summary.collected) == (False, {"small/few": 7})
+
+
+def test_a_replay_of_one_topic_does_not_wait_for_the_times_of_others(rt: st.Connection, tmp_path: Path) -> None:
+    hour = 3_600_000
+    old = [item_entry(topic("old"), item(1)), item_entry(topic("old"), item(2, time=START + 3 * hour * MS))]
+    path = write(tmp_path / "a.mcap", [*old, *(item_entry(topic(), item(hour + seq)) for seq in range(1, 11))])
+    began = st.now()
+    summary = rt.replay_file(path, "alone/", channels="cam", shift="now").wait(60)
+    assert summary is not None
+    assert summary.items == {"alone/cam": 10}
+    assert rt.channel("alone/cam").oldest().time >= began - 1000 * MS
 
 
 def test_a_part_of_a_file_is_played(rt: st.Connection, drive: Path) -> None:

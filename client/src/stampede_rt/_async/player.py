@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -154,7 +154,7 @@ class Player(BackgroundStart, BoundToProcess):
         finally:
             for one in self._channels.values():
                 await one.aclose()
-        self.summary = self._summarize()
+        self.summary = self._summarize(await self._collected())
 
     async def _play_rounds(self, topics: Sequence[SourceTopic], schedule: Schedule) -> None:
         while not self._stopped:
@@ -189,9 +189,17 @@ class Player(BackgroundStart, BoundToProcess):
             else:
                 await self._add(topic, channel, firsts[topic.name], schedule)
         for name, topic in missing:
-            policy = target_policy(topic.policy, self._request.shift is not None, schedule.lag_nanos)
-            channel = await PlayedChannel.create(self._session, name, policy)
-            await self._add(topic, channel, firsts[topic.name], schedule)
+            await self._add(topic, await self._create(name, topic, schedule), firsts[topic.name], schedule)
+
+    async def _create(self, name: str, topic: SourceTopic, schedule: Schedule) -> PlayedChannel:
+        """Create a channel with its recorded policy, without its archive if no host has one."""
+        request = self._request
+        shifted, lag = request.shift is not None, schedule.lag_nanos
+        policy = partial(target_policy, topic.policy, shifted, lag, keeps_all=request.speed == 0)
+        try:
+            return await PlayedChannel.create(self._session, name, policy(archived=True))
+        except InvalidArgument:
+            return await PlayedChannel.create(self._session, name, policy(archived=False))
 
     async def _add(self, topic: SourceTopic, channel: PlayedChannel, first: int | None, schedule: Schedule) -> None:
         """Play a topic into a channel, unless the channel would refuse items. Raises InvalidArgument."""
@@ -247,7 +255,14 @@ class Player(BackgroundStart, BoundToProcess):
         for one in self._channels.values():
             await one.flush()
 
-    def _summarize(self) -> ReplaySummary:
+    async def _collected(self) -> dict[str, int]:
+        """See `ReplaySummary.collected`."""
+        if self._request.speed:
+            return {}
+        counts = {one.name: await one.collected() for one in self._channels.values()}
+        return {name: count for name, count in counts.items() if count}
+
+    def _summarize(self, collected: Mapping[str, int]) -> ReplaySummary:
         channels = self._channels.values()
         return ReplaySummary(
             path=self._source.path,
@@ -257,6 +272,7 @@ class Player(BackgroundStart, BoundToProcess):
             gaps=tuple(self._gaps),
             advances=sum(one.advances for one in channels),
             rounds=self._rounds,
+            collected=collected,
         )
 
 

@@ -14,6 +14,7 @@ from stampede_rt.files.schedule import Schedule
 from stampede_rt.values.model import Policy
 from stampede_rt.values.policy import parse_name, parse_policy
 from stampede_rt.values.recording import RecordingGap
+from stampede_rt.values.statistics import ChannelStats
 from stampede_rt.values.timeline import format_duration, format_instant
 
 GAP_ATTRIBUTE = "stampede.gap"
@@ -29,7 +30,7 @@ class PlayedChannel:
         self._channel = channel
         self._producer: Producer = channel.producer()
         self._gap: RecordingGap | None = None  # the next item gets it as an attribute
-        self.advances = self._refused_here = 0
+        self.advances = self._refused_here = self._collected_before = 0
         self.first_refusal = ""
 
     @classmethod
@@ -61,6 +62,7 @@ class PlayedChannel:
     def check(self, first: int, last: int, schedule: Schedule) -> None:
         """Raise InvalidArgument if the channel would refuse items between these times of the file."""
         stats = self._channel.stats()
+        self._collected_before = _collected(stats)
         begins, ends = schedule.shifted(first), schedule.shifted(last)
         takes, policy = schedule.due_nanos(last), stats.policy
         future = MAX_FUTURE_DEFAULT_NANOS if policy.max_future_nanos is None else policy.max_future_nanos
@@ -129,6 +131,15 @@ class PlayedChannel:
                 raise
             self.first_refusal = self.first_refusal or error.message
 
+    def collected(self) -> int:
+        """The number of items that the limits of the channel have collected since `check`, and no archive has."""
+        return max(0, _collected(self._channel.stats()) - self._collected_before)
+
     def close(self) -> None:
         """Close the stream of puts."""
         self._producer.close()
+
+
+def _collected(stats: ChannelStats) -> int:
+    """The items that the limits have collected; 0 for a recorded channel, whose archive has them."""
+    return 0 if stats.policy.is_recorded else sum(stats.collected.values()) - stats.collected["consumption"]

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -155,7 +155,7 @@ class Player(BackgroundStart, BoundToProcess):
         finally:
             for one in self._channels.values():
                 one.close()
-        self.summary = self._summarize()
+        self.summary = self._summarize(self._collected())
 
     def _play_rounds(self, topics: Sequence[SourceTopic], schedule: Schedule) -> None:
         while not self._stopped:
@@ -190,9 +190,17 @@ class Player(BackgroundStart, BoundToProcess):
             else:
                 self._add(topic, channel, firsts[topic.name], schedule)
         for name, topic in missing:
-            policy = target_policy(topic.policy, self._request.shift is not None, schedule.lag_nanos)
-            channel = PlayedChannel.create(self._session, name, policy)
-            self._add(topic, channel, firsts[topic.name], schedule)
+            self._add(topic, self._create(name, topic, schedule), firsts[topic.name], schedule)
+
+    def _create(self, name: str, topic: SourceTopic, schedule: Schedule) -> PlayedChannel:
+        """Create a channel with its recorded policy, without its archive if no host has one."""
+        request = self._request
+        shifted, lag = request.shift is not None, schedule.lag_nanos
+        policy = partial(target_policy, topic.policy, shifted, lag, keeps_all=request.speed == 0)
+        try:
+            return PlayedChannel.create(self._session, name, policy(archived=True))
+        except InvalidArgument:
+            return PlayedChannel.create(self._session, name, policy(archived=False))
 
     def _add(self, topic: SourceTopic, channel: PlayedChannel, first: int | None, schedule: Schedule) -> None:
         """Play a topic into a channel, unless the channel would refuse items. Raises InvalidArgument."""
@@ -248,7 +256,14 @@ class Player(BackgroundStart, BoundToProcess):
         for one in self._channels.values():
             one.flush()
 
-    def _summarize(self) -> ReplaySummary:
+    def _collected(self) -> dict[str, int]:
+        """See `ReplaySummary.collected`."""
+        if self._request.speed:
+            return {}
+        counts = {one.name: one.collected() for one in self._channels.values()}
+        return {name: count for name, count in counts.items() if count}
+
+    def _summarize(self, collected: Mapping[str, int]) -> ReplaySummary:
         channels = self._channels.values()
         return ReplaySummary(
             path=self._source.path,
@@ -258,6 +273,7 @@ class Player(BackgroundStart, BoundToProcess):
             gaps=tuple(self._gaps),
             advances=sum(one.advances for one in channels),
             rounds=self._rounds,
+            collected=collected,
         )
 
 

@@ -122,6 +122,7 @@ def _print(summary: ReplaySummary, source: str, form: str) -> None:
             "first_refusal": summary.first_refusal,
             "advances": summary.advances,
             "rounds": summary.rounds,
+            "collected": dict(summary.collected),
             "gaps": [gap.to_json() for gap in summary.gaps],
         }
         print_document(value, form)
@@ -132,5 +133,7 @@ def _print(summary: ReplaySummary, source: str, form: str) -> None:
         print(f"missing in the file: {gap_text(gap)}")
     if len(summary.gaps) > GAPS_SHOWN:
         print(f"missing in the file: {len(summary.gaps) - GAPS_SHOWN} more gaps")
+    for name, count in sorted(summary.collected.items()):
+        print(f"missing: the limits of channel {escaped(name)} have collected {count} items; change its policy")
     if summary.first_refusal:
         print(f"refused: {summary.refused} items and advances; the first: {escaped(summary.first_refusal)}")

@@ -86,7 +86,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str], *, ove
     """
     check_other(path, output)
     with FileReader(path) as reader:
-        if reader.index is None and all(isinstance(part, Damage) for part in reader.contents()):
+        if reader.index is None and not _has_content(reader):
             raise FileError(
                 f"nothing can be recovered from the file {reader.path!r}: it is an MCAP file of {reader.size} bytes, "
                 "without a whole chunk; its writer ended before its first chunk, or the file is damaged from there on; "
@@ -96,6 +96,10 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str], *, ove
             report = _walk(reader, writer_of(writer), lambda _: None)
             finish_with(writer, report.summary)
     return report
+
+
+def _has_content(reader: FileReader) -> bool:
+    return any(isinstance(part, ChunkContent | Attachment) for part in reader.contents())
 
 
 def check_other(path: str | os.PathLike[str], output: str | os.PathLike[str]) -> None:

@@ -8,10 +8,12 @@ from typing import Any
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import OVERLAP_NANOS_MAX
+from stampede_rt.values.policy import ARCHIVE_BYTES_MIN, FOREVER_NANOS
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, format_instant, parse_duration
 
 SHIFT_NOW = "now"
 SPEED_MAX = 1e6
+MAX_BYTES_DEFAULT = 256 * 1024 * 1024  # of a channel that a replay creates without another limit
 MARGIN_NANOS = 10_000_000_000  # a new channel keeps items for this time longer than the replay's own delay
 
 
@@ -79,21 +81,40 @@ def parse_speed(speed: object) -> float:
     return float(speed)
 
 
-def target_policy(recorded: Mapping[str, Any], shifted: bool, lag_nanos: int) -> dict[str, Any]:
+def target_policy(
+    recorded: Mapping[str, Any], shifted: bool, lag_nanos: int, *, keeps_all: bool, archived: bool
+) -> dict[str, Any]:
     """Return the policy of a channel that a replay creates, as arguments of `Connection.channel`.
 
-    It is the recorded policy, without the fields about consumers. Without a shift it has no max_age, because a max_age
-    would refuse the items. With a shift it has a max_age that is longer by the lag.
+    It is the recorded policy, without the fields about consumers, and with the archive only if `archived`. Without a
+    shift it has no limit of age, because such a limit would refuse or delete the items. With a shift the limits are
+    longer by the lag. If the channel `keeps_all` items and has no archive, it has no max_items, and at least the
+    default of max_bytes.
     """
     policy: dict[str, Any] = {name: _count(recorded.get(name)) for name in ("max_bytes", "max_items")}
     max_age, overlap = _count(recorded.get("max_age_nanos")), _count(recorded.get("overlap_nanos"))
+    margin = lag_nanos + (MARGIN_NANOS if lag_nanos else 0)
+    archive = _archive(recorded, margin if shifted else None) if archived else {}
+    if keeps_all and not archive:
+        policy |= {"max_items": None, "max_bytes": max(policy["max_bytes"] or 0, MAX_BYTES_DEFAULT)}
     if shifted and max_age is not None:
-        policy["max_age"] = f"{min(max_age + lag_nanos + (MARGIN_NANOS if lag_nanos else 0), MAX_INSTANT)} ns"
+        policy["max_age"] = f"{min(max_age + margin, MAX_INSTANT)} ns"
     elif policy["max_bytes"] is None:
-        policy["max_bytes"] = 256 * 1024 * 1024
+        policy["max_bytes"] = MAX_BYTES_DEFAULT
     if overlap is not None and overlap <= OVERLAP_NANOS_MAX:
         policy["overlap"] = f"{overlap} ns"
-    return policy | _content_type(recorded.get("content_type"))
+    return policy | archive | _content_type(recorded.get("content_type"))
+
+
+def _archive(recorded: Mapping[str, Any], margin: int | None) -> dict[str, Any]:
+    """The limits of the archive, its time longer by `margin`; None: without a limit of time. Empty: no archive."""
+    kept, size = _count(recorded.get("archive_nanos"), FOREVER_NANOS), _count(recorded.get("archive_bytes"))
+    if kept is None and size is None:
+        return {}
+    time = None if kept is None else "forever"
+    if kept is not None and kept != FOREVER_NANOS and margin is not None:
+        time = f"{min(kept + margin, MAX_INSTANT)} ns"
+    return {"archive": time, "archive_bytes": None if size is None else max(size, ARCHIVE_BYTES_MIN)}
 
 
 def _content_type(kind: object) -> dict[str, str]:
@@ -101,6 +122,6 @@ def _content_type(kind: object) -> dict[str, str]:
     return {"content_type": kind} if known and isinstance(kind, str) else {}
 
 
-def _count(value: object) -> int | None:
+def _count(value: object, most: int = 2**62 - 1) -> int | None:
     """Return a policy's number, if it is one that a policy may have. Files come from other programs."""
-    return value if type(value) is int and 0 < value < 2**62 else None
+    return value if type(value) is int and 0 < value <= most else None

@@ -14,7 +14,6 @@ from stampede_rt.errors import FileError
 from stampede_rt.files.entries import FACTS_TOPIC, POLICY_KEY, FileEntry
 from stampede_rt.files.interval_filter import IntervalFilter
 from stampede_rt.files.reading import ChunkContent, Event, FileIndex, FileReader
-from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
 CACHE_BYTES = 64 * 1024 * 1024  # the most bytes of decoded chunks
 TOPICS_NAMED = 5  # the most topics that an error names
@@ -71,6 +70,7 @@ class McapSource:
         self._index = index
         self._cache: OrderedDict[int, dict[str, list[Event]]] = OrderedDict()
         self._cached_bytes = 0
+        self._topics: list[SourceTopic] | None = None
         self._facts_ids = {number for number, topic in index.topics.items() if topic.name == FACTS_TOPIC}
         self._loose: dict[int, dict[str, list[Event]]] = {}  # see `_gaps_and_advances_at`; by the position of the chunk
 
@@ -79,20 +79,49 @@ class McapSource:
         self._reader.__exit__()
 
     def topics(self) -> Sequence[SourceTopic]:
-        """The topics that have messages, by name. Their times are the times of their chunks."""
-        found: dict[str, SourceTopic] = {}
-        for number, topic in self._index.topics.items():
-            chunks = [one for one in self._chunks if number in one.message_index_offsets]
-            if topic.name == FACTS_TOPIC or not chunks:
-                continue
-            before = found.get(topic.name)
-            found[topic.name] = SourceTopic(
-                name=topic.name,
-                policy=_policy(dict(topic.metadata).get(POLICY_KEY, "{}")),
-                start=min(*(one.message_start_time for one in chunks), before.start if before else MAX_INSTANT),
-                end=max(*(one.message_end_time for one in chunks), before.end if before else MIN_INSTANT),
-            )
-        return sorted(found.values(), key=lambda one: one.name)
+        """The topics that have messages, by name."""
+        if self._topics is None:
+            policies = {
+                topic.name: _policy(dict(topic.metadata).get(POLICY_KEY, "{}"))
+                for topic in self._index.topics.values()
+                if topic.name != FACTS_TOPIC
+            }
+            self._topics = [
+                SourceTopic(
+                    name=name, policy=policy, start=self._bound(name, places, 1), end=-self._bound(name, places, -1)
+                )
+                for name, policy in sorted(policies.items())
+                if (places := self._places_of(name))
+            ]
+        return self._topics
+
+    def _bound(self, name: str, places: set[int], sign: int) -> int:
+        """Return the least of all times of a topic multiplied by `sign`: the first time, or with -1 minus the last one.
+
+        The index has the times of each chunk, and other topics may share the chunk. So this decodes the first or the
+        last chunks of the topic, until no other chunk can change the result.
+        """
+        best: int | None = None
+        for least, place in sorted((self._chunk_bound(place, sign), place) for place in places):
+            if best is not None and best <= least:
+                break
+            try:
+                events = self._decoded(place).get(name, ()) if self._is_shared(place, name) else ()
+            except FileError:  # `events` raises it if this topic is chosen
+                events = ()
+            found = min((sign * one.time for one in events if isinstance(one, FileEntry)), default=least)
+            best = found if best is None else min(best, found)
+        assert best is not None, "the topic has chunks"
+        return best
+
+    def _chunk_bound(self, place: int, sign: int) -> int:
+        chunk = self._chunks[place]
+        return chunk.message_start_time if sign > 0 else -chunk.message_end_time
+
+    def _is_shared(self, place: int, name: str) -> bool:
+        """Whether a chunk has messages of other topics, too."""
+        ids = self._chunks[place].message_index_offsets
+        return any(self._index.topics[one].name not in (name, FACTS_TOPIC) for one in ids if one in self._index.topics)
 
     def events(self, chosen: Chosen, start: int, end: int) -> Iterator[tuple[int, Event]]:
         """Yield the events of all chosen topics, merged by time. Each topic keeps the order of the file.

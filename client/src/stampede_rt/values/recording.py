@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 GAPS_KEPT_MAX = 1000  # the most gaps of one channel in a summary; the file itself names all
@@ -152,6 +152,9 @@ class ReplaySummary:
       the error text of the first one.
     - `gaps` has the first 1000 gaps of the file, at whose places the next item got the attribute `stampede.gap`.
     - `advances` counts the advances, and `rounds` how many times the file was played to its end.
+    - `collected` counts by channel the items that the limits of the channel have collected since the beginning of an
+      import, or of a replay without pauses. It leaves out recorded channels, whose archive has the items. It is empty
+      for other replays.
     """
 
     path: str
@@ -161,8 +164,9 @@ class ReplaySummary:
     gaps: Sequence[RecordingGap]
     advances: int
     rounds: int
+    collected: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def complete(self) -> bool:
-        """Whether the hosts have accepted everything."""
-        return not self.refused
+        """Whether the hosts have accepted everything, and `collected` is empty."""
+        return not self.refused and not self.collected

@@ -17,6 +17,7 @@ from stampede_rt.files.entries import FileAdvance, FileEntry, item_entry
 from stampede_rt.files.framing import RecordFile, RecordFrame
 from stampede_rt.files.merging import merge
 from stampede_rt.files.reading import ChunkContent, FileReader
+from stampede_rt.files.writing import FileWriter
 from stampede_rt.values.recording import RecordingGap
 from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, item, read, seqs_of, topic, write
 
@@ -64,6 +65,11 @@ def test_a_file_that_is_cut_off_at_any_byte_loses_at_most_its_last_chunk(whole: 
 def test_a_file_that_was_cut_off_before_its_first_chunk_has_nothing_to_recover(whole: Path, tmp_path: Path) -> None:
     """In an earlier version the output was a whole file without items, which `verify` accepted."""
     torn, saved = tmp_path / "torn.mcap", tmp_path / "saved.mcap"
+    writer = FileWriter(tmp_path / "metadata.mcap")
+    writer.add_metadata("a", {"b": "c"})
+    writer.abandon()
+    with pytest.raises(FileError, match="nothing can be recovered"):
+        recover(tmp_path / "metadata.mcap", saved)
     for length in range(8, chunk_ends(whole)[0], 97):
         torn.write_bytes(whole.read_bytes()[:length])
         with pytest.raises(FileError, match=f"nothing can be recovered .* {length} bytes, .* no file was written"):

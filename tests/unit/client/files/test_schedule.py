@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.files.names import channel_name, matches_any
 from stampede_rt.files.schedule import Schedule, parse_shift, parse_speed, target_policy
+from stampede_rt.values.policy import FOREVER_NANOS
 
 SECOND = 1_000_000_000
 NOW = 1_700_000_000 * SECOND
@@ -39,18 +42,45 @@ def test_an_impossible_speed_is_refused(speed: object) -> None:
 
 def test_a_new_channel_has_the_recorded_policy_and_keeps_late_times() -> None:
     recorded = {"max_age_nanos": 10 * SECOND, "max_items": 7, "consumers": 3, "on_full": "block", "content_type": "a/b"}
-    assert target_policy(recorded, False, 0) == {
+    assert target_policy(recorded, False, 0, keeps_all=False, archived=True) == {
         "max_items": 7, "max_bytes": 256 * 1024 * 1024, "content_type": "a/b",
     }  # fmt: skip
-    assert target_policy(recorded, True, SECOND)["max_age"] == f"{21 * SECOND} ns"
+    assert target_policy(recorded, True, SECOND, keeps_all=False, archived=True)["max_age"] == f"{21 * SECOND} ns"
+
+
+def test_a_new_channel_that_keeps_all_items_has_no_limit_of_their_number() -> None:
+    found = target_policy({"max_items": 7, "max_bytes": 2**30}, False, 0, keeps_all=True, archived=True)
+    assert (found["max_items"], found["max_bytes"]) == (None, 2**30)
+    assert target_policy({"max_bytes": 9}, False, 0, keeps_all=True, archived=True)["max_bytes"] == 256 * 1024 * 1024
+
+
+def test_a_new_channel_has_the_recorded_archive_for_a_time_that_suits_the_times_of_its_items() -> None:
+    recorded = {"max_items": 7, "archive_nanos": 5 * SECOND, "archive_bytes": 2**30}
+    policy = partial(target_policy, recorded, keeps_all=True)
+    unshifted, shifted = policy(False, 0, archived=True), policy(True, SECOND, archived=True)
+    assert (unshifted["archive"], unshifted["archive_bytes"], unshifted["max_items"]) == ("forever", 2**30, 7)
+    assert (shifted["archive"], shifted["archive_bytes"]) == (f"{16 * SECOND} ns", 2**30)
+    assert "archive" not in policy(False, 0, archived=False)
+    forever = target_policy({"archive_nanos": FOREVER_NANOS}, True, SECOND, keeps_all=True, archived=True)
+    assert forever["archive"] == "forever"
+    by_size = target_policy({"archive_bytes": 1}, False, 0, keeps_all=True, archived=True)
+    assert (by_size["archive"], by_size["archive_bytes"]) == (None, 2**20)
 
 
 @pytest.mark.parametrize(
     "hostile",
-    [{"max_items": -1}, {"max_items": "7"}, {"max_items": True}, {"content_type": "é"}, {"overlap_nanos": 2**70}],
+    [
+        {"max_items": -1},
+        {"archive_nanos": 2**63},
+        {"archive_bytes": "1"},
+        {"max_items": "7"},
+        {"max_items": True},
+        {"content_type": "é"},
+        {"overlap_nanos": 2**70},
+    ],
 )
 def test_an_invalid_recorded_policy_is_ignored(hostile: dict[str, object]) -> None:
-    found = target_policy(hostile, True, 0)
+    found = target_policy(hostile, True, 0, keeps_all=False, archived=True)
     assert {key: value for key, value in found.items() if value is not None} == {"max_bytes": 256 * 1024 * 1024}
 
 

@@ -107,6 +107,28 @@ def test_few_chunks_are_in_memory_at_a_time(tmp_path: Path, monkeypatch: pytest.
     assert most < 12
 
 
+def test_a_topic_has_the_times_of_its_items_also_in_shared_chunks(tmp_path: Path) -> None:
+    late = item_entry(topic(), item(4, time=START - MS))
+    events = [*entries("old", [1]), *entries("cam", range(60, 63)), late, *entries("old", range(2, 200))]
+    source = McapSource(write(tmp_path / "a.mcap", [*events, *entries("cam", range(63, 70))], chunk_items=100))
+    found = {one.name: (one.start, one.end) for one in source.topics()}
+    source.close()
+    assert found == {"old": (START + MS, START + 199 * MS), "cam": (START - MS, START + 69 * MS)}
+
+
+def test_a_damaged_chunk_gives_its_topics_the_times_of_the_index(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", [*entries("old", [1]), *entries("cam", range(60, 63))])
+    with FileReader(path) as reader:
+        assert reader.index is not None
+        [chunk] = reader.index.chunks
+    content = bytearray(path.read_bytes())
+    content[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 1
+    path.write_bytes(content)
+    source = McapSource(path)
+    assert {(one.start, one.end) for one in source.topics()} == {(START + MS, START + 62 * MS)}
+    source.close()
+
+
 @pytest.mark.parametrize("finish", [True, False])
 def test_the_error_says_why_a_file_cannot_be_played(tmp_path: Path, finish: bool) -> None:
     path = write(tmp_path / "a.mcap", [] if finish else entries("cam", [1]), finish=finish)
