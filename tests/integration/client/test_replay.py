@@ -15,7 +15,7 @@ import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt.files.entries import POLICY_KEY, FileAdvance, FileEntry, Topic, item_entry
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.files.foreign_files import foxglove_file, rosbag, xdf_file
+from tests.support.files.foreign_files import bag_of_topics, foxglove_file, rosbag, xdf_file
 from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, item, topic, write
 from tests.support.sharing.shared_cluster import shared_cluster_fixture
 from tests.support.waiting import wait_until
@@ -214,6 +214,18 @@ def test_files_of_other_programs_are_imported(rt: st.Connection, tmp_path: Path,
     assert len(found) == count
     if kind in ("foxglove", "xdf"):
         assert found[1].value == ({"x": 1} if kind == "foxglove" else [2.5])
+
+
+def test_the_chosen_topic_of_a_bag_comes_to_now_although_another_topic_lasts_longer(
+    rt: st.Connection, tmp_path: Path
+) -> None:
+    """In an earlier version its last item was two hours old."""
+    times = {"/short": range(5_000_000, 5_000_010), "/long": [0, 12_200_000]}
+    path, began = bag_of_topics(tmp_path / "bag", StoragePlugin.SQLITE3, times), st.now()
+    rt.import_file(path, "bag/", channels="/short", shift="now").wait()
+    found = rt.channel("bag/short", create=False)
+    assert began - 1000 * MS <= found.newest().time <= st.now() + 1000 * MS
+    assert found.newest().time - found.oldest().time == 9 * MS
 
 
 def test_imported_items_are_the_same_after_a_recording_and_another_import(

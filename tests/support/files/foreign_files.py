@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import foxglove
@@ -31,6 +31,18 @@ def rosbag(folder: Path, plugin: StoragePlugin) -> Path:
         for number in range(100):
             data = store.serialize_cdr(text(data=f"n{number}"), text.__msgtype__)
             writer.write(chatter, START + number * MS, data)
+    return folder
+
+
+def bag_of_topics(folder: Path, plugin: StoragePlugin, times: Mapping[str, Sequence[int]]) -> Path:
+    """Messages of `rosbags` on several topics, at these milliseconds after START."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    text = store.types["std_msgs/msg/String"]
+    rows = sorted((time, topic) for topic, many in times.items() for time in many)
+    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+        topics = {one: writer.add_connection(one, text.__msgtype__, typestore=store) for one in times}
+        for time, topic in rows:
+            writer.write(topics[topic], START + time * MS, store.serialize_cdr(text(data="x"), text.__msgtype__))
     return folder
 
 

@@ -143,9 +143,9 @@ class Player(BackgroundStart, BoundToProcess):
             self._session.detach(self)
 
     async def _play_all(self) -> None:
-        topics = [one for one in await in_thread(self._source.topics) if self._request.chosen(one.name)]
+        topics = await in_thread(partial(self._source.topics, self._request.chosen))
         if not topics:
-            raise InvalidArgument(none_chosen(self._source.path, await in_thread(self._source.topics)))
+            raise InvalidArgument(await in_thread(partial(none_chosen, self._source)))
         schedule = self._plan(topics, time.time_ns())
         await self._open(topics, schedule)
         self._holds.set()

@@ -144,9 +144,9 @@ class Player(BackgroundStart, BoundToProcess):
             self._session.detach(self)
 
     def _play_all(self) -> None:
-        topics = [one for one in in_thread(self._source.topics) if self._request.chosen(one.name)]
+        topics = in_thread(partial(self._source.topics, self._request.chosen))
         if not topics:
-            raise InvalidArgument(none_chosen(self._source.path, in_thread(self._source.topics)))
+            raise InvalidArgument(in_thread(partial(none_chosen, self._source)))
         schedule = self._plan(topics, time.time_ns())
         self._open(topics, schedule)
         self._holds.set()

@@ -124,10 +124,9 @@ def export_tables(
     One topic becomes the file `output`. Several become files in the folder `output`, by their names. Reads the source
     twice for each topic, and keeps at most 4096 rows in memory. Raises FileError.
     """
-    topics = source.topics()
-    names = [topic.name for topic in topics if chosen(topic.name)]
+    names = [topic.name for topic in source.topics(chosen)]
     if not names:
-        raise FileError(none_chosen(source.path, topics))
+        raise FileError(none_chosen(source))
     rows: dict[str, int] = {}
     gaps: list[RecordingGap] = []
     for name, path in zip(names, _paths(names, Path(output), form), strict=True):

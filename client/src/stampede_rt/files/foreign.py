@@ -21,6 +21,8 @@ CDR = "application/x-ros-cdr"
 XDF_BYTES_MAX = 1024**3
 """The largest XDF file. `pyxdf` reads a file as a whole."""
 COMPLAINTS_MAX = 8
+READ_NANOS = 10**9
+"""The search for the last message of chosen topics of a rosbag2 halves the time down to this length."""
 _XDF_MAGIC = b"XDF:"
 _SQLITE_MAGIC = b"SQLite format 3\x00"
 
@@ -80,11 +82,38 @@ class RosbagSource:
         if self._reader.is_open:
             self._reader.close()
 
-    def topics(self) -> Sequence[SourceTopic]:
-        """The topics that have messages, by name. Their first and last times are the times of the bag."""
-        names = sorted({one.topic for one in self._reader.connections if one.msgcount})
+    def topics(self, chosen: Chosen) -> Sequence[SourceTopic]:
+        """The chosen topics that have messages, by name. Each has the times of all chosen topics together."""
+        connections = [one for one in self._reader.connections if one.msgcount and chosen(one.topic)]
+        names = sorted({one.topic for one in connections})
         start, end = self._reader.start_time, max(self._reader.end_time - 1, self._reader.start_time)
+        if names and len(names) < len({one.topic for one in self._reader.connections if one.msgcount}):
+            start, end = self._times(connections, start, end)
         return [SourceTopic(name=name, policy={}, start=start, end=end) for name in names]
+
+    def _times(self, connections: Sequence[Any], start: int, end: int) -> tuple[int, int]:
+        """The first and last time of some topics, in a bag from `start` to `end`.
+
+        A bag has no index by topic. So this reads few messages of these topics, and at the end those of a second.
+        """
+        try:
+            first = last = self._a_time(connections, start, end + 1)
+            while first is not None and (earlier := self._a_time(connections, start, first)) is not None:
+                first = earlier  # a bag of several files gives the messages file by file
+            if first is None or last is None:
+                return start, end
+            after = end + 1
+            while after - last > READ_NANOS:
+                middle = (last + after) // 2
+                found = self._a_time(connections, middle, after)
+                last, after = (last, middle) if found is None else (found, after)
+            return first, max(time for _, time, _ in self._reader.messages(connections, last, after))
+        except Exception:  # noqa: BLE001  # `events` raises it if it reads the same messages
+            return start, end
+
+    def _a_time(self, connections: Sequence[Any], start: int, end: int) -> int | None:
+        """The time of a message from `start` on and before `end`; None: there is none."""
+        return next((time for _, time, _ in self._reader.messages(connections, start, end)), None)
 
     def events(self, chosen: Chosen, start: int, end: int) -> Iterator[tuple[int, Event]]:
         """Yield the messages in the order of the bag. Raises FileError."""
@@ -136,12 +165,12 @@ class XdfSource:
         """Forget the file."""
         self._streams = {}
 
-    def topics(self) -> Sequence[SourceTopic]:
-        """The streams that have samples, by name."""
+    def topics(self, chosen: Chosen) -> Sequence[SourceTopic]:
+        """The chosen streams that have samples, by name."""
         found = []
         for name, stream in sorted(self._streams.items()):
             stamps = stream["time_stamps"]
-            if len(stamps):
+            if chosen(name) and len(stamps):
                 start, end = _nanos(min(stamps)), _nanos(max(stamps))
                 found.append(SourceTopic(name=name, policy={}, start=start, end=end))
         return found

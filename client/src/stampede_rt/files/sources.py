@@ -22,7 +22,11 @@ Chosen = Callable[[str], bool]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SourceTopic:
-    """A topic of a source: its name, the policy of its channel if the source knows it, and its first and last time."""
+    """A topic of a source: its name, and the policy of its channel if the source knows it.
+
+    `start` and `end` are its first and last time. A source that does not know the times of each topic gives the times
+    of all its chosen topics together.
+    """
 
     name: str
     policy: Mapping[str, Any]
@@ -30,11 +34,12 @@ class SourceTopic:
     end: int
 
 
-def none_chosen(path: str, topics: Sequence[SourceTopic]) -> str:
+def none_chosen(source: FileSource) -> str:
     """Return the text of the error if no topic of a file is chosen. It names some topics."""
+    topics = source.topics(lambda _: True)
     names = ", ".join(repr(one.name) for one in topics[:TOPICS_NAMED]) or "no topics"
     more = f" and {len(topics) - TOPICS_NAMED} more" if len(topics) > TOPICS_NAMED else ""
-    return f"the file {path!r} has none of the chosen topics; it has {names}{more}"
+    return f"the file {source.path!r} has none of the chosen topics; it has {names}{more}"
 
 
 class FileSource(Protocol):
@@ -42,8 +47,8 @@ class FileSource(Protocol):
 
     path: str
 
-    def topics(self) -> Sequence[SourceTopic]:
-        """The topics that have messages, by name."""
+    def topics(self, chosen: Chosen) -> Sequence[SourceTopic]:
+        """The chosen topics that have messages, by name."""
         ...
 
     def events(self, chosen: Chosen, start: int, end: int) -> Iterator[tuple[int, Event]]:
@@ -70,7 +75,7 @@ class McapSource:
         self._index = index
         self._cache: OrderedDict[int, dict[str, list[Event]]] = OrderedDict()
         self._cached_bytes = 0
-        self._topics: list[SourceTopic] | None = None
+        self._topics: dict[str, SourceTopic] = {}
         self._facts_ids = {number for number, topic in index.topics.items() if topic.name == FACTS_TOPIC}
         self._loose: dict[int, dict[str, list[Event]]] = {}  # see `_gaps_and_advances_at`; by the position of the chunk
 
@@ -78,22 +83,18 @@ class McapSource:
         """Close the file."""
         self._reader.__exit__()
 
-    def topics(self) -> Sequence[SourceTopic]:
-        """The topics that have messages, by name."""
-        if self._topics is None:
-            policies = {
-                topic.name: _policy(dict(topic.metadata).get(POLICY_KEY, "{}"))
-                for topic in self._index.topics.values()
-                if topic.name != FACTS_TOPIC
-            }
-            self._topics = [
-                SourceTopic(
-                    name=name, policy=policy, start=self._bound(name, places, 1), end=-self._bound(name, places, -1)
-                )
-                for name, policy in sorted(policies.items())
-                if (places := self._places_of(name))
-            ]
-        return self._topics
+    def topics(self, chosen: Chosen) -> Sequence[SourceTopic]:
+        """The chosen topics that have messages, by name."""
+        policies = {
+            topic.name: dict(topic.metadata).get(POLICY_KEY, "{}")
+            for topic in self._index.topics.values()
+            if topic.name != FACTS_TOPIC and chosen(topic.name)
+        }
+        for name, policy in policies.items():
+            if name not in self._topics and (places := self._places_of(name)):
+                start, end = self._bound(name, places, 1), -self._bound(name, places, -1)
+                self._topics[name] = SourceTopic(name=name, policy=_policy(policy), start=start, end=end)
+        return [self._topics[name] for name in sorted(policies) if name in self._topics]
 
     def _bound(self, name: str, places: set[int], sign: int) -> int:
         """Return the least of all times of a topic multiplied by `sign`: the first time, or with -1 minus the last one.
@@ -128,7 +129,8 @@ class McapSource:
 
         At the end come the gaps of channels without an item in the file.
         """
-        places = {topic.name: self._places_of(topic.name) for topic in self.topics() if chosen(topic.name)}
+        names = {topic.name for topic in self._index.topics.values() if topic.name != FACTS_TOPIC}
+        places = {name: found for name in sorted(names) if chosen(name) and (found := self._places_of(name))}
         begins = {name: self._begin(found, start) for name, found in places.items()}
         streams = [
             self._events_of(name, number, begins[name], found, start, end)

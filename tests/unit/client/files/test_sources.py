@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from stampede_rt.files.reading import ChunkContent, FileReader
 from stampede_rt.files.sources import McapSource
 from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
-from tests.support.files.foreign_files import foxglove_file, rosbag, xdf_file
+from tests.support.files.foreign_files import bag_of_topics, foxglove_file, rosbag, xdf_file
 from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, item, topic, write
 
 
@@ -111,7 +112,7 @@ def test_a_topic_has_the_times_of_its_items_also_in_shared_chunks(tmp_path: Path
     late = item_entry(topic(), item(4, time=START - MS))
     events = [*entries("old", [1]), *entries("cam", range(60, 63)), late, *entries("old", range(2, 200))]
     source = McapSource(write(tmp_path / "a.mcap", [*events, *entries("cam", range(63, 70))], chunk_items=100))
-    found = {one.name: (one.start, one.end) for one in source.topics()}
+    found = {one.name: (one.start, one.end) for one in source.topics(lambda _: True)}
     source.close()
     assert found == {"old": (START + MS, START + 199 * MS), "cam": (START - MS, START + 69 * MS)}
 
@@ -125,7 +126,7 @@ def test_a_damaged_chunk_gives_its_topics_the_times_of_the_index(tmp_path: Path)
     content[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 1
     path.write_bytes(content)
     source = McapSource(path)
-    assert {(one.start, one.end) for one in source.topics()} == {(START + MS, START + 62 * MS)}
+    assert {(one.start, one.end) for one in source.topics(lambda _: True)} == {(START + MS, START + 62 * MS)}
     source.close()
 
 
@@ -144,7 +145,7 @@ def test_a_file_of_foxglove_is_a_source(tmp_path: Path) -> None:
 def test_a_rosbag_is_a_source_by_its_folder_and_by_its_file(tmp_path: Path, plugin: StoragePlugin) -> None:
     folder = rosbag(tmp_path / "bag", plugin)
     source = source_of(folder)
-    (found,) = source.topics()
+    (found,) = source.topics(lambda _: True)
     events = [event for _, event in source.events(lambda _: True, START + 5 * MS, START + 7 * MS)]
     source.close()
     assert (found.name, found.start, found.end) == ("/chatter", START, START + 99 * MS)
@@ -152,6 +153,32 @@ def test_a_rosbag_is_a_source_by_its_folder_and_by_its_file(tmp_path: Path, plug
         (START + number * MS, {"schema": "std_msgs/msg/String"}, "application/x-ros-cdr") for number in (5, 6)
     ]
     assert len(played(next(one for one in folder.iterdir() if one.suffix in (".db3", ".mcap")))) == 100
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+@pytest.mark.parametrize(
+    ("chosen", "start", "end"),
+    [
+        (("/mid",), 7_200_000, 7_299_999),
+        (("/once",), 9_000_000, 9_000_000),
+        (("/mid", "/once"), 7_200_000, 9_000_000),
+        (("/rare",), 5, 14_000_000),
+        (("/mid", "/once", "/rare", "/long"), 0, 14_400_000),
+    ],
+)
+def test_chosen_topics_of_a_rosbag_have_their_own_times(
+    tmp_path: Path, plugin: StoragePlugin, chosen: tuple[str, ...], start: int, end: int
+) -> None:
+    """In an earlier version they had the times of the whole bag, so an import to now was hours too early."""
+    times: dict[str, Sequence[int]] = {
+        "/mid": [*range(7_200_000, 7_300_000, 333), 7_299_999], "/once": [9_000_000],
+        "/rare": [5, 3_000_000, 14_000_000], "/long": range(0, 14_400_001, 60_000),
+    }  # fmt: skip
+    source = source_of(bag_of_topics(tmp_path / "bag", plugin, times))
+    found = source.topics(lambda name: name in chosen)
+    source.close()
+    assert [one.name for one in found] == sorted(chosen)
+    assert {(one.start, one.end) for one in found} == {(START + start * MS, START + end * MS)}
 
 
 def test_xdf_samples_and_markers_are_a_source(tmp_path: Path) -> None:
