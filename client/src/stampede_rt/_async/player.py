@@ -248,7 +248,7 @@ class Player(BackgroundStart, BoundToProcess):
             return
         if channel is not None:
             channel.note_gap(event)
-        if len(self._gaps) < GAPS_KEPT_MAX:
+        if not self._rounds and len(self._gaps) < GAPS_KEPT_MAX:
             self._gaps.append(event)
 
     async def _flush(self) -> None:
@@ -273,6 +273,7 @@ class Player(BackgroundStart, BoundToProcess):
             advances=sum(one.advances for one in channels),
             rounds=self._rounds,
             collected=collected,
+            damaged=tuple(self._source.damaged),
         )
 
 

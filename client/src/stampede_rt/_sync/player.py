@@ -249,7 +249,7 @@ class Player(BackgroundStart, BoundToProcess):
             return
         if channel is not None:
             channel.note_gap(event)
-        if len(self._gaps) < GAPS_KEPT_MAX:
+        if not self._rounds and len(self._gaps) < GAPS_KEPT_MAX:
             self._gaps.append(event)
 
     def _flush(self) -> None:
@@ -274,6 +274,7 @@ class Player(BackgroundStart, BoundToProcess):
             advances=sum(one.advances for one in channels),
             rounds=self._rounds,
             collected=collected,
+            damaged=tuple(self._source.damaged),
         )
 
 

@@ -88,9 +88,13 @@ def _written(summary: RecordingSummary, arguments: argparse.Namespace) -> int:
 
 def _exported(summary: ExportSummary, arguments: argparse.Namespace) -> int:
     if arguments.output != "table":
-        print_document({"rows": dict(summary.rows), "gaps": [gap.to_json() for gap in summary.gaps]}, arguments.output)
+        gaps = [gap.to_json() for gap in summary.gaps]
+        value = {"complete": summary.complete, "rows": dict(summary.rows), "gaps": gaps, "damaged": [*summary.damaged]}
+        print_document(value, arguments.output)
     else:
         print_rows([{"file": file, "rows": rows} for file, rows in summary.rows.items()], "table", none="no tables")
         for gap in summary.gaps[:GAPS_SHOWN]:
             print(f"missing: {gap_text(gap)}")
-    return INCOMPLETE if summary.gaps else 0
+        for text in summary.damaged:
+            print(f"missing: {escaped(text)}")
+    return 0 if summary.complete else INCOMPLETE

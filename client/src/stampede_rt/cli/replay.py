@@ -88,7 +88,7 @@ def run_replay(arguments: argparse.Namespace) -> int:
 
 
 def run_import(arguments: argparse.Namespace) -> int:
-    """Import a file, and print the numbers of items put."""
+    """Import a file, and print the numbers of items put. The status is 3 if anything is missing."""
     with connected(arguments) as rt:
         player = rt.import_file(
             arguments.path,
@@ -117,6 +117,7 @@ def _print(summary: ReplaySummary, source: str, form: str) -> None:
     if form != "table":
         value = {
             "file": source,
+            "complete": summary.complete,
             "items": dict(summary.items),
             "refused": summary.refused,
             "first_refusal": summary.first_refusal,
@@ -124,6 +125,7 @@ def _print(summary: ReplaySummary, source: str, form: str) -> None:
             "rounds": summary.rounds,
             "collected": dict(summary.collected),
             "gaps": [gap.to_json() for gap in summary.gaps],
+            "damaged": list(summary.damaged),
         }
         print_document(value, form)
         return
@@ -133,6 +135,8 @@ def _print(summary: ReplaySummary, source: str, form: str) -> None:
         print(f"missing in the file: {gap_text(gap)}")
     if len(summary.gaps) > GAPS_SHOWN:
         print(f"missing in the file: {len(summary.gaps) - GAPS_SHOWN} more gaps")
+    for text in summary.damaged:
+        print(f"missing in the file: {escaped(text)}")
     for name, count in sorted(summary.collected.items()):
         print(f"missing: the limits of channel {escaped(name)} have collected {count} items; change its policy")
     if summary.first_refusal:

@@ -26,10 +26,19 @@ HEADS = ("time", "duration", "seq", "attributes")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExportSummary:
-    """The rows of each table by its file, and the first 1000 gaps of the exported channels."""
+    """The rows of each table by its file, and the first 1000 gaps of the exported channels.
+
+    `damaged` says which items the source may lack besides the gaps.
+    """
 
     rows: Mapping[str, int]
     gaps: Sequence[RecordingGap]
+    damaged: Sequence[str]
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is missing."""
+        return not self.gaps and not self.damaged
 
 
 class TableWriter(Protocol):
@@ -134,7 +143,7 @@ def export_tables(
             rows[str(path)] = _export(_Topic(source, name, start, end, gaps), path, form, overwrite)
         except OSError as error:
             raise write_fault(path, error) from error
-    return ExportSummary(rows=rows, gaps=tuple(gaps[:GAPS_KEPT_MAX]))
+    return ExportSummary(rows=rows, gaps=tuple(gaps[:GAPS_KEPT_MAX]), damaged=tuple(source.damaged))
 
 
 def _paths(names: Sequence[str], output: Path, form: str) -> list[Path]:

@@ -63,6 +63,8 @@ def _unreadable(path: Path, error: BaseException) -> FileError:
 class RosbagSource:
     """A rosbag2, without ROS. Its messages stay in CDR; the attribute `schema` has the message type."""
 
+    damaged: Sequence[str] = ()
+
     def __init__(self, path: Path) -> None:
         """Open the bag. Raises FileError."""
         try:
@@ -138,6 +140,8 @@ class XdfSource:
     Times come from the recording computer's clock, as `pyxdf` corrects them: seconds since its start, not since the
     epoch. Values that JSON has no number for become null.
     """
+
+    damaged: Sequence[str] = ()
 
     def __init__(self, path: Path) -> None:
         """Read the file. Raises FileError."""

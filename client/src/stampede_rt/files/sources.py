@@ -43,9 +43,13 @@ def none_chosen(source: FileSource) -> str:
 
 
 class FileSource(Protocol):
-    """A file from which a program puts items. `events` yields each event with a time, and these times never fall."""
+    """A file from which a program puts items. `events` yields each event with a time, and these times never fall.
+
+    `damaged` says which items the file may lack, besides the gaps that `events` yields.
+    """
 
     path: str
+    damaged: Sequence[str]
 
     def topics(self, chosen: Chosen) -> Sequence[SourceTopic]:
         """The chosen topics that have messages, by name."""
@@ -71,6 +75,7 @@ class McapSource:
         if index is None or not index.chunks:
             self._reader.__exit__()
             raise _unplayable(self.path, index)
+        self.damaged = _damaged(self._reader)
         self._chunks = sorted(index.chunks, key=lambda one: one.chunk_start_offset)
         self._index = index
         self._cache: OrderedDict[int, dict[str, list[Event]]] = OrderedDict()
@@ -139,10 +144,14 @@ class McapSource:
         due = start
         for due, _, event in heapq.merge(*streams, key=lambda one: one[:2]):
             yield due, event
+        kept: list[Event] = []
+        window = IntervalFilter(start, end, lambda name: chosen(name) and name not in places, kept.append)
         for place in range(min(begins.values(), default=0), len(self._chunks)):
-            for name, events in self._gaps_and_advances_at(place).items():
-                if chosen(name) and name not in places:
-                    yield from ((due, event) for event in events)
+            for events in self._gaps_and_advances_at(place).values():
+                for event in events:
+                    window.add(event)
+        window.finish()
+        yield from ((due, event) for event in kept)
 
     def _places_of(self, name: str) -> set[int]:
         """Return the positions of the chunks that have items of a topic."""
@@ -213,6 +222,14 @@ def _unplayable(path: str, index: FileIndex | None) -> FileError:
         f"the file {path!r} cannot be played: it has no index of chunks; `stampede file recover` or "
         "`stampede file merge` writes a file with one"
     )
+
+
+def _damaged(reader: FileReader) -> Sequence[str]:
+    try:
+        told = reader.summary()
+    except FileError as error:
+        return (error.message,)
+    return () if told is None else told.damaged
 
 
 def _by_topic(content: ChunkContent) -> dict[str, list[Event]]:

@@ -150,7 +150,8 @@ class ReplaySummary:
 
     - `items` counts the accepted items by channel, `refused` the items that the hosts have refused; `first_refusal` is
       the error text of the first one.
-    - `gaps` has the first 1000 gaps of the file, at whose places the next item got the attribute `stampede.gap`.
+    - `gaps` has the first 1000 gaps of the played part of the file, at whose places the next item got the attribute
+      `stampede.gap`. `damaged` says which items the file may lack besides these gaps (see `RecordingSummary`).
     - `advances` counts the advances, and `rounds` how many times the file was played to its end.
     - `collected` counts by channel the items that the limits of the channel have collected since the beginning of an
       import, or of a replay without pauses. It leaves out recorded channels, whose archive has the items. It is empty
@@ -165,8 +166,9 @@ class ReplaySummary:
     advances: int
     rounds: int
     collected: Mapping[str, int] = field(default_factory=dict)
+    damaged: Sequence[str] = ()
 
     @property
     def complete(self) -> bool:
-        """Whether the hosts have accepted everything, and `collected` is empty."""
-        return not self.refused and not self.collected
+        """Whether nothing is missing: the file names no missing items, and the channels have all items of the file."""
+        return not (self.refused or self.collected or self.gaps or self.damaged)
