@@ -62,6 +62,20 @@ def test_a_file_that_is_cut_off_at_any_byte_loses_at_most_its_last_chunk(whole: 
         assert verify(saved).intact
 
 
+def test_a_file_with_a_damaged_only_chunk_becomes_a_file_that_names_all_items_as_lost(tmp_path: Path) -> None:
+    damaged, saved = write(tmp_path / "a.mcap", entries("cam", range(1, 6))), tmp_path / "saved.mcap"
+    content = bytearray(damaged.read_bytes())
+    content[chunk_ends(damaged)[0] - 10] ^= 1
+    damaged.write_bytes(content)
+    report = recover(damaged, saved)
+    [counts] = report.summary.channels
+    assert (counts.accepted, counts.recorded, report.summary.complete) == (5, 0, False)
+    assert [(one.reason, one.first_seq, one.last_seq) for one in counts.gaps] == [("DAMAGED", 1, 5)]
+    other = write(tmp_path / "other.mcap", entries("cam", range(2, 9)))
+    [merged] = merge([saved, other], tmp_path / "merged.mcap").channels
+    assert [(one.first_seq, one.last_seq, one.items) for one in merged.gaps] == [(1, 1, 1)]
+
+
 def test_a_file_that_was_cut_off_before_its_first_chunk_has_nothing_to_recover(whole: Path, tmp_path: Path) -> None:
     """In an earlier version the output was a whole file without items, which `verify` accepted."""
     torn, saved = tmp_path / "torn.mcap", tmp_path / "saved.mcap"
