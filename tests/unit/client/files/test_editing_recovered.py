@@ -9,9 +9,10 @@ from mcap.writer import Writer
 
 from stampede_rt.cli.main import main as stampede
 from stampede_rt.files.editing import cut, recover, verify
-from stampede_rt.files.entries import FileEntry, Topic, item_entry
+from stampede_rt.files.entries import POLICY_KEY, FileEntry, Topic, item_entry
 from stampede_rt.files.merging import merge
 from stampede_rt.files.reading import ChunkContent, FileReader
+from stampede_rt.files.sources import McapSource
 from tests.support.files.recordings import INCARNATION, entries, item, read, seqs_of, write
 
 ITEMS = range(1, 31)
@@ -143,3 +144,16 @@ def test_a_recovered_file_of_another_program_names_its_losses(
     said = capsys.readouterr().out
     assert "/t1" in said
     assert "missing: " in said
+
+
+@pytest.mark.parametrize("has_end", [True, False])
+def test_a_policy_is_lost_only_if_both_its_chunk_and_the_end_of_the_file_are(tmp_path: Path, has_end: bool) -> None:
+    kind = Topic("cam", "application/octet-stream", INCARNATION, metadata=((POLICY_KEY, '{"max_items":7}'),))
+    path, saved = write(tmp_path / "a.mcap", [item_entry(kind, item(seq)) for seq in ITEMS]), tmp_path / "saved.mcap"
+    chunks = chunks_of(path)
+    report = recover(damaged(path, middle(chunks[0]), None if has_end else chunks[-1][1]), saved)
+    assert [(one.channel, one.recorded) for one in report.summary.channels] == [("cam", 20)]
+    source = McapSource(saved)
+    [found] = source.topics(lambda _: True)
+    source.close()
+    assert found.policy == ({"max_items": 7} if has_end else {})
