@@ -54,7 +54,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--seed", type=int, default=1, help="random seed for the order and the choices of the real faults"
     )
-    parser.add_argument("--only", choices=NAMES, nargs="+", default=NAMES, help="these campaigns (default: all)")
+    parser.add_argument(
+        "--only", choices=NAMES, nargs="+", default=NAMES, help="run only these campaigns (default: all)"
+    )
     return parser.parse_args()
 
 

@@ -45,7 +45,8 @@ OPEN_FAULTS: dict[str, Fault] = {
     **malformed_traffic.FAULTS,
 }
 SECURED_FAULTS: dict[str, Fault] = {**OPEN_FAULTS, **wrong_certificates.FAULTS}
-# For clusters that compact their logs as rarely as in production: no partition of a campaign outlasts such a log.
+# For clusters that compact their logs as rarely as in production. A partition of a campaign ends before such a log is
+# compacted, so the fault `past_compaction` would have no effect.
 RARELY_COMPACTED_FAULTS = {name: fault for name, fault in OPEN_FAULTS.items() if name != "past_compaction"}
 OF_THE_DIRECTORY = ("kill_leader", "kill_all", "freeze_leader", "split_off_leader", "exhaust_descriptors", "step_clock")
 HOST_FAULTS: dict[str, Fault] = {
@@ -203,8 +204,8 @@ class _Campaign:
     async def attempt(self, name: str, fault: Fault) -> None:
         """Inject one fault.
 
-        If the fault had no effect, or a process did not serve again in time, the campaign goes on and counts as failed.
-        A broken invariant ends the campaign.
+        If the fault had no effect, or a process did not serve again in time, the fault counts as failed, and the
+        campaign goes on. A broken invariant ends the campaign.
         """
         began = time.monotonic()
         try:

@@ -1,4 +1,5 @@
-"""How long threads of some processes wait for a processor, by the kernel's count (proc(5), schedstat).
+"""Measures the time for which threads of some processes wait for a processor, by the kernel's count (proc(5),
+schedstat).
 
 A thread that waits for a lock, for input or for another thread does not wait for a processor. So a lost lease with
 long waits is the machine's fault, and a lost lease without them is a fault of the program.
@@ -15,17 +16,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 PERIOD_SECONDS = 0.25
-LOOKS = 8  # in each window
+SAMPLES = 8  # in each window
 STARVED_SHARE = 0.6
 """A service whose thread waits for this share of 2 s may lose a lease of 2 s. On two processors that only the services
 and their callers use, a thread waits for less.
 """
-REACH_SECONDS = 4.0  # a lease that has ended now may have missed its renewals in this time before
+REACH_SECONDS = 4.0  # the holder of a lease that ends now may have missed its renewals up to this time ago
 WINDOWS_KEPT = 100_000
 
 
 class Window(NamedTuple):
-    """`share`: the part of the time from `began_s` until `ended_s` for which one of the threads waited."""
+    """`share`: the part of the time from `began_s` until `ended_s` for which the most delayed thread waited."""
 
     began_s: float
     ended_s: float
@@ -39,7 +40,7 @@ class ProcessorWaits:
 
     def __init__(self, pids: Callable[[], Iterable[int]]) -> None:
         self._pids = pids
-        self._looks: deque[tuple[float, dict[str, int]]] = deque(maxlen=LOOKS + 1)
+        self._samples: deque[tuple[float, dict[str, int]]] = deque(maxlen=SAMPLES + 1)
         self._windows: deque[Window] = deque(maxlen=WINDOWS_KEPT)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
@@ -54,19 +55,19 @@ class ProcessorWaits:
 
     def _watch(self) -> None:
         while not self._over.wait(PERIOD_SECONDS):
-            self.look(time.monotonic(), waited_nanos(self._pids()))
+            self.add_sample(time.monotonic(), waited_nanos(self._pids()))
 
-    def look(self, now_s: float, waited: dict[str, int]) -> None:
-        """Note how long each thread has waited so far, in nanoseconds."""
-        self._looks.append((now_s, waited))
-        began_s, before = self._looks[0]
-        if len(self._looks) > LOOKS:
+    def add_sample(self, now_s: float, waited: dict[str, int]) -> None:
+        """Note the time that each thread has waited so far, in nanoseconds."""
+        self._samples.append((now_s, waited))
+        began_s, before = self._samples[0]
+        if len(self._samples) > SAMPLES:
             most = max((nanos - before.get(thread, nanos) for thread, nanos in waited.items()), default=0)
             self._windows.append(Window(began_s, now_s, most / 1e9 / (now_s - began_s)))
 
     @property
     def most_share(self) -> float:
-        """The greatest share of a window."""
+        """The greatest share of all windows."""
         return max((one.share for one in [*self._windows]), default=0.0)
 
     def starved_at(self, moment_s: float, until_s: float | None = None) -> bool:
@@ -77,7 +78,7 @@ class ProcessorWaits:
 
 
 def waited_nanos(pids: Iterable[int]) -> dict[str, int]:
-    """How long each thread of the processes has waited for a processor so far."""
+    """The time that each thread of the processes has waited for a processor so far."""
     found = {}
     for pid in pids:
         for path in Path("/proc").glob(f"{pid}/task/*/schedstat"):

@@ -146,10 +146,11 @@ def _faults(outcomes: Iterable[Outcome]) -> str:
     """Return the table of the kinds of faults, with their recovery times."""
     rows = [_fault_row(kind, members) for kind, members in sorted(_by_kind(outcomes).items())]
     title = (
-        "## Faults by kind\n\nRecovery: the time from the fault to the acknowledgement of a write in the directory "
-        "that began after the fault; for hosts, of a put under a new owner or a new incarnation. Longest time without "
-        "a write: how long at most the directory acknowledged no write, from the fault until it was healed. Waiting "
-        "for the CPU: the start of Python processes, and times when the measuring process did not run.\n\n"
+        "## Faults by kind\n\nRecovery: the time from the fault until the directory acknowledged a write that began "
+        "after the fault. For a fault of hosts: the time until a host acknowledged a put under a new owner or a new "
+        "incarnation. Longest time without a write: the longest time for which the directory acknowledged no write, "
+        "from the fault until it was healed. Waiting for the CPU: the start of Python processes, and times when the "
+        "measuring process did not run.\n\n"
     )
     header = (
         "fault",
@@ -212,9 +213,9 @@ def _campaigns(run: Run) -> str:
 
 
 def _evidence(outcomes: Iterable[Outcome]) -> str:
-    """Return the table with the effect that the run observed of the last fault of each kind.
+    """Return the table that shows for each kind the effect of the last fault, as the run observed it.
 
-    A fault whose effect was not observed makes the run fail.
+    The run fails if a fault had no visible effect.
     """
     rows = [(kind, members[-1].evidence) for kind, members in sorted(_by_kind(outcomes).items())]
     return "## Evidence that each fault took effect\n\n" + _table(("fault", "the last time"), rows) if rows else ""

@@ -10,7 +10,7 @@ import pytest
 from tests.support.forking import forked_popen
 
 
-def test_the_answer_to_an_interrupted_request_is_not_taken_for_the_answer_to_the_next(
+def test_the_answer_to_an_interrupted_request_is_not_taken_for_the_answer_to_the_next_request(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(2)]

@@ -4,40 +4,40 @@ from __future__ import annotations
 
 import os
 
-from tests.robustness.processor_waits import LOOKS, PERIOD_SECONDS, ProcessorWaits, waited_nanos
+from tests.robustness.processor_waits import PERIOD_SECONDS, SAMPLES, ProcessorWaits, waited_nanos
 
 S = 10**9
 
 
-def looked(shares: list[float]) -> ProcessorWaits:
-    """Looks at one thread, which waits for a share of the time between two looks. A second thread never waits."""
+def sampled(shares: list[float]) -> ProcessorWaits:
+    """Samples of two threads. The first waits for the given share of each period, and the second never waits."""
     waits, waited, now_s = ProcessorWaits(list), 0.0, 0.0
-    waits.look(now_s, {"a": 0, "b": 0})
+    waits.add_sample(now_s, {"a": 0, "b": 0})
     for share in shares:
         now_s += PERIOD_SECONDS
         waited += share * PERIOD_SECONDS
-        waits.look(now_s, {"a": int(waited * S), "b": 0})
+        waits.add_sample(now_s, {"a": int(waited * S), "b": 0})
     return waits
 
 
-def test_a_service_that_waits_for_a_processor_most_of_the_time_may_lose_its_lease_then_and_no_later() -> None:
-    waits = looked([0.1] * 4 * LOOKS + [0.9] * LOOKS + [0.1] * 8 * LOOKS)
-    starved_s = 5 * LOOKS * PERIOD_SECONDS
+def test_a_lost_lease_is_excused_only_around_the_time_when_a_service_waited_for_a_processor() -> None:
+    waits = sampled([0.1] * 4 * SAMPLES + [0.9] * SAMPLES + [0.1] * 8 * SAMPLES)
+    starved_s = 5 * SAMPLES * PERIOD_SECONDS
     assert waits.starved_at(starved_s)
     assert waits.starved_at(starved_s + 3)
     assert not waits.starved_at(4)
     assert not waits.starved_at(starved_s + 7)
 
 
-def test_a_short_wait_and_waits_of_a_busy_but_not_overloaded_machine_excuse_nothing() -> None:
-    waits = looked([0.5] * 3 * LOOKS + [1.0] + [0.4] * 3 * LOOKS)
+def test_one_short_wait_and_the_waits_on_a_busy_machine_do_not_excuse_a_lost_lease() -> None:
+    waits = sampled([0.5] * 3 * SAMPLES + [1.0] + [0.4] * 3 * SAMPLES)
     assert 0.5 <= waits.most_share < 0.6
     assert not any(waits.starved_at(moment) for moment in range(20))
 
 
-def test_a_thread_that_comes_later_counts_from_then_on() -> None:
-    waits = looked([0.0] * 2 * LOOKS)
-    waits.look(100.0, {"new": 50 * S})
+def test_the_waits_of_a_thread_before_its_first_sample_do_not_count() -> None:
+    waits = sampled([0.0] * 2 * SAMPLES)
+    waits.add_sample(100.0, {"new": 50 * S})
     assert not waits.starved_at(100.0)
 
 

@@ -1,4 +1,4 @@
-"""A short campaign of faults on real processes; `make robustness` runs the long one, and holds it to its limits."""
+"""A short campaign of faults on real processes. `make robustness` runs the long campaign, and checks its limits."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def check_that_planted_violations_are_found(history: list[Operation]) -> None:
 
 
 def lost_write(history: list[Operation]) -> list[Operation]:
-    """The last acknowledged change of a name was never made, as a reader finds out."""
+    """A reader finds that the last acknowledged change of a name was never made."""
     last = next(
         one for one in reversed(history) if isinstance(one.call, Update) and isinstance(one.answer, SeenChannel)
     )
@@ -147,7 +147,7 @@ def test_a_recovery_over_its_limit_breaks_the_promise_and_shows_in_the_report() 
     assert "Broken promises" in page
 
 
-def test_a_limit_missed_only_because_processes_started_is_no_lost_service_and_is_reported() -> None:
+def test_a_recovery_that_exceeds_its_limit_only_by_the_start_of_processes_is_reported_and_keeps_the_promise() -> None:
     slow = outcome("kill -9 of all", 0, 9, 6.5, start_s=4.0)
     assert limits_broken([slow]) == []
     assert "kept, but for up to 4.0 s of waiting for the CPU (1 of 1)" in write_report(run(findings(slow)))
@@ -177,11 +177,11 @@ def test_every_fault_is_injected_once_before_any_is_injected_again() -> None:
     assert order == list(itertools.islice(in_rounds(names, 3, 60.0), 18)), "a seed gives the same order again"
 
 
-def test_a_round_that_takes_much_too_long_is_cut() -> None:
+def test_a_round_that_takes_much_too_long_ends_early() -> None:
     assert list(in_rounds(["kill_leader"], 3, -1.0)) == []
 
 
-def test_a_round_that_must_be_whole_is_not_cut() -> None:
+def test_a_round_that_must_be_whole_does_not_end_early() -> None:
     assert sorted(in_rounds(["one", "another"], 3, -1.0, all_once=True)) == ["another", "one"]
 
 

@@ -36,8 +36,8 @@ def main() -> int:
         return 2
     for fault, count in sorted(found.faults.items()):
         print(f"{fault:12} {count:4}")
-    print(f"{found.acked} puts acknowledged, {len(found.lost)} lost; {found.refused} refused by the disk")
-    print(f"{found.hidden_by_flips} items in damaged blocks while their bits were flipped, each named as LOST")
+    print(f"{found.acked} puts acknowledged, {len(found.lost)} lost; {found.refused} refused because the disk was full")
+    print(f"{found.hidden_by_flips} items were missing while a bit of an archive file was flipped")
     print(f"took {time.monotonic() - began:.0f} s")
     return 1 if found.lost else 0
 

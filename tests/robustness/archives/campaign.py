@@ -26,7 +26,7 @@ RESTART_SECONDS_MAX = 180.0
 
 @dataclass
 class Findings:
-    """The findings of a campaign. `lost`: the acknowledged payloads that no read finds; it must be empty."""
+    """The findings of a campaign. `lost`: the acknowledged payloads that the last read does not find."""
 
     faults: Counter[str] = field(default_factory=Counter)
     acked: int = 0
@@ -79,7 +79,7 @@ class Campaign:
                 self.findings.refused += program.refused
 
     def _number(self) -> int:
-        """The first number for the payloads of a new program. The numbers of other programs are all different."""
+        """The first number for the payloads of a new program. No two programs put the same number."""
         self._begun += 1
         return self._begun * 10**6
 
@@ -100,14 +100,14 @@ class Campaign:
         self._host.restart(RESTART_SECONDS_MAX)
 
     def stop(self) -> None:
-        """Stop the host cleanly, and start it again: the incarnation must stay."""
+        """Stop the host cleanly, and start it again. The incarnation must stay the same."""
         before = self._items().incarnation
         self._host.stop()
         self._host.restart(RESTART_SECONDS_MAX)
         assert self._items().incarnation == before, "a clean stop keeps the incarnation"
 
     def full_disk(self) -> None:
-        """Fill the disk until it refuses puts, and sometimes kill the host meanwhile. Then make room again."""
+        """Fill the disk until the host refuses puts, and sometimes kill the host then. Afterwards make room again."""
         ballast = self._disk / "ballast"
         with ballast.open("wb", buffering=0) as file, suppress(OSError):
             while file.write(b"\0" * 4096):
@@ -122,9 +122,9 @@ class Campaign:
             ballast.unlink()
 
     def flipped_bit(self) -> None:
-        """Flip a bit of a file while the host is away. It must cost the items of one block, which the host names.
+        """Flip a bit of a file while the host is stopped. A read may then lack the items of one block, and must say so.
 
-        Then the file gets its former bytes, so that the end of the campaign finds all items.
+        Afterwards restore the file, so that the last read of the campaign finds all items.
         """
         for program in self._programs:
             program.stop()
@@ -156,7 +156,7 @@ def _numbers(items: st.Items) -> set[bytes]:
 
 
 def in_rounds(rounds: int, seed: int) -> list[str]:
-    """All faults, once in each round, and in another order in each round."""
+    """All faults of `rounds` rounds. Each round has an order of its own, and kills twice."""
     order = random.Random(seed)
     faults: list[str] = []
     for _ in range(rounds):

@@ -13,7 +13,8 @@ PAYLOAD_BYTES = 200
 class NumberProducer:
     """Puts numbers one after the other, in a thread, until `stop` is called. A refused number is put again.
 
-    `acked` are the acknowledged numbers, as payloads. `refused` counts the puts that the disk did not take.
+    `acked` are the acknowledged numbers, as payloads. `refused` counts the puts that the host refused because its disk
+    was full.
     """
 
     def __init__(self, channel: st.Channel, first: int) -> None:
@@ -49,7 +50,7 @@ class NumberProducer:
             assert self._moved.wait_for(lambda: len(self.acked) >= wanted, WAIT_SECONDS_MAX)
 
     def wait_for_refusals(self, count: int) -> None:
-        """Wait until the disk has refused this number of further puts."""
+        """Wait until the host has refused this number of further puts."""
         wanted = self.refused + count
         with self._moved:
             assert self._moved.wait_for(lambda: self.refused >= wanted, WAIT_SECONDS_MAX)

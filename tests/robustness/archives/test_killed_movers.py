@@ -31,7 +31,7 @@ ARCHIVE_BYTES, PAYLOAD_BYTES = 2**20, 100_000
 
 
 class Mover:
-    """A host with an archive in a store, which closes files after a second, and the plan for its death."""
+    """A host with an archive in a store, which closes files after a second. `plan`: the file with its next kill."""
 
     def __init__(self, cluster: LocalCluster, folder: Path, name: str = "mover") -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -90,7 +90,7 @@ class Put:
         self._next, self._payload_bytes = 0, payload_bytes
 
     def one(self) -> None:
-        """Put the next number. If the host is away, it is unknown whether it has the item."""
+        """Put the next number. If the put fails, the test does not know whether the host has the item."""
         number, self._next = self._next, self._next + 1
         payload = (b"%d " % number).ljust(self._payload_bytes, b".")
         with suppress(st.StampedeError):
@@ -104,7 +104,7 @@ class Put:
             self.one()
 
     def check(self, *, is_limited: bool = False) -> list[int]:
-        """Check that each acknowledged item is there once. `is_limited`: old ones may be gone. Returns the numbers."""
+        """Check that each acknowledged item is there once. `is_limited`: old items may be gone. Returns the numbers."""
         items = self.channel.get(self.began, st.NEWEST)
         found = [int((item.payload or b"").split(b" ")[0]) for item in items]
         assert found == sorted(set(found))

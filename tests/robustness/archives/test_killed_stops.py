@@ -1,4 +1,6 @@
-"""kill -9 of a real host at each step of its clean stop, and of its next owner, with a real S3 server.
+"""kill -9 of a real host at each step of its clean stop, and of the next owner at each step of its take-over.
+
+The archive is at a real S3 server.
 
 `make test` tries some steps. `make kill-uploads` tries all.
 """
@@ -32,7 +34,7 @@ from tests.support.waiting import wait_until
 
 __all__ = ["cluster", "mover", "rt", "server"]
 WHOLE = [*STOPPING].index("has made the object of the stop")
-"""From this step on the next owner has all items, and knows that it has them."""
+"""After a kill at this step or a later one the next owner has all items, and knows that it has them."""
 
 
 @pytest.fixture
@@ -55,7 +57,7 @@ def stop_and_die(one: Mover, step: str) -> None:
 
 
 def taken_over(connection: st.Connection, name: str, other: Mover) -> st.Channel:
-    """The channel at the other host."""
+    """Wait until the channel is at the other host, and return it."""
     wait_until(lambda: connection.channel(name).info.host == other.name, "another host has the channel")
     return connection.channel(name)
 
@@ -104,7 +106,7 @@ def test_after_a_kill_during_a_stop_the_next_owner_has_all_items_or_says_lost(
 
 @pytest.mark.timeout(120)
 @pytest.mark.parametrize("step", TAKING if EVERY_STEP else ["has taken the stop"])
-def test_a_kill_of_the_next_owner_while_it_reads_of_a_clean_stop_loses_nothing(
+def test_a_kill_of_the_next_owner_while_it_takes_over_after_a_clean_stop_loses_nothing(
     mover: Mover, other: Mover, rt: st.Connection, step: str
 ) -> None:
     name = f"taking/{[*TAKING].index(step)}"
@@ -130,10 +132,13 @@ def test_a_kill_of_the_next_owner_while_it_reads_of_a_clean_stop_loses_nothing(
 def test_the_object_of_an_earlier_stop_does_not_count_after_a_crash(
     mover: Mover, other: Mover, server: S3Server, rt: st.Connection
 ) -> None:
-    """The host is killed before it deletes the object of its own former stop. Each start gives the channel an epoch."""
+    """The host is killed before it deletes the object of its own former stop.
+
+    Each start of a host gives the channel a new epoch.
+    """
     put = Put(rt.channel("earlier", host=mover.name, max_items=8, archive="7d"))
     put.some(ITEMS)
-    other.process.pause()  # so that the channel stays
+    other.process.pause()  # so that the channel stays at the first host
     mover.process.stop()
     mover.again()
     mover.process.wait_ready(READY_S)
@@ -147,7 +152,7 @@ def test_the_object_of_an_earlier_stop_does_not_count_after_a_crash(
     wait_until(is_dead, "the host deletes the object of its stop")
     stops = [*(server.folder / "rig" / "channels" / put.channel.info.channel_id.hex()).glob("*.stopped")]
     assert stops
-    other.process.resume()  # not before, because the next owner of the channel deletes this object, too
+    other.process.resume()  # not earlier, because the next owner of the channel also deletes this object
     put.channel = taken_over(rt, "earlier", other)
     assert put.channel.get(put.began, st.NOW).reason == "LOST"
     assert set(range(ITEMS)) <= {

@@ -1,1 +1,1 @@
-"""Openings and closings in long rows, after which no process may have grown."""
+"""Opens and closes things many times. Afterwards no process may have grown."""

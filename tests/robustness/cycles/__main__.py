@@ -1,4 +1,4 @@
-"""Long rows of openings and closings: `python -m tests.robustness.cycles`, or `make cycles`.
+"""Opens and closes things many times: `python -m tests.robustness.cycles`, or `make cycles`.
 
 Prints a Markdown table: by how much each process has grown. Exits with 1 if a process has grown more than it may.
 """
@@ -20,10 +20,12 @@ LONGER_WARM_UPS = {"make channel and queue": 5000}  # caches of about 20 MiB fil
 def main() -> int:
     """Run the cycles of all kinds, or of the kinds that the caller names."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cycles", type=int, default=10_000, help="of each kind; default 10,000")
+    parser.add_argument("--cycles", type=int, default=10_000, help="cycles of each kind; default 10,000")
     longer = f"for some kinds up to {max(LONGER_WARM_UPS.values()):,}"
     parser.add_argument("--warm-up", type=int, help=f"cycles before the first count; default {WARM_UP}, {longer}")
-    parser.add_argument("--only", action="append", choices=list(KINDS), help="a kind; may be given several times")
+    parser.add_argument(
+        "--only", action="append", choices=list(KINDS), help="run only this kind of cycle; may be given several times"
+    )
     arguments = parser.parse_args()
     complaints: list[str] = []
     print(HEADER, flush=True)

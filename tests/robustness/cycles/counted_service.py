@@ -1,8 +1,8 @@
 """A service that counts its things on a signal: `python -m tests.robustness.cycles.counted_service PACKAGE FLAGS`.
 
-The service keeps some things on purpose, and here they have low bounds, so that they are full after the first cycles:
-the entries of a log, the changes that watches may still read, the answers to repeated requests, and the producers whose
-puts a host still knows.
+The service keeps some things on purpose, up to a bound: the entries of a log, the changes that watches may still read,
+the answers to repeated requests, and the producers whose puts a host still knows. Here these bounds are low, so the
+first cycles reach them.
 """
 
 from __future__ import annotations

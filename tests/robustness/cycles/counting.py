@@ -93,7 +93,10 @@ def held_by(process: ServiceProcess, folder: Path) -> HeldResources:
 
 
 def settled(find: Callable[[], list[str]], tries: int = 40) -> list[str]:
-    """Return the complaints of `find` once there are none, or the last ones after 40 tries of half a second."""
+    """Call `find` until it has no complaints, but at most `tries` more times. Waits half a second before each.
+
+    Returns the last result.
+    """
     pause, found = threading.Event(), find()
     for _ in range(tries):
         if not found:

@@ -15,7 +15,7 @@ from tests.integration.proxies.readers import eventually
 
 Cycle = Callable[[], None]
 _numbers = itertools.count()
-PROXIES_AT_ONCE = 50  # a host hears of removed copies every 2 s only, so each wait is for many
+PROXIES_AT_ONCE = 50  # a host learns of removed copies only every 2 s, so a cycle waits once for many proxies
 
 
 def subscribing(transport: Any) -> Callable[[LocalCluster], AbstractContextManager[Cycle]]:
@@ -139,4 +139,4 @@ KINDS: dict[str, Callable[[LocalCluster], AbstractContextManager[Cycle]]] = {
     "add proxy": proxying,
 }
 OPENED_AT_ONCE = {"add proxy": PROXIES_AT_ONCE}
-"""How many things one cycle opens and closes, if more than one."""
+"""The number of things that one cycle opens and closes, if it is more than one."""

@@ -97,7 +97,8 @@ def _free_cancelled_calls(cycle: Cycle) -> None:
 def held_by_all(cluster: LocalCluster, folder: Path) -> dict[str, HeldResources]:
     """Count the things of the client, which is this process, and of all services.
 
-    A supernode keeps its answers for some seconds, and longer in its last snapshot. So it first makes a new snapshot.
+    A supernode keeps its answers for some seconds, and longer in its last snapshot. So this function first makes enough
+    calls for a new snapshot.
     """
     with st.connect(cluster.address) as rt:
         for _ in range(SNAPSHOT_EVERY_ENTRIES + 10):

@@ -12,7 +12,7 @@ from tests.robustness.cycles.counting import HeldResources
 from tests.robustness.cycles.cycling import KINDS
 from tests.robustness.cycles.running import counted_cluster, run
 
-# Calls that grpc.aio has cancelled stay until the next garbage collection, so few cycles say little.
+# Calls that grpc.aio has cancelled stay until the next garbage collection, so a short run cannot show a leak of them.
 LONG_ONLY = ("subscribe, await, gRPC",)
 WARM_UP, CYCLES = 40, 100  # a leak of one object for each cycle is found
 OTHERS = {
