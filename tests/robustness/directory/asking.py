@@ -26,7 +26,7 @@ async def ask(world: DirectoryWorld, method: str, request: Any, seconds: float, 
         if isinstance(outcome, StampedeError) and not outcome.retryable:
             raise outcome
         await world.sleep(0.02 + world.random_source.random() * 0.1)
-    raise _NoAnswer("nobody answered in time")
+    raise _NoAnswer("no supernode answered in time")
 
 
 def _members(world: DirectoryWorld, caller: object) -> Iterator[Any]:

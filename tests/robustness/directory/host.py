@@ -34,7 +34,7 @@ class UnslicedWork(PieceScheduler):
 
 
 class Ownership:
-    """All hosts together, in true time."""
+    """The rule that at each moment of true time at most one host serves a channel. Checks all hosts."""
 
     def __init__(self) -> None:
         self.hosts: list[SimHost] = []
@@ -45,7 +45,7 @@ class Ownership:
         """Note that a host has taken an item under this epoch. Raises PromiseBroken if that breaks a rule."""
         self.puts += 1
         if epoch < self._highest.get(channel_id, 0):
-            raise PromiseBroken(f"an item was taken under epoch {epoch} after one under {self._highest[channel_id]}")
+            raise PromiseBroken(f"a host took an item under epoch {epoch} after one under {self._highest[channel_id]}")
         self._highest[channel_id] = epoch
         self.check(channel_id)
 

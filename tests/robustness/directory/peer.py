@@ -22,7 +22,7 @@ NAMES = ("planner", "driver")
 
 
 class NameOwnership:
-    """The beliefs of all peers together, in true time."""
+    """The rule that at each moment of true time at most one peer believes that it has a name. Checks all peers."""
 
     def __init__(self, world: DirectoryWorld) -> None:
         self.peers: list[SimPeer] = []

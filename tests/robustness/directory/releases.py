@@ -49,7 +49,7 @@ class UpgradedMember(DirectoryMember):
         self._directory = self.software()
 
     def start(self) -> None:
-        """Start as in production. A release that is too old for its own folder ends."""
+        """Start as in production. The member ends if its release is too old for the data in its folder."""
         self.was_newer |= self.software is CheckedReplica
         self._outdated = Refusals()
         try:
@@ -94,18 +94,21 @@ class UpgradedMember(DirectoryMember):
             self._judge_rise(self.replica)
 
     def _judge_rise(self, replica: RaftReplica) -> None:
-        """Check that all members at the log position of the new level have reported to know the level."""
+        """Check that all members at the log position of the new level have reported that they know the level."""
         members = [self.world.members[one.member_id] for one in _applied_members(replica)]
         if unknown := [one.member.member_id for one in members if not one.was_newer]:
-            raise PromiseBroken(f"the level has risen above what {unknown[0]} has ever reported to know")
+            raise PromiseBroken(
+                f"the level has risen, although {unknown[0]} has never reported that it knows the level"
+            )
 
     def _left_behind(self) -> None:
         if not self.was_newer and self._is_in():
-            raise PromiseBroken(f"the level has risen above what {self.member.member_id} has ever reported to know")
+            name = self.member.member_id
+            raise PromiseBroken(f"the level has risen, although {name} has never reported that it knows the level")
 
     def _is_in(self) -> bool:
-        """Whether another member has applied the addition of this member. Before that it is a process that wants to
-        join.
+        """Whether another member has applied the addition of this member. Before that, this member is only a process
+        that wants to join.
         """
         replicas = [one.replica for one in self.world.alive() if one is not self]
         return any(self.member in _applied_members(one) for one in replicas if one)
@@ -120,7 +123,7 @@ class UpgradeWorld(DirectoryWorld):
     """A DirectoryWorld whose members change their release."""
 
     members: dict[str, UpgradedMember]  # type: ignore[assignment]
-    # A leader that raises the level slowly gives newcomers time to join before that.
+    # If the leader checks the level seldom, newcomers have time to join before the level rises.
     level_tick_seconds = TICK_SECONDS
     # Whether a member has applied the newer release's level.
     has_risen = False

@@ -45,8 +45,8 @@ from tests.support.supernode.list_machine import PromiseBroken
 
 FAULT_SECONDS, HEAL_SECONDS = 30.0, 12.0
 CALLERS, QUEUE_CALLERS, HOSTS, PEERS, NAMES = 8, 2, 3, 3, 4
-# Long enough that hosts renew at the successor of a leader whose disk hangs. Short enough that the hanging leader,
-# while it still believes that it leads, counts these hosts as lost if their last renewal was a while before.
+# With this TTL, hosts still renew in time at the successor of a leader whose disk hangs. The hanging leader still
+# believes that it leads. It counts a host as lost if the last renewal that it knows was a while ago.
 LONG_TTL_NANOS = 40 * 10**8
 # The successor leads before the leases that hosts have from the hanging leader end.
 SOON_SUCCEEDED = replace(TIMING, election_timeout_min_seconds=0.4, election_timeout_max_seconds=0.8)
@@ -159,7 +159,7 @@ class DirectoryTrial:
                 self._repeat(rate, happen)
 
     def put(self, host_id: bytes, seen: SeenChannel) -> None:
-        """Put at the owner that the caller knows, and later again with the same knowledge."""
+        """Put twice at the owner that the caller knows. A put may arrive late, when the channel has another owner."""
         owner = next((host for host in self._hosts if host.identity.host_id == host_id), None)
         for _ in range(2):
             delay = self.world.trip()
@@ -235,9 +235,7 @@ class DirectoryTrial:
         world.after(seconds, lambda: world.unreachable.difference_update(ways))
 
     def _hang_before_a_renewal(self) -> None:
-        """Let the leader's disk hang just before a host renews, so that the leader has not heard from the host for a
-        while.
-        """
+        """Let the leader's disk hang just before a host renews, when the last renewal was a while ago."""
         host = self.world.random_source.choice(self._hosts)
         due_s = host.lease.renewal_in_nanos(host.clock.boottime_nanos()) / 1e9
         self.world.after(max(0.0, due_s - 0.05), self._hang_leader)
@@ -284,10 +282,14 @@ class DirectoryTrial:
 
 
 def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, lost_commits: int = 0) -> DirectoryTrial:
-    """Run one seed: faults, healing, checks. Raises PromiseBroken or NotLinearizable. The arguments plant faults."""
+    """Run one seed: faults, healing, checks. Raises PromiseBroken or NotLinearizable. `leases` and `lost_commits` plant
+    faults.
+    """
     random_source = random.Random(f"directory-{seed}")
     size, fault_rates = random_source.choice([3, 3, 3, 5]), draw_fault_rates(random_source)
-    if seed % 5 in (1, 3):  # only leaders that freeze (1), or are cut off or hang (3), so that others succeed them
+    if seed % 5 in (1, 3):
+        # Among the supernodes only leaders have faults, so that others succeed them: they hang (1), or they hang or are
+        # cut off (3).
         fault_rates = FaultRates(delay_mean=fault_rates.delay_mean)
     ttl_nanos, timing = (LONG_TTL_NANOS, SOON_SUCCEEDED) if seed % 5 == 1 else (LEASE_TTL_NANOS, TIMING)
     world = DirectoryWorld(
@@ -341,7 +343,7 @@ def _heal_and_check(trial: DirectoryTrial) -> None:
             drive(lambda member=member, name=name: _read_until_answered(trial, member, name, waiting))
     if not world.run_until(world.now + HEAL_SECONDS, lambda: not waiting and not trial.calling):
         raise PromiseBroken(
-            f"{len(waiting)} reads and {trial.calling} callers find no answer {HEAL_SECONDS} s after everything healed"
+            f"{len(waiting)} reads and {trial.calling} callers got no answer {HEAL_SECONDS} s after everything healed"
         )
 
 

@@ -63,7 +63,7 @@ def digests_of(*seeds: int, hash_seed: int) -> list[str]:
     return [one.communicate()[0].decode().split()[1] for one in running]
 
 
-class ShortOfMemory(_Leases):
+class ShorterLeases(_Leases):
     """A leader that uses a shorter lease than the cluster's lease, which its hosts know."""
 
     async def _take_over(self, status: ReplicationStatus) -> None:
@@ -71,7 +71,7 @@ class ShortOfMemory(_Leases):
         self._hosts.ttl_nanos //= 4
 
 
-class ShortOfPeersMemory(_Leases):
+class ShorterLeasesOfPeers(_Leases):
     """A leader that uses a shorter lease for peers than the cluster's lease."""
 
     async def _take_over(self, status: ReplicationStatus) -> None:
@@ -103,11 +103,11 @@ def found_within(seeds: int, **planted: Any) -> bool:
 
 
 def test_a_leader_that_ends_leases_too_early_is_found() -> None:
-    assert found_within(20, leases=ShortOfMemory)
+    assert found_within(20, leases=ShorterLeases)
 
 
 def test_a_leader_that_ends_leases_of_peers_too_early_is_found() -> None:
-    assert found_within(20, leases=ShortOfPeersMemory)
+    assert found_within(20, leases=ShorterLeasesOfPeers)
 
 
 def test_a_directory_that_lets_a_second_peer_of_a_live_name_in_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,7 +36,7 @@ def test_no_states_differ_while_supernodes_of_two_releases_run_together(block: i
             error.add_note(f"replay: python -m tests.robustness.directory.upgrading --first {seed} --seeds 1")
             raise
     assert capped > SEEDS_IN_SUITE, "the newer release's command was hardly ever done"
-    assert joined > SEEDS_IN_SUITE / BLOCKS, "hardly anybody has joined"
+    assert joined > SEEDS_IN_SUITE / BLOCKS, "hardly any process has joined"
 
 
 def test_a_seed_gives_the_same_upgrade_every_time() -> None:

@@ -4,8 +4,8 @@ Three or five supernodes of today's release are replaced one by one by a newer r
 and sometimes back again. Meanwhile they are killed, split and hang, and newcomers of both releases join. A machine may
 be off while the others are upgraded, and comes back with its former release. A test caller always proposes the newer
 release's command directly to the log, which no supernode would do. The log must refuse the command until all members
-know it. No two states may differ, no command above the level may be in the log, and the level may not rise above a
-level that some member has never reported to know. In the end all members run the newer release, and the command works.
+know it. No two states may differ, and no command above the level may be in the log. The level may rise only if all
+members have reported that they know the new level. In the end all members run the newer release, and the command works.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ class Upgrade:
             self._waiting.insert(0, newcomer)
 
     def answered(self, kind: type) -> int:
-        """How many processes that asked to join got this answer."""
+        """The number of answers of this kind to processes that asked to join."""
         return sum(isinstance(outcome, kind) for outcomes in self._asked for outcome in outcomes)
 
     def _register(self) -> None:
@@ -233,7 +233,7 @@ def _heal_and_check(trial: Upgrade) -> None:
     end = world.now + HEAL_SECONDS
     if not world.run_until(end, lambda: all(one.machine.feature_level == NEW_LEVEL for one in members)):
         levels = {one.member.member_id: one.machine.feature_level for one in members}
-        raise PromiseBroken(f"all run the newer release, and the level does not rise: {levels}")
+        raise PromiseBroken(f"all members run the newer release, but the level does not rise: {levels}")
     before = trial.capped
     while trial.capped == before and world.now < end:
         trial._register()
@@ -242,7 +242,7 @@ def _heal_and_check(trial: Upgrade) -> None:
         trial.cap()
         world.run_until(world.now + 0.5)
     if trial.capped == before:
-        raise PromiseBroken(f"the newer release's command does not work {HEAL_SECONDS} s after all run it")
+        raise PromiseBroken(f"the newer release's command does not work {HEAL_SECONDS} s after the last upgrade")
 
     def agree() -> bool:
         same = len({one.machine.digest() for one in members}) == 1

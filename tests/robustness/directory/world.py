@@ -139,7 +139,7 @@ class _Log:
 
 
 class _Leases(LeaseKeeper):
-    """The production lease keeper. Only the wait for the ends of several leases needs no event loop."""
+    """The production lease keeper. Its waits are replaced by waits that need no event loop."""
 
     _log: _Log  # type: ignore[assignment]
 
@@ -192,7 +192,7 @@ class WatchedDirectory(DirectoryReplica):
 
 
 class DirectoryMember(SimMember):
-    """One supernode: the member of the log, and its services. Each member of this world drives a directory."""
+    """One supernode: the member of the log, and its services. The state machine of its log is a directory."""
 
     world: DirectoryWorld
     _directory: DirectoryReplica
@@ -215,7 +215,7 @@ class DirectoryMember(SimMember):
         super().start()
         submission = Submission(self)
         leases = self.world.leases(
-            _Log(self),  # type: ignore[arg-type]  # status() is all that it asks for
+            _Log(self),  # type: ignore[arg-type]  # the lease keeper calls only status()
             self._directory,
             submission,  # type: ignore[arg-type]  # the same methods
             clock=self.clock,
@@ -304,7 +304,7 @@ class DirectoryWorld(World):
         self._held_from[caller] = from_epoch
 
     def held_registrations(self, caller: object) -> list[Callable[[], None]]:
-        """Hold no further registrations. Returns the held ones; a call of one lets it arrive."""
+        """Hold no further registrations. Returns a function for each held one, which lets it arrive."""
         self._held_from.pop(caller, None)
         return self._held.pop(caller, [])
 

@@ -1,7 +1,7 @@
 """Faults of the hosts of replicated channels.
 
 With `ack="replica"` no acknowledged or seen item may be lost, and no incarnation may change. With `ack="host"` a
-replica goes on, perhaps without the latest items, and each subscription hears of that.
+replica may become the owner without the latest items, and then each subscription reports the loss.
 
 Before each fault all channels of the traffic have their replica in sync. So one fault never costs two copies.
 """
@@ -42,7 +42,7 @@ class ReplicatedChannel:
         self._tasks = [asyncio.create_task(self._read()), asyncio.create_task(self._put())]
 
     async def find(self) -> tuple[Host, Host]:
-        """The owner, and the host of the replica, once it is in sync."""
+        """Wait until a replica is in sync. Returns the owner, and the host of the replica."""
         self.names = {one.host_id: one.name for one in await self.traffic.rt.hosts()}
         async with patience(f"no replica of {self.channel.name} is in sync"):
             replicas = await _synced(self.channel)
@@ -50,7 +50,10 @@ class ReplicatedChannel:
         return self._host(owner), self._host(self.names[replicas[0]])
 
     async def _check_told(self, item: st.Item) -> None:
-        """Check that the owner goes on, and that the reader got the item and heard of each loss before it."""
+        """Check that the reader got the item, and that it heard of a loss if and only if the incarnation changed.
+
+        If puts wait for replicas, the incarnation must not change.
+        """
         takeovers = (item.incarnation - self.incarnation) % 2**64
         if takeovers > (0 if self.traffic.waits_for_replicas else TAKEOVERS_MAX):
             raise AssertionError(f"{self.channel.name} has another incarnation, although a replica was in sync")
@@ -159,7 +162,7 @@ async def _prepare(scene: Scene) -> AsyncIterator[tuple[ReplicatedChannel, Host,
 
 
 async def _first_put(traffic: Traffic, name: str) -> tuple[aio.Channel, st.Item]:
-    """Open the channel and put an item, however long the cluster needs. The caller limits the wait."""
+    """Open the channel and put an item, and try again until both succeed. The caller limits the wait."""
     while True:
         with suppress(st.StampedeError):  # the host is busy, or has not come back from the last fault
             channel = await traffic.open(name)
@@ -168,7 +171,7 @@ async def _first_put(traffic: Traffic, name: str) -> tuple[aio.Channel, st.Item]
 
 
 async def kill_owner(scene: Scene) -> None:
-    """Kill the owner. The replica goes on when its lease has ended."""
+    """Kill the owner. The replica becomes the owner when the lease of the killed host has ended."""
     async with _prepare(scene) as (found, owner, replica):
         began = time.monotonic()
         await owner.kill()
@@ -179,7 +182,9 @@ async def kill_owner(scene: Scene) -> None:
 
 
 async def restart_owner(scene: Scene) -> None:
-    """Kill the owner, and start it again within its lease. It comes back without items, and must not be the owner."""
+    """Kill the owner, and start it again within its lease. It comes back without items, so the replica must become the
+    owner.
+    """
     async with _prepare(scene) as (found, owner, _):
         began = time.monotonic()
         await owner.kill()
@@ -284,13 +289,13 @@ async def kill_during_move(scene: Scene) -> None:
             raise outcome
         recovery = await found.go_on(began)
         await started(to)
-        role = "the replica's host" if to is replica else "a stranger"
+        role = "the replica's host" if to is replica else "a host without a copy"
         note = f"a move to {role} had {'failed' if isinstance(outcome, BaseException) else 'ended'}"
         scene.ended("copies: kill -9 of a move's destination", began, recovery, evidence=KILLED, note=note)
 
 
 async def _fill(filler: aio.Channel, began: float) -> int:
-    """Put until the host refuses an item. Returns the number of bytes before. Raises FaultHadNoEffect."""
+    """Put until the host refuses an item. Returns the number of accepted bytes. Raises FaultHadNoEffect."""
     filled = 0
     while time.monotonic() - began < PATIENCE_SECONDS:
         try:
@@ -304,7 +309,7 @@ async def _fill(filler: aio.Channel, began: float) -> int:
 
 
 async def fill_replica(scene: Scene) -> None:
-    """Fill the memory of the replica's host. The replica can take no items then. It must lose its in-sync flag before
+    """Fill the memory of the replica's host. Then the replica can take no items, and must lose its in-sync flag before
     puts go on.
     """
     async with _prepare(scene) as (found, _, replica):

@@ -173,7 +173,7 @@ def _connect(one: PlacedProcess) -> socket.socket:
 
 
 def _answers(one: PlacedProcess) -> str:
-    """Whether the service still listens: it accepts and keeps a new connection. Returns evidence as text."""
+    """Connect to the service. Returns a text that says whether the service serves the new connection."""
     with socket.create_connection((one.namespace.address, one.port), timeout=10) as connection:
         connection.settimeout(1.0)
         if one.tls is None:

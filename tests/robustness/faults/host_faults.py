@@ -1,4 +1,4 @@
-"""Faults of channel hosts: killed, stopped and cut off. No caller may believe an answer given under an ended lease."""
+"""Faults of channel hosts: killed, stopped and cut off. A host must accept no put after its lease has ended."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ async def kill_all_hosts(scene: Scene) -> None:
 
 
 async def kill_frontend(scene: Scene) -> None:
-    """Kill the front-end. Bound clients go on without it, also with new channels."""
+    """Kill the front-end. Connected clients go on without it, and can also make new channels."""
     frontend = scene.cluster.frontend
     assert frontend is not None
     began = time.monotonic()
@@ -123,7 +123,7 @@ async def kill_everything(scene: Scene) -> None:
 
 
 async def freeze_host(scene: Scene) -> None:
-    """Stop a host for longer than its lease. When it goes on, it must refuse the puts that wait in its inbox."""
+    """Stop a host for longer than its lease. When it goes on, it must refuse the puts that have arrived meanwhile."""
     pinned = await pin(scene)
     async with _direct(scene, pinned.host) as connection:
         if not await _accepted(connection, pinned):
@@ -209,7 +209,10 @@ async def _put_again(scene: Scene, pinned: PinnedChannel, since: float) -> float
 
 
 def _reopened(pinned: PinnedChannel) -> str:
-    """Check that a caller of the reopened channel learns of the loss. Raises AssertionError."""
+    """Check that the channel has a higher epoch and another incarnation, so that callers learn of the loss.
+
+    Returns the evidence. Raises AssertionError.
+    """
     after = pinned.channel.info
     if after.epoch <= pinned.before.epoch or after.incarnation == pinned.incarnation:
         raise AssertionError(f"the channel is at epoch {after.epoch} in the same incarnation after its host was lost")
@@ -217,7 +220,7 @@ def _reopened(pinned: PinnedChannel) -> str:
 
 
 async def _read(scene: Scene, pinned: PinnedChannel) -> None:
-    """Read the channel's items into the history. An item of the lost incarnation among them would have no put."""
+    """Read the channel's items into the history, which is judged at the end of the campaign."""
     await _traffic(scene).read_all(pinned.channel)
 
 
@@ -263,7 +266,7 @@ async def _last_accepted(connection: grpc.aio.Channel, pinned: PinnedChannel) ->
 def _check_refused(pinned: PinnedChannel, accepted: Sequence[bool]) -> None:
     if any(accepted):
         epoch = pinned.before.epoch
-        raise AssertionError(f"{pinned.host.name} took {sum(accepted)} puts under epoch {epoch}, which was over")
+        raise AssertionError(f"{pinned.host.name} took {sum(accepted)} puts under epoch {epoch}, which had ended")
 
 
 FAULTS: dict[str, Fault] = {

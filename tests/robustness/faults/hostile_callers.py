@@ -89,7 +89,7 @@ class Puts:
 
 
 async def attack(scene: Scene, name: str, quota: Quota | None = None) -> None:
-    """Run the attack of that name for a while. With `quota`, set a low limit, at which something must be refused.
+    """Run the attack of that name for a while. With `quota`, set a low limit, and check that the attacker meets it.
 
     Raises FaultHadNoEffect, StampedeError for a failed good put, TimeoutError if memory does not return, and
     AssertionError if a host lost its lease or an acknowledged item.

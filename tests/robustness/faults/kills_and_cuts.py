@@ -195,7 +195,7 @@ async def unplug_leader(scene: Scene) -> None:
 
 
 async def past_compaction(scene: Scene) -> None:
-    """Stop a follower for longer than the others keep their log, so that it needs a snapshot."""
+    """Cut a follower off for longer than the others keep their log, so that it needs a snapshot."""
     leader, away, other = await scene.leader_and_other()
     began = time.monotonic()
     pairs = [(leader, away), (away, leader), (other, away), (away, other)]
@@ -229,7 +229,7 @@ async def _grow(scene: Scene, one: Supernode, target: int, *, write: bool = True
             if (await one.members_seen())[1] >= target:
                 return
         except grpc.aio.AioRpcError:
-            pass  # asked again below
+            pass  # the next round asks again
         if write:
             await asyncio.gather(*(scene.probe.write(one) for _ in range(50)))
         else:

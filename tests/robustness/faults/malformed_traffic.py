@@ -65,7 +65,7 @@ async def malformed_traffic(scene: Scene) -> None:
     trap = pickle.dumps(_Trap(canary))
     insider = scene.cluster.caller_files(Role.SUPERNODE, scene.cluster.supernodes[0].name)
     payloads = [trap, HTTP1, *(scene.rng.randbytes(RANDOM_BYTES) for _ in range(RANDOM_PAYLOADS))]
-    payloads += [PREFACE + payload for payload in payloads] + [giant_frame(), giant_message()]
+    payloads += [PREFACE + payload for payload in payloads] + [giant_frame(), giant_headers()]
     victims = scene.cluster.processes()
     before = {one.name: _memory_from_now(one) for one in victims}
     refused = 0
@@ -101,13 +101,13 @@ def _check_unharmed(victims: Sequence[PlacedProcess], canary: Path) -> None:
 
 
 def giant_frame() -> bytes:
-    """An HTTP/2 DATA frame of the greatest length that its header can state. Most of its bytes are sent."""
+    """An HTTP/2 DATA frame whose header states the greatest possible length. Only the first 4 MiB follow."""
     header = FRAME_BYTES_MAX.to_bytes(3, "big") + bytes((0, 0)) + (1).to_bytes(4, "big")
     return PREFACE + SETTINGS + header + b"\0" * (4 * 2**20)
 
 
-def giant_message() -> bytes:
-    """Frames that open a stream with endless headers (CONTINUATION frames)."""
+def giant_headers() -> bytes:
+    """Frames that open a stream whose headers do not end: 4 MiB of CONTINUATION frames."""
 
     def frame(kind: int, payload: bytes) -> bytes:
         return len(payload).to_bytes(3, "big") + bytes((kind, 0)) + (1).to_bytes(4, "big") + payload
@@ -117,7 +117,7 @@ def giant_message() -> bytes:
 
 @contextlib.contextmanager
 def half_hellos(one: PlacedProcess) -> Iterator[None]:
-    """Keep connections open that sent half of a TLS hello. Raises FaultHadNoEffect if none was accepted."""
+    """Keep connections open that sent half of a TLS hello. Raises OSError if the service accepts no connection."""
     outgoing = ssl.MemoryBIO()
     hello = ssl.create_default_context().wrap_bio(ssl.MemoryBIO(), outgoing, server_hostname="stampede")
     with contextlib.suppress(ssl.SSLWantReadError):
@@ -182,7 +182,7 @@ async def _send_as_messages(one: PlacedProcess, payload: bytes, insider: TlsFile
         for method in service.methods
     ]
     if len(payload) == GIANT_MESSAGE_BYTES:
-        methods = methods[:: len(methods) // 3]  # a third of the methods is enough for each port; more would take long
+        methods = methods[:: len(methods) // 3]  # about three methods are enough for each port; more would take long
     async with _unlimited(one, insider, options) as channel:
         return sum([await _refused(channel, method, payload) for method in methods])
 

@@ -129,7 +129,7 @@ async def _listed(scene: Scene, newcomer: Supernode | None, leaver: Supernode) -
         seen: set[str] = set()
         while seen != wanted:
             if time.monotonic() > deadline:
-                raise FaultHadNoEffect(f"{one.name} takes {sorted(seen)} for the members, which are {sorted(wanted)}")
+                raise FaultHadNoEffect(f"{one.name} lists {sorted(seen)} as the members, not {sorted(wanted)}")
             with contextlib.suppress(grpc.aio.AioRpcError):
                 listed = await one.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=2)
                 seen = {record.supernode_id for record in listed.supernodes}

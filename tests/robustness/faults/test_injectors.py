@@ -114,7 +114,7 @@ async def test_a_lost_item_of_a_good_client_beside_an_attack_is_noticed() -> Non
         await puts.check_kept()
 
 
-async def test_a_host_may_keep_the_bytes_of_its_channels_and_not_a_megabyte_for_each_of_60_streams(
+async def test_a_host_may_keep_the_bytes_of_its_channels_but_not_a_megabyte_for_each_of_60_streams(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(hostile_callers, "BACK_SECONDS", 0.0)

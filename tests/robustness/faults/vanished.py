@@ -1,4 +1,4 @@
-"""The link of a client goes away: no datagram comes any more, and no FIN. The host must end its calls."""
+"""The link of a client goes down, so no packet of the client arrives, not even a FIN. The host must end its calls."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from tests.robustness.real_cluster.traffic import CLIENT
 from tests.support.supernode.processes import clean_environment
 
 FORGOTTEN_SECONDS_MAX = 45.0
-"""A host gives a sign of life each 2.5 s, and its system waits 30 s for the acknowledgement. gRPC needs the same
-time.
+"""Over TCP sockets a host sends a sign of life every 2.5 s, and its kernel waits 30 s for the acknowledgement. gRPC
+needs the same time.
 """
 VANISHED_PATIENCE_SECONDS = 90.0
-LOOK_SECONDS = 0.1
+POLL_SECONDS = 0.1
 PROGRAM = "tests.robustness.real_cluster.waiting_client"
 
 
@@ -49,7 +49,7 @@ async def vanish_client(scene: Scene) -> None:
 
 
 async def _full(scene: Scene, pinned: PinnedChannel) -> aio.Channel:
-    """A channel without room at the same host."""
+    """A full channel at the host of the pinned channel."""
     assert scene.traffic is not None
     policy: dict[str, Any] = {"max_items": 1, "max_age": "1h", "on_full": "block"}
     full = await scene.traffic.rt.channel(f"{pinned.channel.name}/full", host=pinned.host.name, **policy)
@@ -64,10 +64,10 @@ async def _waiting(channel: aio.Channel, full: aio.Channel) -> int:
 
 
 async def _until(count: Callable[[], Awaitable[int]], wanted: int) -> None:
-    """Wait until the count is this one. Raises TimeoutError."""
+    """Wait until `count` returns `wanted`. Raises TimeoutError."""
     async with asyncio.timeout(VANISHED_PATIENCE_SECONDS):
-        while await count() != wanted:  # noqa: ASYNC110  # the host tells no event
-            await asyncio.sleep(LOOK_SECONDS)
+        while await count() != wanted:  # noqa: ASYNC110  # the host reports no event for it
+            await asyncio.sleep(POLL_SECONDS)
 
 
 @asynccontextmanager

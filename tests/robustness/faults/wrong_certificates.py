@@ -67,7 +67,7 @@ async def wrong_certificates(scene: Scene) -> None:
         }
         for one in scene.cluster.processes():
             if not await asyncio.to_thread(accepts, one, right):
-                raise FaultHadNoEffect(f"{one.name} refuses the right certificate, so that a refusal says nothing")
+                raise FaultHadNoEffect(f"{one.name} refuses the right certificate, so other refusals prove nothing")
             for kind, files in wrong.items():
                 if await asyncio.to_thread(accepts, one, files, certificates.ca):
                     raise AssertionError(f"{one.name} lets in a caller with {kind} certificate")
