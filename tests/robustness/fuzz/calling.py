@@ -49,10 +49,11 @@ class CallingClient:
             return await self.plain(next, iterator, ENDED)
         return await anext(iterator, ENDED)
 
-    async def any_way(self, what: str, call: Awaitable[Any], own_s: float = 0.0, *, endless: bool = False) -> Any:
-        """The call's result, INTERRUPTED or FAILED: some calls are cancelled at a random moment, some time out.
+    async def outcome(self, what: str, call: Awaitable[Any], own_s: float = 0.0, *, endless: bool = False) -> Any:
+        """Wait for the call, and cancel some calls at a random moment. Returns the result, INTERRUPTED or FAILED.
 
-        `endless`: the call may wait for ever by itself. Fails the test if the call hangs, or if its last try fails.
+        `endless`: the call may wait for ever, so an asyncio client always cancels it. Raises AssertionError if the call
+        hangs, or fails with an error that no broken network explains.
         """
         self.calls += 1
         task = asyncio.ensure_future(call)
@@ -82,6 +83,6 @@ class CallingClient:
         if error is None:
             return task.result()
         if not isinstance(error, PASSING):
-            raise AssertionError(f"{what} failed at each try") from error
+            raise AssertionError(f"{what} failed with an error that no broken network explains") from error
         self.failed += 1
         return FAILED

@@ -10,7 +10,7 @@ from tests.robustness.fuzz.calling import ENDED, FAILED, INTERRUPTED, CallingCli
 from tests.robustness.fuzz.ledger import Ledger
 
 SIZES = (0, 10, 1000, 70_000)
-STORY_S_MAX = 600.0
+STEP_S_MAX = 600.0
 LAST = b"the last"
 
 
@@ -25,21 +25,21 @@ async def puts(calling: CallingClient, channel: Any, ledger: Ledger, who: str, o
     while not over.is_set():
         payload = payload_of(calling, who, number := number + 1)
         call = calling.plain(channel.put, payload, timeout=1)
-        outcome = await calling.any_way("put", call, 1)
+        outcome = await calling.outcome("put", call, 1)
         (ledger.open if outcome in (INTERRUPTED, FAILED) else ledger.accepted).add(payload)
 
 
 async def produces(calling: CallingClient, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
-    """Put without waiting for acks, and flush now and then. In the end all items that the producer took are there."""
+    """Put without waiting for acks, and flush now and then. At the end the host has all items of the producer."""
     producer = channel.producer()
     handed: set[bytes] = set()
     number = 0
     while not over.is_set():
         payload = payload_of(calling, who, number := number + 1)
-        outcome = await calling.any_way("put of a producer", calling.plain(producer.put, payload))
+        outcome = await calling.outcome("put of a producer", calling.plain(producer.put, payload))
         (ledger.refused if outcome in (INTERRUPTED, FAILED) else handed).add(payload)
         if calling.rng.random() < 0.1:
-            await calling.any_way("flush", calling.plain(producer.flush, 2), 2)
+            await calling.outcome("flush", calling.plain(producer.flush, 2), 2)
         await asyncio.sleep(0)
     await calling.plain(producer.flush, 60)
     assert (producer.accepted, producer.rejections) == (len(handed), 0)
@@ -59,7 +59,7 @@ async def reads(calling: CallingClient, channel: Any, over: asyncio.Event) -> No
             call = calling.plain(channel.get, st.now(), st.now() + 10**9, timeout=0.2, complete=True)
         else:
             call = calling.plain(channel.stats)
-        await calling.any_way(f"read {kind}", call, 1)
+        await calling.outcome(f"read {kind}", call, 1)
 
 
 async def subscribes(calling: CallingClient, channel: Any) -> list[st.Item]:
@@ -72,7 +72,7 @@ async def subscribes(calling: CallingClient, channel: Any) -> list[st.Item]:
         step = asyncio.ensure_future(calling.step(batches if in_batch else subscription))
         if calling.is_async and calling.rng.random() < 0.2:
             await calling.interrupt(step)
-        item = await calling.ended("step of a subscription", step, STORY_S_MAX)
+        item = await calling.ended("step of a subscription", step, STEP_S_MAX)
         assert item not in (FAILED, ENDED)
         if item is not INTERRUPTED:
             items += item if in_batch else [item]
@@ -81,8 +81,8 @@ async def subscribes(calling: CallingClient, channel: Any) -> list[st.Item]:
 
 
 async def subscribed(calling: CallingClient, channel: Any) -> Any:
-    """A subscription from the beginning: the blocking client opens it here, and may meet a failure."""
+    """Subscribe from the oldest item on, and try again after a failure. The blocking client opens the stream here."""
     while True:
-        made = await calling.any_way("subscribe", calling.plain(channel.subscribe, st.OLDEST), 0)
+        made = await calling.outcome("subscribe", calling.plain(channel.subscribe, st.OLDEST), 0)
         if made not in (FAILED, INTERRUPTED):
             return made

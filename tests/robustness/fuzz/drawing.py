@@ -1,4 +1,4 @@
-"""Random choices that come from bytes. So a target needs no other input: not for guidance, seeds or stored inputs."""
+"""Makes random choices from bytes, which a fuzzer, a seed or a stored input gives. Targets need no other input."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class ByteSource:
 
     @property
     def left(self) -> int:
-        """How many bytes have not been used."""
+        """The number of bytes that have not been used."""
         return len(self._data) - self._at
 
     def take(self, count: int) -> bytes:

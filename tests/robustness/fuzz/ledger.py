@@ -21,4 +21,4 @@ class Ledger:
         lost = self.accepted - held.keys()
         assert not lost, f"acknowledged and lost: {sorted(lost)[:5]} of {len(self.accepted)}"
         foreign = held.keys() - self.accepted - self.open
-        assert not foreign, f"present, but never put or not handed over: {sorted(foreign)[:5]}"
+        assert not foreign, f"present, but the client never sent them: {sorted(foreign)[:5]}"

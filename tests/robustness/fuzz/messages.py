@@ -1,4 +1,4 @@
-"""Random protobuf messages, made from their descriptors. Some are then damaged in ways in which only bytes can be."""
+"""Random protobuf messages, made from their descriptors. The encoded bytes of some messages are then damaged."""
 
 from __future__ import annotations
 
@@ -172,12 +172,12 @@ _ANY: dict[int, Callable[[ByteSource], Any]] = {
 
 
 def drawn_request(source: ByteSource, descriptor: Descriptor, known: KnownValues) -> bytes:
-    """A message of the kind as bytes: sound most of the time."""
+    """The bytes of a message of this type. Most of them are valid."""
     return _maybe_damaged(source, drawn_message(source, descriptor, known))
 
 
 def drawn_stream(source: ByteSource, descriptor: Descriptor, known: KnownValues, count: int) -> list[bytes]:
-    """The messages of one stream. Most of them begin with the opening, and send it once."""
+    """The messages of one stream. Most streams have the opening once, in the first message."""
     messages = [drawn_message(source, descriptor, known) for _ in range(count)]
     for name in ("hello", "open"):
         if name in descriptor.fields_by_name and not source.chance(15):
@@ -256,7 +256,7 @@ def _some_record(source: ByteSource, raw: bytes) -> tuple[list[bytes], int]:
 
 
 def _repeated(source: ByteSource, raw: bytes) -> bytes:
-    """Repeat a field, perhaps a singular one, of which the last value counts."""
+    """Repeat a field. If the field is singular, its last value counts."""
     records, place = _some_record(source, raw)
     times = min(source.choice((1, 2, 50, 1000)), REPEATED_BYTES_MAX // max(1, len(records[place])))
     return b"".join([*records, *[records[place]] * times])
@@ -299,7 +299,7 @@ def _unknown(source: ByteSource, raw: bytes) -> bytes:
 
 
 def _nested(source: ByteSource, raw: bytes) -> bytes:
-    """A message within itself, deeper than a parser goes."""
+    """The message inside further messages, sometimes deeper than a parser allows."""
     number = 1 + source.below(20)
     for _ in range(source.choice((3, 40, 99, 101, 300))):
         raw = varint(number << 3 | 2) + varint(len(raw)) + raw

@@ -20,7 +20,7 @@ async def enqueues(calling: CallingClient, queue: Any, ledger: Ledger, who: str,
     number = 0
     while not over.is_set():
         payload = payload_of(calling, who, number := number + 1)
-        outcome = await calling.any_way("put into a queue", calling.plain(queue.put, payload, 1), 1)
+        outcome = await calling.outcome("put into a queue", calling.plain(queue.put, payload, 1), 1)
         (ledger.open if outcome in (INTERRUPTED, FAILED) else ledger.accepted).add(payload)
 
 
@@ -36,7 +36,7 @@ class Takers:
         while not over.is_set():
             timeout = calling.rng.choice([0, 0.05, 1, None if calling.is_async else 1])
             call = calling.plain(queue.get, timeout)
-            message = await calling.any_way("get from a queue", call, timeout or 0, endless=timeout is None)
+            message = await calling.outcome("get from a queue", call, timeout or 0, endless=timeout is None)
             if message not in NOBODY:
                 await self._settle(calling, message)
 
@@ -54,9 +54,9 @@ class Takers:
         if kind < 0.1:
             return
         if kind < 0.2:
-            await calling.any_way("nack", settled(calling, message.nack))
+            await calling.outcome("nack", settled(calling, message.nack))
             return
-        outcome = await calling.any_way("ack", settled(calling, message.ack))
+        outcome = await calling.outcome("ack", settled(calling, message.ack))
         if outcome in (FAILED, INTERRUPTED):
             self.unsure.add(message.payload)
         elif outcome:
@@ -77,7 +77,7 @@ async def reads_groups(calling: CallingClient, group: Any, over: asyncio.Event) 
     while not over.is_set():
         call = group.newest if calling.rng.random() < 0.5 else group.get
         arguments = () if call == group.newest else (st.OLDEST, st.NEWEST)
-        await calling.any_way("read of a group", calling.plain(call, *arguments, payloads=False), 1)
+        await calling.outcome("read of a group", calling.plain(call, *arguments, payloads=False), 1)
 
 
 async def matches(calling: CallingClient, group: Any, per: Any, over: asyncio.Event) -> None:
@@ -104,22 +104,22 @@ async def cuts(calling: CallingClient, group: Any, over: asyncio.Event) -> None:
 
 
 async def opened(calling: CallingClient, make: Any, *arguments: Any, **named: Any) -> Any:
-    """Open a stream by a call that nothing interrupts.
+    """Open a stream. Try again after an interruption or a failure.
 
     The blocking client waits in this call until the stream is open. The asyncio client waits for this later.
     """
     while True:
-        made = await calling.any_way("subscribe to a group", calling.plain(make, *arguments, **named))
+        made = await calling.outcome("subscribe to a group", calling.plain(make, *arguments, **named))
         if made not in (FAILED, INTERRUPTED):
             return made
 
 
 async def stepped(calling: CallingClient, made: Any, over: asyncio.Event) -> list[Any]:
-    """The results of an iterator until its end."""
+    """The results of an iterator until its end. Closes the iterator when `over` is set."""
     seen: list[Any] = []
     ending = asyncio.ensure_future(_close_when(over, made))
     while True:
-        result = await calling.any_way("step", calling.step(made), endless=True)
+        result = await calling.outcome("step", calling.step(made), endless=True)
         if result is ENDED:
             await ending
             return seen

@@ -138,16 +138,16 @@ class Scenario:
     async def _comes_and_goes(self, calling: CallingClient) -> None:
         """Open separate connections, and close each in the middle of its calls."""
         while not self._over.is_set():
-            rt = await calling.any_way("connect", self._connect(calling), 5)
+            rt = await calling.outcome("connect", self._connect(calling), 5)
             if not hasattr(rt, "channel"):
                 continue
             name = f"fuzz/guest/{self._client}/{self._seed}"
-            channel = await calling.any_way("open", calling.plain(rt.channel, name, host=self._world.host), 1)
+            channel = await calling.outcome("open", calling.plain(rt.channel, name, host=self._world.host), 1)
             puts = []
             if hasattr(channel, "put"):
                 puts = [asyncio.ensure_future(calling.plain(channel.put, b"x", timeout=1)) for _ in range(3)]
             close = rt.aclose if calling.is_async else rt.close
-            await calling.any_way("close", calling.plain(close), 5)
+            await calling.outcome("close", calling.plain(close), 5)
             await calling.plain(close)
             for put in puts:
                 await calling.ended("put beside a close", put, 1)
@@ -163,7 +163,7 @@ class Scenario:
         calls = [asyncio.ensure_future(calling.plain(make)) for make in makes]
         for _ in range(calling.rng.randrange(200)):
             await asyncio.sleep(0)
-        await calling.any_way("close", calling.plain(rt.aclose if calling.is_async else rt.close), 5)
+        await calling.outcome("close", calling.plain(rt.aclose if calling.is_async else rt.close), 5)
         await calling.plain(rt.aclose if calling.is_async else rt.close)
         for call in calls:
             await calling.ended("call beside a close", call, 0)

@@ -1,4 +1,4 @@
-"""After any cuts and cancellations, nothing hangs, no acknowledged item is lost or doubled, and nothing is left over.
+"""After any cuts and cancellations no call hangs, no acknowledged item is lost or doubled, and no task or thread stays.
 
 `make fuzz` runs other and longer scenarios: STAMPEDE_FUZZ_SCENARIOS of STAMPEDE_FUZZ_SECONDS each, from
 STAMPEDE_FUZZ_SEED on.

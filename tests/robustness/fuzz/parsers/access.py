@@ -42,7 +42,7 @@ def proof(source: ByteSource) -> None:
 
 
 def rule(source: ByteSource) -> None:
-    """Check that decoding an accepted rule gives the same rule, which judges every caller and name in short time."""
+    """Check that an accepted rule is the same after encoding and decoding, and can judge every caller and name."""
     drawn = [drawn_message(source, access_pb2.AccessRule.DESCRIPTOR, KNOWN) for _ in range(1 + source.below(4))]
     rules = [rule_from(one) for one in drawn]  # type: ignore[arg-type]
     for one in rules:

@@ -1,6 +1,6 @@
 """Answers of services, as clients read them.
 
-An answer of a hostile or newer service raises only errors of the product.
+If a client cannot read an answer of a hostile or newer service, it raises an error of the product.
 """
 
 from __future__ import annotations

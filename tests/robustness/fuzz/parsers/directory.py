@@ -56,11 +56,11 @@ def raft_snapshot(source: ByteSource) -> None:
 def command(source: ByteSource) -> None:
     decoded = decode_command(drawn_request(source, command_pb.DirectoryCommand.DESCRIPTOR, KNOWN))
     again = decode_command(encode_command(decoded))
-    assert repr(again) == repr(decoded)  # NaN differs from itself
+    assert repr(again) == repr(decoded)  # a comparison of values would fail for NaN
 
 
 def directory(source: ByteSource) -> None:
-    """Check that after any commands two replicas are equal, and a third that begins with a snapshot is like them."""
+    """Check that two replicas give equal answers to any commands, and that a third one with the snapshot is equal."""
     one, other = DirectoryReplica(), DirectoryReplica()
     for index in range(1, COMMANDS + 1):
         raw = drawn_request(source, command_pb.DirectoryCommand.DESCRIPTOR, KNOWN)

@@ -1,4 +1,4 @@
-"""Each target under atheris in a process of its own, `guided_process`: libFuzzer ends it with its first finding."""
+"""Runs each target under atheris in a process of its own, `guided_process`. libFuzzer ends it at the first finding."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def run_guided(name: str, *, inputs: int, seconds: int, seed: int) -> bool:
 
     Raises ImportError without atheris.
     """
-    import atheris  # noqa: F401 - here, so that its absence is said before a process is started
+    import atheris  # noqa: F401 - raises ImportError before a process is started
 
     corpus = CORPUS / name
     corpus.mkdir(parents=True, exist_ok=True)

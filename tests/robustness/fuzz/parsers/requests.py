@@ -117,7 +117,7 @@ REFUSED = (StampedeError,)
 
 
 def stream_frames(source: ByteSource) -> None:
-    """Frames are the same however their bytes are cut, and nothing of them is lost."""
+    """The reader finds the same frames wherever their bytes are cut, and loses no byte."""
     limits = {FrameKind.OPENING: 64, FrameKind.MESSAGE: 300, FrameKind.END: 0}
     stream = b"".join(
         frame_of(source.choice(tuple(limits)), source.take(source.below(40))) for _ in range(source.below(6))

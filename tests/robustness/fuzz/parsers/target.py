@@ -1,4 +1,4 @@
-"""The calls of a parser: it gets any bytes, and must answer or refuse with one of its documented errors."""
+"""A parser under test: it gets any bytes, and must return a result or raise one of its documented errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Target:
     refusals: tuple[type[BaseException], ...]
 
     def __call__(self, data: bytes) -> bool:
-        """Whether the parser accepted the input. Raises a finding."""
+        """Whether the parser accepted the input. Raises every other error: it is a finding."""
         try:
             self.parse(ByteSource(data))
         except self.refusals:

@@ -1,5 +1,6 @@
-"""The findings of the targets, each as its original input: damaged files, hostile values, and answers of newer
-services.
+"""The earlier findings of the targets, each with its original input.
+
+They are damaged files, hostile values, and answers of newer services.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ def test_a_time_with_very_many_digits_is_refused() -> None:
 
 
 @pytest.mark.parametrize("words", [["doctor", HOSTILE], ["ls", "--" + HOSTILE], [HOSTILE], ["ls", "-o", HOSTILE]])
-def test_misused_words_reach_the_terminal_escaped(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_arguments_are_escaped_on_the_terminal(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         run(words)
     last = capsys.readouterr().err.rstrip("\n").splitlines()[-1]

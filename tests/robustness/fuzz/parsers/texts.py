@@ -25,7 +25,7 @@ DIGITS = "1" * 5000
 
 
 def composed(source: ByteSource) -> str:
-    """A text of pieces that mean something to one of the parsers, and others."""
+    """A text made of pieces that some parser knows, and of hostile texts."""
     count = source.choice((1, 3, 2, 5, 8))
     pieces = [source.choice(PIECES) if source.chance(60) else hostile_values.text(source) for _ in range(count)]
     return DIGITS if source.chance(1) else "".join(pieces)
@@ -65,7 +65,7 @@ def _identity(text: str) -> None:
 
 
 def page_token(source: ByteSource) -> None:
-    """Check that an accepted page token names a position, and that a made token leads back to its position."""
+    """Check that a page token gives back the position in it, and that any other text is read or refused."""
     name, token = composed(source), composed(source)
     assert page_tokens.read_name(page_tokens.write_name(name)) == name
     for read in (page_tokens.read_name, page_tokens.read_host):
@@ -77,7 +77,7 @@ def page_token(source: ByteSource) -> None:
 
 
 def glob(source: ByteSource) -> None:
-    """Check that no pattern takes long, and that each matches the names that it describes."""
+    """Check that a pattern matches only names with its fixed prefix. Slow patterns are findings, too."""
     pattern, name = composed(source), composed(source)
     matches = matcher(pattern)
     matches(name)
@@ -86,7 +86,7 @@ def glob(source: ByteSource) -> None:
 
 
 def join_token(source: ByteSource) -> None:
-    """Check that only the token itself is accepted, and that every other text is refused without a defect."""
+    """Check that only the token itself is accepted, and that every other text is refused with a documented error."""
     tokens, newcomer = JoinTokens(b"k" * 32), Member(member_id="s9", address="localhost:1")
     real = tokens.make(b"r" * 16, newcomer, valid_until_unix_nano=10**18, log_cluster_id=composed(source))
     assert tokens.check(real, newcomer, now_unix_nano=1)

@@ -22,7 +22,7 @@ def run_unguided(name: str, *, inputs: int, seconds: float, seed: int) -> bool:
         data, since = drawn_bytes(random_source), time.process_time()
         try:
             taken += target(data)
-        except Exception:  # noqa: BLE001 - that is what is looked for
+        except Exception:  # noqa: BLE001 - every such error is a finding
             print(f"FOUND by {name}: {data.hex()}\n{traceback.format_exc()}")
             found += 1
         slowest = max(slowest, time.process_time() - since)

@@ -12,7 +12,7 @@ from tests.robustness.fuzz.ports.run import run
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="call all RPCs with messages that no client of the product sends")
-    parser.add_argument("ports", nargs="*", help=f"of {', '.join(PORTS)}; left out: all")
+    parser.add_argument("ports", nargs="*", help=f"some of {', '.join(PORTS)}; default: all")
     parser.add_argument("--inputs", type=int, default=1_000_000, help="requests for each port")
     parser.add_argument("--seconds", type=float, default=36_000.0, help="for each port, at most")
     parser.add_argument("--seed", type=int, default=1)

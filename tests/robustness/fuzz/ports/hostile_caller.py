@@ -1,4 +1,4 @@
-"""Calls RPCs of one port with random requests, with and without a credential, and looks at each answer."""
+"""Calls RPCs of one port with random requests, with and without a credential, and checks each answer."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class HostileCaller:
 
 
 def _begun(channel: grpc.aio.Channel, method: Method, requests: Sequence[bytes], metadata: Metadata) -> Any:
-    """The call; a stream's requests are still to be sent."""
+    """Begin the call. If the method takes a stream, the caller must still send the requests."""
     if method.takes_stream:
         return channel.stream_stream(method.path)(metadata=metadata, timeout=CALL_SECONDS)
     kind = channel.unary_stream if method.answers_stream else channel.unary_unary

@@ -31,7 +31,7 @@ class Method:
 
     @property
     def weight(self) -> int:
-        """How often the method is called: seldom if it ends things, or if no service has it."""
+        """The weight of the method in the random choice. It is low for methods of _SELDOM, such as deletions."""
         return 1 if any(word in self.path for word in _SELDOM) else 8
 
     @property
@@ -40,7 +40,7 @@ class Method:
 
 
 def methods_of(port: str) -> list[Method]:
-    """The methods of one port. Leaves out methods of other ports, which callers may call there by mistake."""
+    """The methods that the service behind this port has."""
     return [
         Method(
             path=f"/{service.full_name}/{method.name}",

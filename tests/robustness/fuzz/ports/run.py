@@ -41,10 +41,10 @@ async def run(
     commands: bool = True,
     told: Callable[[str], None] = lambda _: None,
 ) -> Outcome:
-    """Send `inputs` inputs, for `seconds` at most. Calls `told` after each 10,000 inputs.
+    """Send `inputs` requests, for at most `seconds`. Calls `told` after each 10,000 requests.
 
-    With `tls` the connections bring certificates of all roles instead of the secret. `commands`: the command line is
-    looked at afterwards, which takes half a minute.
+    With `tls` the connections bring certificates of all roles instead of the secret. `commands`: also check the command
+    line afterwards, which takes half a minute.
     """
     outcome = Outcome(port, seed)
     async with fuzzed_cluster(outcome, tls=tls) as cluster:
@@ -130,8 +130,9 @@ async def _good_client(rt: st.aio.Connection, outcome: Outcome) -> None:
 async def _check_serves(cluster: FuzzedCluster) -> None:
     """Check that a new client can still use the real host. Hostile callers with the secret may register hosts, too.
 
-    It tries for GOOD_CALL_SECONDS: other work on the machine may keep the services from a processor for longer than
-    `connect` waits. First it removes all quotas, because quotas that hostile operators have set may refuse each call.
+    The check tries for GOOD_CALL_SECONDS: other work on the machine may keep the services from a processor for longer
+    than `connect` waits. First the check removes all quotas, because hostile operators may have set quotas that refuse
+    each call.
     """
     await asyncio.to_thread(_remove_quotas, cluster)
     until_s = time.monotonic() + GOOD_CALL_SECONDS
