@@ -2,8 +2,8 @@
 
 The search of Wing and Gong (1993), with Lowe's memory of visited configurations (2017), as in Porcupine and Knossos:
 choose an operation that no unfinished operation precedes; go back if no order fits; never visit a set of linearized
-operations with the same state twice. It is written here because PyPI has no such checker (Porcupine is Go, Knossos
-Clojure), and one page is less than another toolchain in the test suite.
+operations with the same state twice. PyPI has no such checker (Porcupine is Go, Knossos Clojure), and one page of code
+costs less than another toolchain in the test suite.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class _Node:
     is_call: bool
     before: _Node | None = None
     after: _Node | None = None
-    match: _Node | None = None  # the call's return; None for an ambiguous call, which forces nothing
+    match: _Node | None = None  # the call's return; None for an ambiguous call, which the order may leave out
 
     def lift(self) -> None:
         """Take a call and its return out of the list."""
@@ -135,4 +135,6 @@ def _explanation(operations: Sequence[Operation], position: int) -> str:
         f"  {'>' if one is culprit else ' '} {one.invoked:10.4f} - {one.returned:10.4f}  {one.call}  ->  {one.answer}"
         for one in sorted(operations, key=lambda one: one.invoked)
     )
-    return f"key {culprit.key}: no order of these operations explains their answers; they fail by >\n{lines}"
+    return (
+        f"key {culprit.key}: no order of these operations explains their answers; no order fits the one at >\n{lines}"
+    )

@@ -13,9 +13,9 @@ from typing import Any
 class Operation:
     """One call.
 
-    `returned` is infinite and `answer` None if its outcome is unknown: it may take effect at any time after `invoked`,
-    or never. The history leaves out calls that certainly had no effect. If such a call had an effect after all, no
-    order of the operations explains the later answers.
+    If the outcome is unknown, `returned` is infinite and `answer` is None: the call may take effect at any time after
+    `invoked`, or never. The history leaves out calls that certainly had no effect. If such a call had an effect after
+    all, no order of the operations explains the later answers.
     """
 
     key: str

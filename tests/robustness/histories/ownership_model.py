@@ -14,7 +14,7 @@ from tests.robustness.histories.linearizability import NotLinearizable, SearchGi
 from tests.robustness.histories.operations import Operation, by_key
 
 LAG_SECONDS_MAX = 1.0  # the greatest lag of a replica in sync
-SLACK_SECONDS = 1.0  # the time that answers may be late
+SLACK_SECONDS = 1.0  # the greatest delay of an answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ def judge_items(operations: Iterable[Operation]) -> Judgement:
         lost, doubled = lost + len(missing), doubled + len(twice)
         violations += [f"{name}: {payload!r} was acknowledged or seen, and is lost" for payload in sorted(missing)]
         violations += [f"{name}: {payload!r} was stored twice" for payload in sorted(twice)]
-        violations += [f"{name}: {payload!r} was put by nobody" for payload in sorted(strange)]
+        violations += [f"{name}: no caller put {payload!r}" for payload in sorted(strange)]
         try:
             check_linearizable([one for one in history if not one.ambiguous], OwnerState(), step)
         except (NotLinearizable, SearchGivenUp) as error:
@@ -166,11 +166,12 @@ def early_losses(operations: Iterable[Operation], slack_s: float = SLACK_SECONDS
     for name, history in by_key(operations).items():
         read = {one.answer.incarnation for one in history if isinstance(one.answer, AllItems)}
         for incarnation, after, lost in _lost_with_hosts(history):
-            last = _last_acknowledgement(history, incarnation)  # an owner may show later items, and acknowledge none
+            last = _last_acknowledgement(history, incarnation)  # not of reads: they may show unacknowledged items
             early = [item for item, since in lost.items() if since < last - LAG_SECONDS_MAX - slack_s]
             if early and after in read and after == (incarnation + 1) % 2**64:
                 found.append(
-                    f"{name}: {len(early)} items were lost more than {LAG_SECONDS_MAX:g} s before the last one"
+                    f"{name}: {len(early)} items were lost that were known more than {LAG_SECONDS_MAX:g} s before the "
+                    "last acknowledgement"
                 )
     return found
 

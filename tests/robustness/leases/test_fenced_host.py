@@ -1,4 +1,4 @@
-"""A channel host that was stopped for longer than its lease refuses the requests that wait in its inbox."""
+"""A channel host that was stopped for longer than its lease refuses the requests that have arrived meanwhile."""
 
 from __future__ import annotations
 
@@ -65,7 +65,9 @@ def test_a_host_that_is_continued_after_its_lease_acknowledges_nothing_under_its
         before, stopped = channel.info, owner(cluster, channel)
         with grpc.insecure_channel(stopped.address) as connection:
             stub = ChannelServiceStub(connection)
-            assert stale_put(stub, cluster, before)[0].HasField("first_seq"), "while the lease holds, it is taken"
+            assert stale_put(stub, cluster, before)[0].HasField("first_seq"), (
+                "the host refuses a put under a valid lease"
+            )
             stopped.pause()
             try:
                 waiting = [pool.submit(stale_put, stub, cluster, before) for _ in range(STALE_PUTS)]

@@ -1,7 +1,7 @@
 """The directory's answer to a host can be late.
 
 The host's lease has ended, another host has the channel, and the host has registered again. Then an older answer says
-that the channel is still the host's.
+that the channel still belongs to this host.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def record(host_id: bytes, epoch: int, *, incarnation: int = 7) -> RecordedChann
 
 
 class SlowDirectory:
-    """Each request waits until the test gives the answer; `asked` is signalled for each request."""
+    """Each request waits until the test answers it. `requests`: the futures of the waiting requests."""
 
     def __init__(self) -> None:
         self.requests: asyncio.Queue[asyncio.Future[RecordedChannel]] = asyncio.Queue()
@@ -102,7 +102,7 @@ async def answered(
     await asking
 
 
-async def test_a_host_that_keeps_registering_gives_up_asking() -> None:
+async def test_a_host_that_registers_again_and_again_gives_up_the_lookup() -> None:
     directory = SlowDirectory()
     store = store_over(directory)
     binding = asyncio.create_task(store.bind(CHANNEL, 1))

@@ -1,6 +1,6 @@
 """`python -m tests.robustness.mutants [NAME ...]`: plants each fault, and prints which test noticed it, and how soon.
 
-Two faults at a time. A test or simulator stops at the first finding, and has a time limit.
+It plants two faults at the same time. A test or simulator stops at the first finding, and has a time limit.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 from tests.robustness.mutants.planted import MUTANTS
-from tests.robustness.mutants.planting import NOT_ASKED, Verdict, ask, judge
+from tests.robustness.mutants.planting import NO_VERDICT, Verdict, judge, run_detector
 
 AT_ONCE = 2
 
@@ -28,7 +28,7 @@ def main() -> int:
     with ThreadPoolExecutor(AT_ONCE) as pool:
         verdicts = [_shown(one) for one in pool.map(judge, chosen)]
         detectors = sorted({one.noticed_by for one in chosen})
-        quiet = [_shown_without(*one) for one in pool.map(_asked_without, detectors)]
+        quiet = [_shown_without(*one) for one in pool.map(_run_without, detectors)]
     unnoticed = [one.mutant.name for one in verdicts if not one.noticed]
     if unnoticed:
         print(f"unnoticed: {', '.join(unnoticed)}", file=sys.stderr)
@@ -41,17 +41,17 @@ def _shown(verdict: Verdict) -> Verdict:
     return verdict
 
 
-def _asked_without(who: str) -> tuple[str, bool, str, float]:
+def _run_without(detector: str) -> tuple[str, bool, str, float]:
     """Run a test or simulator without a fault. It must pass, or its findings would prove nothing."""
     began = time.monotonic()
-    noticed, how = ask(who, package_path=None)
-    return who, noticed or how.startswith(NOT_ASKED), how, time.monotonic() - began
+    noticed, how = run_detector(detector, package_path=None)
+    return detector, noticed or how.startswith(NO_VERDICT), how, time.monotonic() - began
 
 
-def _shown_without(who: str, loud: bool, how: str, seconds: float) -> bool:
-    wrongly = "**wrongly**: " if loud else ""
-    print(f"| (none) | {who.split('::')[-1]} | {wrongly}{how} | {seconds:.0f} |", flush=True)
-    return not loud
+def _shown_without(detector: str, is_wrong: bool, how: str, seconds: float) -> bool:
+    wrongly = "**wrongly**: " if is_wrong else ""
+    print(f"| (none) | {detector.split('::')[-1]} | {wrongly}{how} | {seconds:.0f} |", flush=True)
+    return not is_wrong
 
 
 if __name__ == "__main__":

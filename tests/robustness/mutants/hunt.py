@@ -1,6 +1,6 @@
 """Runs a simulator until a seed fails: `python -m tests.robustness.mutants.hunt log 100`.
 
-Exit code 0 and one line if a promise was broken, 1 if none was. Any other exception is raised, because it is no
+Exit code 0 and one line if a promise was broken, 1 if none was. Any other exception ends the program, because it is no
 finding.
 """
 

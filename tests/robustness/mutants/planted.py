@@ -304,7 +304,7 @@ MUTANTS = (
         noticed_by="tests/unit/supernode/core/replicas/test_transitions.py",
     ),
     Mutant(
-        name="lag_is_not_looked_at",
+        name="lag_is_not_checked",
         file=f"{HOST}/core/replication/in_sync.py",
         edits=(("all(now - one.caught_up <= LAG_NANOS_MAX for", "all(one for"),),
         noticed_by="takeovers",

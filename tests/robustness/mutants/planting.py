@@ -16,7 +16,7 @@ from tests.robustness.mutants.planted import SEEDS_MAX, Mutant
 
 ROOT = Path(__file__).parents[3]
 SECONDS_MAX = 600.0
-NOT_ASKED = "could not be asked"
+NO_VERDICT = "no verdict"
 TESTS_FAILED = 1  # pytest's exit code
 
 
@@ -32,8 +32,8 @@ class Verdict:
 
 
 def judge(mutant: Mutant) -> Verdict:
-    """Plant the fault, and run its test or simulator, for seconds or minutes. Raises LookupError if the fault fits
-    no code.
+    """Plant the fault, and run its test or simulator. Takes seconds or minutes. Raises LookupError if the code has
+    changed, so that the fault does not fit.
     """
     source = ROOT / mutant.file.split("/src/")[0] / "src"
     began = time.monotonic()
@@ -42,18 +42,18 @@ def judge(mutant: Mutant) -> Verdict:
         shutil.copytree(source, copy, ignore=shutil.ignore_patterns("__pycache__"))
         place = copy / (ROOT / mutant.file).relative_to(source)
         place.write_text(mutant.plant(place.read_text()))
-        noticed, how = ask(mutant.noticed_by, package_path=copy)
+        noticed, how = run_detector(mutant.noticed_by, package_path=copy)
     return Verdict(mutant=mutant, noticed=noticed, how=how, seconds=time.monotonic() - began)
 
 
-def ask(who: str, *, package_path: Path | None, seeds: int = SEEDS_MAX) -> tuple[bool, str]:
+def run_detector(detector: str, *, package_path: Path | None, seeds: int = SEEDS_MAX) -> tuple[bool, str]:
     """Run a simulator or test. Returns whether it failed, and its message.
 
     `package_path`: the folder of the changed package; None: the code as it is.
     """
-    simulated = who in SIMULATORS
-    hunt = ["-m", "tests.robustness.mutants.hunt", who, str(seeds)]
-    test = ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", *who.split()]
+    simulated = detector in SIMULATORS
+    hunt = ["-m", "tests.robustness.mutants.hunt", detector, str(seeds)]
+    test = ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", *detector.split()]
     path = {"PYTHONPATH": str(package_path)} if package_path else {}
     try:
         done = subprocess.run(
@@ -66,7 +66,7 @@ def ask(who: str, *, package_path: Path | None, seeds: int = SEEDS_MAX) -> tuple
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return False, f"{NOT_ASKED} to the end: it took more than {SECONDS_MAX:.0f} s"
+        return False, f"{NO_VERDICT}: the run took more than {SECONDS_MAX:.0f} s"
     said = (done.stdout.strip() or done.stderr.strip()).splitlines()
     last = said[-1] if said else ""
     if simulated and done.returncode == 0:
@@ -75,5 +75,5 @@ def ask(who: str, *, package_path: Path | None, seeds: int = SEEDS_MAX) -> tuple
     if not simulated and done.returncode == TESTS_FAILED:
         return True, next((line.split("::")[-1] for line in said if line.startswith("FAILED")), last)
     if done.returncode not in (0, 1) or "Traceback" in done.stderr:
-        return False, f"{NOT_ASKED}: exit code {done.returncode}: {(done.stderr.strip().splitlines() or [last])[-1]}"
+        return False, f"{NO_VERDICT}: exit code {done.returncode}: {(done.stderr.strip().splitlines() or [last])[-1]}"
     return False, f"{seeds} seeds found nothing" if simulated else "the test passes"

@@ -1,4 +1,4 @@
-"""A ring whose writer never rests, and readers that check each item: `python -m tests.robustness.rings.racing SECONDS`.
+"""A ring with a writer without pauses, and readers that check each item: `python -m ...rings.racing SECONDS`.
 
 The ring is small, so the writer reclaims the bytes of a run while readers copy it. Each payload has a checksum, the seq
 and the time of its item. A reader fails for a torn, recycled or reordered item.
@@ -48,7 +48,7 @@ def seq_in(body: bytes) -> int:
 
 
 def write_on(memory: mmap.mmap, ends: Event, seed: int) -> None:
-    """Append runs of all lengths until the end."""
+    """Append runs of all lengths until `ends` is set."""
     writer, drawn, seq = RingWriter(memoryview(memory), SIZE, 7, None), random.Random(seed), 0
     fillings = [drawn.randbytes(drawn.randrange(1, SIZE.data_bytes // 5)) for _ in range(64)]
     writer.set_fence(2**62)
@@ -66,7 +66,7 @@ def no_columns(body: bytes) -> Columns:
 
 
 def read_on(memory: mmap.mmap, ends: Event, found: Any) -> None:
-    """Read by all ways until the end, and report how many items came by each of them."""
+    """Read in all ways until `ends` is set. Reports the number of items that each way has given."""
     counts: Counter[str] = Counter()
     while not ends.is_set():
         try:
@@ -115,13 +115,13 @@ def _read_interval(view: RingView, facts: list[int], newest: int) -> int:
 
 
 def race(seconds: float, readers: int = 2, seed: int = 1) -> Counter[str]:
-    """Race for this time. Returns how many items came by each way. Fails if a reader or the writer failed."""
+    """Race for this time. Returns the number of items that each way has given. Fails if any process failed."""
     context = multiprocessing.get_context("fork")
     memory, ends, found = mmap.mmap(-1, SIZE.whole_bytes), context.Event(), context.Queue()
     jobs = [context.Process(target=write_on, args=(memory, ends, seed))]
     jobs += [context.Process(target=read_on, args=(memory, ends, found)) for _ in range(readers)]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12 warns of threads
+        warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12 warns about a fork of a process with threads
         for job in jobs:
             job.start()
     until = time.monotonic() + seconds

@@ -24,13 +24,13 @@ from tests.support.prometheus import Prometheus
 CHANNELS = 20
 BACK_SECONDS_MAX = 60.0
 SCRAPE_SECONDS_MAX = 0.5
-"""How long 99 % of the scrapes of a running part may take."""
+"""The limit for 99 % of the scrapes of a running part."""
 GROWTH_BYTES_MAX = 96 * 2**20
 PUT_PERIOD_SECONDS = 0.02
 
 
 async def put_forever(address: str, secret: Path, number: int) -> None:
-    """Put into one channel, and read its newest item, until cancelled. Goes on after each loss."""
+    """Put into one channel, and read its newest item, until cancelled. Goes on after each error."""
     async with aio.connect(address, secret=secret) as rt:
         while True:
             with contextlib.suppress(st.StampedeError):
@@ -76,7 +76,7 @@ def complaints(prometheus: Prometheus, minutes: float, kills: list[tuple[str, fl
     ]
     accepted = prometheus.ask(f"sum(increase(stampede_items_accepted_total{window}))")
     if not accepted or accepted[0][1] < 100:
-        found.append("hardly an item was counted")
+        found.append("fewer than 100 items were counted")
     return found
 
 

@@ -35,7 +35,7 @@ TOLD = "a/told"
 BACK_SECONDS_MAX = 60.0
 PAGE_BYTES_MAX = 200 * 2**20
 """The most resident memory of the page's server. With one tab it has about 70 MiB."""
-SHOWS_THE_TRUTH = """([name, text, hosts]) => {
+SHOWS_PRESENT_STATE = """([name, text, hosts]) => {
   const card = [...document.querySelectorAll(".card")].find((one) => one.getAttribute("aria-label") === name);
   const panels = [...document.querySelectorAll(".panel")];
   const cells = panels.find((one) => one.textContent.startsWith("Hosts"))?.querySelectorAll("tbody tr td:nth-child(2)");
@@ -69,14 +69,14 @@ class Watcher:
             except (TimeoutError, BrowserError):
                 shown = await self._tab.locator("#trouble").inner_text()
                 self.wrong.append(
-                    f"kill {number} of {process.name}: the tab does not show the truth; it says {shown!r}"
+                    f"kill {number} of {process.name}: the tab does not show the present state; it says {shown!r}"
                 )
             self.kills.append((process.name, time.monotonic() - began_s))
 
     async def _see(self, text: str) -> None:
         await self._tell(text)
         arguments = [TOLD, text, len(self._cluster.hosts)]
-        await self._tab.wait_for_function(SHOWS_THE_TRUTH, arg=arguments, timeout=1000 * BACK_SECONDS_MAX)
+        await self._tab.wait_for_function(SHOWS_PRESENT_STATE, arg=arguments, timeout=1000 * BACK_SECONDS_MAX)
 
     async def _tell(self, text: str) -> None:
         async with aio.connect(self._cluster.address, secret=self._cluster.secret_file) as rt:
@@ -137,7 +137,7 @@ async def _soak(cluster: LocalCluster, watcher: Watcher, minutes: float) -> int:
         ended = await asyncio.gather(*putting, return_exceptions=True)
     wrong = watcher.wrong + [f"a program failed: {e!r}" for e in ended if not isinstance(e, asyncio.CancelledError)]
     slowest, seconds = max(watcher.kills, key=lambda one: one[1])
-    print(f"{len(watcher.kills)} kills; the tab showed the truth {seconds:.1f} s after the start at most ({slowest})")
+    print(f"{len(watcher.kills)} kills; the tab was right at most {seconds:.1f} s after the start ({slowest})")
     print(f"the page's server had {watcher.bytes_max / 2**20:.0f} MiB at most")
     for line in wrong:
         print(f"WRONG: {line}")
