@@ -1,4 +1,4 @@
-"""The link between two simulated hosts, which a test can cut: a feed of a move over it, and calls."""
+"""Connections between simulated hosts, for calls and for the streams that feed copies. A test can cut the streams."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Connection:
-    """A connection from one host to another. Breaking it breaks its streams."""
+    """A connection from one host to another. Its end breaks its streams."""
 
     def __init__(self, world: World, source: Host, caller: Host) -> None:
         self.world, self.source, self.caller = world, source, caller
@@ -35,9 +35,9 @@ class Connection:
         return begin
 
     def unary_unary(self, method: str, **_: Any) -> Callable[..., Any]:
-        """BindChannel. The owner calls it so that a replica begins."""
+        """BindChannel. The owner calls it at another host, so that a replica begins there."""
 
-        async def bind(request: Any, timeout: float) -> None:  # as gRPC has it
+        async def bind(request: Any, timeout: float) -> None:  # the signature of a call of gRPC
             await self.source.running.wait()
             with suppress(StampedeError):
                 await self.source.store.bind(request.channel_id, request.epoch)
@@ -72,7 +72,7 @@ class Link:
         self.to_destination.put_nowait((0.0, Unavailable("the link is cut")))
 
     def due_s(self) -> float:
-        """When a message that is sent now arrives."""
+        """The time of arrival of a message that is sent now."""
         return asyncio.get_running_loop().time() + self.world.delay_s(self)
 
     # The destination's side.
@@ -129,7 +129,7 @@ class Link:
 
 
 async def arrived(queue: asyncio.Queue[Any]) -> Any:
-    """The next message of a queue, when it has arrived."""
+    """Wait until the next message of a queue has arrived, and return it."""
     due_s, message = await queue.get()
     if (left_s := due_s - asyncio.get_running_loop().time()) > 0:
         await asyncio.sleep(left_s)

@@ -140,7 +140,7 @@ class SimulatedDirectory(GatheredMoves):
             moves=tuple(MoveToCommit(channel_id=one.channel_id, epoch=one.epoch, permit=one.permit) for one in moves),
         )  # fmt: skip
         done = self.world.apply(operation)
-        self.world.together = max(self.world.together, len(done.channels))
+        self.world.channels_per_entry_max = max(self.world.channels_per_entry_max, len(done.channels))
         await self._answer_commit()
         return [recorded_channel(channel_record(one)) for one in done.channels]
 

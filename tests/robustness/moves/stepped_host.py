@@ -34,7 +34,7 @@ class Step(NamedTuple):
 
 
 DESTINATION_STEPS = {
-    "destination: feeds itself": Step(MoveFeed, "_begin", is_after=True),
+    "destination: has opened the feed": Step(MoveFeed, "_begin", is_after=True),
     "destination: asks the source to hold": Step(MoveFeed, "hold"),
     "destination: has everything": Step(MoveDirectory, "commit"),
     "destination: is the owner": Step(MoveDirectory, "commit", is_after=True),
@@ -73,8 +73,8 @@ def reach(plan: Path, name: str) -> None:
         os.kill(int(pid), int(number))
 
 
-def told(step: Step, reached: Callable[[], None]) -> Callable[..., Any]:
-    """The method of the step, which calls `reached`."""
+def wrapped(step: Step, reached: Callable[[], None]) -> Callable[..., Any]:
+    """The method of the step, wrapped so that it also calls `reached`."""
     inner = getattr(step.owner, step.method)
     if not inspect.iscoroutinefunction(inner):
 
@@ -104,7 +104,7 @@ def run(steps: Mapping[str, Step]) -> int:
     _, word, plan, *arguments = sys.argv
     assert word == "--plan"
     for name, step in steps.items():
-        setattr(step.owner, step.method, told(step, partial(reach, Path(plan), name)))
+        setattr(step.owner, step.method, wrapped(step, partial(reach, Path(plan), name)))
     sys.argv = [sys.argv[0], *arguments]
     return main()
 

@@ -1,6 +1,7 @@
-"""A host dies, or a link or the directory is lost, at each step of a move: one owner afterwards, and nothing is lost.
+"""At each step of a move a host dies, the link breaks, or the directory cannot be reached.
 
-The protocol's real code runs on both hosts, over the real state machine of the directory.
+Afterwards the channel has one owner, and no acknowledged item is lost. Both hosts run the real code of moves, over the
+real state machine of the directory.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, THIRD, 
 from tests.support.supernode.operations import id_of
 
 ITEMS = 20
-WAITING_MAX = 8  # a producer that waits puts nothing more
+WAITING_MAX = 8  # with this number of waiting puts, the producer puts no more
 AFTER_THE_COMMIT = STEPS.index("committed")
 AFTER_THE_REMOVAL = STEPS.index("removed")
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Set waits of milliseconds, because the test waits for each step in turn."""
+    """Shorten the waits of the product to milliseconds, because the test waits for each step in turn."""
     monkeypatch.setattr(copy_feed, "REQUEST_SECONDS", 0.005)
     monkeypatch.setattr(outgoing_moves, "RETRY_SECONDS", 0.005)
     monkeypatch.setattr(outgoing_moves, "FALLBACK_SECONDS", 0.005)
@@ -109,7 +110,7 @@ class Scenario:
                 await asyncio.sleep(0.001)
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        """Wait for the background work of the hosts."""
+        """Wait until the condition is true, while the background work of the hosts goes on."""
         async with asyncio.timeout(30):
             while True:
                 if condition():
@@ -145,7 +146,7 @@ async def test_a_move_loses_nothing_if_the_destination_dies(step: str) -> None:
     scenario = Scenario(step, lambda world: world.kill(DESTINATION))
     await scenario.move()
     scenario.world.expire(DESTINATION)
-    if STEPS.index(step) >= AFTER_THE_REMOVAL:  # from then on only this host has the items, as any owner
+    if STEPS.index(step) >= AFTER_THE_REMOVAL:  # from then on only the destination has the items, like any owner
         assert scenario.world.owner is scenario.destination
         return
     assert scenario.world.owner is scenario.source
@@ -178,8 +179,8 @@ async def test_a_move_loses_nothing_if_the_link_between_the_hosts_breaks(step: s
 async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_while(
     step: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The directory is away for longer than changes wait. So the source ends the move when it reaches the directory
-    again.
+    """The directory cannot be reached for longer than a change waits. So the source ends the move when it reaches the
+    directory again.
     """
     for module in (move_under_way, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)
@@ -194,7 +195,7 @@ async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_whi
 
 
 @pytest.mark.parametrize("step", ["handed over", "removal is asked for"])
-async def test_every_put_gets_an_answer_while_the_directory_is_away_for_long(
+async def test_every_put_gets_an_answer_while_the_directory_cannot_be_reached_for_long(
     step: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The source answers before the commit, and the destination after it. Puts that come later get answers, too."""
@@ -234,7 +235,7 @@ async def test_a_source_drops_nothing_if_the_destination_was_stopped_for_longer_
     scenario.check(await scenario.settle())
 
 
-async def test_a_former_owner_that_learns_late_drops_nothing_of_a_channel_that_has_come_back(
+async def test_a_late_answer_that_the_channel_is_released_drops_nothing_of_a_channel_that_has_come_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scenario = Scenario("source hears of the commit", lambda world: world.cut_links())

@@ -30,12 +30,12 @@ from tests.robustness.moves.test_crashes_at_each_step import ITEMS, Scenario
 from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, THIRD, World
 from tests.support.supernode.operations import id_of
 
-PLACES = [pytest.param(DESTINATION, id="to the replica"), pytest.param(THIRD, id="to a stranger")]
+PLACES = [pytest.param(DESTINATION, id="to the replica"), pytest.param(THIRD, id="to a host without a copy")]
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Set waits of milliseconds, because the test waits for each step in turn."""
+    """Shorten the waits of the product to milliseconds, because the test waits for each step in turn."""
     monkeypatch.setattr(copy_feed, "REQUEST_SECONDS", 0.005)
     monkeypatch.setattr(copy_feed, "REPLICA_REQUEST_SECONDS", 0.005)
     monkeypatch.setattr(outgoing_moves, "RETRY_SECONDS", 0.005)
@@ -96,7 +96,7 @@ class ReplicatedScenario(Scenario):
         return {one.host_id: one.kind for one in copies if one.in_sync}
 
     async def begin(self) -> None:
-        """Acknowledged items, at the source and at the replica."""
+        """Wait until the replica is in sync, and put until ITEMS items are acknowledged."""
         await self.source.store.bind_for_feed(self.world.channel_id, 1)
         await self.until(lambda: len(self.in_sync()) == 1)
         while len(self.acknowledged) < ITEMS:
@@ -116,7 +116,7 @@ class ReplicatedScenario(Scenario):
         return failure
 
     async def finish(self) -> None:
-        """Puts go on, and at the end everything is there."""
+        """Check that puts go on, and that the owner has every acknowledged or seen item at the end."""
         count = len(self.acknowledged)
         async with asyncio.timeout(30):
             while len(self.acknowledged) < count + ITEMS:
@@ -187,8 +187,8 @@ async def test_a_move_loses_nothing_if_the_link_between_the_hosts_breaks(
 async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_while(
     scenarios: list[ReplicatedScenario], step: str, replica_at: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The directory is away for longer than changes wait. So the source ends the move when it reaches the directory
-    again.
+    """The directory cannot be reached for longer than a change waits. So the source ends the move when it reaches the
+    directory again.
     """
     for module in (move_under_way, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)
@@ -224,10 +224,10 @@ async def test_an_owner_that_renews_its_lease_late_finds_another_replica_and_ack
 
 
 @pytest.mark.parametrize("replica_at", PLACES)
-async def test_the_new_owner_dies_immediately_and_the_channel_comes_back_to_the_former_one(
+async def test_the_new_owner_dies_immediately_and_its_replica_becomes_the_owner(
     scenarios: list[ReplicatedScenario], replica_at: int
 ) -> None:
-    """The former owner has the items of the new owner, whose place it may have taken as a replica."""
+    """After a move to the host of the replica, the former owner is the replica. Otherwise the replica stays."""
     scenario = ReplicatedScenario(replica_at)
     scenarios.append(scenario)
     assert await scenario.move() is None
@@ -246,7 +246,7 @@ async def test_the_new_owner_dies_immediately_and_the_channel_comes_back_to_the_
 async def test_a_replica_begins_anew_if_it_may_have_items_of_a_former_owner_that_the_owner_lacks(
     scenarios: list[ReplicatedScenario], owner_epoch: int, ahead: int, begins_anew: bool
 ) -> None:
-    """The owner has accepted other items with these seqs meanwhile, so the seqs alone do not show the difference."""
+    """Meanwhile the owner has accepted other items with the same seqs, so the seqs alone do not show the difference."""
     scenario = ReplicatedScenario(DESTINATION)
     scenarios.append(scenario)
     await scenario.begin()

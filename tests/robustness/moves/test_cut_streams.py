@@ -1,4 +1,4 @@
-"""A relay cuts a stream between hosts after any byte, or a host freezes then: nothing acknowledged is lost.
+"""A relay cuts a stream between hosts after any byte, or a host freezes at that moment: no acknowledged item is lost.
 
 The hosts are real processes. Meanwhile a channel and a queue with replicas move from host to host under load, and a
 taker keeps the leases of some messages. `make test` plays a few seeds, `make kill-moves` plays many.
@@ -35,12 +35,12 @@ FROZEN_S_MAX = 3.0 if EVERY_STEP else 1.2  # shorter than a lease, so no host is
 BYTES_LOG2_MAX = 15  # a fault comes after 1 to 2**15 bytes
 NAMES = ("left", "middle", "right")
 LEASED_MAX = 20
-LEASE = "30s"  # shorter than `wait_until` waits: a message of a lost answer comes again when its lease ends
+LEASE = "30s"  # shorter than `wait_until` waits: a message whose delivery was lost comes again when its lease ends
 INNER = "127.0.0.2"
 
 
 class RelayedHosts(NamedTuple):
-    """Some hosts. The relay forwards their streams to each other, to `data_ports`; clients use other ports."""
+    """Some hosts. Their streams to each other go through the relay to `data_ports`. Clients use other ports."""
 
     processes: dict[str, ServiceProcess]
     relay: CuttingRelay
@@ -66,7 +66,7 @@ def hosts(cluster: LocalCluster) -> Iterator[RelayedHosts]:
 
 
 class Fault:
-    """Comes after some more bytes between the hosts: ends the stream, or freezes one host for some time."""
+    """Ends the stream, or freezes one host for some time, when the hosts have exchanged some more bytes."""
 
     def __init__(self, hosts: RelayedHosts, source: random.Random) -> None:
         byte_count = int(2 ** source.uniform(0, BYTES_LOG2_MAX))
@@ -74,7 +74,7 @@ class Fault:
         self._frozen_s = source.uniform(0.1, FROZEN_S_MAX)
         self._is_over = threading.Event()
         what = f"{self._victim.name} freezes for {self._frozen_s:.1f} s" if self._victim else "cut"
-        self.story = f"{what} after {byte_count} bytes"
+        self.description = f"{what} after {byte_count} bytes"
         hosts.relay.stop_after(byte_count, hosts.data_ports, self._come)
 
     def _come(self) -> bool:
@@ -90,7 +90,7 @@ class Fault:
         self._is_over.set()
 
     def wait_over(self) -> None:
-        assert self._is_over.wait(SETTLED_S), self.story
+        assert self._is_over.wait(SETTLED_S), self.description
 
 
 class LeasedLoad(QueueLoad):
@@ -133,7 +133,7 @@ def test_cut_streams_and_frozen_hosts_lose_nothing(cluster: LocalCluster, hosts:
             fault, to = Fault(hosts, source), source.choice([name for name in NAMES if name != channel.host])
             moves = pool.submit(moved, rt, channel, to), pool.submit(moved_queue, rt, queue.name, to)
             fault.wait_over()
-            print(fault.story, to, *(one.result(SETTLED_S) or "moved" for one in moves), sep="; ")
+            print(fault.description, to, *(one.result(SETTLED_S) or "moved" for one in moves), sep="; ")
             go_on(load)
             go_on(producer)
         load.stop()
@@ -141,4 +141,4 @@ def test_cut_streams_and_frozen_hosts_lose_nothing(cluster: LocalCluster, hosts:
         producer.end_of_reader()
         assert producer.reader_error is None
         check(channel, producer, may_lose=False)
-        assert queue.incarnation == incarnation, "nothing was lost, and the incarnation has changed"
+        assert queue.incarnation == incarnation, "the incarnation has changed, although nothing was lost"

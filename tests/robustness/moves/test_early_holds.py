@@ -42,7 +42,7 @@ async def test_a_channel_with_a_late_put_is_held_when_the_destination_asks() -> 
 
 
 @pytest.mark.usefixtures("all_idle")
-async def test_a_lone_move_asks_for_the_hold() -> None:
+async def test_the_destination_of_a_move_outside_a_drain_asks_for_the_hold() -> None:
     scenario = Scenario()
     assert await scenario.move() is None
     assert set(scenario.world.reached) == set(STEPS)
@@ -50,7 +50,7 @@ async def test_a_lone_move_asks_for_the_hold() -> None:
 
 @pytest.mark.usefixtures("all_idle")
 @pytest.mark.parametrize("step", EARLY_STEPS)
-async def test_the_destination_dies(step: str) -> None:
+async def test_an_early_hold_loses_nothing_if_the_destination_dies(step: str) -> None:
     scenario = Scenario(step, lambda world: world.kill(DESTINATION))
     await scenario.move(is_of_drain=True)
     scenario.world.expire(DESTINATION)
@@ -61,7 +61,7 @@ async def test_the_destination_dies(step: str) -> None:
 
 @pytest.mark.usefixtures("all_idle")
 @pytest.mark.parametrize("step", EARLY_STEPS)
-async def test_the_source_dies(step: str) -> None:
+async def test_an_early_hold_loses_nothing_if_the_source_dies(step: str) -> None:
     scenario = Scenario(step, lambda world: world.kill(SOURCE))
     failure = await scenario.move(is_of_drain=True)
     scenario.world.expire(SOURCE)
@@ -73,7 +73,7 @@ async def test_the_source_dies(step: str) -> None:
 
 @pytest.mark.usefixtures("all_idle")
 @pytest.mark.parametrize("step", EARLY_STEPS)
-async def test_the_link_breaks(step: str) -> None:
+async def test_an_early_hold_loses_nothing_if_the_link_breaks(step: str) -> None:
     scenario = Scenario(step, lambda world: world.cut_links())
     await scenario.move(is_of_drain=True)
     scenario.check(await scenario.settle())

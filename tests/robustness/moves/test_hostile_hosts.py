@@ -80,7 +80,7 @@ async def test_the_permit_of_a_failed_move_is_refused() -> None:
     move = asyncio.create_task(scenario.move())
     await scenario.until(lambda: world.is_cut_off)
     world.hosts[DESTINATION].incoming._moves[world.channel_id].cancel()
-    await asyncio.gather(move, return_exceptions=True)  # and no request of it is on its way any more
+    await asyncio.gather(move, return_exceptions=True)  # afterwards no request of the move is under way
     world.is_cut_off = False
     await scenario.until(lambda: world.record.epoch == 2)
     permits = known_permits(world)

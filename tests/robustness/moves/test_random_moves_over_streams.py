@@ -1,4 +1,4 @@
-"""Random stories, in virtual time: many moves to and fro share streams, while links break and hosts freeze."""
+"""Random moves to and fro in virtual time: many of them share a stream, while links break and hosts freeze."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, Host, W
 from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 from tests.support.supernode.operations import id_of
 
-STORIES = int(os.environ.get("STAMPEDE_STORIES", "4"))
+SEEDS = int(os.environ.get("STAMPEDE_MOVE_SEEDS", "4"))
 CHANNELS, ROUNDS = 5, 6
-QUIET_SECONDS = 30.0  # after this time each move has ended, and each free stream, too
+QUIET_SECONDS = 30.0  # after this time each move has ended, and so has each stream that waits for a move
 
 
-class Story:
+class RandomMoves:
     """Channels at two hosts, with puts that go on, and moves with a fault in each round."""
 
     def __init__(self, seed: int) -> None:
@@ -29,10 +29,10 @@ class Story:
         self.next = dict.fromkeys(self.world.channel_ids, 1)
         self.waiting: list[tuple[bytes, int, IncomingRun]] = []
         self.acknowledged: dict[bytes, list[int]] = {one: [] for one in self.world.channel_ids}
-        self.told: list[str] = []
+        self.events: list[str] = []
 
     async def run(self) -> None:
-        """Play the story, and check it after each round."""
+        """Play all rounds, and check the channels after each round."""
         for one in self.world.channel_ids:
             await self.world.owner_of(one).store.bind(one, 1)
             self._put(one)
@@ -46,7 +46,7 @@ class Story:
         self.world.reached.clear()
         self.world.crash_at = self.random.choice(["", *STEPS])
         self.world.happens = self.random.choice([self._cut, self._freeze])
-        self.told.append(f"{self.world.crash_at}: {self.world.happens.__name__}")
+        self.events.append(f"{self.world.crash_at}: {self.world.happens.__name__}")
         moves = [
             asyncio.create_task(self._move(one))
             for one in self.random.sample(self.world.channel_ids, self.random.randint(1, CHANNELS))
@@ -76,7 +76,7 @@ class Story:
             async with asyncio.timeout(QUIET_SECONDS):
                 await self.world.hosts[to].incoming.move_here(*placed, is_of_drain=self.random.random() < 0.5)
         except (StampedeError, TimeoutError) as error:
-            self.told.append(str(error))
+            self.events.append(str(error))
 
     def _put(self, channel_id: bytes) -> None:
         self._note_acks()
@@ -96,12 +96,12 @@ class Story:
                 self.acknowledged[channel_id].append(number)
 
     async def _settle(self) -> None:
-        """Wait until both hosts know all owners. No acknowledged item is lost, and none is there twice."""
+        """Wait until no move and no put is under way. Check that no acknowledged item is lost or there twice."""
         async with asyncio.timeout(QUIET_SECONDS):
             for channel_id in self.world.channel_ids:
                 items = await self._items_at_last(channel_id)
-                assert set(self.acknowledged[channel_id]) <= set(items), self.told
-                assert len(set(items)) == len(items), self.told
+                assert set(self.acknowledged[channel_id]) <= set(items), self.events
+                assert len(set(items)) == len(items), self.events
 
     async def _items_at_last(self, channel_id: bytes) -> list[int]:
         while True:
@@ -121,11 +121,11 @@ class Story:
         return owner.items(hosted) if is_over else None
 
     async def _check_idle(self) -> None:
-        """After the last move no host has a slot, a stream or a hold left over."""
+        """Check that after the last move no host still has a slot, a stream or a hold."""
         await asyncio.sleep(QUIET_SECONDS)
         for host in self.world.hosts.values():
-            assert not _left_over(host), (host.identity.name, _left_over(host), self.told)
-        assert all(link.serving is None or link.serving.done() for link in self.world.links), self.told
+            assert not _left_over(host), (host.identity.name, _left_over(host), self.events)
+        assert all(link.serving is None or link.serving.done() for link in self.world.links), self.events
 
 
 def _left_over(host: Host) -> list[object]:
@@ -135,12 +135,12 @@ def _left_over(host: Host) -> list[object]:
     return [*held, *slots, *incoming._moves, *incoming._streams._free, *outgoing._tasks]
 
 
-@pytest.mark.parametrize("seed", range(STORIES))
-def test_streams_that_carry_many_moves_lose_nothing_and_leave_nothing_over(
+@pytest.mark.parametrize("seed", range(SEEDS))
+def test_streams_that_carry_many_moves_lose_no_item_and_leave_no_slot_stream_or_hold(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def play(clock: VirtualClock) -> None:
         monkeypatch.setattr(two_hosts, "SystemClock", lambda: clock)
-        await Story(seed).run()
+        await RandomMoves(seed).run()
 
     run_virtually(play, seed)

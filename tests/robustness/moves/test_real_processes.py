@@ -1,6 +1,6 @@
-"""kill -9 and SIGSTOP of the source, the destination and the directory's leader at each step of a move, for real.
+"""kill -9 and SIGSTOP of the source, the destination and the directory's leader at each step of a move.
 
-`make test` tries some steps. `make kill-moves` tries all.
+All hosts and supernodes are real processes. `make test` tries some steps. `make kill-moves` tries all.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class Producer:
         assert not self._threads[0].is_alive(), "a put is stuck"
 
     def end_of_reader(self) -> None:
-        """No reader is stuck: each has everything, or heard of the loss."""
+        """Check that the reader is not stuck: it has the last acknowledged item, or it got IncarnationLost."""
         last = self.acknowledged[-1][0]
         wait_until(lambda: self.reader_error is not None or last in self.seen[-1:], "the reader has everything")
         self._subscription.close()

@@ -1,7 +1,7 @@
-"""kill -9 and SIGSTOP at each step of a move of a channel or queue with a replica, for real: nothing at all is lost.
+"""kill -9 and SIGSTOP at each step of a move of a channel or queue with a replica: no item or message is lost.
 
-`make test` tries some steps. `make kill-moves` tries all, in moves to the host of the replica and in moves to a host
-without a copy.
+All hosts and supernodes are real processes. `make test` tries some steps. `make kill-moves` tries all, in moves to the
+host of the replica and in moves to a host without a copy.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from tests.support.waiting import wait_until
 
 cluster = cluster_fixture(hosts=0, supernodes=3)
 EVERY_STEP = bool(os.environ.get("STAMPEDE_EVERY_STEP"))
-TO_REPLICA, TO_STRANGER = "to the replica", "to a stranger"
+TO_REPLICA, TO_OTHER_HOST = "to the replica", "to a host without a copy"
 STEPS = [*DESTINATION_STEPS, *SOURCE_STEPS]
 QUEUE_STEPS = [*QUEUE_DESTINATION_STEPS, *QUEUE_SOURCE_STEPS]
 VICTIMS, FAULTS = ("source", "destination", "leader"), ("kill", "stop")
@@ -52,7 +52,7 @@ Case = tuple[str, str, str, str]
 
 
 def cases(steps: list[str], short: list[Case]) -> list[Case]:
-    return [*itertools.product(VICTIMS, FAULTS, steps, (TO_REPLICA, TO_STRANGER))] if EVERY_STEP else short
+    return [*itertools.product(VICTIMS, FAULTS, steps, (TO_REPLICA, TO_OTHER_HOST))] if EVERY_STEP else short
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +142,7 @@ class Scenario:
         self.replica = next(one.name for one in rt.hosts() if one.host_id == there)
 
     def play(self, case: Case, move: Callable[[str], st.StampedeError | None], load: Any) -> None:
-        """Move while the load goes on, and let the fault happen. Then the load goes on, and the move has ended."""
+        """Move under load, and let the fault happen. Then check that the move ends, and that the load goes on."""
         victim, fault, step, to = case
         others = {*self.hosts.processes} - {self.source, self.replica}
         destination = self.replica if to == TO_REPLICA else others.pop()
@@ -184,7 +184,7 @@ def test_a_channel_with_a_replica_loses_nothing(cluster: LocalCluster, hosts: Ho
         producer.end_of_reader()
         assert producer.reader_error is None
         incarnations = {incarnation for _, incarnation in producer.acknowledged}
-        assert len(incarnations) == 1, "nothing was lost, and the incarnation has changed"
+        assert len(incarnations) == 1, "the incarnation has changed, although nothing was lost"
         held = [int(item.payload) for item in channel.get(st.OLDEST, st.NEWEST)]
         assert len({*held}) == len(held)
         assert {number for number, _ in producer.acknowledged} | {*producer.seen} <= {*held}
@@ -201,7 +201,7 @@ def test_a_queue_with_a_replica_loses_nothing(cluster: LocalCluster, hosts: Host
         owner = next(one.host for one in rt.queues() if one.name == name)
         scenario, incarnation = Scenario(rt, hosts, lambda: queue.stats().replicas, owner), queue.incarnation
         scenario.play(case, lambda to: moved_queue(rt, name, to), QueueLoad(queue))
-        assert queue.incarnation == incarnation, "nothing was lost, and the incarnation has changed"
+        assert queue.incarnation == incarnation, "the incarnation has changed, although nothing was lost"
 
 
 def moved_queue(rt: Any, name: str, destination: str) -> st.StampedeError | None:

@@ -53,7 +53,7 @@ class Several:
 async def test_moves_at_the_same_time_share_entries_and_lose_nothing() -> None:
     several = Several()
     assert await several.move() == [None] * CHANNELS
-    assert several.world.together > 1, "no entry has committed several moves"
+    assert several.world.channels_per_entry_max > 1, "no entry has committed several moves"
     await several.check()
     for scenario in several.scenarios:
         await scenario.until(lambda one=scenario: several.world.hosts[SOURCE].store.known(one.channel_id) is None)  # type: ignore[misc]
@@ -100,9 +100,9 @@ async def test_a_move_loses_nothing_if_the_link_between_the_hosts_breaks(step: s
 async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_while(
     step: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The directory is away for longer than changes wait.
+    """The directory cannot be reached for longer than a change waits.
 
-    So the source ends moves when it reaches the directory again.
+    So the source ends the moves when it reaches the directory again.
     """
     for module in (move_under_way, outgoing_moves):
         monkeypatch.setattr(module, "HELD_SECONDS_MAX", 0.05)
@@ -117,7 +117,10 @@ async def test_a_move_loses_nothing_if_the_directory_cannot_be_reached_for_a_whi
 
 
 async def test_no_put_is_acknowledged_while_former_owners_are_fallbacks() -> None:
-    """The directory is away when it should remove the fallbacks. The destination dies, and the fallbacks go on."""
+    """The directory cannot be reached when it should remove the fallbacks.
+
+    Then the destination dies, and the fallbacks become owners again.
+    """
     several = Several("removal is asked for", lambda world: setattr(world, "is_cut_off", True))
     moves = asyncio.create_task(several.move())
     committed = [one for one in several.scenarios if several.world.owner_of(one.channel_id) is one.destination]

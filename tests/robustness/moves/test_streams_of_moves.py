@@ -17,7 +17,7 @@ from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, World
 __all__ = ["quick"]  # the fixture of short waits
 
 
-class InTurn:
+class SuccessiveMoves:
     """Scenarios of channels that move one after the other, in one world."""
 
     def __init__(self, channels: int = 2) -> None:
@@ -25,12 +25,12 @@ class InTurn:
         self.scenarios = [Scenario(world=self.world, channel_id=one) for one in self.world.channel_ids]
 
     async def move_first(self) -> None:
-        """Move the first channel. Its stream waits for the next move then."""
+        """Move the first channel. Afterwards its stream waits for the next move."""
         assert await self.scenarios[0].move() is None
         assert len(self.world.links) == 1
 
     async def move_next(self, crash_at: str, happens: Callable[[World], None]) -> StampedeError | None:
-        """Move the second channel. `happens` at this step."""
+        """Move the second channel, and call `happens` at the step `crash_at`."""
         self.world.reached.clear()
         self.world.crash_at, self.world.happens = crash_at, happens
         return await self.scenarios[1].move()
@@ -45,7 +45,7 @@ class InTurn:
 
 async def test_moves_that_follow_each_other_share_a_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(incoming_moves, "RELEASED_SECONDS_MAX", 20.0)  # a stream with a late release is not used again
-    moves = InTurn(channels=4)
+    moves = SuccessiveMoves(channels=4)
     for scenario in moves.scenarios:
         assert await scenario.move() is None
     assert len(moves.world.links) == 1
@@ -54,7 +54,7 @@ async def test_moves_that_follow_each_other_share_a_stream(monkeypatch: pytest.M
 
 @pytest.mark.parametrize("step", STEPS)
 async def test_the_second_move_of_a_stream_loses_nothing_if_the_link_breaks(step: str) -> None:
-    moves = InTurn()
+    moves = SuccessiveMoves()
     await moves.move_first()
     await moves.move_next(step, lambda world: world.cut_links())
     await moves.check()
@@ -62,7 +62,7 @@ async def test_the_second_move_of_a_stream_loses_nothing_if_the_link_breaks(step
 
 @pytest.mark.parametrize("step", STEPS)
 async def test_the_second_move_of_a_stream_loses_nothing_if_the_source_dies(step: str) -> None:
-    moves = InTurn()
+    moves = SuccessiveMoves()
     await moves.move_first()
     await moves.move_next(step, lambda world: world.kill(SOURCE))
     moves.world.expire(SOURCE)
@@ -74,18 +74,18 @@ async def test_the_second_move_of_a_stream_loses_nothing_if_the_source_dies(step
 
 @pytest.mark.parametrize("step", STEPS)
 async def test_the_second_move_of_a_stream_loses_nothing_if_the_destination_dies(step: str) -> None:
-    moves = InTurn()
+    moves = SuccessiveMoves()
     await moves.move_first()
     await moves.move_next(step, lambda world: world.kill(DESTINATION))
     moves.world.expire(DESTINATION)
     second = moves.scenarios[1]
-    if STEPS.index(step) < STEPS.index("removed"):  # from then on only the destination has the items, as any owner
+    if STEPS.index(step) < STEPS.index("removed"):  # from then on only the destination has the items, like any owner
         assert moves.world.owner_of(second.channel_id) is second.source
         await moves.check(second)
 
 
 async def test_a_move_over_a_stream_that_broke_meanwhile_uses_a_new_one() -> None:
-    moves = InTurn()
+    moves = SuccessiveMoves()
     await moves.move_first()
     moves.world.cut_links()
     assert await moves.move_next("", lambda world: None) is None
@@ -94,7 +94,7 @@ async def test_a_move_over_a_stream_that_broke_meanwhile_uses_a_new_one() -> Non
 
 
 async def test_a_failed_move_ends_its_stream() -> None:
-    moves = InTurn(channels=3)
+    moves = SuccessiveMoves(channels=3)
     await moves.move_first()
     assert await moves.move_next("held", lambda world: world.cut_links()) is not None
     await moves.check(*moves.scenarios[:2])
@@ -104,7 +104,7 @@ async def test_a_failed_move_ends_its_stream() -> None:
 
 
 async def test_a_refused_move_ends_its_stream_and_keeps_the_reason() -> None:
-    moves = InTurn(channels=3)
+    moves = SuccessiveMoves(channels=3)
     await moves.move_first()
     second = moves.scenarios[1]
     await second.source.store.bind(second.channel_id, 1)
@@ -123,7 +123,7 @@ async def test_a_source_of_an_older_release_ends_the_stream_after_each_move(monk
         await write(link, request)
 
     monkeypatch.setattr(Link, "write", as_older)
-    moves = InTurn()
+    moves = SuccessiveMoves()
     for scenario in moves.scenarios:
         assert await scenario.move() is None
     assert len(moves.world.links) == 2
@@ -133,7 +133,7 @@ async def test_a_source_of_an_older_release_ends_the_stream_after_each_move(monk
 @pytest.mark.parametrize(("module", "name"), [(move_streams, "FREE_SECONDS"), (replica_servicer, "FREE_SECONDS_MAX")])
 async def test_a_stream_without_a_next_move_ends(module: object, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, name, 0.01)
-    moves = InTurn()
+    moves = SuccessiveMoves()
     await moves.move_first()
     serving = moves.world.links[0].serving
     assert serving is not None
@@ -145,7 +145,7 @@ async def test_a_stream_without_a_next_move_ends(module: object, name: str, monk
 
 
 async def test_a_host_that_ends_also_ends_the_streams_that_wait_for_a_move() -> None:
-    moves = InTurn()
+    moves = SuccessiveMoves()
     await moves.move_first()
     await moves.scenarios[0].destination.incoming.aclose()
     serving = moves.world.links[0].serving

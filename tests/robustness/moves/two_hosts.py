@@ -55,13 +55,13 @@ class World:
         self, crash_at: str, happens: Callable[[World], None], replica_at: int = 0, *, third: bool = False,
         channels: int = 1,
     ) -> None:  # fmt: skip
-        """`replica_at`: the host with the replica; 0: the channel has none. `third`: there is a third host anyway.
+        """`replica_at`: the host with the replica; 0: the channel has none. `third`: there is always a third host.
 
         `channels`: the number of channels, all at the source. `channel_id` is the first one.
         """
         self.crash_at, self.happens = crash_at, happens
         self.reached: list[str] = []
-        self.together = 0  # the most channels that one entry has committed
+        self.channels_per_entry_max = 0  # the most channels that one entry of the log has committed
         self.log = Log(level=MOVES_LEVEL)
         numbers = (SOURCE, DESTINATION, THIRD) if replica_at or third else (SOURCE, DESTINATION)
         for number in numbers:
@@ -136,7 +136,7 @@ class World:
         await asyncio.sleep(0)
 
     def delay_s(self, link: Link) -> float:
-        """How long a message is on its way over a link."""
+        """The time that a message takes over a link."""
         return 0.0
 
     def passes(self, link: Any) -> None:
@@ -147,7 +147,7 @@ class World:
         return True
 
     def is_destination(self, host: Host) -> bool:
-        """Whether the host is the one to which the test moves channels."""
+        """Whether the test moves channels to this host."""
         return host is self.hosts[DESTINATION]
 
     async def on_the_way(self, host: Host) -> None:

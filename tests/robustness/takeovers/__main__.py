@@ -34,7 +34,7 @@ class PlayedSeed(NamedTuple):
 def main() -> int:
     """Returns exit code 1 if a promise was broken."""
     parser = argparse.ArgumentParser(prog="python -m tests.robustness.takeovers", description=__doc__)
-    parser.add_argument("--of", choices=[*SIMULATORS], help="play only these; default: both")
+    parser.add_argument("--of", choices=[*SIMULATORS], help="play only these; default: all")
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--at-once", type=int, default=1, help="the number of processes")
@@ -63,7 +63,7 @@ def _report(kind: str, played: Iterable[PlayedSeed]) -> int:
             continue
         failures += 1
         replay = f"python -m tests.robustness.takeovers --of {kind} --first {one.seed} --seeds 1"
-        print(f"{one.failure}again: {replay}", file=sys.stderr, flush=True)
+        print(f"{one.failure}replay: {replay}", file=sys.stderr, flush=True)
     sums = type(found[0])(*(sum(column) for column in zip(*found, strict=True))) if found else "nothing"
     print(f"{kind}: {len(found) + failures} seeds, {failures} failed; {sums}", flush=True)
     return failures

@@ -91,11 +91,11 @@ class DrainCluster(Cluster):
 
     @property
     def early_holds(self) -> int:
-        """The number of handed over channels that no destination had asked the owner to hold."""
+        """The number of channels that an owner handed over, although no destination had asked it to hold them."""
         return self.steps["handed over"] - self.steps["held"]
 
     def owned_channels(self, number: int) -> int:
-        """The number of channels that the directory has at a host."""
+        """The number of channels whose owner is this host, by the directory."""
         tables = self.log.directory.tables
         return len([*tables.channels_at(self.hosts[number].identity.host_id)])
 

@@ -65,7 +65,7 @@ class Taker:
     ) -> None:
         self.cluster, self.queue_id, self.taker_id = cluster, queue_id, taker_id
         self.rng, self.ledger = rng, ledger
-        self.finishes_all = False  # acks every message, soon
+        self.finishes_all = False  # if True, the taker acks every message, and soon
         self.work: set[asyncio.Task[None]] = set()
         self._call: Call | None = None
         self._waiting: dict[int, asyncio.Future[queue_pb2.SettlementResult]] = {}  # by delivery id
@@ -156,7 +156,7 @@ class Taker:
     async def _settled(self, delivery: Delivery, known: Incarnation, **verdict: Any) -> StampedeError | None:
         """Settle until a host answers. Returns its error.
 
-        Raises AssertionError if a host has forgotten a lease that goes on, or a repeated ack.
+        Raises AssertionError if a host has forgotten a lease that has not ended, or an earlier try of this ack.
         """
         settlement = queue_pb2.Settlement(delivery_id=delivery.delivery_id, **verdict)
         tries = 0

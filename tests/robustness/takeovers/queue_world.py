@@ -114,7 +114,7 @@ class QueueHost(LeasedHost):
                     self.queues.changed(record, removed=False)
 
     def stop_timers(self) -> None:
-        """Note that the host is dead."""
+        """Cancel the timers of all queues, because the host is dead."""
         for hosted in self.queues.all():
             if hosted._timer is not None:
                 hosted._timer.cancel()
@@ -122,7 +122,7 @@ class QueueHost(LeasedHost):
 
 @lru_cache(maxsize=16)
 def _recorded(record: QueueRecord) -> RecordedQueue:
-    """The record, as a host reads it. Hosts ask for it several times a second."""
+    """The record, as a host reads it. The result is cached, because hosts ask for it several times a second."""
     return recorded_queue(queue_record(record))
 
 

@@ -28,7 +28,7 @@ HEALED_SECONDS = 30.0
 DRAIN_SECONDS_MAX = 30.0  # without faults a drain takes less than a second
 PAUSES_SECONDS = (0.1, 0.1, 1.5, 4.0)  # of producers: channels are idle after a second
 MESSAGES_MAX = 40
-HASTE = 0.3
+HANDOFF_PUT_SHARE = 0.3
 DRAINS_AT_END = 3
 WITH_CLOCKS = (CopyState.__init__, AllowedMoves.__init__)
 
@@ -49,7 +49,7 @@ class HandoffCallers(ChannelCallers):
     """
 
     async def pause(self) -> None:
-        if self.rng.random() >= HASTE:
+        if self.rng.random() >= HANDOFF_PUT_SHARE:
             await super().pause()
             return
         assert isinstance(self.cluster, DrainCluster)

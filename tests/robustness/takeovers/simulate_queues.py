@@ -27,7 +27,7 @@ from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 
 HEALED_SECONDS = 120.0  # enough time for the leases that takers let end, and then for deliveries to other takers
 PRODUCERS, TAKERS, PAUSE_SECONDS = 2, 2, 0.15
-LOOK_SECONDS = 0.2
+CHECK_SECONDS = 0.2
 WITH_CLOCKS = (QueueReplication.__init__, MemoryBudget.__init__, AllowedMoves.__init__)
 
 
@@ -60,9 +60,9 @@ class QueueTrial:
         )
         self.jobs, self.dead = Ledger(), Ledger()
         takers = [Taker(self.cluster, self.cluster.jobs_id, one, rng, self.jobs) for one in range(1, TAKERS + 1)]
-        self.undertaker = Taker(self.cluster, self.cluster.dead_id, TAKERS + 1, rng, self.dead)
-        self.undertaker.finishes_all = True
-        self.takers = [*takers, self.undertaker]
+        dead_letter_taker = Taker(self.cluster, self.cluster.dead_id, TAKERS + 1, rng, self.dead)
+        dead_letter_taker.finishes_all = True
+        self.takers = [*takers, dead_letter_taker]
         self.moves = 0
         self.faults = Faults(self.cluster, rng, self.owner_number, self.move)
 
@@ -85,10 +85,10 @@ class QueueTrial:
                     number += 1
             await asyncio.sleep(self.rng.uniform(0, 2 * PAUSE_SECONDS))
 
-    async def look(self) -> None:
+    async def check_owners(self) -> None:
         """Check again and again that at most one host serves each queue."""
         while True:
-            await asyncio.sleep(LOOK_SECONDS)
+            await asyncio.sleep(CHECK_SECONDS)
             for queue_id in (self.cluster.jobs_id, self.cluster.dead_id):
                 assert len(serving_queue(self.cluster, queue_id)) <= 1, "two hosts serve a queue"
 
@@ -119,7 +119,7 @@ class QueueTrial:
         assert self.clock.now_s < ends_s, f"stuck: {what}; {self._states()}, {self.policy}"
 
     def _held(self) -> int:
-        """The messages in both queues, as their owners know them; 1 if an owner cannot be asked."""
+        """The number of messages in both queues, as their owners know it; 1 if an owner does not answer."""
         held = 0
         for record in self.cluster.queues():
             try:
@@ -155,7 +155,7 @@ class QueueTrial:
 async def play(trial: QueueTrial, disturb: Callable[[], Awaitable[None]]) -> RunFigures:
     """Play one run. `disturb` makes the faults, which `heal` ends. Raises AssertionError if a promise was broken."""
     producers = [asyncio.create_task(trial.produce(one + 1)) for one in range(PRODUCERS)]
-    works = [trial.look(), *(taker.run() for taker in trial.takers)]
+    works = [trial.check_owners(), *(taker.run() for taker in trial.takers)]
     running = [asyncio.create_task(one) for one in works]
     try:
         await asyncio.sleep(3.0)

@@ -53,7 +53,7 @@ class Connection:
 
 
 class Call:
-    """One call, at its caller. `sent_s`: when the host has begun to send the last message that was read."""
+    """One call, at its caller. `sent_s`: the time at which the host began to send the last message that was read."""
 
     sent_s = 0.0
 
@@ -70,7 +70,7 @@ class Call:
         self._end: object = None  # the caller reads this from now on
 
     def due_s(self) -> float:
-        """When a message that is sent now arrives."""
+        """The time of arrival of a message that is sent now."""
         return self.cluster.clock.now_s + self.cluster.delay_s(self)
 
     def cut(self) -> None:
@@ -132,7 +132,7 @@ class Call:
     # The host's side.
 
     def answer(self, message: object, sent_s: float = 0.0) -> None:
-        """Send something to the caller. `sent_s`: when the host has begun to send it."""
+        """Send something to the caller. `sent_s`: the time at which the host began to send it."""
         self.cluster.passes(self)
         self._to_caller.put_nowait((self.due_s(), (sent_s, message)))
 

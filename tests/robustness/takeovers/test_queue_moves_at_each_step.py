@@ -1,4 +1,4 @@
-"""A fault at each step of a move of a queue with replicas, in virtual time: nothing acknowledged is lost.
+"""A fault at each step of a move of a queue with replicas, in virtual time: no acknowledged message is lost.
 
 The queue moves to the host of its replica, or to a host without a copy, while producers and takers go on. The suite
 kills the source and the destination. `make kill-moves` tries all faults at all hosts.
@@ -14,7 +14,7 @@ from contextlib import suppress
 import pytest
 
 from stampede_rt.errors import StampedeError
-from tests.robustness.moves.stepped_host import QUEUE_DESTINATION_STEPS, QUEUE_SOURCE_STEPS, Step, told
+from tests.robustness.moves.stepped_host import QUEUE_DESTINATION_STEPS, QUEUE_SOURCE_STEPS, Step, wrapped
 from tests.robustness.takeovers.queue_world import DirectoryOfQueues
 from tests.robustness.takeovers.simulate_queues import WITH_CLOCKS, QueueTrial, play
 from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
@@ -41,8 +41,8 @@ class Scenario:
         await self._until(lambda: cluster.is_complete(1))
         source = self._number(cluster.queue(cluster.jobs_id).host_id)
         (copy,) = cluster.copies(cluster.jobs_id)
-        stranger = ({1, 2, 3} - {source, self._number(copy.host_id)}).pop()
-        destination = self._number(copy.host_id) if self.to_replica else stranger
+        without_copy = ({1, 2, 3} - {source, self._number(copy.host_id)}).pop()
+        destination = self._number(copy.host_id) if self.to_replica else without_copy
         self.hosts = {"source": source, "destination": destination, "third": 6 - source - destination}
         move = asyncio.create_task(cluster.move(cluster.jobs_id, destination))
         with suppress(StampedeError, asyncio.CancelledError):
@@ -74,7 +74,7 @@ def played(
     async def main(clock: VirtualClock) -> None:
         trial = QueueTrial(clock, seed, replicas=1)
         scenario = scenario_of(trial)
-        monkeypatch.setattr(step.owner, step.method, told(step, scenario.reached))
+        monkeypatch.setattr(step.owner, step.method, wrapped(step, scenario.reached))
         found = await play(trial, scenario.disturb)
         assert found.lost == 0
         assert [len(one) for one in trial.cluster.incarnations.values()] == [1, 1]
@@ -84,7 +84,7 @@ def played(
 
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("victim", VICTIMS)
-@pytest.mark.parametrize("to_replica", [True, False], ids=["to the replica", "to a stranger"])
+@pytest.mark.parametrize("to_replica", [True, False], ids=["to the replica", "to a host without a copy"])
 @pytest.mark.parametrize("step", STEPS)
 def test_a_move_of_a_queue_loses_nothing_and_no_acked_message_comes_back(
     monkeypatch: pytest.MonkeyPatch, step: str, to_replica: bool, victim: str, fault: str

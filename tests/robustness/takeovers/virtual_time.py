@@ -53,7 +53,7 @@ class _JumpingSelector(selectors.DefaultSelector):
 
 @contextmanager
 def _in_place_of(function: Callable[..., Any], clock: VirtualClock) -> Iterator[None]:
-    """Replace the default arguments of the function that are real clocks by the virtual clocks."""
+    """Replace each default argument of the function that is a real clock by the virtual clock."""
     virtual = {time.monotonic: clock.monotonic, time.monotonic_ns: clock.monotonic_ns}
 
     def shown(one: Any) -> Any:

@@ -1,7 +1,7 @@
 """Hosts with leases around a directory, in virtual time: the real code of replicas, take-overs and moves.
 
 Hosts die, come back without items, stop and go on; links and the way to the directory break. The leader of the
-directory may change: then all leases begin anew there, while a host may find its own lease at an end.
+directory may change. Then the directory begins all leases anew, although a lease may have ended by its host's clock.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class LeasedHost(Host):
         return self.keep_lease(), self.keep_fence()
 
     async def registered(self) -> None:
-        """Take in the answer to a registration."""
+        """Process the answer to a registration."""
         await self.store.scheduler.do(self.store.registering(self.cluster.owned_by(self), is_complete=True))
 
     def fence(self) -> None:
@@ -101,11 +101,11 @@ class Cluster(World):
         self.crash_at, self.happens, self.reached = "", lambda world: None, []
         self.log = Log(level=MOVES_LEVEL)
         self.is_cut_off = False
-        self.commits, self.together = {}, 0
+        self.commits, self.channels_per_entry_max = {}, 0
         self.links: list[Any] = []
         self.cut_off: set[int] = set()  # hosts that do not reach the directory
         self.cut_pairs: set[frozenset[int]] = set()  # hosts that do not reach each other
-        self.slow_s: dict[int, float] = {}  # by host: how long each message of its links is on its way
+        self.slow_s: dict[int, float] = {}  # by host: the least time that a message takes over one of its links
         self.boots = dict.fromkeys(range(1, count + 1), 0)
         self.renewed_s: dict[int, float] = {}
         self.hosts: dict[int, Any] = {}
@@ -192,9 +192,9 @@ class Cluster(World):
     def _check_successor(self, before: Copied, successors: list[bytes]) -> None:
         after = copied_with_id(self.log.directory.tables, id_of_thing(before))
         if successors and before.incarnation != after.incarnation:
-            assert after.host_id in successors, "a replica in sync was not made the owner"
+            assert after.host_id in successors, "a replica was in sync, but another host became the owner"
             ack = before.policy.ack if isinstance(before, ChannelRecord) else before.spec.ack
-            assert ack != "replica", "nothing was lost, and the incarnation has changed"
+            assert ack != "replica", "the incarnation has changed, although nothing was lost"
             assert after.incarnation == (before.incarnation + 1) % 2**64
 
     def _note(self) -> None:
@@ -244,7 +244,7 @@ class Cluster(World):
             raise Unavailable("the way to the directory is cut")
 
     async def pass_through(self, host: Host) -> None:
-        """A call on its way. Raises Unavailable."""
+        """Wait while a call is on its way. Raises Unavailable if it does not arrive."""
         await self.on_the_way(host)
         if self.is_cut_off or not host.alive:
             raise Unavailable("no supernode can be reached")
@@ -275,7 +275,8 @@ class Cluster(World):
 def serving(cluster: Cluster, channel_id: bytes) -> list[int]:
     """The hosts that serve the channel, at whatever epoch.
 
-    Leaves out a former owner that has not heard of a commit: its channel is held, so it has the items of the new owner.
+    Leaves out a former owner that has not heard of a commit. It holds the channel and accepts no items, so its readers
+    see only items that the new owner has, too.
     """
     found: dict[int, int] = {}
     held = set()
