@@ -167,14 +167,14 @@ class HostActor:
         self.registrations = self.renewals = self.fenced = 0
 
     def hear(self, record: channel_pb2.ChannelRecord, asked: float) -> None:
-        """Take in a record that a caller got from the directory. `asked`: the beginning of the call.
+        """Process a record that a caller got from the directory. `asked`: the beginning of the call.
 
         Raises TwoOwners if another host acts as the owner at this moment. The host uses only answers to calls that
         began after its registration, because earlier answers may be out of date.
         """
         epoch = self._owned.get(record.channel_id)
         if record.host_id != self.host_id and epoch is not None and epoch < record.epoch and self._held():
-            raise TwoOwners(f"{self._name} believes in epoch {epoch} of {record.name}, which is at {record.epoch}")
+            raise TwoOwners(f"{self._name} still serves {record.name} at epoch {epoch}, not at epoch {record.epoch}")
         newer = epoch is None or epoch < record.epoch
         if record.host_id == self.host_id and newer and self._held() and self._entered <= asked:
             self._owned[record.channel_id] = record.epoch

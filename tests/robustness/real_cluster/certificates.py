@@ -23,7 +23,7 @@ DAY = timedelta(days=1)
 class Certificates:
     """An authority and its certificates, in `folder`.
 
-    All parts of the cluster read their files there, again after each change.
+    All parts of the cluster read their files there, and read them again after each change.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -42,7 +42,7 @@ class Frontend(PlacedProcess):
         self._seeds = ",".join(one.address for one in supernodes)
 
     def flags(self) -> Sequence[str]:
-        """The founders' addresses."""
+        """The flags of the front-end, with the addresses of the first supernodes."""
         return ["--supernodes", self._seeds, *self.listen_flags()]
 
 
@@ -72,7 +72,7 @@ class Host(PlacedProcess):
         return [one for one in (self.relay, self.data_relay) if one is not None]
 
     def flags(self) -> Sequence[str]:
-        """A name that stays over restarts."""
+        """The flags of the host. Its name stays the same over restarts."""
         words = ["--name", self.name, "--data-dir", str(self.data_dir), "--frontend", self._frontend.address]
         archive = ["--archive", str(self.data_dir / "archive"), "--archive-bytes-max", ARCHIVE]
         return [*words, *archive, "--memory-bytes-max", MEMORY, "--data-port", str(DATA_PORT), *self._where()]
@@ -158,7 +158,7 @@ class Cluster:
         return self._spare[-1]
 
     def newcomer(self) -> Supernode:
-        """A supernode that has yet to join, under an unused id, in the free namespace."""
+        """Prepare a supernode with an unused id in the free namespace. It has not joined yet, and does not run."""
         self._made += 1
         made = self._supernode(f"s{self._made}", self._spare.pop(), "")
         made.mount_small_disk()

@@ -69,7 +69,7 @@ class Network(namespaces.NamespaceNetwork):
         ip("link", "set", namespace.outer_link, "up" if in_ else "down")
 
     def ways(self, namespaces: Iterable[NetworkNamespace]) -> set[tuple[NetworkNamespace, NetworkNamespace]]:
-        """All pairs of which a datagram of the first reaches the second at this moment.
+        """All pairs of a sender and a receiver for which a datagram arrives at this moment.
 
         Blocks for PROBE_SECONDS at most.
         """
@@ -85,7 +85,7 @@ class Network(namespaces.NamespaceNetwork):
         return arrived
 
     def _inbox(self, namespace: NetworkNamespace, deadline: float) -> Iterator[bytes]:
-        """All datagrams that arrive there until `deadline`, and that have arrived before."""
+        """All datagrams that arrive there until `deadline`, and all unread earlier ones."""
         inbox = self._probe_sockets[namespace.name]
         while True:
             inbox.settimeout(max(0.001, deadline - time.monotonic()))

@@ -99,7 +99,7 @@ class PlacedProcess:
     def signal(self, number: signal.Signals) -> None:
         """Send a signal, if the process still runs.
 
-        Process.send_signal may reap the child, and its exit code is then lost.
+        This does not use Process.send_signal, which may reap the child and lose its exit code.
         """
         if self.running:
             with contextlib.suppress(ProcessLookupError):  # the process has ended, and asyncio does not know yet
@@ -142,8 +142,7 @@ class PlacedProcess:
         return lines[-1].replace(f"{self.data_dir}/", "") if lines else ""
 
     def limit_descriptors(self, spare: int | None) -> int:
-        """Let the process open only `spare` more file descriptors than it has open. None: set the limit of this
-        process.
+        """Let the process open only `spare` more file descriptors than it has open. None: remove this limit.
 
         Returns the limit.
         """

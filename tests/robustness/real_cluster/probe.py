@@ -24,7 +24,7 @@ Write = Callable[[Supernode, float], Awaitable[None]]
 
 
 async def register_probe_host(node: Supernode, patience_s: float) -> None:
-    """Write as a host, which always adds an entry to the log.
+    """Register a host: a write that always adds an entry to the log.
 
     The directory may then choose this host as an owner of channels.
     """
@@ -51,7 +51,7 @@ class ChannelWrites:
             pb.OpenChannelRequest(request_id=request_id(), name=name, create=True), timeout=patience_s
         )
         forget = pb.DeleteChannelRequest(request_id=request_id(), channel_id=opened.channel.channel_id)
-        # the write was served; the next round finds a channel that is left over
+        # the write was acknowledged; if the delete fails, a later round finds the channel
         with contextlib.suppress(grpc.aio.AioRpcError):
             await node.stub.DeleteChannel(forget, timeout=patience_s)
 

@@ -119,7 +119,7 @@ class Supernode(PlacedProcess):
     def first_index_kept(self) -> int:
         """The first index that its log still has. Earlier entries are in the snapshot only.
 
-        Reads a copy of the store, because the running process has the store for itself.
+        Reads a copy of the store, because the running process has locked the store.
         """
         with tempfile.TemporaryDirectory(dir=self.folder) as copy:
             for file in self.data_dir.glob(f"{DATABASE_NAME}*"):

@@ -1,8 +1,8 @@
-"""A client that waits in each way: `python -m tests.robustness.real_cluster.waiting_client FRONTEND CHANNEL
+"""A client with three waiting calls: `python -m tests.robustness.real_cluster.waiting_client FRONTEND CHANNEL
 TRANSPORT`.
 
-It subscribes to CHANNEL, gets an item of the far future, and puts into CHANNEL/full, which has no room. The program
-ends when all three calls have ended.
+It subscribes to CHANNEL, waits for an item of the far future, and puts into CHANNEL/full, which has no room. It ends
+when all three calls have ended.
 """
 
 from __future__ import annotations

@@ -11,10 +11,10 @@ class FaultRates:
 
     loss: float = 0.0
     delay_mean: float = 0.002
-    # The share of messages that may overtake other messages, and their greatest additional delay. Half of them come
-    # twice, except commands.
-    unruly: float = 0.0
-    unruly_seconds: float = 0.5
+    # The share of messages that may overtake other messages, and their greatest additional delay. Except commands, half
+    # of these messages come twice.
+    reordered: float = 0.0
+    reordered_seconds: float = 0.5
     crashes: float = 0.0
     # The mean time of a commit; the share of commits during which the power fails, or the disk hangs for long.
     disk_seconds: float = 0.0
@@ -36,4 +36,4 @@ class FaultRates:
     @property
     def late_seconds_max(self) -> float:
         """The greatest delay of a message or of its repetition."""
-        return 2 * self.unruly_seconds if self.unruly else 0.0
+        return 2 * self.reordered_seconds if self.reordered else 0.0

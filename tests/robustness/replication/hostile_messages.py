@@ -25,7 +25,7 @@ NAMES = "abcdexyz"
 
 
 class FalseMessages:
-    """Draws messages to one replica whose state it knows."""
+    """Draws messages to one replica, with numbers near those in the state of this replica."""
 
     def __init__(self, random_source: random.Random, victim: RaftReplica, asked: Sequence[int] = ()) -> None:
         """`asked`: ids of requests that the victim has sent."""

@@ -2,7 +2,8 @@
 never.
 
 The proofs of Raft rest on these rules (Ongaro and Ousterhout 2014, figure 2 and section 5.4; the dissertation, section
-4.1 with the correction of July 2015). So a fault shows at the place of its cause, and not only when two faults meet.
+4.1 with the correction of July 2015). These checks show a fault at its cause. The answers to callers may show the fault
+only if a second fault comes at the right moment.
 """
 
 from __future__ import annotations
@@ -85,12 +86,12 @@ class CommittedEntries:
         """Note that a member counts all entries up to `index` as committed, and check their terms."""
         entry = log.entry_at(index)
         if index > self.highest or entry is None or self.terms.get(index, entry.term) != entry.term:
-            raise PromiseBroken(f"{member_id} takes entry {index} for committed, which no leader has committed")
+            raise PromiseBroken(f"{member_id} counts entry {index} as committed, but no leader has committed it")
 
     def configured(self, term: int, index: int) -> None:
         """Check that a leader put a change of the members into the log only after it committed an entry of its own."""
         if term not in self.own:
-            raise PromiseBroken(f"a leader changes the members at {index}, with nothing of term {term} committed")
+            raise PromiseBroken(f"a leader changes the members at {index} before it committed an entry of term {term}")
 
 
 def check_match(term: int, member_id: str, match: int, held: Entry | None, disk: StoredState) -> None:

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# The most bytes that wait on a slow connection. Beyond this limit the connection takes no more pieces of snapshots and
-# entries.
+# A slow connection whose last message arrives later than this takes no more pieces of snapshots and entries.
 ROOM_SECONDS = 0.5
 
 
@@ -47,7 +46,7 @@ class Wire:
 
 
 class LateResult(Generic[T]):
-    """Work of another thread, which is done when its state was polled a certain number of times."""
+    """Simulated work of another thread. It counts as done after `times` polls."""
 
     def __init__(self, work: Callable[[], T], times: int) -> None:
         self._work = work
@@ -62,7 +61,7 @@ class LateResult(Generic[T]):
 
 
 class SimMember:
-    """One member: a disk that stays, and a replica that is started and crashed.
+    """One member: a disk that survives, and a replica that is started and crashed.
 
     It is the RaftNetwork of its replica.
     """
@@ -103,7 +102,7 @@ class SimMember:
     def start(self) -> None:
         """Start from the disk, without connections."""
         self.machine = OlderListMachine(self.world.history) if self.is_older else ListMachine(self.world.history)
-        self.was_older |= self.is_older  # other members may learn a little later that the cause has ended
+        self.was_older |= self.is_older  # stays True: the other members may doubt this state for a little longer
         self._starts += 1
         self._checked, self._waited, self._hangs_since = (0, 0), 0.0, self.world.now
         self.replica = self._open()
@@ -151,7 +150,7 @@ class SimMember:
 
     def refuse_release(self, by: str, why: str) -> None:
         """Note that another member has refused its release as too old."""
-        raise PromiseBroken(f"{self.member.member_id} is refused though all are of one release")
+        raise PromiseBroken(f"{self.member.member_id} is refused, although all members have one release")
 
     def after_disk(self, call: Callable[[], None]) -> None:
         """Call the function once the step's waits for the disk up to now are over, unless the process ends before."""
@@ -226,13 +225,13 @@ class SimMember:
         self._plan(0.0 if again else replica.pause_seconds())
 
     def _judge(self, replica: RaftReplica, roster: MemberRoster, before: ReplicationStatus) -> None:
-        """Check the entries that it committed in this step against the rules of Raft."""
+        """Check the commits and beliefs of the member after this step against the rules of Raft."""
         status, log, committed = replica.status(), replica._log, self.world.committed
         commit_index, changed_at = log.commit_index, log.configurations.current_index
         if status.diverged_at and not self.is_older:
-            raise PromiseBroken(f"{self.member.member_id} finds its state another one at {status.diverged_at}")
+            raise PromiseBroken(f"{self.member.member_id} finds that its state differs at {status.diverged_at}")
         if status.doubts and not any(one.was_older for one in self.world.members.values()):
-            raise PromiseBroken(f"{self.member.member_id} holds states for doubtful: {dict(status.doubts)}")
+            raise PromiseBroken(f"{self.member.member_id} doubts the states of members: {dict(status.doubts)}")
         if status.is_leader:
             self.world.history.leads(self.member.member_id, status.term)
         # A leader that has heard no member for too long may commit and stop leading in one step.

@@ -38,8 +38,8 @@ def draw_fault_rates(random_source: random.Random) -> FaultRates:
     return FaultRates(
         loss=random_source.choice([0.0, 0.0, 0.01, 0.05, 0.2]),
         delay_mean=random_source.choice([0.001, 0.005, 0.03, 0.15]),
-        unruly=random_source.choice([0.0, 0.0, 0.05, 0.3]),
-        unruly_seconds=random_source.choice([0.5, 0.5, 4.0]),
+        reordered=random_source.choice([0.0, 0.0, 0.05, 0.3]),
+        reordered_seconds=random_source.choice([0.5, 0.5, 4.0]),
         crashes=random_source.choice([0.0, 0.2, 0.6]),
         disk_seconds=random_source.choice([0.0, 0.0005, 0.005, 0.03]),
         disk_crash=random_source.choice([0.0, 0.0, 0.002, 0.01]),
@@ -241,7 +241,9 @@ def run(seed: int, *, rules: type = PreVoteElections, lost_commits: int = 0) -> 
     if seed % 5 == 4:  # as in production: the snapshot is old, and many entries came after it
         fault_rates, every = replace(fault_rates, changes=2.0, snapshots=0.2), PRODUCTION
     elif seed % 5 == 2:  # leaders come and go, and leave entries behind that only they have
-        fault_rates = replace(fault_rates, partitions=0.0, isolations=0.4, full_links=0.5, loss=0.0, unruly_seconds=4.0)
+        fault_rates = replace(
+            fault_rates, partitions=0.0, isolations=0.4, full_links=0.5, loss=0.0, reordered_seconds=4.0
+        )
     elif seed % 5 == 3:  # messages of one tenure arrive in a later one
         size, every = 5, PRODUCTION
         fault_rates = FaultRates(delay_mean=fault_rates.delay_mean, full_links=fault_rates.full_links, outvotes=1.0)
@@ -297,7 +299,10 @@ def heal_and_check(world: World) -> None:
 
 
 def settled_members(world: World, end: float) -> list[SimMember]:
-    """The members, once no message is under way. Checks that no acknowledged removal is undone."""
+    """Wait until a leader and all members agree on the members, and return them.
+
+    Checks that no acknowledged removal is undone.
+    """
     found: list[SimMember] = []
 
     def settled() -> bool:
@@ -313,9 +318,9 @@ def settled_members(world: World, end: float) -> list[SimMember]:
         return bool(found)
 
     if not world.run_until(end, settled):
-        raise PromiseBroken(f"nobody leads with settled members {HEAL_SECONDS} s after everything healed")
+        raise PromiseBroken(f"no leader and its members agree on the members {HEAL_SECONDS} s after everything healed")
     if back := world.removed & {member.member.member_id for member in found}:
-        raise PromiseBroken(f"{back} were removed, and are members")
+        raise PromiseBroken(f"{back} were removed, and are members again")
     return found
 
 

@@ -112,7 +112,9 @@ async def test_acknowledged_commands_survive_a_loss_of_power_everywhere(machines
     assert [name for name in held if name != "under-way"] == names
 
 
-async def test_a_member_whose_disk_fails_says_so_and_ends_and_the_others_go_on(machines: list[Machine]) -> None:
+async def test_a_member_whose_disk_fails_ends_with_the_exit_code_for_it_and_the_others_go_on(
+    machines: list[Machine],
+) -> None:
     await write(machines[0], ["before"])
     leader = machines[IDS.index(await machines[0].ask("leader"))]
     leader.disk.lose_power()  # without a restart: every write gives EIO from now on
@@ -125,7 +127,9 @@ async def test_a_member_whose_disk_fails_says_so_and_ends_and_the_others_go_on(m
     assert (await leader.ask("entries")).split()[0] == "before"
 
 
-async def test_a_leader_whose_disk_hangs_is_replaced_and_follows_when_it_goes_on(machines: list[Machine]) -> None:
+async def test_a_leader_whose_disk_hangs_is_replaced_and_follows_when_the_disk_goes_on(
+    machines: list[Machine],
+) -> None:
     await write(machines[0], ["before"])
     leader = machines[IDS.index(await machines[0].ask("leader"))]
     survivor = next(machine for machine in machines if machine is not leader)

@@ -2,7 +2,7 @@
 that lie.
 
 An outsider does the cluster no harm. A lying member may break the rules on which Raft rests, so its victim's state may
-become wrong. But the lies end no process, and leave no store behind that cannot be opened.
+become wrong. But no lie ends a process, and the victim can still open its store.
 """
 
 from __future__ import annotations
@@ -179,9 +179,9 @@ def test_no_message_of_a_member_ends_a_process_or_spoils_its_store(seed: int, tm
 
 
 class Outsider:
-    """Has valid credentials and is not a member.
+    """A caller with valid credentials that is not a member.
 
-    It introduces itself, and sends false messages to each member that listens.
+    It introduces itself, and sends false messages to each member that counts it as a peer.
     """
 
     def __init__(self, world: World) -> None:
@@ -202,7 +202,7 @@ class Outsider:
     def _bother(self, replica: RaftReplica) -> None:
         name = f"outsider{self._random_source.randint(0, 40)}"
         member = Member(member_id=name, address=f"{name}:1")
-        if name not in replica.roster.peers:  # as a refused hello is, and remembered
+        if name not in replica.roster.peers:  # as in production: a refused hello names its sender
             replica.deliver(NodeIntroduced(name, member))
             return
         self.heard += 1

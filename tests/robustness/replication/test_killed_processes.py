@@ -99,7 +99,7 @@ async def test_the_other_members_serve_again_after_one_is_killed(cluster: list[M
         assert (await cluster[victim].ask("entries")).split()[0] == "before"
 
 
-async def test_a_frozen_leader_is_replaced_and_does_not_answer_from_the_past(cluster: list[MemberProcess]) -> None:
+async def test_a_frozen_leader_is_replaced_and_gives_no_outdated_answer(cluster: list[MemberProcess]) -> None:
     await write(cluster[0], ["before"])
     leader = cluster[IDS.index(await cluster[0].ask("leader"))]
     survivor = next(member for member in cluster if member is not leader)

@@ -102,14 +102,14 @@ async def test_members_survive_a_restart_of_all_of_them(tmp_path: Path) -> None:
         await proposed(newcomer, b"before")
         for member in cluster.all:
             await member.stop()
-        for member in cluster.all:  # each with the members that its start named
+        for member in cluster.all:  # each start names the same members as the first start of this member
             await cluster.start(member)
         await proposed(newcomer, b"after")
         ids = [[each.member_id for each in running(member).status().members] for member in cluster.all]
         assert ids == [["m0", "m1"], ["m0", "m1"]]
 
 
-async def test_a_removed_member_is_told_so_and_never_comes_back(tmp_path: Path) -> None:
+async def test_a_removed_member_learns_of_its_removal_and_never_comes_back(tmp_path: Path) -> None:
     async with LiveCluster(3, tmp_path) as cluster:
         [removed, _] = await cluster.followers()
         await cluster.on_leader(lambda log: log.remove_member(removed.member.member_id, timeout=5.0))
@@ -117,7 +117,7 @@ async def test_a_removed_member_is_told_so_and_never_comes_back(tmp_path: Path) 
         with pytest.raises(ChangeRefused, match="never used again"):
             await cluster.on_leader(lambda log: log.add_member(removed.member, timeout=5.0))
         with pytest.raises((LogUnavailable, OutcomeUnknown)):
-            await running(removed).propose(b"from the grave", timeout=0.5)
+            await running(removed).propose(b"after the removal", timeout=0.5)
 
 
 async def test_only_the_leader_changes_members_and_one_at_a_time(tmp_path: Path) -> None:
@@ -136,7 +136,7 @@ async def test_only_the_leader_changes_members_and_one_at_a_time(tmp_path: Path)
         under_way.cancel()
 
 
-async def test_a_newcomer_that_is_stuck_holds_up_no_removal_and_makes_room_for_another_one(
+async def test_a_newcomer_that_is_stuck_delays_no_removal_and_gives_way_to_another_newcomer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(member_changes, "GIVES_WAY_SECONDS", 0.3)
@@ -152,7 +152,7 @@ async def test_a_newcomer_that_is_stuck_holds_up_no_removal_and_makes_room_for_a
         await let_in(leader, other)
         with pytest.raises(ChangeUnderWay, match="took nothing of the log"):
             await under_way
-        # it is started again and again: the next start need not even wait
+        # the leader has given up this newcomer before, so now the newcomer gives way without delay
         monkeypatch.setattr(member_changes, "GIVES_WAY_SECONDS", 3600.0)
         again = asyncio.create_task(leader.add_member(stuck.member, timeout=60.0))
         await until(lambda: stuck.member.member_id in leader._replica.roster.peers)  # type: ignore[attr-defined]
@@ -162,7 +162,7 @@ async def test_a_newcomer_that_is_stuck_holds_up_no_removal_and_makes_room_for_a
 
 
 async def let_in(leader: ReplicatedLog, newcomer: LiveMember) -> None:
-    """Let a newcomer in as it asks itself: repeat the request while other changes are under way."""
+    """Add a newcomer in the way in which its own process asks: repeat the request while another change is under way."""
     async with asyncio.timeout(20):
         while True:
             try:
@@ -207,7 +207,7 @@ async def test_a_leader_that_the_majority_needs_is_not_removed_by_its_successor_
     async with LiveCluster(3, tmp_path) as cluster:
         first = (await cluster.leader()).member.member_id
         [down, _] = await cluster.followers()
-        await down.stop()  # for a moment the leader still takes it for alive, and hands over
+        await down.stop()  # for a moment the leader still counts this member as alive, and hands over
         with pytest.raises(ChangeRefused, match="no majority"):
             await cluster.on_leader(lambda log: log.remove_member(first, timeout=5.0))
         await proposed(await cluster.leader(), b"still served")

@@ -54,7 +54,7 @@ def test_a_seed_gives_the_same_run_every_time() -> None:
     assert first.history.acknowledged
 
 
-class StandsAtOnce(PreVoteElections):
+class RaisesTermImmediately(PreVoteElections):
     """A member that raises its term as soon as it hears no leader, like the unchanged library."""
 
     def before_tick(self) -> None:
@@ -80,9 +80,12 @@ def leader_of(world: World) -> tuple[str, int] | None:
 
 @pytest.mark.parametrize(
     "rules",
-    [PreVoteElections, pytest.param(StandsAtOnce, marks=pytest.mark.xfail(strict=True, raises=AssertionError))],
+    [
+        PreVoteElections,
+        pytest.param(RaisesTermImmediately, marks=pytest.mark.xfail(strict=True, raises=AssertionError)),
+    ],
 )
-def test_a_member_that_cannot_hear_the_leader_does_not_unseat_it(rules: type) -> None:
+def test_a_member_that_cannot_hear_the_leader_does_not_end_its_leadership(rules: type) -> None:
     world, leader, term = cluster_without_faults(rules)
     deaf = next(name for name in world.members if name != leader)
     world.block([(leader, deaf), (deaf, leader)])
@@ -187,7 +190,7 @@ def lag(world: World, member: SimMember) -> int:
     return leader.status().applied_index - member.replica.status().applied_index
 
 
-class ForgetsWhatItSends(PreVoteElections):
+class RestartsTransfers(PreVoteElections):
     """A leader that begins a transfer again with each new snapshot, and keeps no log before the last snapshot."""
 
     keeper: SnapshotKeeper
@@ -202,7 +205,7 @@ class ForgetsWhatItSends(PreVoteElections):
 
 @pytest.mark.parametrize(
     "rules",
-    [PreVoteElections, pytest.param(ForgetsWhatItSends, marks=pytest.mark.xfail(strict=True, raises=AssertionError))],
+    [PreVoteElections, pytest.param(RestartsTransfers, marks=pytest.mark.xfail(strict=True, raises=AssertionError))],
 )
 def test_a_member_that_lags_behind_a_slow_link_catches_up_under_load_though_snapshots_are_taken(rules: type) -> None:
     """The transfer of a snapshot of 12 kB takes 2 s, and the members take a snapshot every second."""
@@ -215,7 +218,7 @@ def test_a_member_that_lags_behind_a_slow_link_catches_up_under_load_though_snap
     world.run_until(world.now + 10.0)
     leader = leading(world)
     assert leader.replica is not None
-    leader.replica._node.log.keep_after(10**9)  # as if it had been away for longer
+    leader.replica._node.log.keep_after(10**9)  # as if the member had been away for longer
     wire = world.wires[leader.member.member_id, away.member.member_id]
     wire.bytes_per_second = 8_000
     world.restart(away)
@@ -227,14 +230,14 @@ def test_a_member_that_lags_behind_a_slow_link_catches_up_under_load_though_snap
     world.history.check_end([member.machine for member in world.members.values()])
 
 
-class KeepsItsDistance(PreVoteElections):
+class RefusesUnnamedLeaders(PreVoteElections):
     """A member that refuses a leader until another member has named that leader."""
 
     def on_introduced(self, member: Member) -> None:
         pass
 
 
-class ForgetsWhoLedItIn(PreVoteElections):
+class KnowsOnlyMembersOfSnapshot(PreVoteElections):
     """A newcomer that knows only the members of its snapshot, which may be older than its leader."""
 
     def open_snapshot(self) -> None:
@@ -305,7 +308,10 @@ def serves(world: World, member: SimMember, within: float = 10.0) -> bool:
 
 @pytest.mark.parametrize(
     "rules",
-    [PreVoteElections, pytest.param(ForgetsWhoLedItIn, marks=pytest.mark.xfail(strict=True, raises=AssertionError))],
+    [
+        PreVoteElections,
+        pytest.param(KnowsOnlyMembersOfSnapshot, marks=pytest.mark.xfail(strict=True, raises=AssertionError)),
+    ],
 )
 def test_a_member_joins_after_all_members_of_the_snapshot_were_replaced(rules: type) -> None:
     world = with_snapshot(rules)
@@ -319,7 +325,10 @@ def test_a_member_joins_after_all_members_of_the_snapshot_were_replaced(rules: t
 
 @pytest.mark.parametrize(
     "rules",
-    [PreVoteElections, pytest.param(KeepsItsDistance, marks=pytest.mark.xfail(strict=True, raises=AssertionError))],
+    [
+        PreVoteElections,
+        pytest.param(RefusesUnnamedLeaders, marks=pytest.mark.xfail(strict=True, raises=AssertionError)),
+    ],
 )
 def test_a_member_that_was_down_while_the_others_were_replaced_counts_again(rules: type) -> None:
     world = with_snapshot(rules)
@@ -333,8 +342,8 @@ def test_a_member_that_was_down_while_the_others_were_replaced_counts_again(rule
     assert serves(world, other)
 
 
-class CutsOffWhatAgrees(PreVoteElections):
-    """The unchanged library's treatment of late appends."""
+class CutsEqualEntries(PreVoteElections):
+    """A member that treats late appends like the unchanged library: it also cuts entries that are equal."""
 
     def _merge(self, entries: list[Entry]) -> None:
         if entries and self.log.entry_at(entries[0].log_index) is not None:
@@ -343,8 +352,8 @@ class CutsOffWhatAgrees(PreVoteElections):
             self.log.append(*entry)
 
 
-class CommitsByPieces(PreVoteElections):
-    """The unchanged library's treatment of the commit index in pieces of a snapshot."""
+class CommitsAtSnapshotPieces(PreVoteElections):
+    """A member that, like the unchanged library, commits up to the index in each piece of a snapshot."""
 
     def _on_install_snapshot(self, node: object, message: InstallSnapshot) -> None:
         self.raise_commit_index(min(message.commit_index, self.log.last_index))
@@ -379,8 +388,8 @@ class HearsMembersOnly(PreVoteElections):
 @pytest.mark.parametrize(
     ("fault", "first_seed"),
     [
-        (CutsOffWhatAgrees, 5),
-        (CommitsByPieces, 15),
+        (CutsEqualEntries, 5),
+        (CommitsAtSnapshotPieces, 15),
         (ReadsTooEarly, 5),
         (VotesTwice, 29),
         (HearsMembersOnly, 2),

@@ -120,8 +120,8 @@ class World:
         arrival = max(self.now, wire.stalled_until) + self.random_source.expovariate(1 / self.fault_rates.delay_mean)
         if wire.bytes_per_second < float("inf"):
             arrival = max(arrival, wire.last_arrival) + len(data) / wire.bytes_per_second
-        if self.random_source.random() < self.fault_rates.unruly:
-            arrival += self.random_source.random() * self.fault_rates.unruly_seconds
+        if self.random_source.random() < self.fault_rates.reordered:
+            arrival += self.random_source.random() * self.fault_rates.reordered_seconds
             if not isinstance(message, ForwardedCommand) and self.random_source.random() < 0.5:
                 again = self.now + self.random_source.random() * self.fault_rates.late_seconds_max
                 self.at(again, lambda: self._arrive(sender, to, generation, data))
@@ -136,14 +136,14 @@ class World:
             self._answer(sender, to, replica)
 
     def _answer(self, sender: str, to: str, receiver: RaftReplica) -> None:
-        """Send the members to the sender, as the stream does, in every half second in which a message came."""
+        """Report the receiver's members to the sender after a message, as the stream does: at most once in 0.5 s."""
         wire, replica = self.wires[sender, to], self.members[sender].replica
         if replica is not None and wire.up and not self.wires[to, sender].blocked and self.now > wire.answer_due:
             wire.answer_due = self.now + 0.5
             replica.deliver(MembersReported(to, receiver.roster.members))
 
     def fault(self, sender: str, receiver: str, why: str) -> None:
-        """Fail, because no member that keeps the rules may be found to break them."""
+        """Fail, because each member keeps the rules, unless hostile peers have misled it."""
         if sender in self.members and not self.may_be_misled:
             raise PromiseBroken(f"{receiver} finds {sender} at fault: {why}")
 
@@ -213,7 +213,7 @@ class World:
     def _refuse(self, member: SimMember) -> None:
         """End the member, and never start it again, because its store lacks entries that it has promised."""
         if not member.rolled_back:
-            raise PromiseBroken(f"{member.member.member_id} is refused though its disk kept what it should")
+            raise PromiseBroken(f"{member.member.member_id} is refused, although its disk has every promised entry")
         member.refused = True
         member.crash()
 
