@@ -15,7 +15,7 @@ _BLOCKING = (
 
 
 def awaitable(value: Any, pool: ThreadPoolExecutor | None) -> Any:
-    """Return `value` with awaitable methods. Without a pool it already has them."""
+    """Return `value` with awaitable methods. If `pool` is None, its methods are awaitable already."""
     return AwaitableBlocking(value, pool) if pool is not None and isinstance(value, _BLOCKING) else value
 
 

@@ -19,7 +19,8 @@ SENDING_STILL = "Internal error from Core"  # grpc.aio's own text
 def ask(address: str, files: st.TlsFiles | None, call: Callable[[Any], Any]) -> str:
     """Make a call with this certificate. Returns the service's error text; empty if the call succeeded.
 
-    Makes the call again if the service refused a stream while grpc.aio still sent a request: grpc.aio loses the answer.
+    Makes the call again if the service refused a stream while grpc.aio still sent a request. Then grpc.aio loses the
+    answer.
     """
 
     async def asked() -> str:

@@ -78,7 +78,7 @@ def find_secret_of(cluster: LocalCluster, patch: pytest.MonkeyPatch) -> None:
 
 
 def with_rules(cluster: LocalCluster, folder: Path) -> Path:
-    """Make rules that allow the tests everything that some verb allows, and return the file of a token for them."""
+    """Make rules that allow the tests every verb for every kind of thing. Returns the file of a token for the tests."""
     with operating(cluster) as operator:
         for kind, verbs in VERBS_OF.items():
             operator.add(f"{TESTER}*", ",".join(sorted(verbs)), "*", "--kind", kind)

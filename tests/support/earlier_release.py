@@ -1,6 +1,6 @@
 """Simulates a release of the supernode without rules of access, made from the present code.
 
-It knows only feature level 1, no commands of higher levels, and no AccessService. As a program, `python -m
+This release knows only feature level 1, no commands of higher levels, and no AccessService. As a program, `python -m
 tests.support.earlier_release ARGUMENTS` is `stampede supernode ARGUMENTS` of that release.
 """
 
@@ -17,20 +17,20 @@ EARLIER_LEVEL = OWNERS_LEVEL - 1
 
 
 def earlier_kind_in(encoded: bytes) -> str:
-    """Return the kind of a command as that release names it; empty if it does not know the kind."""
+    """Return the kind of a command as the earlier release names it; empty if that release does not know the kind."""
     kind = kind_in(encoded)
     return kind if kind and level_needed(kind) <= EARLIER_LEVEL else ""
 
 
 class EarlierReplica(DirectoryReplica):
-    """The directory of that release."""
+    """The directory of the earlier release."""
 
     highest_level = EARLIER_LEVEL
     kind_in = staticmethod(earlier_kind_in)
 
 
 def main() -> int:
-    """Run `stampede supernode` of that release; returns the exit code."""
+    """Run `stampede supernode` of the earlier release; returns the exit code."""
     with (
         mock.patch("stampede_rt_supernode.app.DirectoryReplica", EarlierReplica),
         mock.patch("stampede_rt_supernode.joining.preparing.DirectoryReplica", EarlierReplica),

@@ -19,7 +19,7 @@ def in_a_forked_child(function: Callable[[], Any]) -> Any:
     """Return the result of `function` in a forked child of this process. If the child hangs or dies, the test fails."""
     readable, writable = os.pipe()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12 warns of threads
+        warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12 warns about a fork of a process with threads
         pid = os.fork()
     if pid == 0:
         _be_the_child(function, writable)

@@ -15,7 +15,7 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessVerb
 
 
 class Operator:
-    """Adds and removes rules. They are in force when `add` and `rm` return."""
+    """Adds and removes rules. A change is in force when `add` or `rm` returns."""
 
     def __init__(self, cluster: LocalCluster, supernodes: Cluster) -> None:
         self.cluster, self._supernodes = cluster, supernodes
@@ -23,7 +23,7 @@ class Operator:
         self._rules: list[tuple[str, ...]] = []
 
     def run(self, *words: str) -> int:
-        """The command line."""
+        """Run a command of the command line at this cluster. Returns its exit status."""
         return run([*words, "--url", self.cluster.address])
 
     def token(self, name: str) -> str:
@@ -32,7 +32,7 @@ class Operator:
         return self._tokens[name]
 
     def new_token(self, name: str, valid_nanos: int) -> str:
-        """A token that is valid for that long."""
+        """A new token that is valid for `valid_nanos`."""
         return str(self._supernodes.issue_client_token(name, ["client"], valid_nanos=valid_nanos).token)
 
     def add(self, *rule: str) -> None:
@@ -45,7 +45,7 @@ class Operator:
         self._rules.remove(rule)
 
     def keep_rules(self) -> None:
-        """Do not remove at the end the rules that were added until now."""
+        """Keep the rules that were added until now. Only later ones are removed at the end."""
         self._rules.clear()
 
     def take_back(self) -> None:

@@ -13,7 +13,7 @@ from stampede_rt.wire.stream_frames import PROTOCOL_VERSION, FrameKind, FrameRea
 
 SECONDS_MAX = 20
 SECURED: dict[str, ssl.SSLContext] = {}
-"""The TLS with which tests call these targets. It comes from the standard library, not from the product."""
+"""The TLS contexts with which tests call these targets. The standard library makes the TLS, not the product."""
 
 
 class RawStream:
@@ -64,7 +64,7 @@ class RawStream:
         return self._came.popleft()
 
     async def take_greeting(self) -> None:
-        """Take the first frame of a TCP port. A refusal stays for the test."""
+        """Take the greeting, which is the first frame of a TCP port. If it is a refusal, leave it for the test."""
         frame = await self.frame()
         self.is_greeted = frame is not None and frame[0] == FrameKind.ALIVE
         if frame is not None and not self.is_greeted:

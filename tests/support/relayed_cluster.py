@@ -49,7 +49,7 @@ class RelayedCluster:
 def running_relayed_cluster(hosts: int = 0, feed_transport: str = "best") -> Iterator[RelayedCluster]:
     """Yield the cluster and its relay. Both have ended after the block. `hosts`: the number of further hosts."""
     with running_cluster(hosts=hosts, supernodes=1, feed_transport=feed_transport) as cluster:
-        # the host listens at another address, because the relay must have its port for sockets
+        # the host listens at another address, because the relay listens at the address that clients get
         port, inner_port, data_port = free_ports(3)
         arguments = ("--listen", f"{INNER}:{inner_port}", "--advertise", f"localhost:{port}", "--name", HOST_NAME)
         arguments += ("--data-port", str(data_port))

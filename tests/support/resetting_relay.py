@@ -63,7 +63,7 @@ class ResettingRelay:
             await self._opened.wait()
 
     def reset(self) -> None:
-        """Reset all streams of callers, and return when this is written. Do not call it on the relay's thread."""
+        """Reset all streams of callers, and return when the frames are sent. Do not call it on the relay's thread."""
         asyncio.run_coroutine_threadsafe(self._reset(), self._loop).result(10)
 
     async def _reset(self) -> None:

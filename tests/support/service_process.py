@@ -33,7 +33,7 @@ def shift_wall_clock(file: Path) -> None:
 
 
 def compact_early(entries: int) -> None:
-    """Take snapshots after few entries, so that a short partition lasts longer than the log reaches back."""
+    """Take snapshots after few entries, so that the log is compacted even during a short partition."""
     from stampede_rt_supernode.replication.settings import ReplicationSettings
 
     defaults = ReplicationSettings.__init__.__kwdefaults__

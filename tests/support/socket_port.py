@@ -115,7 +115,7 @@ class Port:
 
 
 async def until(condition: Callable[[], object]) -> None:
-    """Wait until the server's loop has come to this state."""
+    """Wait until the condition is true, while the server's event loop runs."""
     async with asyncio.timeout(20):
         while not condition():  # noqa: ASYNC110  # the state has no event
             await asyncio.sleep(0)
@@ -146,7 +146,7 @@ def certificates() -> ClusterCertificates:
 
 
 def port_fixture(*kinds: str) -> Callable[..., Open]:
-    """Return a fixture that opens such services with the given settings of `serving`, at each kind of socket."""
+    """Return a fixture that opens a Port with the given settings of `serving`, at each kind of socket."""
 
     @pytest.fixture(params=kinds or (LOCAL, TCP, TLS))
     def port(tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Open:

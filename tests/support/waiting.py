@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 WITHIN_SECONDS = 45.0
 PAUSE_SECONDS = 0.02
-LOOK_SECONDS = 0.005
+CHECK_SECONDS = 0.005
 
 
 def wait_until(holds: Callable[[], object], what: str = "", within_seconds: float = WITHIN_SECONDS) -> None:
@@ -28,6 +28,6 @@ async def until(holds: Callable[[], object], what: str = "", within_seconds: flo
         await pause(PAUSE_SECONDS)
 
 
-async def pause(seconds: float = LOOK_SECONDS) -> None:
-    """Wait between two looks at something. Without a pause the loop keeps two cores busy: here and in the service."""
+async def pause(seconds: float = CHECK_SECONDS) -> None:
+    """Wait between two checks of a condition. Without a pause they keep two cores busy, here and in the service."""
     await asyncio.wait({asyncio.get_running_loop().create_future()}, timeout=seconds)

@@ -1,4 +1,4 @@
-"""Each entry that a client keeps becomes stale for real: its use fails, and the client asks as if it had no entry.
+"""Each entry that a client keeps becomes stale: its use fails, and the client asks as if it had no entry.
 
 The rows of the table in docs/connections.md are the rows of this file (paper, section 4.2). Both clients meet the same
 faults. After each fault all acknowledged items are there once.

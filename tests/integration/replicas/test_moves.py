@@ -29,23 +29,23 @@ def test_a_channel_with_a_replica_moves_under_load_and_survives_the_loss_of_its_
         channel = opened(rt)
         eventually(lambda: len(in_sync(channel)) == 1, "the replica is in sync")
         incarnation, (replica,) = channel.incarnation, names_in_sync(rt, channel)
-        stranger = ({"h2", "h3"} - {replica}).pop()
+        without_copy = ({"h2", "h3"} - {replica}).pop()
         with reading(channel, 2) as readers, produced(channel) as producing:
             passes(producing, 50)
             rt.move(channel, replica)
             assert owner_of(rt, channel) == replica
             eventually(lambda: names_in_sync(rt, channel) == ["h1"], "the former owner has taken the replica's place")
             passes(producing, 50)
-            rt.move(channel, stranger)
+            rt.move(channel, without_copy)
             eventually(lambda: names_in_sync(rt, channel) == ["h1"], "the replica stays")
             passes(producing, 50)
             rt.move(channel, "h1")
-            eventually(lambda: names_in_sync(rt, channel) == [stranger], "the two hosts have changed places")
+            eventually(lambda: names_in_sync(rt, channel) == [without_copy], "the two hosts have changed places")
             passes(producing, 50)
             assert channel.put(b"x").copies == 2
             cluster.hosts[0].kill()
             passes(producing, 50)
-            assert owner_of(rt, channel) == stranger
+            assert owner_of(rt, channel) == without_copy
             last = producing.stop()
             all_saw(readers, last)
         assert channel.incarnation == incarnation

@@ -33,7 +33,7 @@ START_SECONDS_MAX = 30
 
 
 def build() -> Path:
-    """The program, installed once on this machine. Raises Unavailable, BuildFailed."""
+    """Install the program, unless this machine has it, and return its path. Raises Unavailable, BuildFailed."""
     tool("node")
     program, done = CACHE / "node_modules" / ".bin" / "azurite-blob", CACHE / "installed"
     CACHE.mkdir(parents=True, exist_ok=True)
@@ -42,7 +42,7 @@ def build() -> Path:
         if not done.exists():
             words = ["install", "--no-audit", "--no-fund", "--prefix", str(CACHE), f"azurite@{VERSION}"]
             step([tool("npm"), *words], CACHE, {**os.environ})
-            done.touch()  # never a part of an installation
+            done.touch()  # after the installation, so an interrupted one does not count
     return program
 
 

@@ -79,7 +79,7 @@ class FakeQueueDirectory(
         return moves_pb.CommitQueueMoveResponse(queue=record)
 
     async def Watch(self, request: Any, context: Any) -> AsyncIterator[directory_service_pb2.WatchResponse]:  # noqa: N802
-        if not request.include_queues:  # another part of the host watches other things
+        if not request.include_queues:  # a part of the host that does not watch queues
             async for response in super().Watch(request, context):
                 yield response
             return

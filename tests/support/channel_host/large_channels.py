@@ -1,4 +1,4 @@
-"""Large channels, and a count of the slices at which their index looks."""
+"""Large channels, and a count of the slices that their index visits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ITEMS = 20_000
 
 
 class SliceCounter:
-    """Counts the slices at which any index has looked."""
+    """Counts the slices that any index has visited."""
 
     def __init__(self) -> None:
         self.slices = 0
@@ -42,7 +42,7 @@ def count_slices(monkeypatch: pytest.MonkeyPatch) -> SliceCounter:
 
 
 def filled(items: int = ITEMS, **policy: Any) -> ChannelCore:
-    """One run for each item, in order."""
+    """A channel with one run for each item, in the order of their times."""
     channel = a_channel(**policy)
     for time in range(items):
         put(channel, CLOCK + time)
@@ -50,7 +50,7 @@ def filled(items: int = ITEMS, **policy: Any) -> ChannelCore:
 
 
 def shuffled(items: int = ITEMS) -> ChannelCore:
-    """Runs of 200 items in pairs. The items of a pair alternate in time, like the items of two producers."""
+    """A channel with pairs of runs of 200 items. The items of a pair alternate in time, as from two producers."""
     channel = a_channel()
     for first in range(0, items, 400):
         for odd in (0, 1):

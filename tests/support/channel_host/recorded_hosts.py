@@ -43,7 +43,7 @@ EVERYTHING = WantedWindow(WantedItems(FIRST_KEY[0], LAST_KEY, 0, 2**30), FIRST_K
 
 
 @pytest.fixture
-def quick_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_pauses_after_failures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the hosts ask a failing store again without a pause."""
     monkeypatch.setattr(guarded_store, "PAUSE_SECONDS", 0.0)
     monkeypatch.setattr(former_owners, "WAIT_SECONDS_MIN", 0.0)
@@ -150,7 +150,7 @@ class Owner:
         await self.host.archive.write_all()
 
     async def find(self) -> None:
-        """Have the host look at the store, which must be back, and write its new knowledge to the disk."""
+        """Let the host do its due work at the store, which must not fail, and write all changes to the disk."""
         assert not await self.host.mover.move_all()
         await self.host.archive.write_all()
 
@@ -163,7 +163,7 @@ class Owner:
         return [time for one in (await self.read(query)).slices for time in one.run.times[one.lo : one.hi]]
 
     async def subscribed(self, start: Bound) -> tuple[list[int], int]:
-        """The times of the items that a subscription gets, and how many it dropped."""
+        """The times of the items that a subscription gets, and the number of items that it dropped."""
         where = self.recording.beginning({"start": start}, self.now())
         cursor = run_to_end(self.hosted.channel.subscribing_all(self.now(), **where))
         times: list[int] = []

@@ -30,7 +30,7 @@ START_SECONDS_MAX = 20
 
 
 def build() -> Path:
-    """The program, built once on this machine. Raises Unavailable, BuildFailed."""
+    """Build the program, unless this machine has it, and return its path. Raises Unavailable, BuildFailed."""
     program = CACHE / "versitygw"
     CACHE.mkdir(parents=True, exist_ok=True)
     with (CACHE / "lock").open("w") as lock:
@@ -44,7 +44,7 @@ def build() -> Path:
                 "GOTOOLCHAIN": "local",
             }
             step([tool("go"), "install", *GO_BUILD_FLAGS, MODULE], ROOT, environment)
-            (CACHE / "new" / "versitygw").replace(program)  # never a part of a program
+            (CACHE / "new" / "versitygw").replace(program)  # so the cache never has a part of the program
     return program
 
 

@@ -1,4 +1,4 @@
-"""A text that commands a terminal and forges lines, and protobuf messages full of it."""
+"""A text that controls a terminal and forges lines, and protobuf messages in which each text is this one."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ DEPTH_MAX = 4
 
 
 def hostile_message(described: Descriptor, depth: int = 0) -> Message:
-    """Return a message with the hostile text in each of its texts and bytes, also below. In a oneof the last field
-    is set.
+    """Return a message with the hostile text in each of its texts and bytes, and in those of its nested messages. In a
+    oneof the last field is set.
     """
     message = GetMessageClass(described)()
     for field in described.fields:

@@ -1,4 +1,4 @@
-"""Recordings without a cluster."""
+"""Makes and reads recordings without a cluster."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ REQUEST_BYTES_MAX = 2**17
 
 
 def serve(calls: socket.socket) -> None:
-    """Fork for each request, until the tests end. Returns only in the fork, which then is the service."""
+    """Fork for each request, until the tests end. Returns only in the fork, which then becomes the service."""
     while True:
         request, streams, _, _ = socket.recv_fds(calls, REQUEST_BYTES_MAX, 3)
         if not request:

@@ -1,4 +1,4 @@
-"""Operations on queues and peers for the property tests, drawn from few ids and names so that they meet."""
+"""Draws operations on queues and peers for the property tests. There are few ids, so many operations share one."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 
 class PromiseBroken(AssertionError):
-    """The log broke a promise; the message says which."""
+    """The log broke the promise that the message names."""
 
 
 class History:
@@ -23,32 +23,32 @@ class History:
         self.highest_acknowledged = 0
 
     def applied(self, index: int, command: bytes) -> None:
-        """A replica applied a command at a position."""
+        """Note that a replica applied a command at a position."""
         if self.command_at.setdefault(index, command) != command:
             raise PromiseBroken(f"position {index} holds {self.command_at[index]!r} and {command!r}")
         if self._index_of.setdefault(command, index) != index:
             raise PromiseBroken(f"{command!r} was applied twice, at {self._index_of[command]} and {index}")
 
     def acknowledge(self, command: bytes, index: int) -> None:
-        """A caller was told that its command is at a position."""
+        """Note that the log told a caller the position of its command."""
         if self.command_at.get(index) != command:
             raise PromiseBroken(f"{command!r} was acknowledged at {index}, which holds {self.command_at.get(index)!r}")
         self.acknowledged[command] = index
         self.highest_acknowledged = max(self.highest_acknowledged, index)
 
     def refuse(self, command: bytes) -> None:
-        """A caller was told that its command was certainly not taken."""
+        """Note that the log told a caller that it certainly did not take the command."""
         self.refused.add(command)
 
     def read(self, *, acknowledged_before: int, index: int) -> None:
-        """A confirmed read gave a position; `acknowledged_before` was the highest acknowledged position when the
+        """Note that a confirmed read gave a position. `acknowledged_before`: the highest acknowledged position when the
         read began.
         """
         if index < acknowledged_before:
             raise PromiseBroken(f"a read saw {index}, but {acknowledged_before} was acknowledged before it began")
 
     def leads(self, member_id: str, term: int) -> None:
-        """A replica believes that it leads."""
+        """Note that a replica believes that it leads."""
         if self._leader_of_term.setdefault(term, member_id) != member_id:
             raise PromiseBroken(f"term {term} has two leaders: {self._leader_of_term[term]} and {member_id}")
 
@@ -106,9 +106,9 @@ class ListMachine:
 
     def begin_snapshot(self) -> Callable[[], bytes]:
         """Copy the list of commands. Returns a function that encodes the copy."""
-        still = ListMachine()
-        still.entries = self.entries[:]
-        return still.snapshot
+        copied = ListMachine()
+        copied.entries = self.entries[:]
+        return copied.snapshot
 
     def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
         """Decode a list of commands. The returned function checks it, and replaces the list by it."""
@@ -139,6 +139,6 @@ class OlderListMachine(ListMachine):
         return b"refused"
 
     def digest(self) -> tuple[int, bytes]:
-        """A refusal changes nothing, and counts as applied."""
+        """As of every machine. A refused command counts as applied, and changes nothing."""
         index, digest = super().digest()
         return max(index, self._refused_at), digest

@@ -143,7 +143,7 @@ class LiveCluster:
             raise self.failures[0]
 
     async def leader(self, *, within: float = 10.0) -> LiveMember:
-        """The member that all running members take for the leader. Newcomers that have not joined yet do not count."""
+        """Wait until all running members agree on the leader, and return it. Newcomers count once they have joined."""
         found: list[LiveMember] = []
 
         def agreed() -> bool:
@@ -164,7 +164,7 @@ class LiveCluster:
 
 
 def _is_in(status: ReplicationStatus) -> bool:
-    """Whether the member counts as one. The member may learn of its removal from a refusal, before it reads the log."""
+    """Whether the member counts itself as one. It may learn of its removal from a refusal, before it reads the log."""
     return not status.removed and any(member.member_id == status.self_id for member in status.members)
 
 

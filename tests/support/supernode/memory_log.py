@@ -61,9 +61,9 @@ class MemoryLog:
         if outcome is not None:
             self.outcome_met.set()
         if outcome is ProposalOutcome.REFUSED or not self.quorum:
-            raise LogUnavailable("told so")
+            raise LogUnavailable("as the test planned")
         if outcome is ProposalOutcome.LOST:
-            raise OutcomeUnknown("told so")
+            raise OutcomeUnknown("as the test planned")
         if self.holds:
             self.holds = False
             self.held.append(command)
@@ -72,7 +72,7 @@ class MemoryLog:
         self.index += 1
         result = self.machine.apply(self.index, command)
         if outcome is ProposalOutcome.DONE_UNHEARD:
-            raise OutcomeUnknown("told so")
+            raise OutcomeUnknown("as the test planned")
         return result
 
     def apply_held(self) -> list[bytes]:
@@ -84,7 +84,7 @@ class MemoryLog:
 
     async def confirm_read(self, *, timeout: float) -> int:
         if not self.quorum:
-            raise LogUnavailable("told so")
+            raise LogUnavailable("as the test planned")
         self.read_waits.set()
         await self.reads_may_end.wait()
         return self.index

@@ -139,7 +139,7 @@ def delete_group(group_id: bytes) -> DeleteGroup:
 def add_replica(
     channel_id: bytes, host: int = 0, *, epoch: int = 1, warm: bool = False, source: int = 0, acknowledged: bool = False
 ) -> AddReplica:
-    """`host` and `source` 0: left out."""
+    """`host` or `source` 0: the command does not name it."""
     return AddReplica(
         channel_id=channel_id,
         epoch=epoch,

@@ -43,11 +43,11 @@ class Supernode:
 
     @property
     def command(self) -> list[str]:
-        """Return the command that starts it."""
+        """The command that starts the process."""
         return [sys.executable, "-m", self.module, "--log-level", "warning", *self._arguments]
 
     async def start(self) -> str:
-        """Start it, wait until it says that it is ready, and return that line."""
+        """Start the process, wait until it says that it is ready, and return that line."""
         self._process = await asyncio.create_subprocess_exec(
             *self.command,
             stdout=asyncio.subprocess.PIPE,
@@ -60,7 +60,7 @@ class Supernode:
         return line.decode().rstrip("\n")
 
     async def refused(self) -> tuple[int, str]:
-        """Start it, and wait until it ends by itself. Returns its exit status and its standard error."""
+        """Start the process, and wait until it ends by itself. Returns its exit status and its standard error."""
         process = await asyncio.create_subprocess_exec(
             *self.command, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE, env=clean_environment()
         )
@@ -74,7 +74,10 @@ class Supernode:
         return process.returncode, said.decode()
 
     async def end(self, number: signal.Signals) -> tuple[int, bytes]:
-        """Send it a signal. Returns its exit status and its output since it was ready."""
+        """Send the process a signal, and wait for its end.
+
+        Returns its exit status, and its output since the ready line.
+        """
         assert self._process is not None
         self._process.send_signal(number)
         async with asyncio.timeout(PATIENCE_SECONDS):
@@ -85,13 +88,13 @@ class Supernode:
         return code, rest
 
     def cpu_seconds(self) -> float:
-        """Return its CPU time since its start (proc_pid_stat(5): utime and stime)."""
+        """Return the CPU time of the process since its start (proc_pid_stat(5): utime and stime)."""
         assert self._process is not None
         fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     async def ended(self) -> int:
-        """Wait until it ends by itself; returns its exit code."""
+        """Wait until the process ends by itself. Returns its exit code."""
         assert self._process is not None
         async with asyncio.timeout(PATIENCE_SECONDS):
             code = await self._process.wait()

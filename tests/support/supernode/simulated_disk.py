@@ -23,7 +23,7 @@ class Commit(NamedTuple):
 
 @dataclass
 class Disk:
-    """A disk that stays when its replica crashes. A crash keeps or loses a commit whose sync has not ended."""
+    """A disk that survives a crash of its replica. A crash keeps or loses a commit whose sync has not ended."""
 
     # A planted fault: a loss of power also deletes this number of commits that the disk has acknowledged as synced.
     lost_commits: int = 0

@@ -60,4 +60,4 @@ class ThreeDirectories(RuleBasedStateMachine):
     @invariant()
     def all_replicas_agree(self) -> None:
         assert encode_snapshot(self.directory) == encode_snapshot(self.twin) == encode_snapshot(self.restored)
-        assert self.writer.begin(self.directory)() == encode_snapshot(self.directory), "no kept part is outdated"
+        assert self.writer.begin(self.directory)() == encode_snapshot(self.directory), "a kept part is outdated"

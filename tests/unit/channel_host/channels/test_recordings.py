@@ -18,7 +18,7 @@ from stampede_rt_channel_host.channels.recordings import Recordings
 from stampede_rt_channel_host.core.channel import Offer, Query, make_run
 from stampede_rt_channel_host.core.records import RecordedChannel
 from tests.support.channel_host.object_stores import FakeStore
-from tests.support.channel_host.recorded_hosts import Host, Owner, host, quick_looks, record  # noqa: F401
+from tests.support.channel_host.recorded_hosts import Host, Owner, host, no_pauses_after_failures, record  # noqa: F401
 
 
 def test_a_host_without_an_archive_refuses_a_recorded_channel_with_its_name_and_advice() -> None:
@@ -105,7 +105,7 @@ async def left(path: Path, store: FakeStore, epoch: int, time: int) -> None:
     await owner.recordings.close(0)
 
 
-@pytest.mark.usefixtures("quick_looks")
+@pytest.mark.usefixtures("no_pauses_after_failures")
 @pytest.mark.parametrize("first_epoch", [1, 2])
 @pytest.mark.asyncio
 async def test_a_host_does_not_trust_its_list_of_objects_if_the_channel_moves_back(
@@ -163,7 +163,7 @@ async def lost(path: Path, store: FakeStore, epoch: int, *times: int) -> None:
     one.archive.folder.close()
 
 
-@pytest.mark.usefixtures("quick_looks")
+@pytest.mark.usefixtures("no_pauses_after_failures")
 @pytest.mark.asyncio
 async def test_items_of_lost_owners_that_come_to_the_store_later_are_all_there(tmp_path: Path) -> None:
     """In an earlier version, an owner that did not find some items in the store gave their seqs to new items. The items
@@ -185,7 +185,7 @@ async def test_items_of_lost_owners_that_come_to_the_store_later_are_all_there(t
         assert owner.hosted.channel.next_seq == start_of(3) + 1
 
 
-@pytest.mark.usefixtures("quick_looks")
+@pytest.mark.usefixtures("no_pauses_after_failures")
 @pytest.mark.asyncio
 async def test_an_owner_that_follows_a_lost_one_says_collected_for_items_that_the_limits_have_removed(
     tmp_path: Path,

@@ -14,14 +14,14 @@ from stampede_rt_channel_host.archive.objects.opened_store import OpenedStore
 from stampede_rt_channel_host.archive.objects.segment_store import FoundObject, LaterOwner, SegmentStore, StoreError
 from stampede_rt_channel_host.core.channel import Query
 from tests.support.channel_host.object_stores import CHANNEL, PREFIX, FakeStore, moving_files
-from tests.support.channel_host.recorded_hosts import Host, Owner, quick_looks  # noqa: F401
+from tests.support.channel_host.recorded_hosts import Host, Owner, no_pauses_after_failures  # noqa: F401
 
 ALL = Query(interval=Interval(OLDEST, NOW))
 SINCE = 1000
 """The instant of the first take-over."""
 
 
-pytestmark = pytest.mark.usefixtures("quick_looks")
+pytestmark = pytest.mark.usefixtures("no_pauses_after_failures")
 
 
 def all_up_to(time: int) -> Query:

@@ -11,13 +11,13 @@ from stampede_rt.errors import Unavailable
 from stampede_rt.values.timeline import Bound, Interval
 from stampede_rt_channel_host.core.channel import Query, ReadAnswer
 from tests.support.channel_host.object_stores import FakeStore
-from tests.support.channel_host.recorded_hosts import Host, Owner, quick_looks  # noqa: F401
+from tests.support.channel_host.recorded_hosts import Host, Owner, no_pauses_after_failures  # noqa: F401
 
 HISTORIES, STEPS, EPOCHS = 60, 14, 6
 LONG = 61 * 10**9
 """After this time a host closes its file."""
 
-pytestmark = pytest.mark.usefixtures("quick_looks")
+pytestmark = pytest.mark.usefixtures("no_pauses_after_failures")
 
 
 class History:

@@ -19,13 +19,13 @@ from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMoves
 from stampede_rt_channel_host.core.channel import Offer, Query
 from stampede_rt_channel_host.core.group import Horizon
 from tests.support.channel_host.object_stores import FakeStore
-from tests.support.channel_host.recorded_hosts import Host, Owner, host, quick_looks, record  # noqa: F401
+from tests.support.channel_host.recorded_hosts import Host, Owner, host, no_pauses_after_failures, record  # noqa: F401
 
 ALL = Query(interval=Interval(OLDEST, NOW))
 LATEST = Query(interval=Interval(Bound(None, 0), NOW), limit=1, newest_first=True)
 SINCE = 1000
 """The instant of the take-over."""
-pytestmark = pytest.mark.usefixtures("quick_looks")
+pytestmark = pytest.mark.usefixtures("no_pauses_after_failures")
 
 
 async def left(path: Path, store: FakeStore) -> None:

@@ -14,9 +14,9 @@ from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.objects.segment_store import StoreError
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
 from tests.support.channel_host.object_stores import FakeStore, moving_files
-from tests.support.channel_host.recorded_hosts import host, quick_looks  # noqa: F401
+from tests.support.channel_host.recorded_hosts import host, no_pauses_after_failures  # noqa: F401
 
-pytestmark = [pytest.mark.usefixtures("quick_looks"), pytest.mark.asyncio]
+pytestmark = [pytest.mark.usefixtures("no_pauses_after_failures"), pytest.mark.asyncio]
 
 
 class KeepingStore(FakeStore):
