@@ -182,7 +182,7 @@ class World:
             one.member.observe(self.clock)
 
     def look(self) -> None:
-        """Let every host take in the times of its own channels, and move its cuts."""
+        """Let every host process the times of its own channels, and move its cuts."""
         for at, host in enumerate(self.hosts):
             for channel_id, one in self.placed.items():
                 if one.own is None or one.member is None or not host.is_up:

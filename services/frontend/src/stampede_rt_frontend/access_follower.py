@@ -25,7 +25,7 @@ class AccessFollower:
         self._known: AccessState | None = None
 
     async def heard(self, cluster_id: str, version: int, channel: grpc.aio.Channel) -> None:
-        """Take in the version of the access state in a supernode's answer to a probe.
+        """Process the version of the access state in a supernode's answer to a probe.
 
         If the request for the state fails, the next probe asks again.
         """

@@ -71,7 +71,7 @@ class SupernodeRoster:
         return tuple(self._nodes)
 
     def answered(self, target: str, answer: ProbeAnswer) -> bool:
-        """Take in an answer of `target`. Returns False if the supernode belongs to another cluster and is left out."""
+        """Process an answer of `target`. Returns False if the supernode belongs to another cluster and is left out."""
         node = self._nodes.get(target)
         if node is None:
             return True  # the supernode left the member list while its answer was on the way
@@ -98,7 +98,7 @@ class SupernodeRoster:
             self._fail(self._nodes[target], why)
 
     def listed(self, members: MemberList) -> None:
-        """Take in a member list, unless a later list is known. Keeps the seeds, and drops other unlisted targets."""
+        """Process a member list, unless a later list is known. Keeps the seeds, and drops other unlisted targets."""
         self._note_zones(members)
         position = (members.term, members.applied_index)
         if position < self._position or not members.members:

@@ -49,7 +49,7 @@ class Groups:
         )
 
     def adopt(self, number: int, *members: tuple[int, bytes], maker: str = "") -> None:
-        """Take in the directory's record of a group. `members`: the number and the owner of each channel."""
+        """Process the directory's record of a group. `members`: the number and the owner of each channel."""
         told = _told(number, *members, maker=maker)
         held = self.table.groups.get(told.group.group_id)
         if held is None:

@@ -73,7 +73,7 @@ class CopyState:
         return self.caught_up and not self.is_replica and self.staleness_nanos <= SERVED_STALENESS_NANOS_MAX
 
     def merge_floors(self, floors: Iterable[CutFloor]) -> None:
-        """Take in the cuts of groups that the source has reported.
+        """Process the cuts of groups that the source has reported.
 
         A cut moves back only if its group has begun anew.
         """

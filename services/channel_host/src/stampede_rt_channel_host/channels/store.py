@@ -170,7 +170,7 @@ class ChannelStore:
                     await self._ask(channel_id)
 
     def registering(self, records: Iterable[RecordedChannel], *, is_complete: bool) -> Pieces[None]:
-        """Take in the directory's answer to a registration, in pieces. The host does not hold the lease meanwhile.
+        """Process the directory's answer to a registration, in pieces. The host does not hold the lease meanwhile.
 
         The store drops the channels that went elsewhere, and takes over new epochs. `is_complete` False: the answer
         does not name all channels of the host. The store then serves an unnamed channel again only after its next

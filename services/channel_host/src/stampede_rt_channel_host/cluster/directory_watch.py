@@ -31,7 +31,7 @@ class ChangeFollower(Protocol):
         """Ask the directory for the present state, because the watch may have missed changes. Raises Unavailable."""
 
     def changed_in_directory(self, change: RecordedChange) -> None:
-        """Take in a change of the directory. It may concern things that this host does not use."""
+        """Process a change of the directory. It may concern things that this host does not use."""
 
 
 async def watch_forever(

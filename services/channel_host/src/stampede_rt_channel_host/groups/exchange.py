@@ -25,7 +25,7 @@ GROUPS_PER_PIECE = 16
 
 
 class TimesExchange:
-    """Implements `LinkHandler`: gives the links the messages to send, and takes in the messages of other hosts.
+    """Implements `LinkHandler`: gives the links the messages to send, and processes the messages of other hosts.
 
     Calls `on_stale` with groups that this host does not know, or of which other hosts know a newer version. Calls
     `on_asked` with channels of this host that other hosts believe to be members of groups.
@@ -155,7 +155,7 @@ class TimesExchange:
             self.look(group)
 
     def _merge(self, host_id: bytes, floor: CutFloor) -> bool:
-        """Take in another host's floor. Returns True if this raised the cut.
+        """Process another host's floor. Returns True if this raised the cut.
 
         Asks the directory about the group if this host does not know the group in the incarnation or version of the
         floor.

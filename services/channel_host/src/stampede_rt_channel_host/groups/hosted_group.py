@@ -104,7 +104,7 @@ class HostedGroup:
             raise began_anew(self.record)
 
     def merge_floor(self, host_id: bytes, floor: CutFloor) -> bool:
-        """Take in another host's floor, if it is plausible. Returns True if this raised the cut.
+        """Process another host's floor, if it is plausible. Returns True if this raised the cut.
 
         A floor is plausible if the host owns a member, and if the floor is not too far ahead of this host's clock. A
         member accepts items and advances up to its `max_future` ahead of the clock. A cut lies at most `max_lead` after

@@ -37,7 +37,7 @@ class LinkHandler(Protocol):
         """The group's cut at this host; None: no item is visible, or the host does not know the group."""
 
     def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
-        """Take in an update of the other host.
+        """Process an update of the other host.
 
         `is_first`: with this update, the other host has sent its whole state for the first time.
         """

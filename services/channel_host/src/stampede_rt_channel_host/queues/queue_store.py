@@ -115,7 +115,7 @@ class QueueStore:
         return self.find(queue_id, held.epoch if epoch is None and held else epoch or 0)
 
     def registering(self, records: Iterable[RecordedQueue], *, is_complete: bool) -> Pieces[None]:
-        """Take in `records`, the queues that the directory names in its answer to a registration, in pieces.
+        """Process `records`, the queues that the directory names in its answer to a registration, in pieces.
 
         Meanwhile the host does not hold the lease. If the answer names all queues of the host (`is_complete`), the
         store drops the queues that it does not name. Otherwise the store serves an unnamed queue again only after its
@@ -155,7 +155,7 @@ class QueueStore:
             hosted.epoch = 0  # `find` refuses it: the next use asks the directory
 
     def changed(self, record: RecordedQueue, *, removed: bool) -> None:
-        """Take in a change of a queue that the directory reports. Ignores queues that this host does not know."""
+        """Process a change of a queue that the directory reports. Ignores queues that this host does not know."""
         hosted = self._queues.get(record.queue_id)
         if hosted is None:
             self._copy_changed(record, removed=removed)
@@ -167,7 +167,7 @@ class QueueStore:
             self.forget(record.queue_id, refusals.moved(record))
 
     def _copy_changed(self, record: RecordedQueue, *, removed: bool) -> None:
-        """Take in a change of a queue of which this host may hold a replica. The replica may be the owner now."""
+        """Process a change of a queue of which this host may hold a replica. The replica may be the owner now."""
         if removed:
             self.copies.drop(record.queue_id)
         elif record.host_id == self._identity.host_id and self.copies.of(record.queue_id) is not None:

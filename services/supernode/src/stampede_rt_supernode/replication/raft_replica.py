@@ -195,7 +195,7 @@ class RaftReplica:
     # -- tick thread ---------------------------------------------------------------------------------------------
 
     def step(self) -> bool:
-        """Take in the arrivals, advance, and release everything that is now on stable storage. Blocks only on the disk.
+        """Process the arrivals, advance, and release everything that is now on stable storage. Blocks only on the disk.
 
         Returns True if another step is due immediately. After any exception the caller must stop the replica.
         """

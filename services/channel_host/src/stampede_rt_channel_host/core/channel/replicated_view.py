@@ -45,7 +45,7 @@ class ReplicatedView:
             yield
 
     def stage(self, now: int) -> None:
-        """Take in the latest change of the channel. It is shown as soon as its items are replicated."""
+        """Process the latest change of the channel. It is shown as soon as its items are replicated."""
         is_whole = False
         while not is_whole and (part := self._feed.take(now, _WHOLE)) is not None:  # a part has a few slices at most
             is_whole = part.next_seq == self._feed.source_next_seq

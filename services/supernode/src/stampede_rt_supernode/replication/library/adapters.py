@@ -107,7 +107,7 @@ class LibrarySerializer:
         self._keeper.begin_taking(previous=Entry(*previous), last=Entry(*last))
 
     def setTransmissionData(self, data: Any) -> bool:
-        """Take in a piece. Returns True if the snapshot is complete and its checksum is right."""
+        """Add a piece. Returns True if the snapshot is complete and its checksum is right."""
         self._received = self._keeper.take_in(data)
         return self._received is not None
 

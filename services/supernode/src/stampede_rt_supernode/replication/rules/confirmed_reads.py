@@ -122,7 +122,7 @@ class ConfirmedReads:
         self._new_requests[node] = message.request_id
 
     def on_reply(self, member_id: str, message: ReadIndexReply) -> None:
-        """Take in a member's reply. If it has no position, the reads that wait for the reply begin again."""
+        """Process a member's reply. If it has no position, the reads that wait for the reply begin again."""
         if self._asked is not None and self._asked.is_answered_by(member_id, message.request_id):
             asked, self._asked = self._asked, None
             if message.read_index > 0:

@@ -121,7 +121,7 @@ class DigestPoll:
             self._held.clear()
 
     def answered(self, member_id: str, answer: StateDigest, voters: Collection[str]) -> None:
-        """Take in the answer of a member. `voters`: the ids of all other voters."""
+        """Process the answer of a member. `voters`: the ids of all other voters."""
         index, digest = answer
         if not digest or index != self.asked[0]:
             return

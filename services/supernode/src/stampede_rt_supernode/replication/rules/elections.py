@@ -106,7 +106,7 @@ class RaftRules(FollowerRole, LeaderRole):
                 self.log.note_promise(member_id, message.voter_term, 0)
 
     def _on_command_answer(self, node: MemberNode, message: ForwardedCommandReply) -> None:
-        """Take in the leader's answer to a forwarded command. The caller then waits for the command's commit.
+        """Process the leader's answer to a forwarded command. The caller then waits for the command's commit.
 
         If too many callers wait for commits already, this caller gets an unknown outcome immediately.
         """

@@ -96,7 +96,7 @@ class FollowerRole(Membership):
         self.log.cut_from(log_index)
 
     def _on_install_snapshot(self, node: MemberNode, message: InstallSnapshot) -> None:
-        """Take in a piece of a snapshot. Ignores the message's commit index, which says nothing about this log.
+        """Process a piece of a snapshot. Ignores the message's commit index, which says nothing about this log.
 
         The library uses that commit index, and so commits whatever its log holds. It also acknowledges a snapshot that
         it failed to load. Under this rule a damaged snapshot changes nothing, and its sender counts as faulty.

@@ -24,7 +24,7 @@ class LeaderRole(Membership):
     """Handles the answers of followers, and sends to them. Tick thread only."""
 
     def _on_append_reply(self, node: MemberNode, message: AppendReply) -> None:
-        """Take in an acknowledgement, if it is of the present term. The library's acknowledgements have no term."""
+        """Process an acknowledgement, if it is of the present term. The library's acknowledgements have no term."""
         if message.term > self.term:
             self.become_follower(message.term)
         if message.term != self.term or not self.is_leader:

@@ -91,7 +91,7 @@ class Membership(NodeState):
             self._adopt()
 
     def on_members_reported(self, reporter_id: str, members: tuple[Member, ...]) -> None:
-        """Take in the list of members that another node has sent.
+        """Process the list of members that another node has sent.
 
         Remembers also the members that the log names, because a snapshot may replace the entries that name them.
         """

@@ -66,7 +66,7 @@ class SnapshotReceiver:
         return self._opening is not None
 
     def take_in(self, chunk: SnapshotChunk) -> StoredSnapshot | None:
-        """Take in a piece. Returns the snapshot if it is complete and its checksum is right.
+        """Add a piece. Returns the snapshot if it is complete and its checksum is right.
 
         A piece that does not follow the last one drops all pieces. The leader starts again when it sees that this
         replica still lacks the entries.

@@ -144,7 +144,7 @@ class SnapshotKeeper:
         return self._receiver.is_opening
 
     def take_in(self, chunk: SnapshotChunk | None) -> StoredSnapshot | None:
-        """Take in a piece, if there is one. Returns the snapshot if it is complete and its checksum is right."""
+        """Add a piece, if there is one. Returns the snapshot if it is complete and its checksum is right."""
         return None if chunk is None else self._receiver.take_in(chunk)
 
     def open(self, received: StoredSnapshot) -> None:
