@@ -39,5 +39,5 @@ def in_own_process(work: Callable[..., R], *arguments: Any, seconds: float) -> R
 def _do(sender: Connection, work: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     try:
         sender.send(("", work(*arguments)))
-    except Exception as error:  # noqa: BLE001 - whatever it is, it is told
+    except Exception as error:  # noqa: BLE001 - every error is reported
         sender.send((repr(error), None))

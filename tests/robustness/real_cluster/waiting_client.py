@@ -16,7 +16,7 @@ FAR_NANOS = 10**13
 
 
 def main(frontend: str, name: str, transport: str) -> None:
-    """Wait until the three calls have ended, with whatever outcome."""
+    """Wait until the three calls have ended, with any outcome."""
     with st.connect(frontend, transport=transport) as rt, ThreadPoolExecutor(3) as threads:
         channel, full = rt.channel(name, create=False), rt.channel(f"{name}/full", create=False)
         threads.submit(list, channel.subscribe())

@@ -267,7 +267,7 @@ class QueueCluster(Cluster):
 
 
 def serving_queue(cluster: QueueCluster, queue_id: bytes) -> list[int]:
-    """The hosts that serve the queue, at whatever epoch."""
+    """The hosts that serve the queue, at any epoch."""
     found = []
     for number, host in cluster.hosts.items():
         hosted = host.queues.known(queue_id)

@@ -273,7 +273,7 @@ class Cluster(World):
 
 
 def serving(cluster: Cluster, channel_id: bytes) -> list[int]:
-    """The hosts that serve the channel, at whatever epoch.
+    """The hosts that serve the channel, at any epoch.
 
     Leaves out a former owner that has not heard of a commit. It holds the channel and accepts no items, so its readers
     see only items that the new owner has, too.

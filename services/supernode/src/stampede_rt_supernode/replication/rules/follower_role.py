@@ -98,8 +98,9 @@ class FollowerRole(Membership):
     def _on_install_snapshot(self, node: MemberNode, message: InstallSnapshot) -> None:
         """Process a piece of a snapshot. Ignores the message's commit index, which says nothing about this log.
 
-        The library uses that commit index, and so commits whatever its log holds. It also acknowledges a snapshot that
-        it failed to load. Under this rule a damaged snapshot changes nothing, and its sender counts as faulty.
+        The library uses that commit index, so it may commit entries that the leader does not have. It also acknowledges
+        a snapshot that it failed to load. Under this rule a damaged snapshot changes nothing, and its sender counts as
+        faulty.
         """
         # While this node opens one snapshot, it ignores the pieces of another. If this node still lacks entries
         # afterwards, the leader sends the pieces again.
