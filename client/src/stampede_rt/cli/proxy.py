@@ -20,8 +20,10 @@ def add_verbs(subparsers: Any) -> None:
     verbs = noun.add_subparsers(dest="proxy_verb", metavar="VERB", required=True, parser_class=VerbParser)
     add = add_verb(verbs, "add", "add a proxy, and wait until it serves readers", run_add)
     add.add_argument("channel", help="the channel's name")
-    add.add_argument("host", nargs="?", metavar="HOST", help="its host; left out: the least loaded one")
-    add.add_argument("--source", metavar="HOST", help="the host that feeds it; left out: the owner of the channel")
+    add.add_argument("host", nargs="?", metavar="HOST", help="the host of the proxy; default: the least loaded host")
+    add.add_argument(
+        "--source", metavar="HOST", help="the host that feeds the proxy; default: the owner of the channel"
+    )
     rm = add_verb(verbs, "rm", "remove a proxy; its readers continue elsewhere", run_rm)
     rm.add_argument("channel", help="the channel's name")
     rm.add_argument("host", metavar="HOST", help="the proxy's host")

@@ -44,14 +44,14 @@ def add_verbs(subparsers: Any) -> None:
     )  # fmt: skip
     rm = add_verb(verbs, "rm", "remove limits, so that the next pattern or the default counts", run_rm)
     rm.add_argument("who", metavar="WHO", help="the same text as in `quota set`")
-    rm.add_argument("quotas", metavar="QUOTA", nargs="*", type=_quota, help="left out: all of WHO")
+    rm.add_argument("quotas", metavar="QUOTA", nargs="*", type=_quota, help="default: all quotas of WHO")
     add_verb(verbs, "ls", "list all limits that were set, and the defaults", run_ls)
     check = add_verb(verbs, "check", "print the limits of one caller, each with the setting that decides it", run_check)
     check.add_argument("who", metavar="WHO", help='its name, or "@ADDRESS"')
     use = add_verb(
         verbs, "use", "show the usage and the refusals of each caller at each service of the cluster", run_use
     )
-    use.add_argument("who", metavar="WHO", nargs="?", default="", help="a pattern; left out: everybody")
+    use.add_argument("who", metavar="WHO", nargs="?", default="", help="a pattern; default: all callers")
 
 
 def _quota(text: str) -> str:

@@ -80,7 +80,10 @@ def _add_renew(verbs: Any) -> None:
 def _add_revoke(verbs: Any) -> None:
     revoke = verbs.add_parser("revoke", help="make all services refuse certificates permanently")
     revoke.add_argument(
-        "credentials", nargs="*", metavar="FILE|SERIAL", help="certificates, or serial numbers; left out: list them all"
+        "credentials",
+        nargs="*",
+        metavar="FILE|SERIAL",
+        help="certificates, or serial numbers; default: list the revoked ones",
     )
     revoke.add_argument("--url", metavar="HOST:PORT,...", help="front-ends; default $STAMPEDE_URL")
 

@@ -345,7 +345,7 @@ complete -c stampede -n '_shtab_stampede_using proxy add' -s h -l help -d 'show 
 complete -c stampede -n '_shtab_stampede_using proxy add' -l url -x -d 'front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580'
 complete -c stampede -n '_shtab_stampede_using proxy add' -s o -l output -xka "table json jsonl" -d 'how to print; default table'
 complete -c stampede -n '_shtab_stampede_using proxy add' -l local -d 'print instants as local time; default: UTC'
-complete -c stampede -n '_shtab_stampede_using proxy add' -l source -x -d 'the host that feeds it; left out: the owner of the channel'
+complete -c stampede -n '_shtab_stampede_using proxy add' -l source -x -d 'the host that feeds the proxy; default: the owner of the channel'
 complete -c stampede -n '_shtab_stampede_using proxy; and test $_shtab_stampede_npos -eq 0' -a rm -d 'remove a proxy; its readers continue elsewhere'
 complete -c stampede -n '_shtab_stampede_using proxy rm' -s h -l help -d 'show this help message and exit'
 complete -c stampede -n '_shtab_stampede_using proxy rm' -l url -x -d 'front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580'

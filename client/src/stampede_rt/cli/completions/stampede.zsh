@@ -411,7 +411,7 @@ _shtab_stampede_certs_revoke_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends\; default \$STAMPEDE_URL]:HOST:PORT,...:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
-  "(*)::certificates, or serial numbers\; left out\: list them all:"
+  "(*)::certificates, or serial numbers\; default\: list the revoked ones:"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -1066,9 +1066,9 @@ _shtab_stampede_proxy_add_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  "--source[the host that feeds it\; left out\: the owner of the channel]:HOST:"
+  "--source[the host that feeds the proxy\; default\: the owner of the channel]:HOST:"
   ":the channel\'s name:"
-  ":its host\; left out\: the least loaded one:"
+  ":the host of the proxy\; default\: the least loaded host:"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -1257,7 +1257,7 @@ _shtab_stampede_quota_rm_options=(
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the same text as in \`quota set\`:"
-  "(*)::left out\: all of WHO:"
+  "(*)::default\: all quotas of WHO:"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -1280,7 +1280,7 @@ _shtab_stampede_quota_use_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  ":a pattern\; left out\: everybody:"
+  ":a pattern\; default\: all callers:"
 )
 
 # guard to ensure default positional specs are added only once per session
