@@ -85,7 +85,7 @@ class QueuePair:
             message_id=message_id,
         )
         other = oracle.Run(lengths, producer_id, first_number, wait, message_id)
-        refused = [_raises(lambda: self.core.enqueue(mine, self.clock)), _raises(lambda: self._oracle_enqueue(other))]
+        refused = [_raises(lambda: self.put(mine)), _raises(lambda: self._oracle_enqueue(other))]
         assert refused[0] == refused[1]
         self.check()
         if not refused[0]:
@@ -93,6 +93,10 @@ class QueuePair:
             self._agree(mine, other)
             if not mine.is_done:
                 self.waiting.append((mine, other))
+
+    def put(self, run: Enqueue) -> None:
+        """Give the run to the core. Raises the errors of the core."""
+        self.core.enqueue(run, self.clock)
 
     def _oracle_enqueue(self, run: oracle.Run) -> None:
         try:

@@ -1,14 +1,17 @@
 """A copy of a queue repeats the owner's steps, and equals the owner after each. It can continue as the next owner.
 
 The scenarios are the same as in `test_queue_against_oracle`. Copies begin at any moment, get steps in parts, get them
-twice, and begin anew. A copy that has all steps takes the queue over, and the oracle checks the rest of the scenario.
+twice, and begin anew. A copy that has all steps gets some puts before the owner stores them. A copy that has all steps
+takes the queue over, and the oracle checks the rest of the scenario.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, note, settings
@@ -17,8 +20,19 @@ from hypothesis import strategies as st
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.copies.queue_messages import parts_of
+from stampede_rt_channel_host.copies.queue_puts import encode_put, read_put
 from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue, step_parts, whole_parts
-from stampede_rt_channel_host.core.queue import QueueCore, QueueJournal, QueueStep, changes, handoff
+from stampede_rt_channel_host.core.queue import (
+    AheadPut,
+    Enqueue,
+    QueueCore,
+    QueueJournal,
+    QueueStep,
+    TakerState,
+    changes,
+    handoff,
+)
+from stampede_rt_channel_host.queues.replicated_queue import ReplicatedQueue
 from tests.property import test_queue_against_oracle as scenarios
 from tests.property.queue_pair import QueuePair, limits_of
 from tests.property.random_source import RandomSource
@@ -56,18 +70,68 @@ class Copy:
             assert not isinstance(arrived, WholeQueue)
             self.journal.apply(arrived[0], clock - arrived[1])
 
+    def take_put(self, put: AheadPut, clock: int) -> None:
+        found = read_put(encode_put(put))
+        assert self.journal.surely_takes_put(found)
+        self.journal.apply(self.journal.step_of(found), clock)
+
+
+class OwnersQueue(ReplicatedQueue):
+    """The queue at its owner, for one put."""
+
+    def __init__(self, pair: ReplicatedPair) -> None:
+        replication: Any = SimpleNamespace(
+            journal=pair.journal, send_ahead=pair.send_ahead, take_back=lambda: pair.ahead.clear()
+        )
+        self.queue, self.replication, self._now = pair.core, replication, lambda: pair.clock
+
+    def follow_up(self) -> None:
+        raise AssertionError("a put needs none")
+
+    def takers(self) -> Collection[TakerState]:
+        raise AssertionError("a put needs none")
+
 
 class ReplicatedPair(QueuePair):
-    """A queue with copies. `seen`: the queue's contents after each step, with the clock of that step."""
+    """A queue with copies. `seen`: the queue's contents after each step, with the clock of that step. `ahead`: the puts
+    that are sent, and no steps yet.
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.journal: QueueJournal = self.core.journal()
         self.copies: list[Copy] = []
         self.seen: dict[int, tuple[int, list[bytes]]] = {}
+        self.ahead: list[AheadPut] = []
+
+    def put(self, run: Enqueue) -> None:
+        try:
+            OwnersQueue(self).put(run)
+        finally:
+            self._note()
+
+    def send_ahead(self, put: AheadPut) -> None:
+        self.ahead.append(put)
+        for copy in self.copies:
+            if copy.journal.next_step == put.number:
+                copy.take_put(put, self.clock)
 
     def check(self) -> None:
         super().check()
+        self._note()
+
+    def _note(self) -> None:
+        next_step, ahead = self.journal.next_step, self.ahead
+        self._note_step()
+        self.ahead = []
+        for put in ahead:
+            assert put.number == next_step
+            assert self.journal.has_made(put)
+            for copy in self.copies:
+                if copy.journal.next_step == self.journal.next_step:
+                    assert contents(copy.core, self.clock) == self.seen[copy.journal.next_step][1]
+
+    def _note_step(self) -> None:
         if self.journal.note(self.clock):
             self.seen[self.journal.next_step] = self.clock, contents(self.core, self.clock)
 
@@ -132,6 +196,22 @@ def test_a_copy_of_a_queue_equals_its_owner_after_each_step_and_can_replace_it(n
             step(rng, pair)
             if rng.below(40) == 0:  # as if a replica of an earlier release came
                 pair.journal.takes_changes = False
+
+
+def test_a_put_goes_to_a_copy_before_the_owner_stores_it() -> None:
+    pair = ReplicatedPair(scenarios.SETUPS[1], scenarios.FIRST_CLOCK)
+    pair.copies += [Copy(pair), Copy(pair)]
+    pair.enqueue([8, 8], 5, 1, None, "")
+    assert [copy.journal.next_step for copy in pair.copies] == [1, 1]
+    pair.feed(pair.copies[0], 0, 10**6)
+    pair.enqueue([8], 5, 3, None, "")
+    assert [copy.journal.next_step for copy in pair.copies] == [3, 1]
+    pair.attach(1, None)
+    pair.grant(0, 10)
+    pair.feed(pair.copies[0], 0, 10**6)
+    pair.sent(0, begun=False)
+    pair.enqueue([8], 5, 4, None, "")
+    assert [copy.journal.next_step for copy in pair.copies] == [4, 1], "a taker gets the message in the same step"
 
 
 def test_a_copy_refuses_a_step_after_a_missing_one() -> None:

@@ -371,8 +371,26 @@ MUTANTS = (
     Mutant(
         name="a_replica_keeps_an_item_that_the_owner_could_not_store",
         file=f"{HOST}/channels/puts/replicated_puts.py",
-        edits=(("                feed.take_back()\n", "                pass\n"),),
+        edits=(("            self._replication.take_back()\n", "            pass\n"),),
         noticed_by="tests/unit/channel_host/copies/test_ahead_item_sender.py",
+    ),
+    Mutant(
+        name="a_replica_keeps_a_message_that_the_owner_could_not_store",
+        file=f"{HOST}/queues/replicated_queue.py",
+        edits=(("            replication.take_back()\n", "            pass\n"),),
+        noticed_by="tests/unit/channel_host/queues/test_replicated_queue.py",
+    ),
+    Mutant(
+        name="a_stray_replica_of_a_queue_continues",
+        file=f"{HOST}/copies/queue_feed.py",
+        edits=(("if self._host_id in replication.strays:", "if False:"),),
+        noticed_by="tests/unit/channel_host/copies/test_queue_feed_ahead.py",
+    ),
+    Mutant(
+        name="a_put_goes_ahead_although_it_is_delivered_in_the_same_step",
+        file=f"{HOST}/queues/replicated_queue.py",
+        edits=(("if not self.queue.waiting_takers:", "if True:"),),
+        noticed_by="tests/property/test_queue_replicas.py",
     ),
     Mutant(
         name="a_queue_that_comes_back_trusts_its_replicas",

@@ -86,7 +86,7 @@ class QueueHost(LeasedHost):
     def dial(self, target: str) -> Any:
         host = self.world.hosts[int(target.removeprefix("host-"))]
         assert isinstance(host, QueueHost)
-        return Connection(self.cluster, host, host.methods, self)
+        return Connection(self.cluster, host, host.methods, self, over_sockets={FEED})
 
     async def registered(self) -> None:
         owned = [one for one in self.cluster.queues() if one.host_id == self.identity.host_id]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable, Container, Iterable
 from typing import Any, NamedTuple
 
 import grpc
@@ -12,6 +12,7 @@ from grpc.aio import EOF
 
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.status import abort
+from stampede_rt_runtime.sockets.dialing import HostStream
 from tests.robustness.moves.links import arrived
 from tests.robustness.moves.two_hosts import Host
 from tests.robustness.takeovers.world import Cluster
@@ -25,18 +26,25 @@ class Method(NamedTuple):
 
 
 class Connection:
-    """A connection to a host. `caller` None: a client calls. `methods`: the methods of the host, by path."""
+    """A connection to a host. `caller` None: a client calls. `methods`: the methods of the host, by path.
 
-    def __init__(self, cluster: Cluster, host: Host, methods: dict[str, Method], caller: Host | None = None) -> None:
+    The streams of the methods `over_sockets` write as if over a socket: in the turn of the event loop, without a wait.
+    """
+
+    def __init__(
+        self, cluster: Cluster, host: Host, methods: dict[str, Method], caller: Host | None = None,
+        over_sockets: Container[str] = (),
+    ) -> None:  # fmt: skip
         self._cluster, self._host, self._methods, self._caller = cluster, host, methods, caller
+        self._over_sockets = over_sockets
 
     def stream_stream(
         self, path: str, request_serializer: Callable[[Any], bytes] = bytes,
         response_deserializer: Callable[[bytes], Any] = bytes, **_: Any,
     ) -> Callable[..., Call]:  # fmt: skip
         def call(requests: Iterable[Any] | None = None, **_: Any) -> Call:
-            method = self._methods[path]
-            made = Call(self._cluster, self._host, self._caller, method, request_serializer, response_deserializer)
+            method, kind = self._methods[path], SocketStream if path in self._over_sockets else Call
+            made = kind(self._cluster, self._host, self._caller, method, request_serializer, response_deserializer)
             if requests is not None:
                 made.send_all(requests)
             return made
@@ -147,6 +155,20 @@ class Call:
         finally:
             self.cluster.links.remove(self)
             self.answer(EOF)
+
+
+class SocketStream(Call, HostStream):
+    """A call over a socket, at its caller. Its answers come as over gRPC."""
+
+    @property
+    def write_now(self) -> Callable[[Any], None] | None:
+        is_over = self._end is not None or self._serving is None or self._serving.done()
+        if is_over or self.caller is None or not self.caller.running.is_set():
+            return None
+        return lambda message: self._put(self._encode(message))
+
+    def answer_at_once(self, take: Callable[[Any], bool]) -> None:
+        pass
 
 
 class Context:

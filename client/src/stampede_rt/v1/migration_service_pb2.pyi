@@ -100,16 +100,40 @@ class HandOverQueueRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[HandOverQueueOpen, _Mapping]] = ..., committed_epoch: _Optional[int] = ...) -> None: ...
 
 class FeedQueueRequest(_message.Message):
-    __slots__ = ("owner_host_id", "queue", "begins_anew", "parts")
+    __slots__ = ("owner_host_id", "queue", "begins_anew", "parts", "put")
     OWNER_HOST_ID_FIELD_NUMBER: _ClassVar[int]
     QUEUE_FIELD_NUMBER: _ClassVar[int]
     BEGINS_ANEW_FIELD_NUMBER: _ClassVar[int]
     PARTS_FIELD_NUMBER: _ClassVar[int]
+    PUT_FIELD_NUMBER: _ClassVar[int]
     owner_host_id: bytes
     queue: _queue_pb2.QueueRecord
     begins_anew: bool
     parts: _containers.RepeatedCompositeFieldContainer[FedQueuePart]
-    def __init__(self, owner_host_id: _Optional[bytes] = ..., queue: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ..., begins_anew: bool = ..., parts: _Optional[_Iterable[_Union[FedQueuePart, _Mapping]]] = ...) -> None: ...
+    put: FedQueuePut
+    def __init__(self, owner_host_id: _Optional[bytes] = ..., queue: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ..., begins_anew: bool = ..., parts: _Optional[_Iterable[_Union[FedQueuePart, _Mapping]]] = ..., put: _Optional[_Union[FedQueuePut, _Mapping]] = ...) -> None: ...
+
+class FedQueuePut(_message.Message):
+    __slots__ = ("step", "seq", "producer_id", "first_number", "stamped_unix_nano", "payload_length_bytes", "is_stamped", "owner", "run")
+    STEP_FIELD_NUMBER: _ClassVar[int]
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    PRODUCER_ID_FIELD_NUMBER: _ClassVar[int]
+    FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
+    STAMPED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    PAYLOAD_LENGTH_BYTES_FIELD_NUMBER: _ClassVar[int]
+    IS_STAMPED_FIELD_NUMBER: _ClassVar[int]
+    OWNER_FIELD_NUMBER: _ClassVar[int]
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    step: int
+    seq: int
+    producer_id: int
+    first_number: int
+    stamped_unix_nano: int
+    payload_length_bytes: int
+    is_stamped: bool
+    owner: str
+    run: bytes
+    def __init__(self, step: _Optional[int] = ..., seq: _Optional[int] = ..., producer_id: _Optional[int] = ..., first_number: _Optional[int] = ..., stamped_unix_nano: _Optional[int] = ..., payload_length_bytes: _Optional[int] = ..., is_stamped: bool = ..., owner: _Optional[str] = ..., run: _Optional[bytes] = ...) -> None: ...
 
 class FedQueuePart(_message.Message):
     __slots__ = ("content", "next_step", "removed", "ago_nanos")
@@ -124,16 +148,20 @@ class FedQueuePart(_message.Message):
     def __init__(self, content: _Optional[_Union[HandOverQueueResponse, _Mapping]] = ..., next_step: _Optional[int] = ..., removed: _Optional[_Iterable[_Union[_subject_pb2.SeqRange, _Mapping]]] = ..., ago_nanos: _Optional[int] = ...) -> None: ...
 
 class FeedQueueResponse(_message.Message):
-    __slots__ = ("next_step", "incarnation", "owner_epoch", "takes_changes")
+    __slots__ = ("next_step", "incarnation", "owner_epoch", "takes_changes", "takes_puts", "put_next_step")
     NEXT_STEP_FIELD_NUMBER: _ClassVar[int]
     INCARNATION_FIELD_NUMBER: _ClassVar[int]
     OWNER_EPOCH_FIELD_NUMBER: _ClassVar[int]
     TAKES_CHANGES_FIELD_NUMBER: _ClassVar[int]
+    TAKES_PUTS_FIELD_NUMBER: _ClassVar[int]
+    PUT_NEXT_STEP_FIELD_NUMBER: _ClassVar[int]
     next_step: int
     incarnation: int
     owner_epoch: int
     takes_changes: bool
-    def __init__(self, next_step: _Optional[int] = ..., incarnation: _Optional[int] = ..., owner_epoch: _Optional[int] = ..., takes_changes: bool = ...) -> None: ...
+    takes_puts: bool
+    put_next_step: int
+    def __init__(self, next_step: _Optional[int] = ..., incarnation: _Optional[int] = ..., owner_epoch: _Optional[int] = ..., takes_changes: bool = ..., takes_puts: bool = ..., put_next_step: _Optional[int] = ...) -> None: ...
 
 class HandOverQueueOpen(_message.Message):
     __slots__ = ("queue_id", "epoch", "host_id")

@@ -13,10 +13,16 @@ FENCED = Unavailable("the host could not renew its lease in time")
 
 
 class Feed:
-    """A feed that sends nothing."""
+    """A feed that sends nothing. It ends if the owner takes something back."""
+
+    def __init__(self, replicas: Replicas, host_id: bytes) -> None:
+        self._replicas, self._host_id = replicas, host_id
 
     def wake(self) -> None:
         pass
+
+    def take_back(self) -> None:
+        self._replicas.discard(self._host_id, self)
 
 
 class Replicas(OwnedReplicas[Feed]):
@@ -25,7 +31,7 @@ class Replicas(OwnedReplicas[Feed]):
     def __init__(self) -> None:
         super().__init__(ReplicasInSync(START, 1), 1, lambda: 0)
         self._in_sync.put(NEXT)
-        self._feeds[REPLICA] = self.feed = Feed()
+        self._feeds[REPLICA] = self.feed = Feed(self, REPLICA)
 
     def go_on(self) -> None:
         self.wake_waits()
@@ -42,6 +48,16 @@ async def test_a_replica_may_begin_anew_at_an_owner_that_renewed_its_lease_late(
     replicas.end(FENCED)
     replicas.know([KnownReplica(REPLICA, 1, False)])
     assert await replicas.begin_anew(REPLICA)
+
+
+def test_all_feeds_end_that_have_sent_something_which_the_owner_could_not_store() -> None:
+    """A fixed fault: only one of the feeds ended."""
+    replicas = Replicas()
+    other = b"s" * 16
+    replicas._feeds[other] = Feed(replicas, other)
+    replicas.take_back()
+    assert not replicas.is_fed(REPLICA)
+    assert not replicas.is_fed(other)
 
 
 async def test_a_replica_does_not_begin_anew_over_a_break() -> None:

@@ -121,7 +121,7 @@ async def test_a_replica_that_has_got_an_item_which_the_owner_could_not_store_be
             patch.setattr(Holdings, "store", fail)
             assert items_in(one.put())
         assert one.hosted.core.next_seq == 2
-        assert not replication.feeds, "no report of the replica counts any more"
+        assert not replication.is_fed(REPLICA), "no report of the replica counts any more"
         opening = pb.FeedOpen(
             host_id=REPLICA,
             place=pb.FeedPlace(incarnation=one.hosted.core.incarnation, next_seq=3, owner_epoch=one.hosted.epoch),

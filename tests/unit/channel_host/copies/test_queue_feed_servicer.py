@@ -62,7 +62,7 @@ def test_a_feed_takes_only_steps_in_the_turn_of_their_arrival() -> None:
     feed = _Feed(queues, record)
     answers = list[Any]()
     assert feed.take_steps(pb.FeedQueueRequest(), answers.append)
-    assert answers == [pb.FeedQueueResponse(takes_changes=True)]
+    assert answers == [pb.FeedQueueResponse(takes_changes=True, takes_puts=True)]
     assert not feed.take_steps(pb.FeedQueueRequest(begins_anew=True), answers.append)
     too_many = pb.FeedQueueRequest(parts=[pb.FedQueuePart()] * (STEPS_AT_ONCE_MAX + 1))
     assert not feed.take_steps(too_many, answers.append)

@@ -11,6 +11,7 @@ from stampede_rt.errors import Unavailable
 from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.core.deadlines import Deadlines
+from stampede_rt_channel_host.core.queue import AheadPut
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.core.replication import KnownReplica
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
@@ -28,6 +29,12 @@ class Feed:
 
     def wake(self) -> None:
         self.woken += 1
+
+    def send_ahead(self, put: AheadPut) -> None:
+        raise AssertionError("the queue puts no message ahead")
+
+    def take_back(self) -> None:
+        raise AssertionError("the queue puts no message ahead")
 
 
 class Owner:

@@ -24,6 +24,11 @@ class OwnersFeed(Protocol):
     def wake(self) -> None:
         """Note that the channel or queue has changed."""
 
+    def take_back(self) -> None:
+        """Note that a defect has kept the owner from storing something that it has sent ahead. If this feed has sent
+        it, the feed ends.
+        """
+
 
 Feed = TypeVar("Feed", bound=OwnersFeed)
 
@@ -56,6 +61,8 @@ class OwnedReplicas(ABC, Generic[Feed]):
         self._changed = asyncio.Event()
         self._wait_count = 0  # the calls of `wait_until`
         self._watchers: dict[Callable[[bool], None], None] = {}
+        self.strays: set[bytes] = set()
+        """The replicas that may hold an item or step that this owner does not have. They must begin anew."""
         self.news = asyncio.Event()
         """Set when the keeper of the replicas has work to do."""
 
@@ -122,6 +129,11 @@ class OwnedReplicas(ABC, Generic[Feed]):
             if self._in_sync.is_out(host_id):
                 self.news.set()
             self.go_on()
+
+    def take_back(self) -> None:
+        """End the feeds that have sent something ahead, because a defect has kept the owner from storing it."""
+        for feed in [*self._feeds.values()]:
+            feed.take_back()
 
     async def begin_anew(self, host_id: bytes) -> bool:
         """Wait until the replica at this host may lose its items, READY_SECONDS_MAX at most. Returns whether it may."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from enum import Enum
 from typing import Protocol
 
@@ -26,10 +26,7 @@ class ReplicaFeed(OwnersFeed, Protocol):
         """Note that the host no longer feeds the replica over this stream."""
 
     def send_ahead(self, item: NewItem) -> None:
-        """See `AheadFeed`."""
-
-    def take_back(self) -> None:
-        """See `AheadFeed`."""
+        """Send an item that the channel is about to store, if the replica lacks nothing else. Raises nothing."""
 
 
 class ReplicationKind(Enum):
@@ -73,8 +70,6 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         self._now = now
         self._on_shown = on_shown
         self._view = None if may_lag else ReplicatedView(core, now(), slice_run)
-        self.strays: set[bytes] = set()
-        """The replicas that may hold an item that this owner does not have. They must begin anew."""
 
     @property
     def shown(self) -> ChannelCore:
@@ -195,10 +190,10 @@ class Replication(OwnedReplicas[ReplicaFeed]):
             feed.end(error)
         super().end(error)
 
-    @property
-    def feeds(self) -> Collection[ReplicaFeed]:
-        """The feeds of the replicas."""
-        return self._feeds.values()
+    def send_ahead(self, item: NewItem) -> None:
+        """Send an item that the channel is about to store to the replicas."""
+        for feed in self._feeds.values():
+            feed.send_ahead(item)
 
     def close(self) -> None:
         """End the replication, because the host gives the channel up. Idempotent."""

@@ -84,8 +84,8 @@ class FeedStream:
         The puts wait for the copy's answer. If the copy lacks something, the items that come until the next turn go out
         together. Raises nothing, because the host has accepted the change: an error ends the feed.
         """
-        if self._ahead is not None and self._ahead.stored():
-            return
+        if self._ahead is not None and self._ahead.stored(self._source.next_seq):
+            return  # the items that the channel has collected meanwhile leave the replica with the next part
         try:
             is_sent = self._send_at_once is not None and self._send_at_once()
         except Exception as error:  # noqa: BLE001 - the task of the feed raises it
@@ -109,7 +109,7 @@ class FeedStream:
             self._fail(error)
 
     def take_back(self) -> None:
-        """See `AheadFeed`."""
+        """See `OwnersFeed`."""
         error = None if self._ahead is None else self._ahead.take_back()
         if error is not None and self._replication is not None:
             self._replication.discard(self._host_id, self)  # no report counts any more
@@ -199,7 +199,7 @@ class FeedStream:
             hosted.group_observers[self] = None
             return
         if opening.takes_items and not opening.move_id:
-            self._ahead = AheadItemSender(hosted, opening.host_id, self._feed, self._responses)
+            self._ahead = AheadItemSender(hosted, self._replication, self._host_id, self._feed, self._responses)
         self._replication.add(opening.host_id, self, refusals.not_ready(hosted.record.name))
         self._replication.report(opening.host_id, self, self._feed.next_seq)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import grpc
@@ -13,12 +12,13 @@ import grpc
 from stampede_rt.errors import Overloaded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import migration_service_pb2 as pb
-from stampede_rt.v1 import migration_service_pb2_grpc
 from stampede_rt_channel_host.cluster.records import queue_message
 from stampede_rt_channel_host.cluster.task_failures import first_failure
+from stampede_rt_channel_host.copies.ahead_place import AheadPlace
 from stampede_rt_channel_host.copies.queue_messages import PART_BYTES
+from stampede_rt_channel_host.copies.queue_puts import encode_request, read_answer
 from stampede_rt_channel_host.copies.queue_steps import STEPS_PER_REQUEST, step_parts, whole_parts
-from stampede_rt_channel_host.core.queue import JOURNAL_BYTES_MAX
+from stampede_rt_channel_host.core.queue import JOURNAL_BYTES_MAX, AheadPut
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_replication import QueueReplication
 from stampede_rt_channel_host.queues.refusals import display_name
@@ -26,6 +26,7 @@ from stampede_rt_runtime.sockets.dialing import HostStream
 
 logger = logging.getLogger(__name__)
 
+METHOD = "/stampede_rt.v1.MigrationService/FeedQueue"
 REQUEST_SECONDS = 0.2  # a replica that is silent for a second is out of sync
 ANSWER_SECONDS_MAX = 3.0
 WRITE_SECONDS_MAX = 10.0
@@ -49,8 +50,9 @@ class QueueFeedStream:
         self._sent_record = b""
         self._held_step = 0  # the replica has reported the steps before this one
         self._heard_s = 0.0  # loop time of the last answer of the replica
-        self._send_at_once: Callable[[], bool] | None = None  # while the feed waits for a step
-        self._failure: Exception | None = None  # of `_send_at_once`; ends the feed
+        self._call_at_once: HostStream | None = None  # while the feed waits for a step
+        self._failure: Exception | None = None  # an error outside of the feed's tasks, which ends the feed
+        self._ahead: AheadPlace | None = None  # if the replica takes puts before the queue stores them
         self.next_step = replication.journal.next_step
 
     def wake(self) -> None:
@@ -59,16 +61,46 @@ class QueueFeedStream:
 
         Raises nothing, because the queue has made the step: an error ends the feed.
         """
+        if self._ahead is not None and self._ahead.stored(self._replication.journal.next_step):
+            return
         try:
-            is_sent = self._send_at_once is not None and self._send_at_once()
+            is_sent = self._call_at_once is not None and self._send_now(self._call_at_once)
         except Exception as error:  # noqa: BLE001 - the task of the feed raises it
-            self._failure, self._send_at_once, is_sent = error, None, False
+            self._fail(error)
+            return
         if not is_sent:
             self._news.set()
 
+    def send_ahead(self, put: AheadPut) -> None:
+        """Send a put that the queue has accepted and is about to store, if the replica has everything else.
+
+        Then the replica works while this host stores the message. Raises nothing, as `wake`.
+        """
+        ahead = None if len(put.body) > PART_BYTES or self._owes_record else self._ahead
+        try:
+            write = None if self._call_at_once is None else self._free_write(self._call_at_once)
+            if ahead is not None and write is not None and put.number == self.next_step:
+                ahead.sent(put.number + 1)
+                self.next_step = put.number + 1
+                write(put)
+        except Exception as error:  # noqa: BLE001 - as in `wake`
+            self._fail(error)
+
+    def take_back(self) -> None:
+        """See `OwnersFeed`."""
+        error = None if self._ahead is None else self._ahead.take_back()
+        if error is not None:
+            self._replication.discard(self._host_id, self)  # no report counts any more
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        """Let a task of the feed raise the error."""
+        self._failure, self._call_at_once = error, None
+        self._news.set()
+
     async def run(self, channel: grpc.aio.Channel) -> None:
         """Feed the replica until the stream ends. Raises StampedeError."""
-        call = migration_service_pb2_grpc.MigrationServiceStub(channel).FeedQueue()
+        call = channel.stream_stream(METHOD, request_serializer=encode_request, response_deserializer=read_answer)()
         try:
             place = await self._open(call)
             async with asyncio.TaskGroup() as sides:
@@ -94,18 +126,28 @@ class QueueFeedStream:
             raise Unavailable(f"the host at {self._target} has ended the feed of a replica")
         return response
 
+    def _next_step_of(self, response: object) -> int:
+        """The step before which the replica has all steps; 0: it has no copy."""
+        return response if isinstance(response, int) else self._answer(response).next_step
+
     def _request(self, **fields: Any) -> pb.FeedQueueRequest:
         request = pb.FeedQueueRequest(**fields)
-        record = self._hosted.record
-        if record.message != self._sent_record:
-            self._sent_record = record.message
-            request.queue.CopyFrom(queue_message(record))
+        if self._owes_record:
+            self._sent_record = self._hosted.record.message
+            request.queue.CopyFrom(queue_message(self._hosted.record))
         return request
+
+    @property
+    def _owes_record(self) -> bool:
+        """Whether the replica does not know the present record of the queue."""
+        return self._hosted.record.message != self._sent_record
 
     async def _begin(self, call: Any, place: pb.FeedQueueResponse) -> None:
         """Continue at the place of the copy, or send the whole queue."""
         replication = self._replication
         replication.journal.takes_changes &= place.takes_changes
+        if place.takes_puts:
+            self._ahead = AheadPlace(self._host_id, replication.strays)
         if self._continues(place):
             self.next_step = self._held_step = place.next_step
             replication.report(self._host_id, self, place.next_step)
@@ -121,6 +163,8 @@ class QueueFeedStream:
     def _continues(self, place: pb.FeedQueueResponse) -> bool:
         """Whether the copy has only steps of this owner, and the journal has all later ones."""
         replication, hosted = self._replication, self._hosted
+        if self._host_id in replication.strays:
+            return False
         if not place.next_step or place.incarnation != hosted.queue.incarnation:
             return False
         since = replication.since_epoch
@@ -148,7 +192,7 @@ class QueueFeedStream:
             if sum(part.ByteSize() for part in parts) > PART_BYTES:  # the other host takes messages of 2 * PART_BYTES
                 for part in parts:
                     await self._write(call, self._request(parts=[part]))
-            elif parts or owes_sign or self._hosted.record.message != self._sent_record:
+            elif parts or owes_sign or self._owes_record:
                 await self._write(call, self._request(parts=parts))
             if steps:
                 self.next_step = steps[-1].number + 1
@@ -156,19 +200,19 @@ class QueueFeedStream:
 
     async def _is_silent(self, call: Any) -> bool:
         """Wait for a step that is not sent immediately, for REQUEST_SECONDS at most. Returns whether none came."""
-        self._send_at_once = partial(self._send_now, call) if isinstance(call, HostStream) else None
+        self._call_at_once = call if isinstance(call, HostStream) else None
         try:
             async with asyncio.timeout(REQUEST_SECONDS):
                 await self._news.wait()
         except TimeoutError:
             return True
         finally:
-            self._send_at_once = None
+            self._call_at_once = None
         return False
 
     def _send_now(self, call: HostStream) -> bool:
         """Send the new step if the replica has all earlier ones, and the transport takes it immediately."""
-        write = call.write_now if self._held_step >= self.next_step else None
+        write = self._free_write(call)
         steps = None if write is None else self._replication.journal.steps_from(self.next_step, PART_BYTES)
         if write is None or not steps or len(steps) > 1 or steps[0].size_bytes > AT_ONCE_BYTES_MAX:
             return False
@@ -176,26 +220,30 @@ class QueueFeedStream:
         self.next_step = steps[0].number + 1
         return True
 
+    def _free_write(self, call: HostStream) -> Callable[[Any], None] | None:
+        """Writes in this turn. None if the replica lacks earlier steps, or the next one has to wait."""
+        return call.write_now if self._held_step >= self.next_step else None
+
     async def _write(self, call: Any, request: pb.FeedQueueRequest) -> None:
         async with asyncio.timeout(WRITE_SECONDS_MAX):
             await call.write(request)
 
     async def _read(self, call: Any) -> None:
         while True:  # until an error ends the stream, or the caller cancels it
-            self._take(self._answer(await call.read()))  # `_send_steps` notices a silent replica
+            self._take(self._next_step_of(await call.read()))  # `_send_steps` notices a silent replica
             if isinstance(call, HostStream):
                 call.answer_at_once(self._take_at_once)
 
     def _take_at_once(self, response: object) -> bool:
         """Take an answer in the turn of the event loop in which it comes, because callers wait for it."""
-        self._take(self._answer(response))
+        self._take(self._next_step_of(response))
         return True
 
-    def _take(self, answer: pb.FeedQueueResponse) -> None:
+    def _take(self, next_step: int) -> None:
         self._heard_s = asyncio.get_running_loop().time()
-        if answer.next_step:
-            self._held_step = answer.next_step
-            self._replication.report(self._host_id, self, answer.next_step)
+        if next_step:
+            self._held_step = next_step
+            self._replication.report(self._host_id, self, next_step)
 
     def _plain(self, error: BaseException) -> BaseException:
         """The product's error for a broken stream; any other error stays as it is."""

@@ -12,9 +12,10 @@ from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.cluster.records import recorded_queue
 from stampede_rt_channel_host.copies.feed_callers import FeedCallers
+from stampede_rt_channel_host.copies.queue_puts import PUT_TAG, encode_answer, put_of, read_put
 from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue
 from stampede_rt_channel_host.copies.replica_directory import ReplicaDirectory
-from stampede_rt_channel_host.core.queue import QueueStep
+from stampede_rt_channel_host.core.queue import AheadPut, QueueStep
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.queue_store import QueueStore
@@ -62,8 +63,10 @@ class QueueFeeds:
         """Repeat a few steps in the turn of the event loop in which they come, because callers of the owner wait."""
         if len(raw) > AT_ONCE_BYTES_MAX:
             return False
-        request: pb.FeedQueueRequest = parse(pb.FeedQueueRequest, bytes(raw), "FeedQueueRequest")
         self._check_latest(feed)
+        if raw and raw[0] == PUT_TAG:
+            return feed.take_put(read_put(raw), len(raw), write)
+        request: pb.FeedQueueRequest = parse(pb.FeedQueueRequest, bytes(raw), "FeedQueueRequest")
         return feed.take_steps(request, lambda place: write(place.SerializeToString()))
 
     def _check_latest(self, feed: _Feed) -> None:
@@ -106,12 +109,13 @@ class _Feed:
         """The place of the copy."""
         copy = self._copies.of(self.record.queue_id)
         if copy is None:
-            return pb.FeedQueueResponse(takes_changes=True)
+            return pb.FeedQueueResponse(takes_changes=True, takes_puts=True)
         return pb.FeedQueueResponse(
             next_step=copy.journal.next_step,
             incarnation=copy.record.incarnation,
             owner_epoch=copy.owner_epoch,
             takes_changes=True,
+            takes_puts=True,
         )
 
     async def take(self, request: pb.FeedQueueRequest, is_latest: Callable[[], bool]) -> None:
@@ -125,7 +129,24 @@ class _Feed:
                 self._copies.begin(self.record, core, arrived.next_step)
             else:
                 self._repeat(*arrived)
+        if request.HasField("put") and (copy := self._copies.of(self.record.queue_id)) is not None:
+            self._copies.apply(copy, copy.journal.step_of(put_of(request.put)), 0)
         self._note(self.record.queue_id)
+
+    def take_put(self, put: AheadPut, request_bytes: int, write: Callable[[bytes], None]) -> bool:
+        """Apply a request that is a put. Returns False, and does nothing, if the copy cannot take it in any case.
+
+        As `take_steps`, answers the request before this host repeats the step.
+        """
+        queue_id = self.record.queue_id
+        copy = self._copies.of(queue_id)
+        if copy is None or not copy.journal.surely_takes_put(put) or self._queues.known(queue_id) is not None:
+            return False
+        self._room.claim(request_bytes)
+        write(encode_answer(put.number + 1))
+        self._copies.apply(copy, copy.journal.step_of(put), 0)
+        self._note(queue_id)
+        return True
 
     def take_steps(self, request: pb.FeedQueueRequest, answer: Callable[[pb.FeedQueueResponse], None]) -> bool:
         """Apply a request that has a few steps. Returns False, and does nothing, if it has more steps, or a part of a

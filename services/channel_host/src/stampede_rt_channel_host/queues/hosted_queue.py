@@ -164,7 +164,7 @@ class HostedQueue(ReplicatedQueue):
         done: asyncio.Future[None] | None = None
         try:
             self._charge.claim(run.charged_bytes)
-            self.queue.enqueue(run, self._now())
+            self.put(run)
             if not run.is_done:
                 done = self._waiting[run] = asyncio.get_running_loop().create_future()
         except Overloaded as error:

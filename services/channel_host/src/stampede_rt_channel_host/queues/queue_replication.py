@@ -11,7 +11,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt_channel_host.channels.owned_replicas import OwnedReplicas, OwnersFeed
-from stampede_rt_channel_host.core.queue import QueueJournal
+from stampede_rt_channel_host.core.queue import AheadPut, QueueJournal
 from stampede_rt_channel_host.core.replication import ReplicasInSync, ReplicaState
 
 STALLED_NANOS = 1_000_000_000
@@ -24,6 +24,9 @@ class QueueFeed(OwnersFeed, Protocol):
 
     next_step: int
     """The next step that the feed sends."""
+
+    def send_ahead(self, put: AheadPut) -> None:
+        """Send a put that the queue is about to store, if the replica lacks nothing else. Raises nothing."""
 
 
 def waits_for_replicas(policy: QueuePolicy) -> bool:
@@ -49,6 +52,7 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         self.heard: dict[bytes, tuple[int, int]] = {}  # by host: the time of its last report, and its place
         self._waiting: deque[tuple[int, object, Action]] = deque()
         self._behind_since: int | None = None
+        self._ahead: AheadPut | None = None  # is sent, and not a step yet
 
     @property
     def is_level(self) -> bool:
@@ -68,10 +72,24 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
     def changed(self, now: int) -> None:
         """Make a step of the changes of the queue, if there are any, and send it to the replicas."""
         if self.journal.note(now):
+            if self._ahead is not None and not self.journal.has_made(self._ahead):
+                self.take_back()
+            self._ahead = None
             self._in_sync.put(self.journal.next_step)
             for feed in self._feeds.values():
                 feed.wake()
             self.go_on()
+
+    def send_ahead(self, put: AheadPut) -> None:
+        """Send a put to the replicas. The queue is about to store it, and nothing else before the next `changed`."""
+        self._ahead = put
+        for feed in self._feeds.values():
+            feed.send_ahead(put)
+
+    def take_back(self) -> None:
+        """See `OwnedReplicas`."""
+        self._ahead = None
+        super().take_back()
 
     def once_replicated(self, about: object, action: Action) -> None:
         """Perform `action` as soon as the present state of the queue is replicated. `forget` drops it."""
@@ -108,6 +126,7 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         """Note that the replica at the end of this feed has all steps before `next_place`."""
         if self._feeds.get(host_id) is feed:
             self.heard[host_id] = self._steady_nanos(), min(next_place, self.journal.next_step)
+            self.strays.discard(host_id)  # it has begun anew: the feed of a stray does not continue
         super().report(host_id, feed, next_place)
 
     def release(self) -> None:

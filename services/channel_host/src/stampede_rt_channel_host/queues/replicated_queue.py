@@ -5,10 +5,11 @@ change.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
 
 from stampede_rt.errors import Unavailable
-from stampede_rt_channel_host.core.queue import QueueCore, QueueHandoff, TakerState
+from stampede_rt_channel_host.core.queue import Enqueue, QueueCore, QueueHandoff, SealRun, TakerState
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues.queue_content import QueueContent, QueueMove
 from stampede_rt_channel_host.queues.queue_replication import QueueReplication, waits_for_replicas
@@ -55,6 +56,37 @@ class ReplicatedQueue(ABC):
             self.replication = QueueReplication(journal, policy, self.record.epoch, is_replicated=is_replicated)
         elif content is not None and content.journal is not None:
             content.journal.stop()
+
+    def put(self, run: Enqueue) -> None:
+        """Let the queue judge and store a run. Sends a run of one message to the replicas as soon as the queue has
+        accepted it, if the run has a producer and changes nothing else.
+
+        After the judgement only a defect can keep the queue from storing the message. Then the feeds end, and the
+        replicas begin anew. Raises the errors of `QueueCore.enqueue`.
+        """
+        replication = self.replication
+        if replication is None or len(run.lengths) > 1 or not run.producer_id or run.message_id:
+            self.queue.enqueue(run, self._now())
+            return
+        seal, run.seal = run.seal, partial(self._seal_ahead, run, run.seal, replication)
+        try:
+            self.queue.enqueue(run, self._now())
+        except BaseException:
+            replication.take_back()
+            raise
+        finally:
+            run.seal = seal
+
+    def _seal_ahead(
+        self, run: Enqueue, seal: SealRun, replication: QueueReplication, first_seq: int, positions: Sequence[int],
+        stamped_time: int | None,
+    ) -> bytes:  # fmt: skip
+        body = seal(first_seq, positions, stamped_time)
+        if not self.queue.waiting_takers:  # a taker that waits would get the message in the same step
+            put = replication.journal.next_put(run, first_seq, stamped_time, body)
+            if put is not None:
+                replication.send_ahead(put)
+        return body
 
     def snapshot(self) -> tuple[QueueHandoff, int]:
         """The whole queue for a replica, and the number of its next step."""

@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import Protocol
 
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.puts.puts import ChannelPuts
 from stampede_rt_channel_host.channels.replication import Replication
 from stampede_rt_channel_host.core.channel import ABSENT, Body, ChannelCore, NewItem, PutOutcome
-
-
-class AheadFeed(Protocol):
-    """The feed of a replica."""
-
-    def send_ahead(self, item: NewItem) -> None:
-        """Send an item that the channel is about to store, if the replica lacks nothing else. Raises nothing."""
-
-    def take_back(self) -> None:
-        """Note that the channel has not stored the item of the last `send_ahead`, because of a defect."""
 
 
 class ReplicatedPuts:
@@ -40,13 +29,8 @@ class ReplicatedPuts:
         try:
             return self._core.put(run.offer, now, partial(self._seal, run, now))
         except BaseException:
-            for feed in self._feeds:
-                feed.take_back()
+            self._replication.take_back()
             raise
-
-    @property
-    def _feeds(self) -> Collection[AheadFeed]:
-        return self._replication.feeds
 
     def _seal(
         self, run: IncomingRun, now: int, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None
@@ -61,8 +45,7 @@ class ReplicatedPuts:
             first_seq, run.producer_id, run.first_number, time, duration, offer.lengths[0], stamped_time is not None,
             now, body, run.owner,
         )  # fmt: skip
-        for feed in self._feeds:
-            feed.send_ahead(item)
+        self._replication.send_ahead(item)
         return body
 
 

@@ -1,6 +1,7 @@
 """The core of queues and mailboxes (paper, section 3.5). Pure."""
 
 from stampede_rt_channel_host.core.queue.acknowledged_deliveries import AcknowledgedDelivery
+from stampede_rt_channel_host.core.queue.ahead_put import AheadPut
 from stampede_rt_channel_host.core.queue.dispatcher import BATCH_BYTES_MAX
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
 from stampede_rt_channel_host.core.queue.handoff import ItemState, LeaseState, QueueHandoff, SeqRange
@@ -27,6 +28,7 @@ from stampede_rt_channel_host.core.queue.values import (
     LeasedSlice,
     PendingDelivery,
     QueueCounters,
+    SealRun,
     Settlement,
     SettlementResult,
     Terminate,
@@ -45,6 +47,7 @@ __all__ = [
     "TERMINATED",
     "Acknowledge",
     "AcknowledgedDelivery",
+    "AheadPut",
     "Batch",
     "DeadLetter",
     "Enqueue",
@@ -64,6 +67,7 @@ __all__ = [
     "QueueStep",
     "QueueTally",
     "QueuedRun",
+    "SealRun",
     "SeqRange",
     "Settlement",
     "SettlementResult",

@@ -13,7 +13,9 @@ from itertools import chain, islice
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt_channel_host.core.queue.ahead_put import AheadPut, tally_after_put
 from stampede_rt_channel_host.core.queue.changes import QueueChanges
+from stampede_rt_channel_host.core.queue.enqueue import Enqueue
 from stampede_rt_channel_host.core.queue.enqueue_line import EnqueueLine
 from stampede_rt_channel_host.core.queue.handoff import (
     ItemState,
@@ -93,6 +95,27 @@ class QueueJournal:
         self._append(step)
         return True
 
+    def next_put(self, run: Enqueue, seq: int, stamped_time: int | None, body: bytes) -> AheadPut | None:
+        """The next step, if the queue has changed in nothing but this put of one message, which it has accepted.
+
+        The caller knows that the present call changes nothing else. `seq`, `stamped_time`, `body`: as for `SealRun`.
+        """
+        if self._changes or self._queue_items.tally != tally_after_put(self._tally, run.lengths[0]):
+            return None
+        return AheadPut(
+            self.next_step, seq, run.producer_id, run.first_number, run.lengths[0], stamped_time, run.owner, body
+        )
+
+    def has_made(self, put: AheadPut) -> bool:
+        """Whether the last step is this put, and nothing else."""
+        if not self._steps or self._steps[-1].number != put.number:
+            return False
+        changes, removed = self._steps[-1].changes, self._steps[-1].removed
+        has_run = [(run.first_seq, run.body) for run in changes.runs] == [(put.seq, put.body)]
+        numbers = [(kept.producer_id, kept.first_number) for kept in changes.producers]
+        is_rest_empty = not (removed or changes.items or changes.acknowledged or changes.message_ids)
+        return has_run and numbers == [(put.producer_id, put.first_number)] and is_rest_empty
+
     def _changed(self, now: int) -> QueueHandoff:
         changes = self._changes
         items = sorted(changes.items.values(), key=lambda item: item.seq)
@@ -135,6 +158,15 @@ class QueueJournal:
         changed = (*(one.seq for one in step.changes.items), *step.removed)
         new = {seq for seq in changed if self._queue_items.tracked.get(seq) is None}
         return step.number == self.next_step and (not new or new == {self._next_fresh()})
+
+    def surely_takes_put(self, put: AheadPut) -> bool:
+        """Whether `apply` of the step with this put cannot fail: this is the next step, with the next message."""
+        return (put.number, put.seq) == (self.next_step, self._queue_items.next_seq)
+
+    def step_of(self, put: AheadPut) -> QueueStep:
+        """The step with this put, for `apply`. The copy must have repeated all earlier steps."""
+        changes = put.changes(self._queue_items.tally, self._queue_leases.next_delivery_id)
+        return QueueStep(put.number, 0, changes, ())
 
     def _next_fresh(self) -> int | None:
         """The seq of the first fresh message; None if there is none."""
@@ -189,7 +221,7 @@ class QueueJournal:
 
     def _append(self, step: QueueStep) -> None:
         self._changes.clear()
-        self._tally = replace(self._queue_items.tally)
+        self._tally = step.changes.tally  # nothing changes the tally of a step
         self.next_step = step.number + 1
         self._steps.append(step)
         self.size_bytes += step.size_bytes
