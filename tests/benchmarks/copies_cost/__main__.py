@@ -3,7 +3,8 @@
     python -m tests.benchmarks.copies_cost --only ack|proxy|feed|drain [--rounds 5]
 
 Each part takes at most three minutes and prints a Markdown table: medians of the rounds, with the least and the
-greatest value, and the goal. All processes are on this machine, and clients use gRPC.
+greatest value, and the goal. All processes are on this machine. Clients use gRPC, except where a row
+names sockets.
 """
 
 from __future__ import annotations

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 
 from stampede_rt_bench.measuring import Spread
 from stampede_rt_bench.tables import Cell, spread
-from stampede_rt_bench.workloads.processes import cpu_seconds
 from stampede_rt_local.process import ServiceProcess
+
+_SCHEDULED = 2  # of the clocks of a process, the one that the scheduler keeps (clock_getcpuclockid(3))
 
 
 def ratio(ours: Sequence[float], plain: Sequence[float]) -> Cell:
@@ -16,5 +18,5 @@ def ratio(ours: Sequence[float], plain: Sequence[float]) -> Cell:
 
 
 def cpu_s(host: ServiceProcess) -> float:
-    """Return the CPU time of a service so far."""
-    return cpu_seconds([host.pid])
+    """Return the CPU time of a service so far, in the steps of Linux's clock of a process: nanoseconds."""
+    return time.clock_gettime(~host.pid << 3 | _SCHEDULED)

@@ -10,6 +10,7 @@ from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import stampede_rt as st
+from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt_bench.measuring import Spread
 from stampede_rt_bench.tables import Table, spread
 from stampede_rt_local.process import ServiceProcess
@@ -18,18 +19,22 @@ from tests.support.cluster import running_cluster
 from tests.support.waiting import wait_until
 
 SUBSCRIBERS = 2  # in all cases
-SECONDS = 4.0  # the time of each case: some seconds, because the system counts CPU time in steps of 10 ms
-WORKLOADS = {"30 frames/s of 18 KB": (18_000, 30), "1000 items/s of 64 B": (64, 1000)}
+SECONDS = 3.0  # the time of each case
+WORKLOADS = {
+    "30 frames/s of 18 KB": (18_000, 30, Transport.GRPC),
+    "1000 items/s of 64 B": (64, 1000, Transport.GRPC),
+    "1000 items/s of 64 B, clients over sockets": (64, 1000, Transport.SOCKET),
+}
 NONE, SUBSCRIBER, PROXY = "none", "a subscriber", "a proxy"
 
 
 def measure(rounds: int) -> Table:
     """Make the table. A round has three cases: neither, one more subscriber, one proxy."""
     table = Table(["work", "owner alone, us/put", "a subscriber adds, us/put", "a proxy adds, us/put", "ratio", "goal"])
-    with running_cluster(hosts=2, supernodes=1) as cluster, st.connect(cluster.address, transport="grpc") as rt:
-        for name, (item_bytes, rate) in WORKLOADS.items():
+    with running_cluster(hosts=2, supernodes=1) as cluster:
+        for name, (item_bytes, rate, transport) in WORKLOADS.items():
             found: dict[str, list[float]] = defaultdict(list)
-            with _channel(rt, item_bytes) as channel:
+            with st.connect(cluster.address, transport=transport) as rt, _channel(rt, item_bytes) as channel:
                 for at in range(rounds):
                     for case in (NONE, SUBSCRIBER, PROXY)[:: -1 if at % 2 else 1]:
                         with _added(rt, channel, case):
