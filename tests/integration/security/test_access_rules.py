@@ -173,7 +173,7 @@ def test_a_caller_needs_the_read_right_of_a_group_to_read_it_and_of_its_channels
 
 
 @pytest.mark.without_rules("it makes the rules itself")
-def test_channels_queues_groups_and_peers_name_their_makers(
+def test_channels_queues_groups_and_peers_name_their_creators(
     cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with st.connect(cluster.address, secret=operator.token("maker"), name="maker-peer") as rt:

@@ -77,7 +77,7 @@ def test_items_and_a_new_folder_count_as_soon_as_the_channel_accepts_the_items()
     assert disk.used_bytes == FOLDER_BYTES + 900
 
 
-def test_a_deleted_channel_counts_for_its_maker_until_its_files_are_gone() -> None:
+def test_a_deleted_channel_counts_for_its_creator_until_its_files_are_gone() -> None:
     accounts = Accounts()
     disk = DiskUse(4 * MIB, accounts.of)
     accounts.set_default(Quota.BYTES_ARCHIVED, MIB)
@@ -91,7 +91,7 @@ def test_a_deleted_channel_counts_for_its_maker_until_its_files_are_gone() -> No
     disk.of_channel(TWO, "cam").check()
 
 
-def test_a_start_finds_the_folders_and_makers_of_all_channels(folder: ArchiveFolder) -> None:
+def test_a_start_finds_the_folders_and_creators_of_all_channels(folder: ArchiveFolder) -> None:
     recorded(folder, ONE, "cam")
     recorded(folder, TWO, "")
     (folder.path / "channels" / "no-channel").mkdir()

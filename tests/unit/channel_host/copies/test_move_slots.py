@@ -24,7 +24,7 @@ MADE = RecordedChannel(
 )
 
 
-def test_the_channels_of_one_maker_cannot_use_all_moves() -> None:
+def test_the_channels_of_one_creator_cannot_use_all_moves() -> None:
     slots = MoveSlots("to host h1")
     mine, others = (replace(MADE, created_by=name) for name in ("cam", "imu"))
     for _ in range(OF_ONE_MAX):
@@ -39,9 +39,9 @@ def test_the_channels_of_one_maker_cannot_use_all_moves() -> None:
     slots.take(mine)
 
 
-@pytest.mark.parametrize("maker", ["", "@cluster"])
-def test_channels_whose_maker_has_no_name_of_its_own_may_use_all_moves(maker: str) -> None:
-    slots, one = MoveSlots("to host h1"), replace(MADE, created_by=maker)
+@pytest.mark.parametrize("creator", ["", "@cluster"])
+def test_channels_whose_creator_has_no_name_of_its_own_may_use_all_moves(creator: str) -> None:
+    slots, one = MoveSlots("to host h1"), replace(MADE, created_by=creator)
     for _ in range(MOVES_MAX):
         slots.take(one)
     with pytest.raises(Overloaded, match="32 channels move"):

@@ -48,9 +48,9 @@ class Groups:
             identity, channels, self.table, dial, lambda: "", on_stale=lambda _: None, on_asked=lambda _: None
         )
 
-    def adopt(self, number: int, *members: tuple[int, bytes], maker: str = "") -> None:
+    def adopt(self, number: int, *members: tuple[int, bytes], creator: str = "") -> None:
         """Process the directory's record of a group. `members`: the number and the owner of each channel."""
-        told = _told(number, *members, maker=maker)
+        told = _told(number, *members, creator=creator)
         held = self.table.groups.get(told.group.group_id)
         if held is None:
             begin = PieceScheduler().begin
@@ -71,7 +71,7 @@ class Groups:
         return {int.from_bytes(one) for one in self.exchange.peers.wanted_of(host_id)}
 
 
-def _told(number: int, *members: tuple[int, bytes], maker: str) -> ResolvedGroup:
+def _told(number: int, *members: tuple[int, bytes], creator: str) -> ResolvedGroup:
     records = {
         channel.to_bytes(16): RecordedChannel(
             channel_id=channel.to_bytes(16), name=f"c{channel}", host_id=host_id, epoch=1, incarnation=1,
@@ -81,7 +81,7 @@ def _told(number: int, *members: tuple[int, bytes], maker: str) -> ResolvedGroup
     }  # fmt: skip
     definition = GroupDefinition(members=frozenset(records), incarnation=1)
     group = RecordedGroup(
-        group_id=number.to_bytes(16), name=f"g{number}", definition=definition, message=b"", created_by=maker
+        group_id=number.to_bytes(16), name=f"g{number}", definition=definition, message=b"", created_by=creator
     )
     hosts = {host_id for _, host_id in members}
     return ResolvedGroup(
@@ -125,9 +125,9 @@ async def test_many_groups_of_one_caller_do_not_displace_the_channels_of_others(
     groups: Groups, caplog: pytest.LogCaptureFixture
 ) -> None:
     for number in range(0, INTEREST_MAX + 2000, 64):
-        groups.adopt(number, *((channel, LEFT) for channel in range(number, number + 64)), maker="hostile")
+        groups.adopt(number, *((channel, LEFT) for channel in range(number, number + 64)), creator="hostile")
     good = 1_000_000  # an id after all others
-    groups.adopt(good, (good, LEFT), (good + 1, LEFT), maker="good")
+    groups.adopt(good, (good, LEFT), (good + 1, LEFT), creator="good")
     assert {good, good + 1} <= groups.wanted(LEFT)
     assert len(groups.wanted(LEFT)) == INTEREST_MAX
     [told] = [one for one in caplog.records if getattr(one, "event", "") == "group_too_large"]

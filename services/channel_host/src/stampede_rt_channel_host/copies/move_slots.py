@@ -1,7 +1,4 @@
-"""The moves that a host may have under way, and each maker's share of them. Pure.
-
-A maker is a client that has created channels or queues.
-"""
+"""The moves that a host may have under way, and the share of each caller that has created channels or queues. Pure."""
 
 from __future__ import annotations
 
@@ -22,38 +19,38 @@ class MoveSlots:
         self._what, self._direction = "queues" if of_queues else "channels", direction
         self._most = QUEUE_MOVES_MAX if of_queues else MOVES_MAX
         self._most_of_one = round(OF_ONE_SHARE * self._most)
-        self._makers: Counter[str] = Counter()
+        self._creators: Counter[str] = Counter()
 
     @property
     def under_way(self) -> int:
         """The number of moves under way."""
-        return self._makers.total()
+        return self._creators.total()
 
     def check(self, record: RecordedChannel | RecordedQueue) -> None:
-        """Raises Overloaded if too many channels move now, or if too many of them have the same maker as this
+        """Raises Overloaded if too many channels move now, or if too many of them have the same creator as this
         channel.
         """
         if self.under_way >= self._most:
-            raise Overloaded(f"{self._most} {self._what} move {self._direction} already; wait for one")
-        maker = record.created_by
-        if _has_name(maker) and self._makers[maker] >= self._most_of_one:
+            raise Overloaded(f"{self._most} {self._what} move {self._direction} already; wait until one has moved")
+        creator = record.created_by
+        if _has_name(creator) and self._creators[creator] >= self._most_of_one:
             raise Overloaded(
-                f"{maker} has made {self._most_of_one} of the {self._what} that move {self._direction} already; "
-                "wait for one"
+                f"{creator} has created {self._most_of_one} of the {self._what} that move {self._direction} already; "
+                "wait until one has moved"
             )
 
     def take(self, record: RecordedChannel | RecordedQueue) -> None:
         """Note that a channel moves. Raises the errors of `check`."""
         self.check(record)
-        self._makers[record.created_by] += 1
+        self._creators[record.created_by] += 1
 
     def give_back(self, record: RecordedChannel | RecordedQueue) -> None:
         """Note that the move of a channel is over."""
-        self._makers[record.created_by] -= 1
-        if not self._makers[record.created_by]:
-            del self._makers[record.created_by]
+        self._creators[record.created_by] -= 1
+        if not self._creators[record.created_by]:
+            del self._creators[record.created_by]
 
 
-def _has_name(maker: str) -> bool:
+def _has_name(creator: str) -> bool:
     """Whether only one caller has this name. Callers that share a secret are `@clients` or `@cluster`."""
-    return bool(maker) and not maker.startswith("@")
+    return bool(creator) and not creator.startswith("@")

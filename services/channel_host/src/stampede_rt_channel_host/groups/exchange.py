@@ -52,7 +52,7 @@ class TimesExchange:
         self._names: dict[bytes, str] = {}  # host id -> name, of the hosts of known groups
         # The channels of other hosts about which this host wants to hear: by group and host.
         self._members: dict[bytes, dict[bytes, list[bytes]]] = {}
-        self._makers: dict[bytes, str] = {}  # the caller that made each of these groups
+        self._creators: dict[bytes, str] = {}  # the caller that created each of these groups
         self._fully_heard: set[bytes] = set()  # hosts that have sent all their times on the present link
         # Floors of groups that this host has still to look up: by group, then by host.
         self._floors: dict[bytes, dict[bytes, CutFloor]] = {}
@@ -65,13 +65,13 @@ class TimesExchange:
         """
         group = self._table.groups.get(group_id)
         former, members = self._members.pop(group_id, {}), _by_host(group, self._identity.host_id)
-        maker = self._makers.pop(group_id, "" if group is None else group.record.created_by)
+        creator = self._creators.pop(group_id, "" if group is None else group.record.created_by)
         if group is not None and members:
-            self._members[group_id], self._makers[group_id] = members, maker
+            self._members[group_id], self._creators[group_id] = members, creator
             self._names |= group.host_names
         for host_id in former.keys() | members.keys():
             target = group.targets.get(host_id) if group is not None else None
-            change = ChangedMembers(maker, group_id, former.get(host_id, ()), members.get(host_id, ()))
+            change = ChangedMembers(creator, group_id, former.get(host_id, ()), members.get(host_id, ()))
             if not self.peers.share(host_id, target, change):
                 self._names.pop(host_id, None)
 

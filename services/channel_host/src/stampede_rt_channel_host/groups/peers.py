@@ -49,10 +49,10 @@ class PeerHost:
 class ChangedMembers(NamedTuple):
     """The members of one group that one host owned until now (`former`), and the members that it owns now (`members`).
 
-    `maker`: the caller that made the group.
+    `creator`: the caller that created the group.
     """
 
-    maker: str
+    creator: str
     group_id: bytes
     former: Collection[bytes]
     members: Collection[bytes]
@@ -85,8 +85,8 @@ class PeerHosts:
         if peer is None:
             peer = self._peers[host_id] = PeerHost(host_id)
         changes, was_left_out = peer.wanted.changes, peer.wanted.left_out
-        peer.wanted.add(change.maker, change.members)
-        peer.wanted.remove(change.maker, change.former)
+        peer.wanted.add(change.creator, change.members)
+        peer.wanted.remove(change.creator, change.former)
         if not peer.wanted:
             self._drop(peer)
             return False
@@ -255,7 +255,7 @@ def _warn_of_left_out(peer: PeerHost) -> None:
         "host": peer.host_id.hex(),
         "channels": len(peer.wanted.asked) + peer.wanted.left_out,
         "most": INTEREST_MAX,
-        "created_by": peer.wanted.largest_maker,
+        "created_by": peer.wanted.largest_creator,
     }
     logger.warning("groups have more channels of one host than one request can name", extra=extra)
 

@@ -19,21 +19,21 @@ def numbers(asked: Iterable[bytes]) -> set[int]:
     return {int.from_bytes(one) for one in asked}
 
 
-def test_the_channels_of_one_maker_may_use_all_free_room() -> None:
+def test_the_channels_of_one_creator_may_use_all_free_room() -> None:
     wanted = WantedChannels(4)
     wanted.add("hostile", ids(1, 2, 3, 4, 5))
     assert numbers(wanted.asked) == {1, 2, 3, 4}
     assert wanted.left_out == 1
 
 
-def test_channels_of_others_displace_the_newest_channels_of_the_maker_with_the_most() -> None:
+def test_channels_of_others_displace_the_newest_channels_of_the_creator_with_the_most() -> None:
     wanted = WantedChannels(4)
     wanted.add("hostile", ids(1, 2, 3, 4, 5))
     wanted.add("good", ids(11))
     assert numbers(wanted.asked) == {1, 2, 3, 11}
     wanted.add("good", ids(12, 13))
     assert numbers(wanted.asked) == {1, 2, 11, 12}
-    assert wanted.largest_maker in ("hostile", "good")
+    assert wanted.largest_creator in ("hostile", "good")
     assert wanted.left_out == 4
 
 
@@ -47,7 +47,7 @@ def test_a_channel_above_the_limit_is_admitted_when_another_one_leaves() -> None
     assert not wanted.asked
 
 
-def test_a_channel_of_two_makers_counts_for_the_second_if_the_first_has_no_room() -> None:
+def test_a_channel_of_two_creators_counts_for_the_second_if_the_first_has_no_room() -> None:
     wanted = WantedChannels(3)
     wanted.add("hostile", ids(1, 2, 11))
     wanted.add("good", ids(11))
@@ -55,28 +55,28 @@ def test_a_channel_of_two_makers_counts_for_the_second_if_the_first_has_no_room(
     assert numbers(wanted.asked) >= {11, 21}
 
 
-def test_the_maker_with_most_channels_is_still_found_when_all_others_have_left() -> None:
+def test_the_creator_with_most_channels_is_still_found_when_all_others_have_left() -> None:
     wanted = WantedChannels(10)
     wanted.add("a", ids(1, 2, 3))
     wanted.add("b", ids(4))
     wanted.remove("a", ids(1, 2, 3))
-    assert wanted.largest_maker == "b"
+    assert wanted.largest_creator == "b"
 
 
 STEPS = some.lists(some.tuples(some.integers(0, 3), some.integers(0, 11)), max_size=60)
 
 
 @given(STEPS)
-def test_makers_share_all_room_almost_evenly(steps: list[tuple[int, int]]) -> None:
-    """A step adds a channel to a maker's group, or removes it if it is there."""
+def test_creators_share_all_room_almost_evenly(steps: list[tuple[int, int]]) -> None:
+    """A step adds a channel to a creator's group, or removes it if it is there."""
     limit, wanted, held = 5, WantedChannels(5), Counter[tuple[int, int]]()
-    for maker, number in steps:
-        if held[maker, number]:
-            wanted.remove(f"{maker}", ids(number))
-            del held[maker, number]
+    for creator, number in steps:
+        if held[creator, number]:
+            wanted.remove(f"{creator}", ids(number))
+            del held[creator, number]
         else:
-            wanted.add(f"{maker}", ids(number))
-            held[maker, number] += 1
+            wanted.add(f"{creator}", ids(number))
+            held[creator, number] += 1
         channels = {number for _, number in held}
         assert numbers(wanted.asked) <= channels
         assert len(wanted.asked) == min(limit, len(channels))
@@ -85,11 +85,11 @@ def test_makers_share_all_room_almost_evenly(steps: list[tuple[int, int]]) -> No
 
 
 @given(STEPS)
-def test_a_new_maker_gets_its_share_even_if_others_have_many_channels(steps: list[tuple[int, int]]) -> None:
+def test_a_new_creator_gets_its_share_even_if_others_have_many_channels(steps: list[tuple[int, int]]) -> None:
     wanted = WantedChannels(8)
-    for maker, number in steps:
-        wanted.add(f"{maker}", ids(number))
+    for creator, number in steps:
+        wanted.add(f"{creator}", ids(number))
     wanted.add("last", ids(100, 101, 102, 103))
     asked = numbers(wanted.asked)
-    makers = len({maker for maker, _ in steps}) + 1
-    assert len(asked & {100, 101, 102, 103}) >= min(4, 8 // makers)
+    creators = len({creator for creator, _ in steps}) + 1
+    assert len(asked & {100, 101, 102, 103}) >= min(4, 8 // creators)
