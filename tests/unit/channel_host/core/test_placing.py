@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt_channel_host.core.placing import OtherHost, spread, together
+from stampede_rt_channel_host.core.placing import OtherHost, connected_sets, spread
 
 
 def host(name: str, busy_permille: int = 0, channels: int = 0) -> OtherHost:
@@ -11,7 +11,7 @@ def host(name: str, busy_permille: int = 0, channels: int = 0) -> OtherHost:
 
 def test_channels_that_share_groups_directly_or_indirectly_are_placed_together() -> None:
     groups = {b"a": [b"1"], b"b": [b"2"], b"c": [], b"d": [b"1", b"2"], b"e": [b"3"]}
-    assert sorted(sorted(bunch) for bunch in together(groups)) == [[b"a", b"b", b"d"], [b"c"], [b"e"]]
+    assert sorted(sorted(one) for one in connected_sets(groups)) == [[b"a", b"b", b"d"], [b"c"], [b"e"]]
 
 
 def test_the_least_busy_host_gets_channels_and_equally_busy_hosts_share_them() -> None:

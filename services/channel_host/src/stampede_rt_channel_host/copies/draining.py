@@ -28,7 +28,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.copies.drain_requests import DrainRequests
 from stampede_rt_channel_host.copies.drain_room import DrainRoom
 from stampede_rt_channel_host.copies.move_directory import MoveDirectory
-from stampede_rt_channel_host.core.placing import OtherHost, spread, together
+from stampede_rt_channel_host.core.placing import OtherHost, connected_sets, spread
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.refusals import display_name
@@ -181,7 +181,7 @@ class HostDrain:
         if not hosts:
             left.update(dict.fromkeys(left, "there is no other live host"))
             return
-        places = spread(together({one: self._groups_of(one) for one in own}), hosts)
+        places = spread(connected_sets({one: self._groups_of(one) for one in own}), hosts)
         others = _OtherHosts(hosts, self._dial, self._dial_streams, self._allow)
         try:
             async with asyncio.TaskGroup() as moves:
@@ -232,8 +232,8 @@ class _OtherHosts:
                     raise
 
     async def _take_over(self, own: _OwnSubject, target: str) -> None:
-        """Ask once. Channels go in one stream for all. A queue has a call of its own, and so has each channel at a host
-        of an older release.
+        """Ask once. All channels share one stream. Each queue has a call of its own. At a host of an older release each
+        channel has one, too.
         """
         if target not in self._requests:
             self._connections[target] = self._dial(target)
