@@ -159,7 +159,7 @@ def test_the_folder_of_another_host_is_refused_with_the_names_of_this_interface(
     (folder / "owner").write_text("0f" * 16)
     with pytest.raises(st.InvalidArgument, match=r"archive: the folder .* is the archive of host 0f0f") as refused:
         st.host(cluster.address, archive=folder)
-    assert "`stampede host` with the --data-dir that has this id" in refused.value.message
+    assert "`stampede host` with the --data-dir whose file host-id" in refused.value.message
     assert "data_dir" not in refused.value.message
 
 

@@ -26,7 +26,7 @@ class ArchiveEnd:
     """`finish` does the work, `cut` ends it.
 
     `write` writes the items that the channels have accepted. `note_failure` gets the errors of files. `mover` moves the
-    files to the object store; None: there is none.
+    files to the object store; None: there is no object store.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class ArchiveEnd:
         self._folder, self._in_writer, self._write, self._note_failure = folder, in_writer, write, note_failure
         self._mover = mover
         self._work: asyncio.Task[None] | None = None
-        self._recorders: Sequence[ChannelRecorder] = ()  # those of the last work
+        self._recorders: Sequence[ChannelRecorder] = ()  # the recorders of the last work
         self._closed: set[ChannelRecorder] = set()  # recorders whose folders have the note of a clean stop
         self._noted = 0  # the boot incarnation in the folder of the host
 
@@ -48,8 +48,8 @@ class ArchiveEnd:
         """Do the work, or the part that an earlier call has left. After `seconds_max` the work goes on without the
         caller.
 
-        Call it when the channels no longer accept anything. If the folders of all `recorders` have all items, also
-        notes the `boot_incarnation` of the host, unless it is 0.
+        Call it when the channels no longer accept anything. If the folders of all `recorders` have all items, this
+        method also notes the `boot_incarnation` of the host, unless that is 0.
         """
         if self._work is None or self._work.done():
             self._recorders = recorders

@@ -72,9 +72,9 @@ class ArchiveFolder:
         elif owner != host_id:
             raise SettingsError(
                 f"--archive: the folder {self.path} is the archive of host {owner}, and this is host {host_id}; give "
-                f"this host a folder of its own. Only the host with the id {owner} opens this one: `stampede host` "
-                "with the --data-dir that has this id in its file host-id, or without --data-dir if the folder itself "
-                "has it"
+                f"this host a folder of its own. To open this folder as host {owner}, run `stampede host` with the "
+                "--data-dir whose file host-id has that id. If the file host-id is in the folder itself, leave "
+                "--data-dir out"
             )
 
     def continued(self) -> int:
@@ -91,7 +91,7 @@ class ArchiveFolder:
         _write(self.path / _STOPPED_FILE, str(boot_incarnation))
 
     def place(self, url: str | None) -> str:
-        """The folder as a text for people. `url`: of the object store that has the archive, too; None: there is none.
+        """The folder as a text for people. `url`: the URL of the object store that has the archive, too, or None.
 
         At most PLACE_CHARACTERS_MAX printable characters.
         """

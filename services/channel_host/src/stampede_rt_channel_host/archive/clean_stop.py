@@ -24,8 +24,8 @@ class CleanStop(NamedTuple):
 
     `epoch` and `incarnation` are the channel's at that moment. `lost_from` and `lost_before` are the bounds of an
     earlier loss, or None. `retries` is the encoded retry window of the producers. The archive had all seqs below
-    `end_seq`, and no item later than `newest`; 0 and None: it is not known. A starting host compares them with the
-    files, and so notices a damaged last block.
+    `end_seq`, and no item later than `newest`; 0 and None: not known. A starting host compares `end_seq` and `newest`
+    with the files, and so notices a damaged last block.
     """
 
     incarnation: int
@@ -44,11 +44,11 @@ class CleanStop(NamedTuple):
         return self._replace(epoch=epoch, end_seq=end_seq, newest=newest)
 
     def is_of(self, incarnation: int, epoch: int) -> bool:
-        """Whether the note is still true.
+        """Whether the note is still true for a channel with this incarnation and epoch.
 
-        Since that stop, no other host has served the channel, and each process that served it has stopped cleanly. The
-        directory keeps the incarnation over clean stops. If it has changed the incarnation, it may have raised the
-        epoch by one.
+        The note is true if no other host has served the channel since the stop, and each process that served it has
+        stopped cleanly. The directory keeps the incarnation over clean stops. If the directory has changed the
+        incarnation, it may have raised the epoch by one.
         """
         return self.incarnation == incarnation or self.epoch in (epoch - 1, epoch)
 

@@ -15,7 +15,7 @@ from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota
 
 FOLDER_BYTES = 2**18
-"""The bytes that a channel's folder counts in addition to its files, because folders and files also take inodes."""
+"""A channel's folder counts as its files and this number of bytes, because folders and files also take inodes."""
 _FACTS_BYTES_MAX = 2**16
 
 

@@ -37,8 +37,8 @@ class HostArchive:
     """Writes with one thread, and reads with other threads, so that the event loop never waits for the disk.
 
     After new items have come, the archive waits WRITE_AFTER_SECONDS for more, unless a channel has enough for a write.
-    Then it writes the items of all channels, one channel after the other. Items that come meanwhile wait for others,
-    too. `decode` makes a run of its stored body, and `join` joins neighbouring runs for readers. `on_written` is called
+    Then it writes the items of all channels, one channel after the other. For items that come meanwhile, it waits
+    again. `decode` makes a run of its stored body. `join` joins neighbouring runs for readers. `on_written` is called
     after each write of a channel that succeeds. `disk` counts the bytes of the files. `now` is the host's clock.
     """
 
@@ -96,7 +96,7 @@ class HostArchive:
     async def open(
         self, record: RecordedChannel, *, may_be_unknown: bool = False, is_move: bool = False
     ) -> tuple[SegmentFiles, OpenedArchive]:
-        """The files of a channel, after a look at them. Raises OSError.
+        """Open the files of a channel, and look at them. Raises OSError.
 
         `may_be_unknown`: if the object store is away, the host may open them without knowing what the store has.
         `is_move`: another host still owns the channel.

@@ -1,4 +1,4 @@
-"""Finds the items of a channel that has moved here which the shared archive lacks, a part at a time."""
+"""Finds, a part at a time, the items that the shared archive lacks after a channel has moved here."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class MovedItems:
             self._note_ends()
 
     def _note_ends(self) -> None:
-        """Note a hole behind the last item, and one that has come before the first item during the looks."""
+        """Note a hole behind the last item, and items that memory has lost since this object looked at them."""
         if self._looked_to < self._end:
             self.lacks_from = self._end
         first = next(self._channel.accepted_from(self.lacks_from), None)

@@ -184,7 +184,7 @@ class ChannelRecorder:
 
     @property
     def fills_a_write(self) -> bool:
-        """Whether BYTES_AT_ONCE wait, or a fourth of the channel, and the disk takes writes."""
+        """Whether BYTES_AT_ONCE wait, or a fourth of the channel's limits (`is_a_fourth`). False while writes fail."""
         is_much = self._channel.limits.is_a_fourth(self._coming_bytes, self.backlog_items)
         return (is_much or self._coming_bytes >= BYTES_AT_ONCE) and not self.failure
 

@@ -96,7 +96,7 @@ class SegmentFiles(SegmentReads):
         """Whether another host still owns the channel, which is to move here. Then no note of this host counts."""
         self._file: int | None = None  # the segment to which blocks are appended
         self._gathered: list[bytes] = []  # the parts of blocks that are still to be written to it
-        self._written_to = self._flushed_to = 0  # the offsets up to which it is written, and is coming to the disk
+        self._written_to = self._flushed_to = 0  # the offsets up to which it is written, and coming to the disk
         self._begun_at = 0  # the acceptance instant of its first block
         self._near = (0, 0)
         self._advance: ArchivedAdvance | None = None  # the latest one
@@ -104,7 +104,7 @@ class SegmentFiles(SegmentReads):
         self._follows_damage = False  # the archive begins with a segment that was set aside
 
     def open(self, epoch: int, incarnation: int = 0, stored: Sequence[Segment] = ()) -> OpenedArchive:
-        """Find the segments, and cut the torn tail off the last one. `epoch`, `incarnation`: of the channel now.
+        """Find the segments, and cut the torn tail off the last one. `epoch`, `incarnation`: the channel's, at present.
 
         After a clean stop nothing can be torn, and a last block that is not whole is a damaged one. `stored`: the
         segments that are only in an object store.
@@ -324,7 +324,7 @@ class SegmentFiles(SegmentReads):
                 break
             outdated.append(segment.number)
             size -= segment.length
-        if outdated:  # a read must not take a file that leaves the archive now for a lost one
+        if outdated:  # off the list first: a read must not report a deleted file as lost
             before, self._segments = self._segments, self._segments[len(outdated) :]
             self._segments = before[self._files.remove_all(outdated) :]
 

@@ -72,8 +72,8 @@ class SegmentFolder:
     def check_place(self) -> None:
         """Check that the folder of all channels exists. Raises OSError, but not FileNotFoundError.
 
-        If that folder is missing, somebody has removed the archive, or its disk is not mounted. In the second
-        case no file is lost.
+        If that folder is missing, somebody has removed the archive, or its disk is not mounted. If the disk is not
+        mounted, no file is lost.
         """
         place = self.path.parent
         if not place.is_dir():

@@ -197,7 +197,10 @@ class SegmentReads:
         return found.blocks.before(segment.length)
 
     def _blocks_of(self, segment: Segment) -> SegmentBlocks:
-        """The blocks of a segment, as far as it had grown when the read began. None if somebody has removed it."""
+        """The blocks of a segment, as far as it had grown when the read began.
+
+        If somebody has removed its file, only the blocks that earlier reads have found.
+        """
         found = self._kept.get(self, segment.number)
         if found.length < segment.length:
             try:

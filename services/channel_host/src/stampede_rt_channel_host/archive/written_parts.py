@@ -20,7 +20,7 @@ class SeqGap(NamedTuple):
 
 
 class Advances(NamedTuple):
-    """Advances of the channel, in the order of their acceptance. `seq`: of the next item to write."""
+    """Advances of the channel, in the order of their acceptance. `seq`: the seq of the next item to write."""
 
     seq: int
     rows: tuple[ArchivedAdvance, ...]

@@ -1,4 +1,4 @@
-"""Channels whose objects the host has still to list: a former owner moves its last files, or the store was away."""
+"""Channels whose objects the host must list again: a former owner still moves its last files, or the store was away."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class FormerOwners:
         self._expected[files] = _ExpectedLook(_clock() + WAIT_SECONDS_MIN, WAIT_SECONDS_MIN, is_former)
 
     def hurry(self) -> None:
-        """Look at all of them now."""
+        """Look for the files of all channels now."""
         self._expected = {files: one._replace(due=0.0) for files, one in self._expected.items()}
 
     def forget(self, files: MovingFiles) -> None:

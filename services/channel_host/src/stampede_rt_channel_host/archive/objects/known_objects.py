@@ -15,7 +15,7 @@ _DROPPED = "dropped"  # stands in place of a name, before the number of the last
 
 
 class ObjectListing(NamedTuple):
-    """The objects of a channel, by their names, with their bytes. `epoch`: of the channel at the host that noted them.
+    """The objects of a channel, by their names, with their bytes. `epoch`: the channel's, at the host that noted them.
 
     These are all objects of the channel if no other host has owned the channel since. `dropped_to`: all segments up to
     this number have left the archive, also those whose objects are still in the store.
@@ -33,7 +33,7 @@ class KnownObjects:
     """
 
     def __init__(self, folder: Path, url: str) -> None:
-        """`url`: of the object store. A list of another store does not count."""
+        """`url`: the URL of the object store. A list of another store does not count."""
         self._path, self._url = folder / _FILE, url
         self.changes = 0
         """The number of changes since `replace`. The list has at most this many lines more than it has objects."""

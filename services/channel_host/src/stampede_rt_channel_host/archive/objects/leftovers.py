@@ -33,7 +33,7 @@ class ThreadCall(Protocol):
 class Leftovers:
     """The folders that were in `folder` when the host started, and the channels that were deleted since.
 
-    If the channel stopped cleanly, its folder keeps the note of this stop. `open_files` makes the files of a folder.
+    The folder of a channel that stopped cleanly keeps the note of this stop. `open_files` makes the files of a folder.
     """
 
     def __init__(self, folder: Path, store: SegmentStore, open_files: Callable[[bytes], MovingFiles]) -> None:

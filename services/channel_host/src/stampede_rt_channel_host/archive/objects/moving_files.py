@@ -35,7 +35,7 @@ class MovingFiles(SegmentFiles):
         self.stored, self.cut = place, cut
         self.is_shared = True
         self.is_left = self.is_given_up = False
-        self._unplaced: list[Segment] = []  # of the former owner, from a look that the store has interrupted
+        self._unplaced: list[Segment] = []  # of the former owner, from a `find_again` that an error interrupted
         self.waiting: tuple[Segment, ...] = ()
         """The closed segments that have not moved yet, as of the last `look`."""
         self.former_stop: CleanStop | None = None
@@ -45,7 +45,7 @@ class MovingFiles(SegmentFiles):
     def known(self, epoch: int, incarnation: int) -> Mapping[int, StoredSegment] | None:
         """The segments in the store as the disk knows them; None: it may not know all of them. Raises OSError.
 
-        `epoch`, `incarnation`: of the channel now.
+        `epoch`, `incarnation`: the channel's, at present.
         """
         if self.is_elsewhere:
             return None
@@ -151,7 +151,7 @@ class MovingFiles(SegmentFiles):
             self.stored.note(self._epoch)
             self.is_known = True
         for one in new:
-            if one.number < latest and one.first_seq < archived_to:  # this owner has the items of these segments alone
+            if one.number < latest and one.first_seq < archived_to:
                 kept[one.number] = one
         ordered: list[Segment] = []
         following = max([archived_to, *(one.end_seq for one in self._segments)])

@@ -50,7 +50,7 @@ class StoredSegments(SegmentFolder):
         self.outdated: list[str] = []
         """Objects that have left the archive, but not the store."""
         self.has_more_outdated = False
-        """Whether there are more of them, for `find_outdated`."""
+        """Whether the store has more such objects, which `find_outdated` finds."""
         self.stops: dict[str, CleanStop] = {}
         """The clean stops of earlier owners, by the names of their objects, as of the last listing."""
         self._cache, self._store = cache, store
@@ -60,7 +60,7 @@ class StoredSegments(SegmentFolder):
         self._stored: dict[int, StoredSegment] = {}
         self._indexes: dict[int, Sequence[PlacedBlock]] = {}  # of the few segments that overlap with the next one
         self._epoch = 0
-        self._dropped_to = 0  # this process has removed this segment; no listing brings earlier ones back
+        self._dropped_to = 0  # this process has removed segments up to this number; no listing brings them back
         self._limited_to = 0  # the limits have removed all segments up to this number, as the list on the disk says
 
     @property
@@ -69,8 +69,8 @@ class StoredSegments(SegmentFolder):
         return bytes.fromhex(self.path.name)
 
     def find(self, epoch: int, following: int | None = None) -> dict[int, StoredSegment]:
-        """List the segments in the store, by their numbers. `epoch`: of the channel now. `following`: the first seq in
-        the folder.
+        """List the segments in the store, by their numbers. `epoch`: the channel's present epoch. `following`: the
+        first seq in the folder.
 
         Raises StoreError, and LaterOwner if there are segments of a later epoch. Ignores objects that are no segments.
         Any thread may call it.
@@ -78,7 +78,7 @@ class StoredSegments(SegmentFolder):
         found, stops = self._listed()
         end_seq = max((one.segment.end_seq for one in found.values()), default=0)
         if any(one.epoch == epoch - 1 and one.end_seq > end_seq for one in stops.values()):
-            found, stops = self._listed()  # the former owner made the last segment and this object during the listing
+            found, stops = self._listed()  # the former owner made its last segment and its stop during the listing
         later = [one.name for one in found.values() if one.segment.number >= first_number(epoch + 1)]
         later += [name for name, stop in stops.items() if stop.epoch > epoch]
         if later:
@@ -109,7 +109,7 @@ class StoredSegments(SegmentFolder):
     def known(self, epoch: int, *, is_whole: bool) -> dict[int, StoredSegment] | None:
         """The segments in the store as the disk knows them; None: the disk does not know all of them.
 
-        `epoch`: of the channel now. `is_whole`: no other host has had the channel since. Raises OSError.
+        `epoch`: the channel's present epoch. `is_whole`: no other host has had the channel since. Raises OSError.
         """
         known = self._known.read()
         if known is None and epoch == 1 and not self.path.exists():  # a new channel
@@ -131,7 +131,7 @@ class StoredSegments(SegmentFolder):
         return {name: stop for name, stop in stops if stop is not None}
 
     def take_stop(self, epoch: int) -> CleanStop | None:
-        """The clean stop of the last owner, if the last listing had it. `epoch`: of the channel now.
+        """The clean stop of the last owner, if the last listing had it. `epoch`: the channel's present epoch.
 
         All stops in that listing leave the store: they do not describe this owner's items.
         """
@@ -144,7 +144,7 @@ class StoredSegments(SegmentFolder):
         return self.prefix + name_of_stop(stop)
 
     def note(self, epoch: int) -> None:
-        """Note on the disk which segments the store has. `epoch`: of the channel now. Raises OSError."""
+        """Note on the disk which segments the store has. `epoch`: the channel's present epoch. Raises OSError."""
         self._epoch = epoch
         self._known.replace(
             ObjectListing(epoch, {one.name: one.bytes for one in self._stored.values()}, self._limited_to)
@@ -172,7 +172,7 @@ class StoredSegments(SegmentFolder):
     def adopt(self, found: Mapping[int, StoredSegment]) -> list[Segment]:
         """Take over the segments of a listing that are new. Returns them.
 
-        The objects of segments that have left the archive must leave the store: a crash can come before that.
+        Segments that have left the archive may still be in the store after a crash: notes their objects as outdated.
 
         If a segment is in the folder, too, its file was not deleted after the move: this method deletes it. If the
         object is too short, the file counts. Raises OSError.

@@ -30,7 +30,7 @@ class ChosenPart(NamedTuple):
     """The blocks of the next seqs, and other blocks with items whose times lie between the times of these blocks.
 
     `end_seq`: the blocks have all archived items below this seq. `following`: the time of the first bucket after all
-    these blocks, or None. `ends`: the seqs after which later owners have not used the next ones.
+    these blocks, or None. `ends`: the end seqs of segments after which an owner began at a higher seq.
     """
 
     blocks: Sequence[tuple[Segment, PlacedBlock]]

@@ -134,7 +134,7 @@ class ArchivedAdvance(NamedTuple):
 
 
 def encode_advances(advances: Sequence[ArchivedAdvance], seq: int, near: ItemKey) -> tuple[BlockHead, list[bytes]]:
-    """A block of advances, in the order of their acceptance. `seq`: of the next item. `near`: see `BlockHead`."""
+    """A block of advances, in the order of their acceptance. `seq`: the next item's. `near`: see `BlockHead`."""
     content = b"".join(_ADVANCE.pack(*one) for one in advances)
     first, last = advances[0].accepted, advances[-1].accepted
     head = BlockHead(ADVANCES, crc32(content), len(content), 0, 0, seq, seq, near, near, first, last)

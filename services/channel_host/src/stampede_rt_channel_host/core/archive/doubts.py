@@ -54,7 +54,7 @@ class _Search:
         ends: list[int] = []  # of the segments that end after `former`
         for at, one in enumerate(self.segments):
             if one.number not in self.near and one.items:
-                if former is None or one.end_seq - former.end_seq != one.items:  # for the speed of long archives
+                if former is None or one.end_seq - former.end_seq != one.items:  # a quick test, for long archives
                     lacks = self._lacks(former, one.end_seq, ends) - one.items
                     if lacks > 0:
                         yield self._doubt(at, former, self._end_after(at), lacks)

@@ -29,7 +29,7 @@ class ArchiveSpan:
     def has_dropped(self, lost_before: int | None, lost_from: int | None) -> bool:
         """Whether the archive has dropped items before the oldest one, as far as the host can know.
 
-        `lost_before`, `lost_from`: of the channel (see `QueryReader`). With `lost_from` the archive had items of the
+        `lost_before`, `lost_from`: the channel's (see `QueryReader`). With `lost_from` the archive had items of the
         former owners. If all items before `lost_before` may be lost, reads say LOST for them.
         """
         tells_loss = lost_before is not None and lost_from is None

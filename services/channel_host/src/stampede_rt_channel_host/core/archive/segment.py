@@ -81,7 +81,7 @@ def scan(
 
     A block that reaches beyond the end is a torn tail. If a head is damaged, the scan searches for the next head. With
     `check_contents`, last blocks with damaged contents also belong to the torn tail: a host that lost its power may
-    have written only a part of them. Without `may_be_torn`, the file was whole once, and everything else is damage.
+    have written only a part of them. Without `may_be_torn`, the file was whole once, so a missing part is damage.
     """
     blocks: list[PlacedBlock] = []
     damaged: list[tuple[int, int]] = []

@@ -29,7 +29,7 @@ _NAME = re.compile("_".join([*[_NUMBER] * 5, _KEY, _KEY, r"(-?\d{1,20})\.segment
 
 
 class StoredSegment(NamedTuple):
-    """A segment in an object store. `name`: of its object. `bytes`: of the object, with the index."""
+    """A segment in an object store. `name`: the name of its object. `bytes`: the size of the object, with the index."""
 
     segment: Segment
     name: str
