@@ -23,9 +23,10 @@ def refusal(hosted: HostedChannel) -> StampedeError:
 
 
 def check_read(hosted: HostedChannel, query: Query, now: int, horizon: Horizon | None = None) -> None:
-    """Check that a read needs no item that only the archive of the owner has. `horizon`: of the group of the read.
+    """Check that a read needs no item that only the archive of the owner has.
 
-    Raises StaleBinding (MOVED).
+    `horizon`: the horizon of the group through which the caller reads; None: it reads through no group. Raises
+    StaleBinding (MOVED).
     """
     if not lacks_archive(hosted):
         return

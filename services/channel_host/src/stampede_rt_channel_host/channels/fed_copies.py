@@ -17,8 +17,8 @@ from stampede_rt_channel_host.channels.observers import Observers
 HEARD_NANOS_MAX = 3_000_000_000  # a copy that is silent for longer gets no readers
 READERS_MOVED_MAX = 16  # the most readers that move at each report of a copy, about twice a second
 BALANCED_SHARE = 8
-"""The host sends connected readers to a copy only if it has at least two more readers than the copy, and more than an
-eighth of a fair share more."""
+"""The host sends connected readers to a copy only if the host has at least two readers more than the copy. The
+difference must also be more than an eighth of the readers that each would have if all had the same number."""
 
 
 class FedCopy:

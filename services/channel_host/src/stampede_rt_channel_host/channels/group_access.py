@@ -37,7 +37,7 @@ class GroupReadParams:
 class GroupAnswer(NamedTuple):
     """The answer to a get, and the cut at which the get read the channel; None: the group had no cut yet.
 
-    `continues`: the answer was cut off for its length. `past`: of a get as of an earlier instant.
+    `continues`: the answer was cut off for its length. `past`: the facts for a get as of an earlier instant.
     """
 
     answer: ReadAnswer

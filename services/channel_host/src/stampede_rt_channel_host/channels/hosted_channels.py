@@ -53,7 +53,7 @@ class HostedChannel:
     recording: Recording | None = None
     """The recording of a channel with an archive."""
     refused_run_bytes = 0
-    """The length of a run that the next ring should take: the last one was too small, or did not fit; 0: none."""
+    """The length of a run that the next ring should take; 0: none. The last ring was too small, or did not suit it."""
     ring_making: object = None  # identifies the ring that a worker thread makes for this channel
     registration = 0
     """The number of the host's last registration when the store took `record` over."""
@@ -80,7 +80,7 @@ class HostedChannel:
         deliveries: SharedDeliveries | None = None,
         begun: NewCopy | OwnedCore | None = None,
     ) -> None:
-        """Set up the channel of `record`. `begun`: it is a copy of that channel, or continues with these items.
+        """Set up the channel of `record`. `begun`: the copy that begins, or the items with which the owner continues.
 
         The channel calls `on_touched` at every change. `may_serve` says whether the host has its lease. `begin` does
         long work for which no caller waits (`PieceScheduler.begin`). `limits` bounds the waits of all gets of the host,

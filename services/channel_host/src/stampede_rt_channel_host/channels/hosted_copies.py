@@ -38,7 +38,7 @@ class HostedCopies:
         return None if hosted is None or hosted.copy is None else hosted
 
     def find(self, channel_id: bytes, epoch: int, demand: Freshness) -> HostedChannel | None:
-        """The copy, if it meets the demand; None if there is no copy. Raises StaleBinding (MOVED) if it does not.
+        """The copy; None if there is none. Raises StaleBinding (MOVED) if the copy does not meet the demand.
 
         A copy also serves readers that know an earlier epoch, so that they need not ask the directory after each move.
         """
@@ -62,7 +62,7 @@ class HostedCopies:
 
     def inherit(self, copy: HostedChannel, record: RecordedChannel) -> HostedChannel | None:
         """Make a copy the owner, as `record` of the directory says. Returns the owner; None if the copy cannot become
-        it.
+        the owner.
 
         Drops the copy; its readers get MOVED, and come back to the owner. The owner holds puts until the move is over.
         """
@@ -80,7 +80,9 @@ class HostedCopies:
         return owner
 
     def demote(self, owner: HostedChannel, record: RecordedChannel, state: CopyState, now: int) -> None:
-        """Make a replica of a former owner, in place of the replica that the new owner was. Its callers get MOVED."""
+        """Turn a former owner into a replica. It replaces the replica that has become the owner. The callers of the
+        former owner get MOVED.
+        """
         channel = FedChannel.of_owner(owner.core, owner.puts.retries, now)
         owner.is_inherited = True
         self._forget(record.channel_id, gone(record.name))
@@ -103,13 +105,13 @@ def refusal_of(hosted: HostedChannel, demand: Freshness | None) -> StampedeError
 
 
 def inherits(copy: HostedChannel, record: RecordedChannel) -> bool:
-    """Whether `record` makes this host the owner by a move, for which the copy has everything."""
+    """Whether `record` makes this host the owner by a move, and the copy has everything that the owner had."""
     fits = record.incarnation == copy.record.incarnation and record.epoch == copy.record.epoch + 1
     return fits and copy.copy is not None and copy.copy.may_inherit is not None
 
 
 def is_given_away(hosted: HostedChannel | None) -> bool:
-    """Whether a move from here may have its commit. Then only the move itself decides about the items."""
+    """Whether the directory may have committed a move away from here. Then only that move decides about the items."""
     return hosted is not None and hosted.copy is None and hosted.moving is not None and hosted.moving.is_held
 
 

@@ -125,7 +125,7 @@ class InProcessPutStream:
             self._loop.call_soon(self._put_sent)
 
     def _tell(self, acks: Sequence[pb.PutAck | HeldAck]) -> None:
-        """Tell the acks in order, as soon as they are due."""
+        """Report the acks in order, as soon as they are due."""
         now, later = ([], acks) if self._held else _split(acks)
         for ack in later:
             self._held.add(ack)
@@ -133,7 +133,7 @@ class InProcessPutStream:
             self._on_acks(pb.PutResponse(acks=now))
 
     def _on_due(self, _at_once: bool) -> None:
-        """Tell the acks that have become due, and go on with the runs that have waited for room."""
+        """Report the acks that have become due, and go on with the runs that have waited for room."""
         acks = self._held.take(HELD_ACKS_MAX)
         if acks and not self.is_over:
             self._on_acks(pb.PutResponse(acks=acks))

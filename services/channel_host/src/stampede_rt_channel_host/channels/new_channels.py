@@ -71,7 +71,10 @@ def replication_of(
 
 
 def new_core(record: RecordedChannel, now: int, copy: NewCopy | OwnedCore | None) -> ChannelCore:
-    """An empty channel or copy. If the channel had another incarnation before, the items of its owner are lost."""
+    """The items that `copy` has, or an empty channel or copy.
+
+    An empty channel counts the items of earlier owners as lost, if there may have been some.
+    """
     if copy is not None and copy.channel is not None:
         return copy.channel
     incarnation, name = record.incarnation, record.name

@@ -73,7 +73,7 @@ async def open_archive(
     """Look at the archive of a channel. Raises Unavailable if the folder cannot be read or written.
 
     `may_be_unknown`: if the object store is away, the host may serve the channel without knowing what the store has.
-    `is_move`: another host still owns the channel, so what this host noted earlier does not count.
+    `is_move`: another host still owns the channel, so earlier notes of this host do not count.
     """
     try:
         files, found = await archive.open(record, may_be_unknown=may_be_unknown, is_move=is_move)
@@ -88,8 +88,9 @@ async def open_archive(
 
 
 async def _newest(archive: HostArchive, files: SegmentFiles, segments: tuple[Segment, ...]) -> ArchiveWindow | None:
-    """The newest archived items; None: there are none. While the object store is away, the newest items on the disk, as
-    far as they are later than all items in the store. Raises OSError.
+    """The newest archived items; None: there are none. Raises OSError.
+
+    While the object store is away, returns only items on the disk that are later than all items in the store.
     """
     if not segments or not files.is_known:
         return None

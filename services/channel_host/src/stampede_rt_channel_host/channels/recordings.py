@@ -141,7 +141,7 @@ class Recordings:
         return hosted
 
     def _keep_retries(self, hosted: HostedChannel, opened: OpenedChannelArchive, recording: Recording) -> None:
-        """Continue the retry window of the former process. Has this process note its own window when it stops."""
+        """Continue the retry window of the former process. When this process stops, it notes its own window."""
         stop, retries = opened.found.stop, hosted.puts.retries
         recording.recorder.encoded_retries = lambda: self.write_retries(retries)
         if stop is not None and stop.incarnation == hosted.record.incarnation:
@@ -187,8 +187,8 @@ class Recordings:
         """Bring the archives to the object store, while no other host can own the channels. Without an object store it
         does nothing.
 
-        Call it when the host refuses all requests. After `seconds_max` the work goes on, and `close` waits for it. A
-        channel whose replicas must still show items is left to `close`.
+        Call it when the host refuses all requests. After `seconds_max` the work goes on, and `close` waits for it.
+        `close` also handles the channels with items that readers do not see yet.
         """
         if self.archive is not None and self.archive.objects is not None:
             present = self._present()

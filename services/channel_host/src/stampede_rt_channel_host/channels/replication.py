@@ -212,7 +212,9 @@ class Replication(OwnedReplicas[ReplicaFeed]):
 
 
 def own_again(replication: Replication | None, record: RecordedChannel, *, is_fallback: bool) -> None:
-    """Note that a move has failed, and that `record` names this host as the owner. `is_fallback`: after the commit."""
+    """Note that a move has failed, and that `record` names this host as the owner. `is_fallback`: the directory had
+    committed the move.
+    """
     if replication is not None and is_fallback:
         replication.own_again(record.epoch)
 

@@ -27,8 +27,8 @@ def restore_channel(
     Leaves all items up to the last hole to the archive: only reads of the archive say LOST for a hole. A channel that
     stopped before its first item has a note of the stop, and no items.
 
-    `begin`: the first seq of this owner if a former one was lost. The host of that one may bring more of its items to
-    the archive later.
+    `begin`: the first seq of this owner if a former owner was lost. The host of the former owner may bring more of its
+    items to the archive later.
     """
     window, segments = newest or ArchiveWindow(ChannelIndex(), None, None, None), found.segments
     after = _left_to_archive(window, span_of(segments).newest)

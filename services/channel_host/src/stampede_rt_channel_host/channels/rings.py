@@ -77,7 +77,7 @@ class Rings:
                 asyncio.get_running_loop().call_later(KEPT_SECONDS, self._drop_unused, ring)
 
     async def _of(self, hosted: HostedChannel) -> ChannelRing:
-        """The channel's ring, which is open. Readers that ask while a thread makes it wait for the same one."""
+        """The open ring of the channel. All readers that ask while a thread makes the ring wait for this ring."""
         if hosted.ring is not None:
             return hosted.ring
         making = self._making.get(hosted.ring_making)

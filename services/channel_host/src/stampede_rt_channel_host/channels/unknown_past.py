@@ -56,7 +56,7 @@ class UnknownPast:
     def check(self, recorder: ChannelRecorder, query: Query, now: int, horizon: Horizon | None = None) -> None:
         """Raise Unavailable if the answer of a read may have items that only the store has.
 
-        `horizon`: of the group through which to read.
+        `horizon`: the horizon of the group through which to read.
         """
         if self.hides(recorder, query, now, horizon):
             raise self.error()

@@ -263,7 +263,7 @@ class GetStream:
                 self._free(outcome)
                 self._refuse(get.call_id, refusal)
             elif self._held_back or not self._outbox.has_room:
-                # Drop this outcome, so that no answer stays in memory. `_room_came` has the get polled again.
+                # Drop this outcome, so that no answer stays in memory. `_room_came` starts another poll of the get.
                 self._held_back[get.call_id] = get
             else:
                 self._answer_or_wait(get, outcome, self._store.now())

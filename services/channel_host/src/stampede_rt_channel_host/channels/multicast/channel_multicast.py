@@ -38,7 +38,7 @@ KEY_NUMBERS_MAX = 2**16 - 1
 
 @dataclass(frozen=True, slots=True)
 class OfferedStream:
-    """The facts with which a reader hears the datagrams."""
+    """The facts that a reader needs to receive the datagrams."""
 
     group: str
     stream_id: bytes
@@ -50,8 +50,8 @@ class OfferedStream:
 class ChannelMulticast:
     """Order of use, on one event loop: make it, `run` as a task, `join` and `leave` for each reader, `stop`.
 
-    `readers`: the subscriptions whose readers may hear the datagrams. `repairs`: their requests for missing items.
-    `has_ended`: it sends nothing more, and new readers need another one.
+    `readers`: the subscriptions whose readers may receive the datagrams. `repairs`: their requests for missing items.
+    `has_ended`: it sends nothing more, and new readers need another multicast.
     """
 
     def __init__(self, hosted: HostedChannel, group: MulticastGroup, now: Callable[[], int]) -> None:
@@ -62,7 +62,8 @@ class ChannelMulticast:
         self._news = asyncio.Event()
         self.has_ended = self._owes_key = False
         self._beat_s = BEAT_S_MIN
-        # the channel's next seq at a loop time, until all items before it are sent
+        # a next seq of the channel, and the loop time at which the channel had it; kept until all items before it are
+        # sent
         self._goal_seq, self._goal_s = 0, 0.0
         self._renew_key()
 

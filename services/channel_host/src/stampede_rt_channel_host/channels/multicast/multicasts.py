@@ -32,11 +32,11 @@ class Multicasts:
 
     @property
     def readers(self) -> int:
-        """The subscriptions of all channels whose readers may hear the datagrams."""
+        """The subscriptions of all channels whose readers may receive the datagrams."""
         return sum(one.readers for one, _ in self._channels.values())
 
     def find(self, hosted: HostedChannel) -> ChannelMulticast | None:
-        """How this channel is multicast; None: it is not."""
+        """The multicast of this channel; None: the host does not multicast the channel."""
         found = self._channels.get(hosted)
         return None if found is None or found[0].has_ended else found[0]
 

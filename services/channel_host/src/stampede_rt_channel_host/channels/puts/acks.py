@@ -1,4 +1,4 @@
-"""The acks that report the outcome of its runs to a producer. Channels and queues use the same acks."""
+"""The acks that tell a producer the outcomes of its runs. Channels and queues use the same acks."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class IncomingRun:
     ) -> None:
         """`owner`: see `RetryWindow.record`. `writer`: the caller's name for `Writers`.
 
-        `columns`: of a run that is not encoded yet; it has one item.
+        `columns`: the columns of a run of one item that is not encoded yet.
 
         Raises MalformedRun, or ItemTooLarge for an item larger than any channel can hold.
         """

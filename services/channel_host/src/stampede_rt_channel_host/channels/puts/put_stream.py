@@ -254,7 +254,9 @@ def _encoded(acks: list[pb.PutAck]) -> bytes:
 
 
 def _announced_together(hosted: HostedChannel) -> AbstractContextManager[None]:
-    """A block at whose end the readers of a ring learn of all its runs. Without a ring readers learn of each run."""
+    """A block of puts. If the channel has a ring, readers learn of all its runs at the end of the block. Otherwise they
+    learn of each run as it comes.
+    """
     has_ring = hosted.ring is not None and hosted.recording is None
     return hosted.puts.announced_together() if has_ring else nullcontext()
 

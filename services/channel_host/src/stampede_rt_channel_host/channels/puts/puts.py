@@ -113,9 +113,9 @@ class ChannelPuts:
 
     @contextmanager
     def announced_together(self) -> Iterator[None]:
-        """A block without an await whose runs are announced at its end, once for all of them.
+        """A block of puts, without an await. The channel announces all its runs together, at the end of the block.
 
-        Give no ack before that end: a reader must see each item whose put is acknowledged.
+        Give no ack before the end: a reader must see each item whose put is acknowledged.
         """
         announce, accepted_at = self._on_accepted, list[int]()
         self._on_accepted = accepted_at.append

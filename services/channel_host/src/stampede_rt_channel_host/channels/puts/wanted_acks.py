@@ -58,11 +58,14 @@ class WantedAck(Protocol):
 
     @property
     def wait_nanos(self) -> int | None:
-        """The longest wait for it; None: without a limit."""
+        """The longest wait for the acknowledgement; None: without a limit."""
 
 
 def held_ack(ack: pb.PutAck, hosted: HostedChannel, put: WantedAck, received_s: float) -> pb.PutAck | HeldAck:
-    """The ack, or the write or replica that holds it back. `received_s`: when the put came, monotonic."""
+    """The ack, or a `HeldAck` that waits for stable storage or for replicas.
+
+    `received_s`: when the put came, monotonic.
+    """
     if not ack.HasField("first_seq"):
         return ack
     name, recording, replication = hosted.record.name, hosted.recording, hosted.replication

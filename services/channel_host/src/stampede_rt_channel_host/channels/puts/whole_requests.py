@@ -25,7 +25,7 @@ from stampede_rt_runtime.quotas.accounts import Account
 from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.quotas.working import CallerWork
 
-# All pieces of a request must come within this time, and the time that its bytes take at this rate.
+# All pieces of a request must come within this time plus the time that its bytes take at this rate.
 JOIN_SECONDS_MIN = 10.0
 BYTES_PER_SECOND_MIN = 2**18
 

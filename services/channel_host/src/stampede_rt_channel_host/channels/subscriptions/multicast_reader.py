@@ -27,8 +27,8 @@ class MulticastReader:
         self._channel: ChannelMulticast | None = None
         self._told_key = 0
         self.asked_bytes = 0  # the bytes of the last repair
-        self._asked_seq: int | None = None  # the repair whose place the cursor does not have yet
-        self._owed_seq: int | None = None  # the repair whose answer the reader has not got yet
+        self._asked_seq: int | None = None  # the seq of a repair, until the cursor is there
+        self._owed_seq: int | None = None  # the seq of a repair, until the reader has its answer
 
     @contextmanager
     def joined(self, multicasts: Multicasts | None, hosted: HostedChannel, opening: pb.SubscribeOpen) -> Iterator[None]:

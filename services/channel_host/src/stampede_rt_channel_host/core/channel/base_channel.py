@@ -306,7 +306,7 @@ class BaseChannel:
     def _age_and_free(self, clock: int) -> int:
         """Outdate the items that are too old, and free a few outdated entries. Returns `clock`."""
         self._outdate(clock)
-        self._held.free(FREED_ENTRIES_PER_CALL, trims=False)  # a read comes in between two puts
+        self._held.free(FREED_ENTRIES_PER_CALL, trims=False)  # the next put may free the whole entry
         return clock
 
     def _outdate(self, clock: int) -> None:

@@ -96,7 +96,7 @@ class ConsumedChannel(BaseChannel):
     def inherit(
         self, clock: int, advance: int | None, counters: Counters | None, places: Iterable[ConsumerPlace]
     ) -> None:
-        """Take over the facts of another owner, before any other call. `clock`: the latest `now` that the items know.
+        """Take over the facts of another owner, before any other call. `clock`: the host's clock.
 
         Applies no limit before the places are known, because consumers keep items beyond max_age.
         """

@@ -32,7 +32,7 @@ class Losses(NamedTuple):
     former: tuple[FormerIncarnation, ...] = ()
 
     def after(self, incarnation: int, next_seq: int, newest: int | None, now: int) -> Losses:
-        """The losses after one more loss at `now`: of the items of `incarnation` from the seq `next_seq` on.
+        """The losses after one more loss at `now`: the items of `incarnation` from the seq `next_seq` on are lost.
 
         `newest`: the time of the newest item that is there; None: the lost items may have any time.
         """
@@ -48,6 +48,6 @@ class Losses(NamedTuple):
         return self.former[-1].next_seq if self.former else None
 
     def from_incarnation(self, incarnation: int) -> tuple[FormerIncarnation, ...]:
-        """The losses that a reader of this incarnation has yet to hear of, the earliest first."""
+        """The losses that a reader of this incarnation does not know yet, the earliest first."""
         at = next((at for at, one in enumerate(self.former) if one.incarnation == incarnation), len(self.former))
         return self.former[at:]

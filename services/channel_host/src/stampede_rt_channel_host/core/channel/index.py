@@ -45,7 +45,10 @@ class ChannelIndex:
         return len(self._by_time)
 
     def insert(self, run: Run, *, has_one_time: bool = False) -> None:
-        """Add all items of a run. Its seqs must be above all seqs in the index. `has_one_time`: of all its items."""
+        """Add all items of a run. Its seqs must be above all seqs in the index.
+
+        `has_one_time`: all its items have the same time.
+        """
         if isinstance(run, OneRun):
             self._open(run.first_time)
             self._add(run)

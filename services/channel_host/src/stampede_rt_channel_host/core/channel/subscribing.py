@@ -52,7 +52,7 @@ class AllCursor:
 
         `owed` are the ranges of owed seqs below `live_seq`, ascending. All seqs from `live_seq` on are owed, too. Of
         the items with seqs below `begun_seq`, only items at or above the key `low` belong to the subscription.
-        `losses`: the losses of items that the reader has yet to hear of, at their places.
+        `losses`: the losses of items that the reader does not know yet, at their places.
         """
         self._owed_before = owed
         self._live_seq = live_seq
@@ -69,12 +69,12 @@ class AllCursor:
         return self._live_seq if self._owed is None else self._owed[0]
 
     def belongs(self, time: int, seq: int) -> bool:
-        """Whether the item is one of the subscription's, if its seq is owed."""
+        """Whether an item with an owed seq belongs to the subscription."""
         return self._low is None or seq >= self._begun_seq or (time, seq) >= self._low
 
     def saved(self, incarnation: int) -> SavedCursor:
-        """The cursor from which another subscription continues. It has the former incarnation until the reader hears of
-        a loss.
+        """The cursor from which another subscription continues. It has the former incarnation until the reader knows of
+        the loss.
         """
         next_seq = self.next_seq
         incarnation = self.losses[0].incarnation if self.losses else incarnation
@@ -92,7 +92,7 @@ class AllCursor:
         return self._owed
 
     def owed_before_loss(self, next_seq: int) -> Range | None:
-        """As `owed`, up to the place of the next loss that the reader has yet to hear of."""
+        """As `owed`, up to the place of the next loss that the reader does not know yet."""
         owed = self.owed(next_seq)
         if owed is None or not self.losses:
             return owed

@@ -24,20 +24,20 @@ class NewestCursor:
         self._low = low  # only items at or above this key belong to the subscription
         self._base_seq = base_seq  # all items from this seq on belong to the subscription
         self._before = before  # the items with lower seqs that belong to it
-        self.losses = losses  # the losses of which the reader has still to hear
+        self.losses = losses  # the losses that the reader does not know yet
         self.delivered = 0
         self.skipped = 0
         self.next_seq = base_seq - before
 
     def saved(self, incarnation: int) -> SavedCursor:
-        """The cursor from which another subscription continues. It has the former incarnation until the reader hears of
-        a loss.
+        """The cursor from which another subscription continues. It has the former incarnation until the reader knows of
+        the loss.
         """
         incarnation = self.losses[0].incarnation if self.losses else incarnation
         return SavedCursor(incarnation=incarnation, next_seq=self.next_seq, low=self._low)
 
     def take_loss(self) -> Gap | None:
-        """The gap of a loss of which the reader has still to hear; None if there is no such loss."""
+        """The gap of a loss that the reader does not know yet; None if there is no such loss."""
         losses, self.losses = self.losses, ()
         return lost_gap(losses[-1].next_seq) if losses else None
 
