@@ -33,7 +33,10 @@ async def fed_channel(store: ChannelStore, moves: OutgoingMoves, opening: pb.Fee
 
 
 def has_others_items(hosted: HostedChannel, opening: pb.FeedOpen) -> bool:
-    """Whether the copy may have items that this owner does not have: a former owner's, or items that it took back."""
+    """Whether the copy may have items that this owner lacks.
+
+    They are items of a former owner, or an item that this owner sent ahead and took back.
+    """
     replication, place = hosted.replication, opening.place
     if replication is None or place.incarnation != hosted.core.incarnation:
         return False

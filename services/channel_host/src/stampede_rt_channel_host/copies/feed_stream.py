@@ -171,7 +171,7 @@ class FeedStream:
     async def _begin(self, hosted: HostedChannel, opening: pb.FeedOpen) -> ChannelFeed:
         """The feed at the copy's place. A replica gets all accepted items. Other copies get the items that readers see.
 
-        A replica that has to begin anew waits until the directory's log has it as out of sync.
+        A replica that has to begin anew waits until the directory's log says that it is out of sync.
         """
         place = place_of(opening.place, hosted.epoch) if opening.HasField("place") else None
         if not opening.owner_facts:

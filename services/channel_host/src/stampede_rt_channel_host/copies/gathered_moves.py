@@ -70,9 +70,9 @@ class GatheredMoves(ABC):
         await self._releases.ask(FallbackRelease(channel_id, epoch))
 
     async def is_released(self, channel_id: bytes) -> bool:
-        """Whether the directory names this host, the former owner, neither as fallback nor as replica of a channel.
+        """Whether the directory no longer names this host, the former owner, as fallback or replica of a channel.
 
-        If it names this host, `kept_here` tells as which of the two.
+        If it still does, `kept_here` returns the role.
         """
         return await self._drops.ask(channel_id)
 
@@ -98,7 +98,7 @@ class GatheredMoves(ABC):
 
     @abstractmethod
     async def released_of(self, channel_ids: Sequence[bytes]) -> Collection[bytes]:
-        """The channels of which the directory has nothing at this host."""
+        """The channels for which `is_released` is true."""
 
     async def _owner_of_each(self, channel_ids: Sequence[bytes]) -> list[OwnedChannel | StampedeError]:
         if len(channel_ids) == 1:

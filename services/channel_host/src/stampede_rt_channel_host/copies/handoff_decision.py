@@ -23,9 +23,9 @@ class HandoffDecision:
         self._is_over = False
 
     def due(self, now: int) -> pb.FeedHandoff | None:
-        """The handoff, if it belongs into the next message; None: later. It belongs there if all changes wait, the
-        replicas in sync have everything, and the copy has everything with this message. Holds an idle channel now if
-        the destination wants that.
+        """The handoff for the next message; None: it comes later. It is due if all changes wait, the replicas in sync
+        have everything, and the copy has everything with this message. Holds an idle channel now if the destination
+        wants that.
 
         Raises Unavailable if too few replicas are in sync.
         """

@@ -235,7 +235,7 @@ class IncomingMoves:
 
 
 async def until_known(commit: Callable[[], Awaitable[Result]]) -> Result:
-    """Have the directory commit a move. Asks until it knows the outcome: the former owner waits for it, too.
+    """Have the directory commit a move. Asks until this host knows the outcome, because the former owner waits for it.
 
     Raises StaleBinding (WRONG_EPOCH) if the former owner has ended the move, and other errors that a repetition cannot
     cure.

@@ -27,7 +27,7 @@ logger = logging.getLogger(__name__)
 COPIES_MAX = 1000  # the feeds of one host; each has a stream and two tasks
 READY_SECONDS_MAX = 5.0  # the longest wait of a caller that binds a new copy
 PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX = 0.1, 2.0
-REPLICA_PAUSE_SECONDS_MAX = 0.3  # a replica that has become the owner should hear of it soon
+REPLICA_PAUSE_SECONDS_MAX = 0.3  # a replica that has become the owner should learn of it soon
 REPORT_SECONDS = 2.0
 LOADS_MAX = 1000  # the most loads in one report
 
@@ -110,7 +110,7 @@ class CopyKeeper:
             self._store.copies.drop(record.channel_id, gone(record.name))
 
     def demote(self, owner: HostedChannel, record: RecordedChannel) -> None:
-        """Make a replica of the former owner of a channel, and feed it from the new owner (`record`)."""
+        """Turn the former owner of a channel into a replica, and feed it from the new owner (`record`)."""
         state = CopyState()
         state.is_replica = True
         self._store.copies.demote(owner, record, state, self._store.now())

@@ -35,7 +35,7 @@ CALL_SECONDS_MAX = 4.0
 
 
 class FormerOwnerRole(Enum):
-    """The part that the directory still has of a channel at its former owner.
+    """The role that the directory still gives the former owner of a channel.
 
     FALLBACK: the former owner is the owner again, or will be if the present owner is lost soon. REPLICA: the former
     owner is a replica, because the new owner's replica became the owner.
@@ -114,7 +114,7 @@ class MoveDirectory(GatheredMoves):
         ]
 
     async def kept_here(self, channel_id: bytes) -> FormerOwnerRole:
-        """The part that the directory still has of a channel at this host, its former owner."""
+        """The role that the directory still gives this host, the former owner of a channel."""
         request = replicas_pb.ListReplicasRequest(subject=subject_pb2.Subject(channel_id=channel_id))
         host_id = self._identity.host_id
         stub = replica_directory_service_pb2_grpc.ReplicaDirectoryServiceStub

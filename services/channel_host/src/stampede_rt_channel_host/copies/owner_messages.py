@@ -33,7 +33,7 @@ def owner_to(part: OwnerPart, now: int) -> pb.OwnerFacts:
 
 
 def owner_of(message: pb.OwnerFacts, now: int) -> OwnerPart:
-    """A part, from a message. `now`: the clock of the copy's host. Raises InvalidArgument for nonsense."""
+    """A part, from a message. `now`: the clock of the copy's host. Raises InvalidArgument if it is not valid."""
     return OwnerPart(
         tuple(run for producer in message.producers for run in _runs_of(producer, now)),
         _places_of(message.consumers) if message.HasField("consumers") else None,

@@ -97,7 +97,7 @@ class QueueArrivals:
             logger.info("a move of a queue has failed", extra={"event": "move_failed", "why": str(failure)})
 
     async def _move(self, record: RecordedQueue, target: str) -> MovedQueue:
-        self._queues.forget(record.queue_id, moved(record))  # the file of an earlier ownership
+        self._queues.forget(record.queue_id, moved(record))  # this host may have owned the queue before
         began = time.monotonic_ns()
         channel = self._dial(target)
         call = migration_service_pb2_grpc.MigrationServiceStub(channel).HandOverQueue()

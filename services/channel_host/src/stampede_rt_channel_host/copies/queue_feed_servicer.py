@@ -157,7 +157,8 @@ class _Feed:
         """
         if request.begins_anew or self._parts.is_whole or len(request.parts) > STEPS_AT_ONCE_MAX:
             return False
-        steps = [one for one in self._arrivals(request) if not isinstance(one, WholeQueue)]  # none is on its way
+        # no whole queue is on its way
+        steps = [one for one in self._arrivals(request) if not isinstance(one, WholeQueue)]
         early = self._place_after(steps)
         if early is not None:
             answer(early)

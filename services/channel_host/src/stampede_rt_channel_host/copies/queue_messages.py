@@ -53,7 +53,7 @@ def parts_of(state: QueueHandoff, permit: bytes = b"", next_step: int = 0) -> It
 
 
 class ArrivingQueue:
-    """The parts of a queue that have arrived. `size_bytes`: of the parts."""
+    """The parts of a queue that have arrived. `size_bytes`: the size of these parts."""
 
     def __init__(self) -> None:
         self._facts: pb.HandedQueueFacts | None = None

@@ -43,8 +43,8 @@ BIND_SECONDS_MAX = 2.0
 class KeptReplicas(ABC):
     """Keeps the replicas of one channel or queue.
 
-    One task makes all requests to the directory, one after the other. So the list of replicas that it works with always
-    has its own last change.
+    One task makes all requests to the directory, one after the other. Its list of replicas therefore always includes
+    the last change that it made.
     """
 
     def __init__(

@@ -312,7 +312,7 @@ class RetryWindow:
 
 
 def _odd_bytes(outcome: RunOutcome) -> int:
-    """About how many bytes an outcome takes that does not fit in the array."""
+    """About how many bytes an outcome takes if it does not fit in the array."""
     texts = sum(len(one.error.message) + 100 * len(one.error.metadata) for one in outcome.refusals)
     return _PART_BYTES * (1 + len(outcome.parts)) + _REFUSAL_BYTES * len(outcome.refusals) + texts
 

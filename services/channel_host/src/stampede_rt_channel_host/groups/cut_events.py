@@ -181,7 +181,8 @@ class CutEvents:
         async for request in requests_of(self._context.read):
             if request.HasField("open") or request.HasField("boundary") == decides:
                 raise InvalidArgument(
-                    "after open, credit goes to the host that decides, and a boundary with each request to the others"
+                    "the request does not fit the subscription; after `open`, send credit to the host that decides, "
+                    "and one boundary in each request to the other hosts"
                 )
             if decides:
                 self._credit.grant(request.credit)

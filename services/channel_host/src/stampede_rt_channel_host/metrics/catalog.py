@@ -70,7 +70,7 @@ ARCHIVE_DAMAGED = counter(
 STORE_OBJECTS = gauge(
     "stampede_archive_store_objects", "Objects that the object store has of the channels that the host records."
 )
-STORE_BYTES = gauge("stampede_archive_store_bytes", "Bytes of these objects.")
+STORE_BYTES = gauge("stampede_archive_store_bytes", "Bytes of the channels' objects in the object store.")
 STORE_WAITING = gauge(
     "stampede_archive_store_waiting_bytes", "Bytes of closed files that have not moved to the object store."
 )

@@ -74,7 +74,8 @@ class QueueCopies:
     def room_for(self, record: RecordedQueue, core: QueueCore, shared_bytes: int) -> Charge:
         """The memory of a copy that the owner of a queue makes while it still has the queue.
 
-        `shared_bytes`: of the messages, which the copy shares with the queue. Raises Overloaded if there is no room.
+        `shared_bytes`: the bytes of the messages, which the copy shares with the queue. Raises Overloaded if there is
+        no room.
         """
         self._check_number()
         charge = self._memory.charge_for(record.created_by)

@@ -231,7 +231,7 @@ class QueueStore:
         return self._lease_held() and hosted.moving is None and self.serves(hosted)
 
     def serves(self, hosted: HostedQueue) -> bool:
-        """Whether this object still stands for its queue at this host."""
+        """Whether this object still serves its queue at this host."""
         return self._queues.get(hosted.record.queue_id) is hosted
 
     def known(self, queue_id: bytes) -> HostedQueue | None:

@@ -46,8 +46,8 @@ def _not_replicated(
 ) -> NotReplicated:
     name = display_name(hosted.record)
     return NotReplicated(
-        f"queue {name} has done this, but its replicas did not get it in time: min_replicas is "
-        f"{replication.min_replicas}; it counts once it is replicated; look at `stampede replicas --queue {name}`, or "
-        "start another host",
+        f"queue {name} has made the change, but its replicas did not get it in time: min_replicas is "
+        f"{replication.min_replicas}; the change counts once it is replicated; look at `stampede replicas --queue "
+        f"{name}`, or start another host",
         metadata={"queue": name, "copies": str(copies)} | about,
     )

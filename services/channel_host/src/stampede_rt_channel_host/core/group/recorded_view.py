@@ -122,7 +122,7 @@ class RecordedView:
         self.newest_of_all = latest(self._held.newest, span.newest)
 
     def reads(self, within: ResolvedInterval | None, *, waits: bool = False) -> Iterator[ArchivedRead]:
-        """The reads to perform. `within`: the interval if it is resolved already. `waits`: to set `released_by`."""
+        """The reads to perform. `within`: the interval if it is resolved already. `waits`: also set `released_by`."""
         yield from self._look_for_newest()
         has_dropped = self._span.has_dropped(self._moment.lost_before, self._moment.lost_from)
         items = RecordedItems(self._held, self._span, _NO_WINDOW, has_dropped=has_dropped)

@@ -28,7 +28,7 @@ class QueueChanges:
 
     `runs`: the accepted runs. `items`: the tracked messages that have changed and that the queue still holds, by seq.
     `of_items`: their changes; None for a message that is copied whole.
-    `removed`: the seqs of the messages that have left. The other lists have what the queue has noted, in order.
+    `removed`: the seqs of the messages that have left. The other lists have the queue's notes, in order.
     """
 
     __slots__ = ("acknowledged", "items", "message_ids", "of_items", "producers", "removed", "runs")

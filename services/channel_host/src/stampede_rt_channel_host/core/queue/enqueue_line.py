@@ -1,4 +1,4 @@
-"""The way of runs into a queue. Pure.
+"""Judges the runs that producers put into a queue. Pure.
 
 The queue judges a run message by message, and recognises a repeated run. While the queue has no room, the run waits.
 """

@@ -41,8 +41,8 @@ class ItemState(NamedTuple):
     `is_leaving`: it waits for its move to the dead-letter queue. `last` is its last failed delivery. `acknowledged` has
     the ids of the takers that acknowledged a copy.
 
-    `ended` is None, or else this is a change: `leases` and `acknowledged` have only what is new or has changed, and the
-    leases of the deliveries `ended` are over.
+    `ended` None: this is the whole state. Otherwise this is a change: `leases` and `acknowledged` have only the new and
+    the changed entries, and the leases of the deliveries `ended` are over.
     """
 
     seq: int
