@@ -3,7 +3,7 @@
 import signal
 import sys
 
-# until the service handles the signal itself: a signal during the imports ends the process without a traceback
+# Ctrl-C during the imports ends the process without a traceback. Later the service handles the signal itself.
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import stampede_rt.grpc_quiet  # noqa: E402, F401  # before the service imports gRPC

@@ -4,9 +4,10 @@ import gc
 import signal
 import sys
 
-# until the service handles the signal itself: a signal during the imports ends the process without a traceback
+# Ctrl-C during the imports ends the process without a traceback. Later the service handles the signal itself.
 signal.signal(signal.SIGINT, signal.SIG_DFL)
-gc.disable()  # loading the modules makes no garbage, and the search for garbage would take a tenth of the time
+# The loading of the modules makes no garbage. The search for garbage would take a tenth of the loading time.
+gc.disable()
 
 import stampede_rt.grpc_quiet  # noqa: E402, F401  # before the service imports gRPC
 from stampede_rt_frontend.app import main  # noqa: E402

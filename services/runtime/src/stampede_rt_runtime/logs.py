@@ -79,7 +79,7 @@ def set_up_logging(level: str, form: str = "text") -> None:
     handler.setFormatter(JsonFormatter() if form == "json" else LineFormatter())
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
     logging.getLogger("grpc").setLevel(logging.WARNING)  # its debug lines, one per call, would hide ours
-    logging.getLogger(_GRPC_CALLS).addFilter(_is_no_lost_caller)
+    logging.getLogger(_GRPC_CALLS).addFilter(_is_to_be_logged)
 
 
 def log_defects() -> None:
@@ -97,10 +97,10 @@ def _log_defect(kind: type[BaseException], error: BaseException | None, tracebac
         logger.error("a defect: no code handled an error", exc_info=about, extra={"event": "defect"})
 
 
-def _is_no_lost_caller(record: logging.LogRecord) -> bool:
-    """Whether the record is more than gRPC's report that it could not answer a caller that has gone.
+def _is_to_be_logged(record: logging.LogRecord) -> bool:
+    """Whether to log a record of gRPC: not if it only reports that gRPC could not answer a caller that has gone.
 
-    For each such call gRPC writes a traceback of 3 KB if it does not know of the end of the call yet. Without this
-    function callers without any credential could fill the log.
+    For each such call gRPC writes a traceback of 3 KB if it does not know of the end of the call yet. If the log had
+    these records, callers without any credential could fill it.
     """
     return record.exc_info is None or getattr(record.exc_info[0], "__name__", "") != "ExecuteBatchError"

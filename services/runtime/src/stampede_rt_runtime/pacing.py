@@ -77,8 +77,8 @@ class TurnGate:
 class SameTurnBudget:
     """Limits the time for which messages are answered in the turn of the event loop in which they come.
 
-    Beyond AT_ONCE_NANOS in one turn, messages go to their streams. The gates let a few streams run in each turn. Pauses
-    between answers count as time in which nothing was answered, so a loop with little to do needs no other turn.
+    Beyond AT_ONCE_NANOS in one turn, messages go to their streams. The gates let a few streams run in each turn. Each
+    pause between two answers reduces the used time by its length. So a loop with little to do uses up no budget.
     """
 
     def __init__(self, now: Callable[[], int] = time.monotonic_ns) -> None:

@@ -4,7 +4,7 @@ import gc
 import signal
 import sys
 
-# So a signal during the imports ends the process without a traceback. Later the service handles the signal itself.
+# Ctrl-C during the imports ends the process without a traceback. Later the service handles the signal itself.
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 # The loading of the modules makes no garbage. The search for garbage would take a tenth of the loading time.
 gc.disable()

@@ -273,7 +273,7 @@ def _end_if_refused(status: ReplicationStatus, *, keeps: bool) -> None:
     if status.has_lost_store:
         here = "another data folder" if keeps else "a data folder, and was started without --data-dir now"
         raise StampedeError(
-            f"supernode {status.self_id} was here before with {here}; that folder holds its votes and "
+            f"supernode {status.self_id} has taken part before with {here}. The former folder holds its votes and "
             f"entries: start it with --data-dir and that folder, or, if the folder is lost, {anew}"
         )
     if status.too_old:

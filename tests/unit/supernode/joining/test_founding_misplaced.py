@@ -81,7 +81,7 @@ async def test_the_error_names_a_missing_data_dir_as_soon_as_another_member_call
         await other.start()
         await status_has(founder.address, "supernode-1 is there")
         printed = ""
-        while "takes it for its member b" not in printed:
+        while "expects its member b here" not in printed:
             await status_has(founder.address, "supernode-1 is there")
             printed += capfd.readouterr().err
         assert "start it with that member's --data-dir" in printed

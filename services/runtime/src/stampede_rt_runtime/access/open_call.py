@@ -189,8 +189,8 @@ class RequestRights:
                     del self._waiting[grant]
 
     def close(self) -> None:
-        """End no requests from now on: the stream has ended. `lose` usually refers to it, and it refers to this
-        object.
+        """End no requests from now on, because the stream has ended. `lose` usually refers to the stream, and the
+        stream to this object.
         """
         self._lose = lambda *_: None
 

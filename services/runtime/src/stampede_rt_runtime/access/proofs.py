@@ -61,8 +61,8 @@ def _certified(accepted: AcceptedProofs, certificate: CallerCertificate | None) 
     if certificate is None:
         raise PermissionDenied(
             "the caller's certificate does not name exactly one role of a cluster (one URI "
-            "stampede://CLUSTER/ROLE/NAME); make one with `stampede certs issue`. A stream over a socket brings a "
-            "certificate by the ticket of its endpoint"
+            "stampede://CLUSTER/ROLE/NAME); make one with `stampede certs issue`. A stream over a socket must bring "
+            "the ticket that the host gave with the address of the socket"
         )
     if certificate.identity.cluster != accepted.cluster:
         raise PermissionDenied(

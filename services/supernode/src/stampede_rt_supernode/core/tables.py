@@ -164,7 +164,7 @@ class Tables:
             self.put_host(replace(first, lease_ended_unix_nano=None))
 
     def set_load(self, host_id: bytes, load: HostLoad) -> None:
-        """Set the load of a known host. Watchers do not hear of it, because loads change all the time."""
+        """Set the load of a known host. Watchers do not get this change, because loads change all the time."""
         self.hosts[host_id] = replace(self.hosts[host_id], load=load)
 
     def put_queue(self, queue: QueueRecord) -> None:

@@ -147,11 +147,11 @@ class Watches:
 
     def _check_open(self) -> None:
         if self._closed:
-            raise Unavailable("this supernode is about to stop; watch at another one", reason="SHUTTING_DOWN")
+            raise Unavailable("this supernode is about to stop; watch at another supernode", reason="SHUTTING_DOWN")
 
     def _check_leader(self) -> None:
         if self._log.status().leader_id is None:
-            text = "this supernode knows no leader, so it hears of no changes; watch at another one"
+            text = "this supernode knows no leader, so it gets no changes; watch at another supernode"
             raise Unavailable(text, reason="NO_QUORUM")
 
 

@@ -1,4 +1,4 @@
-"""Answers questions about rights and quotas from the directory's state. Pure."""
+"""Queries about rights and quotas, answered from the directory's state. Pure."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ the former owner becomes the owner again. If the new owner held a replica, the f
 place. The former owner holds everything, so it stays in sync. The former owner of a queue is never a fallback. It stays
 as a replica if the new owner held one.
 
-The directory does not rely on what the host says: the owner's permit must say that the host holds everything, see
+The directory does not trust the host that calls: the owner's permit must say that this host holds everything, see
 `move_permits`.
 """
 

@@ -137,7 +137,7 @@ class PeerLinks:
                 self.on_refusal_confirmed(self.refusals.why)
 
     def _count(self, refusals: Refusals, member_id: str, why: str, what_follows: str) -> bool:
-        """Note in `refusals` that a member refuses this member. Returns True if only now a refusal there is confirmed.
+        """Note in `refusals` that a member refuses this member. Returns True if this call has confirmed a refusal.
 
         `what_follows`: the beginning of a sentence for the log, such as OUTDATED_FOLLOWS.
         """

@@ -196,7 +196,7 @@ class PeerLink:
         raise LinkBroken(f"the peer ended the stream: {await call.details()}")
 
     async def _watch(self) -> None:
-        """End the stream if the peer does not answer requests. Has empty requests sent until the peer answers.
+        """End the stream if the peer does not answer requests. Until it answers, the link sends empty requests.
 
         Without this check, a network may drop all messages for many minutes unnoticed.
         """

@@ -202,7 +202,7 @@ class RaftServicer:
         own = self._settings.self_member.member_id
         if self._reports.is_due((hello.member_id, hello.cluster_id), time.monotonic()):
             logger.warning(
-                "member %s of another cluster (%s) calls this address, and takes it for its member %s; this is %s of "
+                "member %s of another cluster (%s) calls this address, and expects its member %s here. This is %s of "
                 "cluster %s: if it was meant to be that member, stop it, and start it with that member's --data-dir",
                 *(hello.member_id, hello.cluster_id, hello.peer_member_id, own, self._settings.cluster_id),
                 extra={"event": "other_cluster_member"},

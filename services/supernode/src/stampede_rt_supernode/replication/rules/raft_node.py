@@ -1,6 +1,6 @@
 """The common parts of our rules of Raft, which correct faults of PySyncObj 0.3.17 ("the library").
 
-The rules for messages are in following.py, leading.py and elections.py. They follow the Raft paper (Ongaro and
+The rules for messages are in follower_role.py, leader_role.py and elections.py. They follow the Raft paper (Ongaro and
 Ousterhout 2014, figures 2 and 13). If a rule corrects a fault of the library, its text names the fault.
 """
 

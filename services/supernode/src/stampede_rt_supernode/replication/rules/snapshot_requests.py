@@ -20,7 +20,10 @@ class SnapshotRequest(NamedTuple):
 
 
 class SnapshotRequests:
-    """Has snapshots taken until one covers the position that was applied when the request came. Tick thread only."""
+    """Requests snapshots of the node until one covers the position that was applied when the request came.
+
+    Tick thread only.
+    """
 
     def __init__(self, node: NodeState, log: RaftLog, finish: Callable[[Callable[[], None]], None]) -> None:
         self._node = node
@@ -41,7 +44,7 @@ class SnapshotRequests:
     def advance(self) -> None:
         """Answer the requests whose positions the present snapshot covers.
 
-        Have another snapshot taken for the other requests.
+        For the other requests, the node takes another snapshot.
         """
         snapshot = self._log.snapshot
         if snapshot is not None:
