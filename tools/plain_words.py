@@ -1,7 +1,8 @@
 """Prove that no docstring and no name of a test has a clause without its noun, such as "What was collected".
 
-The rule is under "Plain prose" in CONTRIBUTING. A docstring may be a question ("Who leads?"). The check also refuses
-the words of AT_ONCE there, which may mean "immediately" or "at the same time". A program cannot check the other rules.
+The explanation of an argument needs its noun, too, as in "`epoch`: the epoch of the channel". The rule is under "Plain
+prose" in CONTRIBUTING. A docstring may be a question ("Who leads?"). The check also refuses the words of AT_ONCE there,
+which may mean "immediately" or "at the same time". A program cannot check the other rules.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ FOLDERS = ("client/src", "services", "benchmarks", "demos", "deploy", "tools", "
 GENERATED = {"v1", "_sync"}  # the stubs, and the client that is derived from _async/
 
 FIRST_WORDS = re.compile(r"(What|Whatever|Who|Whoever|Whose|Those|Of|Earlier(?=,))\b(?![^.:]*\?)")
-PHRASES = re.compile(r"\b([Ww]hoever|by the book)\b")
+PHRASES = re.compile(r"\b([Ww]hoever|by the book)\b|(`: of)\b")
 AT_ONCE = re.compile(r"\b[Aa]t once\b|^test_(?:\w*_)?at_once(?:_|$)")
 TEST_NAMES = re.compile(
     r"test_(what|whatever|who|whose|why|that|those_who|there|(?:one|all|nothing)_(?:that|who|of|else|but))_"

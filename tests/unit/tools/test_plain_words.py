@@ -15,6 +15,7 @@ from tools.plain_words import complaints
         "Of two items the later one.",
         "Tell whoever asks.",
         "Earlier, it waited.",
+        "List the segments. `epoch`: of the channel.",
     ],
 )
 def test_a_docstring_without_its_noun_is_found(text: str) -> None:

@@ -112,7 +112,10 @@ def may_heal(error: StampedeError) -> bool:
 
 
 def loss_after(channel: str, next_seq: int) -> IncarnationLost:
-    """Return the error for the loss of the incarnation that a subscription reads. `next_seq`: of its next item."""
+    """Return the error for the loss of the incarnation that a subscription reads.
+
+    `next_seq`: the seq of the next item of the subscription.
+    """
     lost = IncarnationLost(
         f"channel {channel!r} has begun anew: its host was lost with its items; items after seq {next_seq - 1} may be "
         "missing; subscribe again to read the new incarnation"

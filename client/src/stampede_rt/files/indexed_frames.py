@@ -36,7 +36,10 @@ def indexed_frames(records: RecordFile, ends: Mapping[int, int]) -> Iterator[Rec
 
 
 def _end_of_damage(frame: RecordFrame, start: int, end: int) -> int | None:
-    """Return where a damaged record ends; None if it is whole. `start`, `end`: of the next chunk of the index."""
+    """Return where a damaged record ends; None if it is whole.
+
+    `start`, `end`: the bounds of the next chunk of the index.
+    """
     if frame.offset == start:
         whole = frame.opcode == Opcode.CHUNK and frame.end == end
         return None if whole else max(end, start + 1)

@@ -49,7 +49,7 @@ class CreditWindow:
         self._last_bytes = 1  # the size of the last item that the reader took
         self._taken_s: float | None = None  # when the reader took it; None when `ask` has used this time
         self.is_for_one = False
-        """Whether the last grant was for one response. The host drops what the response leaves of it."""
+        """Whether the last grant was for one response. The host drops the credit that this response leaves."""
         self._is_quick = True  # whether the reader worked shortly on its last batch
 
     def begin(self) -> None:

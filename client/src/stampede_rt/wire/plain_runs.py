@@ -28,7 +28,7 @@ _LAYOUTS = (
 
 
 class PlainRun(NamedTuple):
-    """The columns of a plain run. `time` or `duration` None: the run lacks the column. `length`: of the payload."""
+    """The columns of a plain run. `time` or `duration` None: the run lacks the column. `length`: the payload's."""
 
     time: int | None
     duration: int | None

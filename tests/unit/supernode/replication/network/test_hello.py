@@ -40,7 +40,7 @@ def test_a_member_whose_release_knows_the_clusters_level_is_accepted() -> None:
 
 
 class Links3(PeerLinks):
-    """The links of s2, one of three members. `done`: what the links told `on_refusal_confirmed` and `deliver`."""
+    """The links of s2, one of three members. `done`: the arguments of `on_refusal_confirmed` and `deliver`."""
 
     def __init__(self, leader_id: str | None = None) -> None:
         settings = ReplicationSettings(self_member=OTHER, initial_members=[SELF, OTHER])

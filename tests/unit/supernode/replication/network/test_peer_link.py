@@ -93,7 +93,7 @@ async def opened_stream(channel: grpc.aio.Channel) -> Any:
 async def test_a_members_stream_ends_when_a_newer_one_replaces_it() -> None:
     inbox = Inbox()
     stores = await asyncio.to_thread(KnownStores.open, None, had_store=False)
-    servicer = RaftServicer(settings_of(SELF), inbox, stores)  # type: ignore[arg-type]  # what it asks of a replica
+    servicer = RaftServicer(settings_of(SELF), inbox, stores)  # type: ignore[arg-type]  # has the needed methods
     server, address = await served(servicer.add_to_server)
     async with grpc.aio.insecure_channel(address) as channel, asyncio.timeout(45):
         old = await opened_stream(channel)
@@ -123,7 +123,7 @@ async def test_a_refused_copy_of_a_connected_member_is_logged_once_and_does_not_
 ) -> None:
     inbox = Inbox()
     stores = await asyncio.to_thread(KnownStores.open, None, had_store=False)
-    servicer = RaftServicer(settings_of(SELF), inbox, stores)  # type: ignore[arg-type]  # what it asks of a replica
+    servicer = RaftServicer(settings_of(SELF), inbox, stores)  # type: ignore[arg-type]  # has the needed methods
     server, address = await served(servicer.add_to_server)
     async with grpc.aio.insecure_channel(address) as channel, asyncio.timeout(45):
         call = await opened_stream(channel)
