@@ -160,8 +160,8 @@ class Session:
     ) -> ChannelInfo:
         """Get a channel by name, or create it if `create` is True. Returns its description.
 
-        `beside` is the name of another channel, at whose host a new channel should be. If the lease of the channel's
-        owner has ended, the directory gives the channel another owner.
+        `beside` is the name of another channel: a new channel should be at the host of that channel. If the lease of
+        the channel's owner has ended, the directory gives the channel another owner.
         """
         request = directory_service_pb2.OpenChannelRequest(
             request_id=request_id(),

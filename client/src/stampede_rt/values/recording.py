@@ -150,7 +150,7 @@ class ReplaySummary:
 
     - `items` counts the accepted items by channel, `refused` the items that the hosts have refused; `first_refusal` is
       the error text of the first one.
-    - `gaps` has the first 1000 gaps of the played part of the file, at whose places the next item got the attribute
+    - `gaps` has the first 1000 gaps of the played part of the file. The first item after each gap got the attribute
       `stampede.gap`. `damaged` says which items the file may lack besides these gaps (see `RecordingSummary`).
     - `advances` counts the advances, and `rounds` how many times the file was played to its end.
     - `collected` counts by channel the items that the limits of the channel have collected since the beginning of an

@@ -23,8 +23,8 @@ SENT_BYTES_MAX = 2**20  # the kernel's queue
 class MulticastGroup:
     """The group, and the counts of its datagrams. Order of use, on one event loop: make it, `send`, `close`.
 
-    `address`: "GROUP:PORT". `interface`: the address of this machine at whose interface the datagrams leave; empty: the
-    system chooses. Raises OSError if the machine has no such interface.
+    `address`: "GROUP:PORT". `interface`: the address of the interface of this machine that sends the datagrams; empty:
+    the system chooses. Raises OSError if the machine has no such interface.
     """
 
     def __init__(self, address: str, interface: str, bytes_per_second: int) -> None:

@@ -305,7 +305,7 @@ class Holdings(HeldItems):
             if freed >= entries_max and (backlog_bytes_max is None or self.backlog_bytes <= backlog_bytes_max):
                 return self.has_backlog
             if not self._free_entry(floor := floor or self._free_floor):
-                # In a steady flow the next call frees the whole entry, and a copy of its rest would be in vain.
+                # In a steady flow the next call frees the whole entry, so a copy of its rest would be of no use.
                 self._owes_trim = (freed > 0 or not trims) and self._may_trim(floor)
                 if not self._owes_trim:
                     self._trim(floor)
