@@ -13,6 +13,7 @@ from stampede_rt.errors import InvalidArgument, Overloaded, StaleBinding, Stampe
 from stampede_rt.status import from_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.batching import NumberedRun, RunBuilder
+from stampede_rt_channel_host.channels import in_process_puts
 from stampede_rt_channel_host.channels.in_process_puts import STEP_BYTES_MAX, InProcessPutStream
 from stampede_rt_channel_host.core.channel import ReferencedBody
 
@@ -92,7 +93,10 @@ def runs_of(*payloads: list[bytes], time: int | None = None) -> list[NumberedRun
     return runs
 
 
-async def test_runs_are_put_in_their_order_and_a_lone_payload_stays_the_same_object() -> None:
+async def test_runs_are_put_in_their_order_and_a_lone_payload_stays_the_same_object(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(in_process_puts, "STEP_SECONDS_MAX", 60)  # one step, also on a busy machine
     stream, payload = Stream(), b"p" * 1000
     stream.puts.send(runs_of([payload], [b"a", b"b"], [payload], time=7))
     await stream.steps()
