@@ -44,49 +44,49 @@ def plan_moves(
         for host, channels in rates.items()
         for name, rate in channels.items()
     }
-    bunches = [
+    sets = [
         _ChannelSet(names, host, sum(shares[name] for name in names))
         for host, channels in rates.items()
-        for names in _together(channels, groups)
+        for names in _connected_sets(channels, groups)
         if not any(name in staying for name in names)
     ]
-    return _even_out({host: float(permille) for host, permille in busy.items()}, bunches, shares)
+    return _even_out({host: float(permille) for host, permille in busy.items()}, sets, shares)
 
 
-def _even_out(load: dict[str, float], bunches: list[_ChannelSet], shares: Mapping[str, float]) -> list[PlannedMove]:
+def _even_out(load: dict[str, float], sets: list[_ChannelSet], shares: Mapping[str, float]) -> list[PlannedMove]:
     planned: list[PlannedMove] = []
     while len(planned) < MOVES_MAX and len(load) > 1:
         most, least = max(load, key=load.__getitem__), min(load, key=load.__getitem__)
-        best = _best(bunches, most, load[most] - load[least])
+        best = _best(sets, most, load[most] - load[least])
         if best is None:
             break
         load[most] -= best.busy
         load[least] += best.busy
-        bunches.remove(best)  # a channel moves once at most
+        sets.remove(best)  # a channel moves once at most
         planned += [
             PlannedMove(channel=name, source=most, host=least, busy_permille=round(shares[name])) for name in best.names
         ]
     return planned
 
 
-def _best(bunches: Iterable[_ChannelSet], host: str, gap: float) -> _ChannelSet | None:
+def _best(sets: Iterable[_ChannelSet], host: str, gap: float) -> _ChannelSet | None:
     """The set of the host's channels that comes nearest to half of the gap between two loads; None: no set makes the
     gap smaller.
     """
     if gap < DIFFERENCE_PERMILLE_MIN:
         return None
-    fitting = (one for one in bunches if one.host == host and 0 < one.busy < gap)
+    fitting = (one for one in sets if one.host == host and 0 < one.busy < gap)
     return min(fitting, key=lambda one: abs(gap / 2 - one.busy), default=None)
 
 
-def _together(names: Collection[str], groups: Iterable[Collection[str]]) -> list[list[str]]:
+def _connected_sets(names: Collection[str], groups: Iterable[Collection[str]]) -> list[list[str]]:
     """The names in sets. Members of one group are in the same set."""
-    bunch_of = {name: [name] for name in names}
+    set_of = {name: [name] for name in names}
     for members in groups:
-        present = [name for name in members if name in bunch_of]
+        present = [name for name in members if name in set_of]
         for name in present[1:]:
-            first, other = bunch_of[present[0]], bunch_of[name]
+            first, other = set_of[present[0]], set_of[name]
             if other is not first:
                 first += other
-                bunch_of.update(dict.fromkeys(other, first))
-    return [*{id(bunch): bunch for bunch in bunch_of.values()}.values()]
+                set_of.update(dict.fromkeys(other, first))
+    return [*{id(one): one for one in set_of.values()}.values()]
