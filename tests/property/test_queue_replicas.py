@@ -80,9 +80,7 @@ class OwnersQueue(ReplicatedQueue):
     """The queue at its owner, for one put."""
 
     def __init__(self, pair: ReplicatedPair) -> None:
-        replication: Any = SimpleNamespace(
-            journal=pair.journal, send_ahead=pair.send_ahead, take_back=lambda: pair.ahead.clear()
-        )
+        replication: Any = SimpleNamespace(journal=pair.journal, send_ahead=pair.send_ahead)
         self.queue, self.replication, self._now = pair.core, replication, lambda: pair.clock
 
     def follow_up(self) -> None:

@@ -70,7 +70,10 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         self.news.set()
 
     def changed(self, now: int) -> None:
-        """Make a step of the changes of the queue, if there are any, and send it to the replicas."""
+        """Make a step of the changes of the queue, if there are any, and send it to the replicas.
+
+        If the step is not the put that was sent ahead, because of a defect, the replicas with that put begin anew.
+        """
         if self.journal.note(now):
             if self._ahead is not None and not self.journal.has_made(self._ahead):
                 self.take_back()
@@ -85,11 +88,6 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         self._ahead = put
         for feed in self._feeds.values():
             feed.send_ahead(put)
-
-    def take_back(self) -> None:
-        """See `OwnedReplicas`."""
-        self._ahead = None
-        super().take_back()
 
     def once_replicated(self, about: object, action: Action) -> None:
         """Perform `action` as soon as the present state of the queue is replicated. `forget` drops it."""

@@ -61,8 +61,8 @@ class ReplicatedQueue(ABC):
         """Let the queue judge and store a run. Sends a run of one message to the replicas as soon as the queue has
         accepted it, if the run has a producer and changes nothing else.
 
-        After the judgement only a defect can keep the queue from storing the message. Then the feeds end, and the
-        replicas begin anew. Raises the errors of `QueueCore.enqueue`.
+        After the judgement only a defect can keep the queue from storing the message. The next `follow_up` notices this
+        (see `QueueReplication.changed`). Raises the errors of `QueueCore.enqueue`.
         """
         replication = self.replication
         if replication is None or len(run.lengths) > 1 or not run.producer_id or run.message_id:
@@ -71,9 +71,6 @@ class ReplicatedQueue(ABC):
         seal, run.seal = run.seal, partial(self._seal_ahead, run, run.seal, replication)
         try:
             self.queue.enqueue(run, self._now())
-        except BaseException:
-            replication.take_back()
-            raise
         finally:
             run.seal = seal
 
