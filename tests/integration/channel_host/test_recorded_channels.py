@@ -173,7 +173,9 @@ def test_a_recording_of_the_past_names_a_crash_of_the_host(
     wait_until_collected(channel, 8)
     cluster.hosts[0].kill()
     cluster.hosts[0].restart()
-    fill(rt.channel("rig/crashed"), time.time_ns(), first=20, count=5)
+    crashed = rt.channel("rig/crashed")
+    restarted = max(time.time_ns(), crashed.get(began, st.NOW).reason.before)
+    fill(crashed, restarted, first=20, count=5)
     paths = [tmp_path / name for name in ("since.mcap", "whole.mcap")]
     with rt.record(["rig/crashed"], paths[0], since="1h", for_="0s") as since:
         summaries = [since.wait()]
@@ -184,8 +186,13 @@ def test_a_recording_of_the_past_names_a_crash_of_the_host(
         assert counts.recorded >= 20
         assert [one.reason for one in counts.gaps] == ["LOST"]
         assert "the channel's host was lost with the items before" in counts.gaps[0].detail
-    part = cut(paths[1], tmp_path / "part.mcap", start=began, end=began + 5 * MS)
-    assert [one.gap_count for one in part.channels] == [1]
+        assert began + 19 * MS < counts.gaps[0].end < restarted
+    parts = [
+        cut(paths[1], tmp_path / f"{number}.mcap", start=start, end=end)
+        for number, (start, end) in enumerate([(began, began + 5 * MS), (restarted, restarted + 1000 * MS)])
+    ]
+    # a get of one item does not tell of earlier losses, so the gap begins with the recording
+    assert [(one.recorded, one.gap_count) for part in parts for one in part.channels] == [(5, 1), (5, 0)]
 
 
 def test_a_recording_has_all_items_although_its_host_has_restarted_with_few_of_them_in_memory(

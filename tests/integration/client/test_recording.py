@@ -14,7 +14,7 @@ import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt._sync import channel_recording
 from stampede_rt.files import writing
-from stampede_rt.files.editing import verify
+from stampede_rt.files.editing import cut, verify
 from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.files.reading import CLOCKS_NAME, FileReader
 from stampede_rt_local.cluster import LocalCluster
@@ -258,6 +258,12 @@ def test_the_recording_of_a_lost_channel_has_a_gap_and_continues_with_its_next_i
     assert lost.incarnation != anew.incarnation
     assert [item.payload for item in items_of(path, "cam/lost")] == [b"before", b"after 1", b"after 2"]
     assert not verify(path).summary.complete
+    [gap] = lost.gaps
+    assert gap.end is not None
+    assert lost.end is not None
+    assert lost.end < gap.end < st.now() + 10**10
+    assert cut(path, tmp_path / "later.mcap", start=gap.end + 1, end=gap.end + 2).complete
+    assert not cut(path, tmp_path / "early.mcap", start=gap.end, end=gap.end + 1).complete
 
 
 def test_the_offsets_of_the_clocks_of_named_peers_are_in_the_file(cluster: LocalCluster, tmp_path: Path) -> None:

@@ -21,6 +21,8 @@ from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.seq_starts import given_between
 from stampede_rt.values.timeline import NOW, OLDEST, Bound, format_instant
 
+LOOKS_MAX = 16  # the most gets that look for the end of the losses of a channel
+
 
 class ChannelRecording:
     """Records one channel, in the background, from the making of this object until `finish`.
@@ -140,7 +142,7 @@ class ChannelRecording:
         self._first = found[0] if found else None
         begins = self._begins = found.interval.start
         if found.reason == "LOST":
-            return Bound(None, begins), [self._lost_gap(found)]
+            return Bound(None, begins), [await self._lost_gap(found)]
         if not found.truncated:
             return Bound(None, begins), []
         ends = found[0].time if found else None
@@ -155,17 +157,33 @@ class ChannelRecording:
     async def _look_at_oldest(self) -> list[RecordingGap]:
         """Return a gap if a former host of the channel was lost with items. Only an archive shows this here."""
         found = await self._found_from(OLDEST)
-        return [self._lost_gap(found)] if found.reason == "LOST" else []
+        return [await self._lost_gap(found)] if found.reason == "LOST" else []
 
     async def _found_from(self, start: Bound, *, newest_first: bool = False) -> Items:
         return await self._channel.get(
             start, NOW, match="start", limit=1, newest_first=newest_first, payloads=False, timeout=0
         )
 
-    def _lost_gap(self, found: Items) -> RecordingGap:
-        detail, within = found.reason.detail if found.reason else "", found.interval
-        bounds = {} if within is None else {"start": within.start, "end": within.end}  # the detail has the instant
-        return RecordingGap(channel=self.name, incarnation=found.incarnation, reason="LOST", detail=detail, **bounds)
+    async def _lost_gap(self, found: Items) -> RecordingGap:
+        """Return the gap for all losses in the interval of an answer with the reason LOST.
+
+        The gap ends at the latest loss. It begins with the interval: such an answer does not speak of earlier losses.
+        """
+        within, incarnation, details = found.interval, found.incarnation, []
+        bounds = {} if within is None else {"start": within.start, "end": within.end}
+        for _ in range(LOOKS_MAX):
+            if within is None or found.reason is None:
+                break
+            details.append(found.reason.detail)
+            before = found.reason.before
+            if before is None or before > within.end:
+                break
+            found = await self._found_from(Bound(None, before))
+            if found.reason != "LOST" and not found.truncated:
+                bounds["end"] = before - 1
+                break
+        detail = "; ".join(dict.fromkeys(details))
+        return RecordingGap(channel=self.name, incarnation=incarnation, reason="LOST", detail=detail, **bounds)
 
     async def _write(self, tally: ChannelTally, batch: RecordedBatch, read_to: int) -> None:
         again, again_to = self._repeated
@@ -196,9 +214,11 @@ class ChannelRecording:
             return
         tally = self.tallies[-1]
         read_to = self._stream.read_to
+        end = None if reason == "UNAVAILABLE" else self._stream.latest_time()
         gap = RecordingGap(
-            channel=self.name, incarnation=tally.incarnation, reason=reason, detail=detail, first_seq=read_to + 1
-        )
+            channel=self.name, incarnation=tally.incarnation, reason=reason, detail=detail, first_seq=read_to + 1,
+            end=end,
+        )  # fmt: skip
         await self._sink.write(tally, RecordedBatch(gaps=[gap]), self._metadata)
         await self._sink.seal(tally, read_to, None)
         self._stream = None

@@ -12,13 +12,12 @@ from stampede_rt.errors import ChannelNotFound, InvalidArgument, StampedeError
 from stampede_rt.files.entries import FileEntry
 from stampede_rt.files.schedule import Schedule
 from stampede_rt.values.model import Policy
-from stampede_rt.values.policy import parse_name, parse_policy
+from stampede_rt.values.policy import MAX_FUTURE_DEFAULT_NANOS, parse_name, parse_policy
 from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.statistics import ChannelStats
 from stampede_rt.values.timeline import format_duration, format_instant
 
 GAP_ATTRIBUTE = "stampede.gap"
-MAX_FUTURE_DEFAULT_NANOS = 1_000_000_000
 PUT_TIMEOUT_S = 60.0
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -15,8 +16,9 @@ from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import error_pb2
 from stampede_rt.values.model import Item
+from stampede_rt.values.policy import MAX_FUTURE_DEFAULT_NANOS
 from stampede_rt.values.recording import RecordingGap
-from stampede_rt.values.timeline import Bound
+from stampede_rt.values.timeline import MAX_INSTANT, Bound
 from stampede_rt.wire.long_answers import LongRun
 from stampede_rt.wire.reads import bound_to_message
 
@@ -142,5 +144,13 @@ class RecordingStream(Subscription):
         self._batch.next_live_seq = gap.first_seq
         return RecordingGap(
             channel=self._state.info.name, incarnation=former, reason="LOST", detail=gap.detail,
-            first_seq=max(gap.first_seq, self.read_to + 1),
+            first_seq=max(gap.first_seq, self.read_to + 1), end=self.latest_time(),
         )  # fmt: skip
+
+    def latest_time(self) -> int | None:
+        """The greatest time of an item that the host can have accepted until now; None: not known."""
+        clock, future = self._session.supernodes.clock, self._state.info.policy.max_future_nanos
+        if clock is None:
+            return None
+        future = MAX_FUTURE_DEFAULT_NANOS if future is None else future
+        return min(time.time_ns() + clock.apart_nanos + future, MAX_INSTANT)

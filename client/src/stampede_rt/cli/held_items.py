@@ -23,8 +23,6 @@ from stampede_rt.values.peering import ClockOffset
 from stampede_rt.values.recording import RecordingSummary
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
-CLOCKS_APART_NANOS = 5 * 10**9  # the clocks of the hosts and of the supernodes are at most this far apart
-
 
 @contextmanager
 def file_of(
@@ -61,8 +59,7 @@ def since_of(start: int | None, now: int, clock: ClockOffset | None) -> str:
     """
     if start is None or clock is None:
         return "oldest"
-    apart = CLOCKS_APART_NANOS + abs(clock.offset_nanos) + clock.uncertainty_nanos
-    return f"{max(0, now - start) + apart} ns"
+    return f"{max(0, now - start) + clock.apart_nanos} ns"
 
 
 def _record(arguments: argparse.Namespace, sources: Sequence[str], path: Path, start: int | None) -> RecordingSummary:

@@ -161,7 +161,7 @@ class GetResponse(_message.Message):
     def __init__(self, call_id: _Optional[int] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., summary: _Optional[_Union[GetSummary, _Mapping]] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ...) -> None: ...
 
 class GetSummary(_message.Message):
-    __slots__ = ("interval", "complete", "truncated", "more", "reason", "detail", "incarnation", "cut_unix_nano", "host_time_unix_nano", "staleness_nanos", "continues", "past")
+    __slots__ = ("interval", "complete", "truncated", "more", "reason", "detail", "incarnation", "cut_unix_nano", "host_time_unix_nano", "staleness_nanos", "continues", "past", "lost_before_unix_nano")
     INTERVAL_FIELD_NUMBER: _ClassVar[int]
     COMPLETE_FIELD_NUMBER: _ClassVar[int]
     TRUNCATED_FIELD_NUMBER: _ClassVar[int]
@@ -174,6 +174,7 @@ class GetSummary(_message.Message):
     STALENESS_NANOS_FIELD_NUMBER: _ClassVar[int]
     CONTINUES_FIELD_NUMBER: _ClassVar[int]
     PAST_FIELD_NUMBER: _ClassVar[int]
+    LOST_BEFORE_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     interval: _time_pb2.ResolvedInterval
     complete: bool
     truncated: bool
@@ -186,7 +187,8 @@ class GetSummary(_message.Message):
     staleness_nanos: int
     continues: bool
     past: PastSummary
-    def __init__(self, interval: _Optional[_Union[_time_pb2.ResolvedInterval, _Mapping]] = ..., complete: bool = ..., truncated: bool = ..., more: bool = ..., reason: _Optional[_Union[_error_pb2.AbsenceReason, str]] = ..., detail: _Optional[str] = ..., incarnation: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., continues: bool = ..., past: _Optional[_Union[PastSummary, _Mapping]] = ...) -> None: ...
+    lost_before_unix_nano: int
+    def __init__(self, interval: _Optional[_Union[_time_pb2.ResolvedInterval, _Mapping]] = ..., complete: bool = ..., truncated: bool = ..., more: bool = ..., reason: _Optional[_Union[_error_pb2.AbsenceReason, str]] = ..., detail: _Optional[str] = ..., incarnation: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., continues: bool = ..., past: _Optional[_Union[PastSummary, _Mapping]] = ..., lost_before_unix_nano: _Optional[int] = ...) -> None: ...
 
 class PastSummary(_message.Message):
     __slots__ = ("advance_unix_nano", "next_change_unix_nano", "next_seq", "next_start_unix_nano", "next_end_unix_nano")

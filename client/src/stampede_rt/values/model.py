@@ -81,7 +81,10 @@ class PutItem(Item):
 
 
 class Reason(str):
-    """The reason why an answer is empty or partial. It compares as a string; `detail` explains it in a sentence."""
+    """The reason why an answer is empty or partial. It compares as a string; `detail` explains it in a sentence.
+
+    `before`: with LOST, the items that `detail` speaks of have times before this instant; None: not known.
+    """
 
     COLLECTED: Reason  # retention has collected the items
     NEVER: Reason  # no item was put there, and none can come
@@ -89,11 +92,13 @@ class Reason(str):
     HIDDEN: Reason  # there are items, but they are not before the cut of the group
     LOST: Reason  # the items were lost with their host
     detail: str
+    before: int | None
 
-    def __new__(cls, value: str, detail: str = "") -> Reason:
+    def __new__(cls, value: str, detail: str = "", before: int | None = None) -> Reason:
         """A reason with its explanation."""
         self = super().__new__(cls, value)
         self.detail = detail
+        self.before = before
         return self
 
     @property

@@ -10,6 +10,8 @@ from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import ChangeKind
 
 PROOF_CHARACTERS_MIN = 16
+CLOCKS_APART_NANOS = 5 * 10**9
+"""The clocks of the hosts and of the supernodes are at most this far apart."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,6 +42,11 @@ class ClockOffset:
             uncertainty_nanos=uncertainty,
             supernode=supernode,
         )
+
+    @property
+    def apart_nanos(self) -> int:
+        """How far this peer's clock and the clock of a host are apart, at most."""
+        return CLOCKS_APART_NANOS + abs(self.offset_nanos) + self.uncertainty_nanos
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

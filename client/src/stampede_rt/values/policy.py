@@ -18,6 +18,7 @@ MAX_BYTES_MIN = 64
 FOREVER_NANOS = 2**63 - 1
 """The value of `Policy.archive_nanos` for an archive that keeps its items for ever."""
 ARCHIVE_BYTES_MIN = 2**20
+MAX_FUTURE_DEFAULT_NANOS = 10**9
 HOST_MEMORY_BYTES_MIN = 2**20
 _SIZE_UNITS = {
     "": 1,

@@ -140,4 +140,7 @@ def reason_from_message(reason: int, detail: str) -> Reason | None:
 
 def summary_reason(summary: channel_service_pb2.GetSummary) -> Reason | None:
     """Return the reason why the answer of a get is empty or partial; None if nothing is missing."""
-    return reason_from_message(summary.reason, summary.detail)
+    reason = reason_from_message(summary.reason, summary.detail)
+    if reason is not None and summary.HasField("lost_before_unix_nano"):
+        reason.before = summary.lost_before_unix_nano
+    return reason

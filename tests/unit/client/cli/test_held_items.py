@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from stampede_rt.cli.held_items import CLOCKS_APART_NANOS, since_of
-from stampede_rt.values.peering import ClockOffset
+from stampede_rt.cli.held_items import since_of
+from stampede_rt.values.peering import CLOCKS_APART_NANOS, ClockOffset
 
 SECOND = 10**9
 

@@ -27,6 +27,7 @@ def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
         incarnation=answer.incarnation,
         cut_unix_nano=cut,
         host_time_unix_nano=now,
+        lost_before_unix_nano=answer.reason.before if answer.reason else None,
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from stampede_rt.values.model import Reason
-from stampede_rt.values.timeline import Match, ResolvedInterval, format_instant
+from stampede_rt.values.timeline import MAX_INSTANT, Match, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.archive.doubts import Doubt
 from stampede_rt_channel_host.core.archive.holes import Hole, WindowReach
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan, RecordedItems, earliest, latest
@@ -249,11 +249,13 @@ class ArchivedRead:
                 "LOST",
                 f"the archive may lack items between {format_instant(start)} and {format_instant(end)}: the channel's "
                 "host was lost before it had archived them",
+                _after(end),
             )
         return Reason(
             "LOST",
             f"the archive lacks {count} items between {format_instant(start)} and {format_instant(end)}: max_bytes "
             "collected them before they were archived, or their block or file is damaged or removed",
+            _after(end),
         )
 
 
@@ -266,4 +268,10 @@ def _doubted(doubts: set[Doubt]) -> Reason | None:
         "LOST",
         f"the archive lacks {sum(one.items for one in doubts)} items whose times are not known. They were between "
         f"{format_instant(start)} and {format_instant(end)} if they came as late, or as early, as the limits allow",
+        _after(end),
     )
+
+
+def _after(last: int) -> int | None:
+    """The instant after `last`; None after the last one of all."""
+    return last + 1 if last < MAX_INSTANT else None

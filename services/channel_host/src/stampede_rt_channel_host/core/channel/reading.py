@@ -195,7 +195,7 @@ class QueryReader:
         """The reason why a meta-time cannot be resolved."""
         nothing = "the channel holds no items, so NEWEST and OLDEST have no time yet"
         if self._lost_before is not None:
-            return Reason("LOST", f"{nothing}: {self._loss}")
+            return Reason("LOST", f"{nothing}: {self._loss}", self._lost_before)
         return Reason("NOT_YET", nothing)
 
     def _is_over(self, region: ResolvedInterval) -> bool:
@@ -267,7 +267,7 @@ class QueryReader:
         return self._collected() if gone_before is not None and region.start < gone_before else self._lost()
 
     def _lost(self) -> Reason:
-        return Reason("LOST", f"{self._loss}; incarnation {self._incarnation:x} began then")
+        return Reason("LOST", f"{self._loss}; incarnation {self._incarnation:x} began then", self._lost_before)
 
     @property
     def _loss(self) -> str:
