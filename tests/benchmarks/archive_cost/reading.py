@@ -40,6 +40,7 @@ def reading(rt: st.Connection, largest: int) -> None:
     row(f"{INTERVAL_ITEMS:,} in memory", *read_figures(channel, began, least))
     channel, began = filled(rt, "cost/at/single", least, one_by_one=True, max_items=10**6, max_bytes=2**30)
     row(f"{INTERVAL_ITEMS:,} in memory, put one by one", *read_figures(channel, began, least))
+    row("the same, by a subscription", "", "", spread(subscribed_rates(channel, began), ".0f"))
     channel, began = filled(rt, "cost/at/archived", least, one_by_one=True, archive="forever", max_items=1000)
     row(f"{INTERVAL_ITEMS:,} in the archive, put one by one", *read_figures(channel, began, least))
     size = 10**5
@@ -48,6 +49,20 @@ def reading(rt: st.Connection, largest: int) -> None:
         channel, began = filled(rt, f"cost/at/{size}", items, archive="forever", max_items=1000)
         row(f"{size:,} in the archive", *read_figures(channel, began, items))
         size *= 10
+
+
+def subscribed_rates(channel: st.Channel, began: int) -> list[float]:
+    """The speeds of subscriptions that begin in the past, in thousand items a second."""
+
+    def read() -> None:
+        left = INTERVAL_ITEMS
+        with channel.subscribe(start=began) as items:
+            for batch in items.batches():
+                left -= len(batch)
+                if left <= 0:
+                    return
+
+    return [INTERVAL_ITEMS / seconds_of(read) / 1e3 for _ in range(INTERVALS)]
 
 
 def read_figures(channel: st.Channel, began: int, size: int) -> tuple[str, str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -17,9 +18,14 @@ from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 from stampede_rt.wire.plain_runs import plain_run_parts
 from stampede_rt.wire.runs import RUN_BYTES_MAX, encode_run, seal_run
 from stampede_rt_channel_host.channels.frames import get_responses
-from stampede_rt_channel_host.channels.joined_runs import ITEM_BYTES_MAX, joined_runs, joined_slices
+from stampede_rt_channel_host.channels.joined_runs import (
+    ITEM_BYTES_MAX,
+    joined_deliveries,
+    joined_runs,
+    joined_slices,
+)
 from stampede_rt_channel_host.copies.messages import run_of
-from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Query, ReferencedBody, Run, Slice
+from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Offer, Query, ReferencedBody, Run, Slice
 from stampede_rt_channel_host.core.channel.run import OneRun
 
 
@@ -115,6 +121,44 @@ def test_slices_end_where_the_caller_says_and_count_the_stored_runs() -> None:
     slices = [Slice(run, 0, len(run)) for run in runs]
     found = [(part.items, count) for part, count in joined_slices(slices, ends={(102, 3)})]
     assert found == [(2, 2), (1, 1), (2, 1), (1, 1)]
+
+
+def subscribed(given_puts: list[Put], overlap: int | None) -> list[DeliveredSlice]:
+    """The slices that a subscription from the beginning gets at the end of all puts."""
+    channel, time = ChannelCore(Policy(max_items=1000, overlap_nanos=overlap), incarnation=9), 100
+    cursor = channel.subscribe_all(1000, start=parse_interval(0, 0).start)
+    for put in given_puts:
+        time += put.step
+        durations = None if put.duration is None else [put.duration] * put.items
+        offer = Offer(times=[time] * put.items, durations=durations, lengths=[put.length] * put.items)
+        channel.put(offer, 1000, lambda seq, *_, put=put, time=time: bytes(stored(put, seq, time).body))
+    return [*channel.since(cursor, 1000, 10**9).slices]
+
+
+def received(slices: Iterable[DeliveredSlice]) -> list[object]:
+    """The items of a subscription's messages, with the ends of their spans."""
+    decoder = ItemDecoder(incarnation=9, content_type="", payloads=True)
+    runs = [
+        item_pb2.DeliveredRun(run=item_pb2.ItemRun.FromString(bytes(part.run.body)), next_time_unix_nano=next_time)
+        for part, next_time in slices
+    ]
+    return [one for each in decoder.decode_each(runs) for one in each]
+
+
+@given(some.lists(puts, max_size=12), some.sampled_from([None, 3]))
+def test_a_subscription_has_the_same_items_and_spans_with_joined_runs(
+    given_puts: list[Put], overlap: int | None
+) -> None:
+    slices = subscribed(given_puts, overlap)
+    assert received(joined_deliveries(slices)) == received(slices)
+
+
+def test_a_batch_of_single_puts_becomes_one_run() -> None:
+    slices = subscribed([Put()] * 600, None)
+    assert len(slices) == 256
+    assert [(part.items, next_time) for part, next_time in joined_deliveries(slices)] == [(256, 357)]
+    late = subscribed([Put(step=10), Put(step=10), Put(step=-5), Put(step=20)], None)  # at 110, 120, 115, 135
+    assert [next_time for _, next_time in joined_deliveries(late)] == [115, 135, 120, None]
 
 
 def test_a_get_of_single_puts_has_few_runs_with_and_without_payloads() -> None:

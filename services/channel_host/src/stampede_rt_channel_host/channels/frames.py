@@ -15,7 +15,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import error_pb2
 from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt.wire.varints import encode_varint
-from stampede_rt_channel_host.channels.joined_runs import joined_slices
+from stampede_rt_channel_host.channels.joined_runs import joined_deliveries, joined_slices
 from stampede_rt_channel_host.core.channel import ColumnRun, DeliveredSlice, ReadAnswer, Slice, Slicer, drained
 
 MESSAGE_BYTES_MAX = 2**20  # the most bytes of runs in one message; a message with a single run may have more
@@ -198,7 +198,7 @@ class SharedDeliveries:
 def _subscribe_parts(slices: Sequence[DeliveredSlice], about: bytes, without_payloads: bool) -> list[bytes]:
     """The encoded response in parts. Its fields need no order, because protobuf accepts any order on the wire."""
     parts = [about]
-    for part, next_time in slices:
+    for part, next_time in slices if len(slices) < 2 else joined_deliveries(slices):
         _add_run(parts, _SUBSCRIBE_RUNS, run_bytes(part, without_payloads=without_payloads), next_time)
     return parts
 

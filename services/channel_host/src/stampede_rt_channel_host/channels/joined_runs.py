@@ -7,11 +7,12 @@ time of an answer of whole runs. The stored runs stay as they are.
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Sequence
+from itertools import pairwise
 
 from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 from stampede_rt.wire.plain_runs import sealed_payload_at
 from stampede_rt.wire.runs import RUN_BYTES_MAX, encode_run, seal_run
-from stampede_rt_channel_host.core.channel import ABSENT, ItemKey, Run, Slice, make_run
+from stampede_rt_channel_host.core.channel import ABSENT, DeliveredSlice, ItemKey, Run, Slice, make_run
 from stampede_rt_channel_host.core.channel.run import OneRun
 
 ITEM_BYTES_MAX = 4096  # a copy of a longer payload costs about as much as the run that it saves
@@ -34,6 +35,24 @@ def joined_slices(slices: Iterable[Slice], ends: Container[ItemKey] = ()) -> Ite
         if ends and (part.last_time, part.end_seq) in ends:
             yield from map(_whole, joining.ended())
     yield from map(_whole, joining.ended())
+
+
+def joined_deliveries(slices: Sequence[DeliveredSlice]) -> Iterator[DeliveredSlice]:
+    """As `joined_slices`, for the slices of a subscription. Each keeps the time of the next bucket after it.
+
+    A slice ends where the next bucket of the channel is not in the next slice: there the reader would compute another
+    end of a span from the joined run.
+    """
+    next_times = {(one.slice.last_time, one.slice.end_seq): one.next_time for one in slices}
+    ends = {(one.slice.last_time, one.slice.end_seq) for one, other in pairwise(slices) if not _continues(one, other)}
+    for part, _ in joined_slices((one.slice for one in slices), ends):
+        yield DeliveredSlice(part, next_times[part.last_time, part.end_seq])
+
+
+def _continues(one: DeliveredSlice, other: DeliveredSlice) -> bool:
+    """Whether the next bucket after `one` is the first one of `other`, or the same as the next one after `other`."""
+    time = other.slice.first_time
+    return one.next_time == (time if one.slice.last_time < time else other.next_time)
 
 
 def joined_runs(runs: Iterable[Run]) -> list[Run]:
