@@ -29,7 +29,7 @@ def test_the_channels_of_one_creator_cannot_use_all_moves() -> None:
     mine, others = (replace(MADE, created_by=name) for name in ("cam", "imu"))
     for _ in range(OF_ONE_MAX):
         slots.take(mine)
-    with pytest.raises(Overloaded, match="cam has made 24 of the channels that move to host h1 already"):
+    with pytest.raises(Overloaded, match="cam has created 24 of the channels that move to host h1 already"):
         slots.take(mine)
     for _ in range(MOVES_MAX - OF_ONE_MAX):
         slots.take(others)
