@@ -8,9 +8,10 @@ ID_DIGITS_SHOWN = 8
 
 
 def handle_repr(kind: str, name: str, id_: bytes, host: str, state: str) -> str:
-    """Return a text such as `<Channel 'cam/left' 3fa2c1d0 at host 'h1'>`. `state` is "", or ends the text of a handle.
+    """Return a text such as `<Channel 'cam/left' 3fa2c1d0 at host 'h1'>`.
 
-    The text has the first ID_DIGITS_SHOWN hexadecimal digits of `id_`.
+    The text has the first ID_DIGITS_SHOWN hexadecimal digits of `id_`. `state`: the words at the end of the text, such
+    as "closed"; empty: none.
     """
     identity = f" {id_.hex()[:ID_DIGITS_SHOWN]}" if id_ else ""
     place = f" at host {host!r}" if host else ""

@@ -316,8 +316,8 @@ def host(
     New channels and queues of this connection are at this host, unless the call names another place. All programs of
     the cluster can use them. The directory may place channels of other programs here, unless the host is `private`.
 
-    - `name`: the name of the host, and the name of this connection as a peer. Default: the host gets the name of the
-      machine with a random end, and the connection is not a peer. With certificates it is the name in the certificate.
+    - `name`: the name of the host, and of this connection as a peer. Default: the host gets the machine's name with a
+      random end, and the connection is not a peer. With certificates the host has the certificate's name.
     - `listen`: the address at which the host listens, as "HOST:PORT". Default: any free port at localhost. If a
       front-end is on another machine: any free port at this machine's address towards it. The host then needs
       certificates.
@@ -328,11 +328,11 @@ def host(
     - `private`: the directory places channels, queues and copies of other programs here only if they name this host.
     - `drain`: when the connection closes, the host moves its channels to other hosts for at most this time. "0s": it
       moves none, and their items are lost, unless they are in an archive.
-    - `archive`: the folder in which the host keeps recorded channels and its identity, for this host alone; or the URL
-      of an object store, such as "s3://BUCKET/PREFIX" (extra [objects]). Default: none, also with `$STAMPEDE_ARCHIVE`.
+    - `archive`: the folder, of this host alone, for recorded channels and the host's identity; or the URL of an object
+      store, such as "s3://BUCKET/PREFIX" (extra [objects]). Default: none; the host ignores `$STAMPEDE_ARCHIVE`.
     - `archive_folder`: with a URL in `archive`, the folder for files that have not moved to the object store. Default:
       `~/.local/state/stampede/archive`.
-    - `max_archive`: the most bytes that the archive may use on its disk, such as "200GiB". Default: 9/10 of its room.
+    - `max_archive`: the most bytes of the archive on its disk, such as "200GiB". Default: 9/10 of the disk's free room.
 
     The other arguments are as in `connect`. The host needs the cluster's secret, or a certificate of the role host.
 

@@ -60,9 +60,9 @@ class Columnar(Sequence[Item]):
 class PastState(NamedTuple):
     """Facts about a channel as it was at an earlier instant.
 
-    `advance`: the highest instant that its producers had promised to pass by then; None: none. `next_change`: when its
-    host next accepted items or an advance; None: it has not done so yet. `next_items`: the first seq of the items that
-    it accepted at that instant, and their earliest and latest time; None: it accepted an advance.
+    `advance`: the highest advance of the channel until that instant; None: none. `next_change`: when its host next
+    accepted items or an advance; None: the host has not done so yet. `next_items`: the first seq of the items that the
+    host accepted at `next_change`, and their earliest and latest time; None: it accepted an advance.
     """
 
     advance: int | None

@@ -96,7 +96,7 @@ class HandleCodec:
 
     @classmethod
     def parse(cls, codec: str | Codec | None, thing: str, content_type: str | None = None) -> HandleCodec | None:
-        """Return the coding for the argument `codec` of a handle. None for "bytes" and None: a value is then a payload.
+        """Return the coding for the argument `codec` of a handle; None if the program puts and gets plain payloads.
 
         `content_type` replaces the content type of the codec. Raises InvalidArgument, and CodecError if the codec is
         "numpy" and numpy is not installed.

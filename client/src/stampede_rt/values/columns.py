@@ -15,7 +15,7 @@ from stampede_rt.values.answers import ABSENT, COLUMN_TYPES, read_only
 from stampede_rt.values.model import Item
 
 Payloads = bytes | memoryview | list[bytes] | None
-SHORT_BYTES = 1024  # payloads that are shorter on average are copied once more, all together
+SHORT_BYTES = 1024  # payloads that are shorter on average stay together in one copy; see `kept`
 
 
 @dataclass(slots=True)
@@ -23,9 +23,9 @@ class DecodedRun:
     """The columns of one run. Each has an entry for each item.
 
     `durations` has -1 for no duration; None: no item has one. `attributes` and `content_type` belong to all items.
-    `payloads` has the payloads one after the other, or a list of them; None: the items have none, or all of them are
-    made. `next_time` is the time of the bucket after the run; None: the next run begins that bucket, or the run has the
-    newest bucket.
+    `payloads` has the payloads one after the other, or a list of them; None: the read was without payloads, or all
+    items are made, and each keeps its own payload. `next_time` is the time of the bucket after the run; None: the next
+    run begins that bucket, or the run has the newest bucket.
 
     If `payloads` is a view, call `kept` immediately, because other data will overwrite the memory of the view.
     """
@@ -47,9 +47,10 @@ class DecodedRun:
 
 
 class ItemColumns(Sequence[Item]):
-    """The items of runs that follow each other in time. It makes an item when the item is first touched, and keeps it.
+    """The items of runs that follow each other in time. This sequence makes an item when a program first touches the
+    item, and keeps it.
 
-    Several threads may read it at the same time.
+    Several threads may read the sequence at the same time.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class ItemColumns(Sequence[Item]):
     ) -> None:
         """`make` makes an item of its fields; None: a plain Item.
 
-        `overlap`: for this time a later item does not end the span of an item with a duration, in nanoseconds.
+        `overlap`: during the first `overlap` nanoseconds of the span of an item with a duration, no later item ends it.
         `backwards`: the items come in reverse order.
         """
         self._runs = runs
@@ -109,7 +110,7 @@ class ItemColumns(Sequence[Item]):
         """Return the payload of each item, in the order of the items. Makes no items."""
         found: list[bytes | None] = []
         for number, run in enumerate(self._runs):
-            # In this order, because `_of_run` sets the columns in the opposite order.
+            # The payloads first: another thread in `_of_run` sets `_whole`, and only then drops the payloads.
             payloads, whole = run.payloads, self._whole[number]
             found += _each_payload(payloads, run.lengths) if whole is None else (item.payload for item in whole)
         return found[::-1] if self._backwards else found
@@ -122,7 +123,7 @@ class ItemColumns(Sequence[Item]):
     def _at(self, at: int) -> Item:
         number = bisect_right(self._begins, at) - 1
         place, run = at - self._begins[number], self._runs[number]
-        # In this order, because `_of_run` sets the columns in the opposite order.
+        # The payloads first: another thread in `_of_run` sets `_whole`, and only then drops the payloads.
         payloads, whole = run.payloads, self._whole[number]
         if whole is not None:
             return whole[place]
@@ -225,7 +226,7 @@ def _split(payloads: bytes | memoryview, lengths: Sequence[int]) -> Iterable[byt
 
 
 def _ends_of(runs: Sequence[DecodedRun], overlap: int) -> list[int | None]:
-    """The ends of the spans of runs of which only the last one may have a `next_time`."""
+    """Return the ends of the spans of all items. Only the last run may have a `next_time`."""
     times = [time for run in runs for time in run.times]
     durations = None
     if any(run.durations for run in runs):

@@ -46,9 +46,9 @@ class Item(NamedTuple):
 
     @property
     def copies(self) -> int | None:
-        """On an item that `put` returned: the hosts that hold it and can own the channel, the present owner included.
+        """The number of hosts that hold an item that `put` returned, and that can own the channel.
 
-        Without replicas this is 1. None for an item that was read.
+        The present owner is one of them: without replicas the number is 1. None for an item that was read.
         """
         return None
 

@@ -33,7 +33,8 @@ class PastCut(NamedTuple):
     """A group's cut of an earlier instant.
 
     `cut` is MIN_INSTANT if the group showed nothing. `reason`: why the group may have shown more than the items before
-    `cut`; None: the cut is exact. `next_change`: when the host of a counting member next accepted items or an advance.
+    `cut`; None: the cut is exact. `next_change`: when the host of a member that decides the cut next
+    accepted items or an advance; None: no host has done so yet.
     """
 
     cut: int
@@ -42,7 +43,7 @@ class PastCut(NamedTuple):
 
 
 def past_cut_of(marks: Sequence[PastMark]) -> PastCut:
-    """Return the cut of counting members: the least of their marks, according to their archives.
+    """Return the cut: the least of the marks of the members that decide it. The marks come from their archives.
 
     If an archive lacks items, the mark of its channel may be too low. This matters only if this mark is the least one.
     """
@@ -64,8 +65,8 @@ def _least(mark: PastMark) -> int:
 def add_reason(items: Items, reason: Reason | None) -> Items:
     """Note in an answer at a past cut that the cut may have been higher. Returns the answer.
 
-    A complete answer stays as it is, because it is before the cut. An answer that names its own loss also stays as it
-    is.
+    A complete answer stays as it is, because it is before the cut. An answer with the reason COLLECTED or LOST keeps
+    this reason.
     """
     if reason is not None and not items.complete and items.reason not in (Reason.COLLECTED, Reason.LOST):
         items.reason = reason

@@ -1,4 +1,4 @@
-"""Peers as others see them (paper, section 4.2). Pure."""
+"""Peers, as other programs see them (paper, section 4.2). Pure."""
 
 from __future__ import annotations
 

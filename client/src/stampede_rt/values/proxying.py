@@ -10,7 +10,7 @@ from dataclasses import dataclass
 class ProxyInfo:
     """A proxy: a read-only copy of a channel at another host.
 
-    - `source`: the host that feeds it.
+    - `source`: the host that feeds the proxy.
     - `ready`: it serves readers. Otherwise it has not caught up yet, has lost its source, or does not answer.
     - `staleness_nanos`: how old its state is at most; None if its host did not answer.
     - `held`: the items that it holds. `missed`: the items that had left the source before it could get them.

@@ -10,7 +10,8 @@ from stampede_rt.values.model import Item
 
 
 class _UnpackedRun(deque[Item]):
-    """The items of a run. `run`: this run. It is known until the program has taken all of them."""
+    """The items of `run` that the program has not taken. `ReadyItems` compares `run` with its first kept run: if they
+    are the same, the kept run is unpacked already."""
 
     run: Sequence[Item] | None = None
 
@@ -23,7 +24,7 @@ class ReadyItems:
 
     def __init__(self) -> None:
         self.items = _UnpackedRun()
-        """The items before those of the kept runs. A step of the subscription takes the first one."""
+        """The items that come before the items of the kept runs. A step of the subscription takes the first item."""
         self._runs = deque[Sequence[Item]]()
 
     def __bool__(self) -> bool:
