@@ -1,7 +1,7 @@
 """Puts and gets at the channel host of this process: by reference, without the wire (paper, section 4.1).
 
 Each function returns None if the call must go over the wire: the channel is at another host, or the call may wait for
-room, or its answer is long. The call over the wire also finds the reason of each failure.
+room, or its answer is long. It also returns None after most failures: the call over the wire then raises the error.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ async def put_here(
 ) -> channel_pb.PutAck | None:
     """Put one item. Returns its ack. Raises TooOld, InFuture, ChannelFull, NotArchived.
 
-    `wait`: the longest wait for the disk. If it is longer than one request may wait, the call over the wire goes on.
+    `wait`: the longest wait for the disk. If it is longer than one request may wait, the call over the wire waits on.
     """
     here = session.here
     binding = None if here is None else await _binding_here(session, state, here)

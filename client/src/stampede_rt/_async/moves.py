@@ -65,7 +65,7 @@ class Moves(Proxies):
         async def find() -> _MovableSubject:
             found = next((one for one in await self.queues(queue) if one.name == queue), None)
             if found is None:
-                raise QueueNotFound(f"there is no queue {queue!r}; `stampede queue ls` lists them")
+                raise QueueNotFound(f"there is no queue {queue!r}; `stampede queue ls` lists the queues")
             return _MovableSubject(found.host, pb.MoveHereRequest(queue_id=found.queue_id))
 
         return _info(queue, host, await self._move_here(find, host, deadline_s))
@@ -76,7 +76,7 @@ class Moves(Proxies):
         """Tell the owner that this host may take the thing over, and then tell the host to take it over."""
         hosts = {one.name: one for one in await self.hosts() if one.endpoints}
         if host not in hosts:
-            raise HostNotFound(f"there is no live host {host!r}; `stampede hosts` lists them")
+            raise HostNotFound(f"there is no live host {host!r}; `stampede hosts` lists the hosts")
         while True:  # tries again if another move of the thing has just ended; ends with the deadline
             found = await find()
             try:
@@ -147,7 +147,7 @@ class Moves(Proxies):
         nanos = parse_duration(timeout, "timeout")
         hosts = {one.name: one for one in await self.hosts()}
         if host not in hosts or not hosts[host].endpoints:
-            raise HostNotFound(f"there is no live host {host!r}; `stampede hosts` lists them")
+            raise HostNotFound(f"there is no live host {host!r}; `stampede hosts` lists the hosts")
         endpoint = self._session.endpoints.to(hosts[host].endpoints[0])
         request = pb.DrainHostRequest(timeout_nanos=nanos)
         answer = await endpoint.call(endpoint.moves.DrainHost, request, nanos / 1e9 + ANSWER_S)

@@ -27,9 +27,9 @@ _NEWEST = ReadQuery(
 async def cut_as_of(group: GroupMembers, as_of: int) -> PastCut:
     """Return the cut of a group as of an instant (decision 0229).
 
-    The client first asks one host for the present members. Then it asks the host of each counting member, in parallel.
-    Raises InvalidArgument if a member is not recorded, or if the rule of the group needs more than the archives have;
-    PermissionDenied if the caller may not read a counting member; Unavailable.
+    The client first asks one host for the present members. Then it asks the hosts of all members that decide the cut,
+    in parallel. Raises InvalidArgument if a member is not recorded, or if the rule of the group needs more than the
+    archives have; PermissionDenied if the caller may not read one of these members; Unavailable.
     """
     await _confirm(group)
     _check(group.info)
@@ -46,7 +46,7 @@ def counting_members(group: GroupMembers) -> list[Channel]:
 def _check(info: GroupInfo) -> None:
     """Raise InvalidArgument if the cut depends on facts that the archives do not have."""
     if info.bound == "end":
-        rule = 'bound="end" counts the ends of items that came together, but archives do not show which items those are'
+        rule = 'bound="end" counts the ends of items that came together, and archives do not show which items these are'
     elif info.reference_id is None and info.idle_after_nanos is not None:
         rule = "idle_after left silent members out, and archives do not show when"
     else:
@@ -72,7 +72,7 @@ async def _mark_in_group(group: GroupMembers, channel: Channel, as_of: int) -> P
 
 
 def _denied(group: GroupMembers, channel: Channel, error: PermissionDenied) -> PermissionDenied:
-    """Return the error that names the group and the channel for which the caller needs the right."""
+    """Return the error that names the group, and the channel that the caller has no right to read."""
     return PermissionDenied(
         f"as_of: the earlier cut of group {group.name!r} needs the right to read its channel {channel.name!r}: "
         f"{error}; get that right, or read the other channels without the group",

@@ -38,7 +38,7 @@ class PeerLocator(QueueLocator):
             raise peer_not_found(name) from error
         if not response.host.alive:
             raise Unavailable(
-                f"the mailbox of peer {name!r} was lost with its host; a live peer soon gets another one: try again"
+                f"the mailbox of peer {name!r} was lost with its host; a live peer soon gets another mailbox: try again"
             )
         self._state.info = learn_queue(self._session, response.queue, response.host)
 

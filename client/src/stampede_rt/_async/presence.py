@@ -178,8 +178,8 @@ class Presence:
 
     def _taken_over(self) -> PeerExists:
         return PeerExists(
-            f"another process took over the name {self._name!r} with the same proof, as a restart of this one; "
-            "give each process a proof of its own if both should run",
+            f"another process took over the name {self._name!r} with the same proof, as if it were a restart of this "
+            "process; give each process a proof of its own if both should run",
             metadata={"peer": self._name},
         )
 

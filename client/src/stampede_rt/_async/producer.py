@@ -320,7 +320,7 @@ class Producer(BoundToProcess):
     def _note(self, news: channel_pb.PutAck | StampedeError) -> None:
         if isinstance(news, StampedeError):
             self._failure = news
-        elif self._unacked.awaits(news.first_number):  # otherwise a call that a signal ended has counted the ack
+        elif self._unacked.awaits(news.first_number):  # otherwise an interrupted call has counted this ack
             self._count(news)
 
     def _count(self, ack: channel_pb.PutAck) -> None:
@@ -331,7 +331,8 @@ class Producer(BoundToProcess):
         self._backoff = None
         items = self._unacked.first.items
         refusals = [refusal] * items if refusal else [from_error_message(one.error) for one in ack.rejections]
-        self.rejected += refusals[: REJECTIONS_KEPT_MAX - len(self.rejected)]  # first, so that a signal hides none
+        # Before `acknowledge`: if a signal ends this call between the two lines, the next call counts the ack again.
+        self.rejected += refusals[: REJECTIONS_KEPT_MAX - len(self.rejected)]
         self._unacked.acknowledge(len(refusals))
 
 

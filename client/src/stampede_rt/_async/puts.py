@@ -59,7 +59,7 @@ class Puts:
         self._locator = locator
         self._open_stream = open_stream
         self._handle_id = session.put_streams.handle(self)
-        self._has_been_full = False  # a put without a wait was refused for lack of room
+        self._has_been_full = False  # whether the host refused a put without a wait because the channel was full
 
     async def put(
         self, put: NumberedPut, wait: Wait, renew_s: float = RENEW_S, *, may_fill: bool = True
@@ -94,7 +94,7 @@ class Puts:
             except (Full, NotArchived):
                 if (
                     part is left or monotonic_s() - asked_s < renew_s / 2
-                ):  # the host refused the put without a wait: no put waits for room, or the disk fails
+                ):  # the host refused the put early: no put of this channel waits for room, or the disk fails
                     raise
             renew_s = RENEW_S
 

@@ -190,7 +190,7 @@ class Subscription(BoundToProcess):
             self._ready_bytes = 0
 
     async def _follow_ring(self) -> None:
-        """Take the next items from the channel's ring, if it has one, and if it has the next items. Ends the stream."""
+        """If the channel has a ring with the next items, take them from there from now on, and end the stream."""
         cursor, stream = self._cursor, self._stream
         if stream is None or cursor is None or monotonic_s() < self._no_ring_before_s:
             return

@@ -42,7 +42,7 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
 
     @property
     def dropped(self) -> int:
-        """How many items had left before this client fetched them, or came too late for a match."""
+        """How many items had left the archive before this client fetched them, or came too late for a match."""
         return 0 if self._matching is None else self._matching.dropped
 
     @property

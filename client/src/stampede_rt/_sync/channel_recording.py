@@ -47,7 +47,7 @@ class ChannelRecording:
         self._stream: RecordingStream | None = None
         # The earliest item that the first read found; None after it is recorded or named as missing.
         self._first: Item | None = None
-        # From which time on items of the recording may be; None: from the oldest item on.
+        # The earliest time that an item of the recording may have; None: the recording begins with the oldest item.
         self._begins: int | None = None if later else time.time_ns()
         # After the loss of the host: items of this time, up to this seq, come again from an archive.
         self._repeated: tuple[int | None, int] = (None, 0)
@@ -123,8 +123,10 @@ class ChannelRecording:
         return max(times, default=self._begins)
 
     def _start_anew(self) -> Bound:
-        """Where to begin if the host was lost. The archive of a recorded channel also has the items that the recording
-        has already.
+        """Return where to begin if the host was lost.
+
+        The archive of a recorded channel also has the items that the recording has already. So the recording of such a
+        channel begins at its last recorded time, and not at the oldest item.
         """
         known = self._recorded_to() if self.tallies and self._state.info.policy.is_recorded else None
         return OLDEST if known is None else Bound(None, known)
@@ -156,7 +158,7 @@ class ChannelRecording:
         return Bound(None, begins), [gap]
 
     def _look_at_oldest(self) -> list[RecordingGap]:
-        """Return a gap if a former host of the channel was lost with items. Only an archive shows this here."""
+        """Return a gap if a former host of the channel was lost with items. Only an archive knows such a loss."""
         found = self._found_from(OLDEST)
         return [self._lost_gap(found)] if found.reason == "LOST" else []
 
@@ -210,7 +212,7 @@ class ChannelRecording:
         )  # fmt: skip
 
     def _end_incarnation(self, reason: str, detail: str) -> None:
-        """Note that an unknown number of items after the last read one is missing."""
+        """Note that an unknown number of items after the last read item is missing."""
         if not self.tallies or self._stream is None or self._stream.opened_seq is None:
             return
         tally = self.tallies[-1]
@@ -256,8 +258,10 @@ class ChannelRecording:
         return stats.accepted if stats.next_seq is None else self._last_seq(stats.next_seq), stats.advance
 
     def _last_seq(self, next_seq: int) -> int | None:
-        """The seq of the last item before `next_seq`. An owner that follows a lost one has left out many seqs; before
-        its first item the newest item tells it.
+        """Return the seq of the last item before `next_seq`; None if it cannot be known.
+
+        An owner that follows a lost owner leaves out many seqs. Until it accepts its first item, the last item is not
+        at `next_seq - 1`. So this reads the newest item of the channel.
         """
         if next_seq == 1 or given_between(1, next_seq):
             return next_seq - 1

@@ -232,7 +232,7 @@ class Connection(Mailboxes, RealClock, Reference):
     ) -> ReplayedConnection:
         """Replay recorded channels from the instant `start` of their hosts' clocks, under a virtual clock.
 
-        It moves only while the program waits: `speed` times as fast as real time, and with 0 without pauses. With
+        The clock moves only while the program waits: `speed` times as fast as real time; 0: without pauses. With
         `step=True` only `step` moves it. `end`: the last instant; None: the last change. Raises InvalidArgument.
         """
         return ReplayedConnection(self, self._session, *parse_replay(start, end, speed, step), step=step)

@@ -151,8 +151,8 @@ class DirectoryClient:
         if isinstance(failure, Unavailable) and UNREACHED not in failure.metadata:
             return Unavailable(f"the front-end {addresses} runs, but cannot serve: {failure}", reason=failure.reason)
         return Unavailable(
-            f"cannot connect to {addresses}: {failure} (start one with `stampede dev`, or name another in connect() or "
-            "$STAMPEDE_URL)",
+            f"cannot connect to {addresses}: {failure} (start a cluster with `stampede dev`, or name another front-end "
+            "in connect() or $STAMPEDE_URL)",
             reason=failure.reason if failure else "NO_QUORUM",
         )
 

@@ -115,8 +115,8 @@ class MulticastSubscription(Subscription):
             self._socket.close()
 
     def _listen_in(self, receiving: MulticastReceiver, socket: GroupSocket) -> None:
-        """While the stream brings the items: check whether the datagrams bring the next ones. If they do, take the
-        items from them."""
+        """While the stream brings the items: check whether the datagrams bring the next items. If they do, take the
+        items from the datagrams from now on."""
         cursor = self._cursor
         if cursor is None or cursor.HasField("from_unix_nano"):  # items that the host held at the start come first
             return
@@ -125,14 +125,14 @@ class MulticastSubscription(Subscription):
         receiving.hear(socket.poll(), now_s)
         if receiving.has_heard and receiving.merge.is_level:
             self._is_following = True
-            self._repair(receiving)  # so that the host stops sending
+            self._repair(receiving)  # from now on the host sends only requested items
         elif receiving.pace.next_step(now_s, is_missing=False)[0] is RepairStep.LEAVE:
             self._leave()
 
     def _follow(self, receiving: MulticastReceiver, socket: GroupSocket) -> None:
         """Take the next datagrams, wait for some, or ask the host for the items that are missing."""
         now_s = monotonic_s()
-        if self._session.closed:  # a step must read the stream again, which raises this error
+        if self._session.closed:  # a step must read the stream again: this raises the error
             self._reopen()
             return
         receiving.pace.looks(now_s)

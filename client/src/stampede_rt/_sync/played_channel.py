@@ -22,7 +22,7 @@ PUT_TIMEOUT_S = 60.0
 
 
 class PlayedChannel:
-    """Puts items without waiting for each, in the order of the file. An advance waits for the items before it."""
+    """Puts items without waiting for each ack, in the order of the file. An advance waits for the items before it."""
 
     def __init__(self, channel: Channel) -> None:
         self.name = channel.name
@@ -43,7 +43,7 @@ class PlayedChannel:
 
     @classmethod
     def create(cls, session: Session, name: str, policy: dict[str, Any]) -> PlayedChannel:
-        """Create the channel, or open the one that another caller has created meanwhile."""
+        """Create the channel, or open the channel that another caller has created meanwhile."""
         stated = parse_policy(**policy)
         info = session.open_channel(parse_name(name), stated, None, True)
         return cls(Channel(session, session.state_of(info, stated, True)))
@@ -96,7 +96,7 @@ class PlayedChannel:
                 content_type=entry.content_type or None,
                 timeout=PUT_TIMEOUT_S,
             )
-        except InvalidArgument as error:  # no channel accepts it, for example because of a hostile or very large size
+        except InvalidArgument as error:  # no channel accepts such an item, for example because it is too large
             self._note_refusal(error)
 
     def note_gap(self, gap: RecordingGap) -> None:
@@ -131,7 +131,7 @@ class PlayedChannel:
             self.first_refusal = self.first_refusal or error.message
 
     def collected(self) -> int:
-        """The number of items that the limits of the channel have collected since `check`, and no archive has."""
+        """The number of items that the limits of the channel have collected since `check`, and that no archive has."""
         return max(0, _collected(self._channel.stats()) - self._collected_before)
 
     def close(self) -> None:

@@ -28,13 +28,12 @@ class Proxies(Discovery):
     def proxy(self, channel: str | Reader, host: str | None = None, *, source: str | None = None) -> ProxyInfo:
         """Add a proxy of a channel: a read-only copy at another host, which serves readers that accept a copy.
 
-        Returns when the proxy has the items of the channel and serves readers; blocks for up to about 20 s. `host`
-        names its host; without it the directory takes the least loaded one. `source` names the host that feeds it: the
-        owner, or the host of another proxy; without it the owner. If the host has a proxy of the channel already, the
-        call waits for that proxy. Subscriptions spread over the owner and the proxies by themselves, and gets use
-        proxies if they state `max_staleness` or `least_seq`. Raises HostNotFound, ChannelExists if the host owns the
-        channel, InvalidArgument if there are 16 copies already, PermissionDenied without the right to configure the
-        channel.
+        Returns when the proxy has the items of the channel and serves readers; blocks for up to about 20 s. `host`: the
+        host of the proxy; None: the least loaded host. `source`: the host that feeds the proxy, which is the owner or
+        the host of another proxy; None: the owner. If the host has a proxy of the channel already, the call waits for
+        that proxy. Subscriptions spread over the owner and the proxies by themselves, and gets use proxies if they
+        state `max_staleness` or `least_seq`. Raises HostNotFound, ChannelExists if the host owns the channel,
+        InvalidArgument if there are 16 copies already, PermissionDenied without the right to configure the channel.
         """
         state = self._state(channel)
         names = {one.name: one.host_id for one in self.hosts()} if host or source else {}
@@ -121,5 +120,5 @@ def _host_id(names: dict[str, bytes], host: str | None) -> bytes:
         return b""
     name = parse_name(host, "host")
     if name not in names:
-        raise HostNotFound(f"there is no host {name!r}; `stampede hosts` lists them")
+        raise HostNotFound(f"there is no host {name!r}; `stampede hosts` lists the hosts")
     return names[name]

@@ -139,7 +139,7 @@ class RecordingStream(Subscription):
         )
 
     def _loss(self, gap: channel_pb.SubscriptionGap) -> RecordingGap:
-        """Return the end of the present incarnation. The items after this gap belong to the next incarnation."""
+        """Return the gap at the end of the present incarnation. The items after the gap belong to the next one."""
         former, self.incarnation = self.incarnation, self._next_incarnation
         self._batch.next_live_seq = gap.first_seq
         return RecordingGap(

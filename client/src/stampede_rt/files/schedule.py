@@ -39,9 +39,10 @@ class Schedule:
 
     @classmethod
     def plan(cls, start: int, end: int, speed: float, shift: int | str | None, now: int) -> Schedule:
-        """Return the schedule. With `shift` "now" no item is ever ahead of the clock, and the last one is not behind.
+        """Return the schedule. With `shift` "now" no item is ahead of the clock when it is put.
 
-        At a speed above 1 the first item therefore is in the past, by the time that the replay gains.
+        A replay that is shorter than the recording puts its last item with the time of the clock, and its first item
+        with a time in the past. A longer replay puts its first item with the time of the clock.
         """
         if shift is None:
             return cls(start, end, speed, now, 0)
@@ -107,7 +108,10 @@ def target_policy(
 
 
 def _archive(recorded: Mapping[str, Any], margin: int | None) -> dict[str, Any]:
-    """The limits of the archive, its time longer by `margin`; None: without a limit of time. Empty: no archive."""
+    """Return the limits of the archive; empty: no archive.
+
+    The limit of time is longer than the recorded limit by `margin`. If `margin` is None, the archive has no such limit.
+    """
     kept, size = _count(recorded.get("archive_nanos"), FOREVER_NANOS), _count(recorded.get("archive_bytes"))
     if kept is None and size is None:
         return {}
@@ -123,5 +127,5 @@ def _content_type(kind: object) -> dict[str, str]:
 
 
 def _count(value: object, most: int = 2**62 - 1) -> int | None:
-    """Return a policy's number, if it is one that a policy may have. Files come from other programs."""
+    """Return a number of a policy; None if no policy may have it. The file may be of another program."""
     return value if type(value) is int and 0 < value <= most else None
