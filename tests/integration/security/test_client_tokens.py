@@ -93,7 +93,7 @@ def test_a_token_is_revoked_by_its_file_or_its_serial_number_and_other_texts_are
     (tmp_path / "other").write_text("no.token")
     for text in ("abc", "f" * 40, str(tmp_path / "other"), str(tmp_path / "missing")):
         assert run(["token", "revoke", text, "--url", cluster.address]) == 1
-        assert "is neither the file of a token nor the serial number of one" in capsys.readouterr().err
+        assert "is neither the file of a token nor the serial number of a token" in capsys.readouterr().err
 
 
 def refuse(*_: object, **settings: object) -> None:
@@ -126,5 +126,5 @@ def test_an_operator_that_revokes_its_own_token_gets_a_warning(
     assert run(["token", "revoke", str(own), "--url", cluster.address]) == 0
     told = capsys.readouterr()
     assert "is revoked" in told.out
-    assert "the revoked credential is the one of this command, and services refuse it now" in told.err
+    assert "this command used the revoked credential, and services refuse it now" in told.err
     assert "not in force" not in told.err

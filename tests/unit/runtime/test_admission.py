@@ -241,7 +241,7 @@ async def test_the_error_of_a_client_names_the_fault_of_the_services_certificate
         (early, client, "is not valid yet; look at the clocks"),
         (away, client, "is of an authority that"),
         (away, both, "is for other addresses"),
-        (caller_cannot_serve, client, "is not one of a service"),
+        (caller_cannot_serve, client, "is not for a service"),
     ):
         good = load_tls(made.issue(Role.HOST, "h1"), Role.HOST)
         tls = ServiceTls(TlsReader(files), good.identity, good.addresses)

@@ -62,6 +62,6 @@ def _may_have_removed(error: StampedeError) -> bool:
 def _unknown_removal(supernode_id: str, failure: StampedeError) -> Unavailable:
     return Unavailable(
         f"it is unknown whether {supernode_id} is removed: {failure.message}. Once a supernode leads, look at "
-        "`stampede supernode status`, and repeat the removal if it is still a member",
+        f"`stampede supernode status`, and repeat the removal if {supernode_id} is still a member",
         reason="AMBIGUOUS",
     )

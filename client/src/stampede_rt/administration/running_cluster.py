@@ -115,7 +115,7 @@ class Cluster:
             judges = self._parts(with_frontends=not of_rules)
         except PermissionDenied as error:
             raise PermissionDenied(
-                "the revoked credential is the one of this command, and services refuse it now; so the command cannot "
+                "this command used the revoked credential, and services refuse it now; so the command cannot "
                 f"ask whether all services refuse it ({error.message})"
             ) from error
         except StampedeError as error:  # the change itself has succeeded

@@ -64,7 +64,8 @@ def wrong_cluster(who: str, own: str, callers: str) -> WrongCluster:
     """
     return WrongCluster(
         f"{who} is of cluster {own}, and the caller of cluster {callers[:_SHOWN_MAX]}; the caller's cluster may still "
-        "serve; if it is permanently lost, start a client or front-end again; stop a host, remove the file cluster-id "
-        "from its data folder, and start it again (or restore with `stampede supernode init --restore --take-over`)",
+        "serve; if that cluster is permanently lost: start the caller again, and if the caller is a host, remove the "
+        "file cluster-id from its data folder before the start (or restore with `stampede supernode init --restore "
+        "--take-over`)",
         metadata={"cluster_id": own},
     )

@@ -73,7 +73,7 @@ def _secret_for(frontends: tuple[str, ...]) -> SecretReader | None:
     if named and not found.current():
         raise PermissionDenied(
             f"$STAMPEDE_SECRET_FILE names {named}, where there is no secret; name the file of the cluster's secret, or "
-            "unset it"
+            "unset the variable"
         )
     return found
 
@@ -81,5 +81,5 @@ def _secret_for(frontends: tuple[str, ...]) -> SecretReader | None:
 def _secret_in(path: str | os.PathLike[str]) -> SecretReader:
     found = SecretReader(Path(path))
     if not found.current():
-        raise PermissionDenied(f"{path} holds no secret or token; name the file of one, or give the text itself")
+        raise PermissionDenied(f"{path} holds no secret or token; name another file, or give the text itself")
     return found

@@ -155,9 +155,7 @@ def _paths(names: Sequence[str], output: Path, form: str) -> list[Path]:
         raise write_fault(output, error) from error
     paths = [output / f"{channel_name(name).replace('/', '_')}.{form}" for name in names]
     if len(set(paths)) < len(paths):
-        raise FileError(
-            f"two of the channels {', '.join(map(repr, names[:10]))} would have one file; export one by one"
-        )
+        raise FileError(f"two of the channels {', '.join(map(repr, names[:10]))} would be one file; export each alone")
     return paths
 
 

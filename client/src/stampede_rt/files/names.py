@@ -31,7 +31,7 @@ def channel_name(topic: str, prefix: str = "") -> str:
 
 
 def matches_any(globs: Iterable[str] | None) -> Callable[[str], bool]:
-    """Return a function that tells whether a name matches one of the globs; all names match None."""
+    """Return a function that tells whether a name matches one of the globs. None: all names match."""
     if globs is None:
         return lambda name: True
     many = tuple(globs)

@@ -19,7 +19,7 @@ Waiting = tuple[int, int, int, Event]  # the event's seq, its rank at this seq, 
 class SeqOrder:
     """Passes events on to `take`. An item waits for the items of its channel with earlier seqs.
 
-    `held` has the seqs of all items that come. If more than 64 MiB wait, they no longer wait for other items.
+    `held` has the seqs of all items that come. If more than 64 MiB of events wait, this passes all of them on.
     """
 
     def __init__(self, held: Mapping[Key, SeqRanges], take: Callable[[Event], object]) -> None:

@@ -102,7 +102,7 @@ class McapSource:
         return [self._topics[name] for name in sorted(policies) if name in self._topics]
 
     def _bound(self, name: str, places: set[int], sign: int) -> int:
-        """Return the least of all times of a topic multiplied by `sign`: the first time, or with -1 minus the last one.
+        """Return the first time of a topic if `sign` is 1, or its last time multiplied by -1 if `sign` is -1.
 
         The index has the times of each chunk, and other topics may share the chunk. So this decodes the first or the
         last chunks of the topic, until no other chunk can change the result.
@@ -220,7 +220,7 @@ def _unplayable(path: str, index: FileIndex | None) -> FileError:
         return FileError(f"the file {path!r} cannot be played: it has no items")
     return FileError(
         f"the file {path!r} cannot be played: it has no index of chunks; `stampede file recover` or "
-        "`stampede file merge` writes a file with one"
+        "`stampede file merge` writes a file with an index"
     )
 
 

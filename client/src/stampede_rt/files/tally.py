@@ -77,10 +77,10 @@ class ChannelTally:
         self._end_seq = max(self._end_seq, seq)
 
     def ends(self, accepted_to: int, read_to: int) -> list[RecordingGap]:
-        """End at the seq `accepted_to`, the last that the host has accepted. The stream has been read to `read_to`.
+        """End at `accepted_to`, the last seq that the host has accepted. The stream has been read to `read_to`.
 
         Returns the gaps that the host has not named: items that were not read, and items that are missing without a
-        reason. The caller writes them, and adds them here.
+        reason. The caller writes these gaps, and passes each of them to `add_gap`.
         """
         self.reaches(accepted_to)
         gaps, unread = [], given_between(read_to + 1, accepted_to + 1)

@@ -13,7 +13,7 @@ _Key = tuple[MessageKind, int, int, int]
 
 
 class Assembler:
-    """The incomplete messages. Above `bytes_max` it gives up the message that it has known longest.
+    """Keeps the parts of incomplete messages. Above `bytes_max` it gives up the message whose first part came first.
 
     `kept_bytes`: the memory of the parts. `repeated`: the parts that came twice. `given_up`: the messages given up.
     """

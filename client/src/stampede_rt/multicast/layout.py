@@ -79,7 +79,7 @@ def parts_of(message: MulticastMessage) -> Iterator[bytes]:
 
 
 def parse_part(encoded: bytes) -> MessagePart | None:
-    """Return the part; None if no host has made it."""
+    """Return the part; None if the bytes are not a part as a host encodes it."""
     if len(encoded) <= _PART.size:
         return None
     kind, first_seq, end_seq, index, count = _PART.unpack_from(encoded)

@@ -23,8 +23,9 @@ ITEM_MEMORY_BYTES = 256
 
 
 class MulticastReceiver:
-    """The datagrams of one stream, for one reader. Times are in seconds. `merge.pass_to` says where the reader begins.
+    """The datagrams of one stream, for one reader. Times are in seconds.
 
+    With `merge.pass_to` the caller states where the reader begins.
     `decode` makes the items of a message's body. `merge` has the items, `pace` says when to ask the host.
     """
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from enum import Enum
 
-REORDERED_S = 0.02  # datagrams that overtake each other: a reader waits this long for missing ones
+REORDERED_S = 0.02  # a reader waits this long for missing datagrams, because datagrams may overtake each other
 BEAT_S_MAX = 1.0  # a host without new items sends a heartbeat at least this often
 SILENT_S = 3.5 * BEAT_S_MAX  # after this time without a message, datagrams do not reach the reader any more
-# After this many repairs in a row without an item by multicast, the network or the reader counts as too slow for it.
+# After this many repairs in a row without an item by multicast, the network or the reader counts as too slow for
+# multicast.
 VAIN_REPAIRS_MAX = 64
-KEY_ASKED_S = 1.0  # how often a reader asks for a new key; anybody can send datagrams that name another one
+# A reader asks for a new key at most once in this time, because anybody can send datagrams that name another key.
+KEY_ASKED_S = 1.0
 
 
 class RepairStep(Enum):

@@ -47,7 +47,7 @@ class CreditWindow:
         self._window = 1
         self._open = 0  # bytes that are granted and not yet taken; negative if an item was larger than the grant
         self._last_bytes = 1  # the size of the last item that the reader took
-        self._taken_s: float | None = None  # when the reader took it; None when `ask` has used this time
+        self._taken_s: float | None = None  # when the reader took that item; None when `ask` has used this time
         self.is_for_one = False
         """Whether the last grant was for one response. The host drops the credit that this response leaves."""
         self._is_quick = True  # whether the reader worked shortly on its last batch

@@ -53,8 +53,8 @@ CHANGES_WORD = 32  # the host adds 1 after each change; its lower half is the fu
 # The words of a slot.
 SEQ, ITEMS, FIRST_TIME, LAST_TIME, OFFSET, LENGTH, DURATION, PAYLOAD = range(8)
 # DURATION and PAYLOAD describe a run of one item. DURATION is the item's duration or -1. PAYLOAD has the length of the
-# payload, and in its lower 16 bits where in the run it begins; 0: read the whole run, because the item has labels (a
-# content type or attributes).
+# payload, and in its lower 16 bits the position in the run at which the payload begins; 0: read the whole run, because
+# the item has labels (a content type or attributes).
 PAYLOAD_BEGIN_MAX = 0xFFFF
 
 OPEN, CLOSED = 1, 2

@@ -95,7 +95,7 @@ class SecretReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._lock = threading.Lock()
-        self._stamp = _stamp(path)  # before the reading: a change during it has another stamp
+        self._stamp = _stamp(path)  # before the reading: so a change during the reading has another stamp
         self._secret = read_secret(path)
         self._looked_s = time.monotonic()
 

@@ -96,7 +96,7 @@ class TlsReader:
             return self._material
 
     def _look(self) -> None:
-        stamp = _stamp_if_there(self.files)  # before the reading: a change during it has another stamp
+        stamp = _stamp_if_there(self.files)  # before the reading: so a change during the reading has another stamp
         if stamp is not None and stamp in (self._stamp, self._refused):
             return
         try:

@@ -135,9 +135,9 @@ def _about_theirs(error: ssl.SSLCertVerificationError, target: str, tls: TlsRead
     if "not yet valid" in text:
         return f"the certificate of {target} is not valid yet; look at the clocks of both machines"
     if "mismatch" in text or "doesn't match" in text or "not valid for" in text:
-        return f"the certificate of {target} is for other addresses ({text}); issue it with --address for this one"
+        return f"the certificate of {target} is for other addresses ({text}); issue it with --address for this address"
     if "purpose" in text:
-        return f"the certificate of {target} is not one of a service ({text})"
+        return f"the certificate of {target} is not for a service ({text})"
     return (
         f"the certificate of {target} is of an authority that {tls.files.ca} does not hold ({text}); "
         "use the CA file of that cluster"

@@ -151,7 +151,7 @@ class StepTask:
 def _ended(task: asyncio.Future[None]) -> None:
     _running.discard(task)
     if not task.cancelled():
-        task.exception()  # asyncio logs an error that no code has looked at; the next step raises this one
+        task.exception()  # otherwise asyncio logs the error, which the next step raises in any case
 
 
 class KeyedLock:
@@ -216,7 +216,7 @@ class EventLoopCheck:
     def check_thread(self) -> None:
         """Raise WrongEventLoop unless this thread runs the loop at present.
 
-        asyncio does not notice such a call, and may continue without noticing the changes of that call.
+        asyncio does not notice a call from another thread. The loop may then sleep on, and not act on the call.
         """
         try:
             running = asyncio.get_running_loop()
@@ -284,7 +284,7 @@ def _run_soon(loop: asyncio.AbstractEventLoop, pid: int, operation: Callable[[],
 def from_any_thread(operation: Callable[..., Awaitable[None]]) -> Callable[..., None]:
     """Return a function that any thread may call. It runs `operation` on this loop, one call after the other.
 
-    `operation` must handle its errors itself. If the loop has ended before, it does not run.
+    `operation` must handle its errors itself. If the loop has ended, `operation` does not run.
     """
     loop = asyncio.get_running_loop()
 

@@ -114,7 +114,7 @@ class Signal:
 class Steps:
     """Runs short steps one after the other, even if several threads call. A step waits for nothing.
 
-    A signal handler or `__del__` may run a step, also if it interrupts another one on its thread. The interrupted call
+    A signal handler or `__del__` may run a step, also if it interrupts another step on its thread. The interrupted call
     then runs the new step at its end.
     """
 
@@ -130,7 +130,7 @@ class Steps:
         return self._runner == threading.get_ident() and self._mutex._is_owned()  # type: ignore[attr-defined]
 
     def run(self, step: Callable[..., None], *arguments: Any) -> None:
-        """Run the step before this call returns, unless the caller interrupts another one. Waits for other threads."""
+        """Run the step before this call returns, unless the caller interrupts another step. Waits for other threads."""
         if self.is_interrupted:
             self._waiting.append(partial(step, *arguments))
             return
@@ -159,7 +159,7 @@ class Steps:
                 self._mutex.release()
 
     def _run_waiting(self) -> None:
-        """Run all waiting steps. If a signal ends this call, a step may wait again that has run before."""
+        """Run all waiting steps. If a signal ends this call, a step that has run may still wait, and run again."""
         try:
             self._runner = threading.get_ident()  # from now on a signal handler only adds steps
             while self._waiting:

@@ -53,7 +53,7 @@ async def _connected(target: str) -> socket.socket:
         send_more_at_once(made)
         await asyncio.get_running_loop().sock_connect(made, target.removeprefix(LOCAL_PREFIX))
         if not is_of_this_user(made):
-            raise PermissionError("the socket is one of another user")
+            raise PermissionError("the socket belongs to another user")
     except BaseException:
         made.close()
         raise
@@ -61,7 +61,7 @@ async def _connected(target: str) -> socket.socket:
 
 
 async def _over_tcp(route: SocketRoute) -> SocketConnection:
-    """Connect to a port that the client has reached before. Try any other port in the background. Raises OSError."""
+    """Connect to the port if the client has reached it before. Otherwise try it in the background. Raises OSError."""
     tcp, port = route.tcp, route.tcp.port or 0
     if tcp.address is None:
         return await _reached(route, port)

@@ -89,7 +89,10 @@ class TcpArrival:
         return self._shake()
 
     def received(self, data: bytes) -> bytes:
-        """Take bytes of the host, and return the next ones for it. Raises OSError if it does not greet as hosts do."""
+        """Take bytes of the host, and return the next bytes for the host.
+
+        Raises OSError if the other side does not greet as hosts do.
+        """
         if not data:
             raise ConnectionResetError("the host has closed the connection")
         if self._tls is None:

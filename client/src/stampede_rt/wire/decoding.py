@@ -60,7 +60,10 @@ class ItemDecoder:
         )
 
     def decode_here(self, runs: Sequence[InProcessRun], *, backwards: bool = False) -> Sequence[Item]:
-        """Return the items of an answer of the host in this process. An item put here has the payload that was put."""
+        """Return the items of an answer of the host in this process.
+
+        An item that this process put has the payload object of the put.
+        """
         if len(runs) == 1 and runs[0].encoded is None:
             return [self._item_here(runs[0])]
         columns = [self._columns_here(run) for run in runs]

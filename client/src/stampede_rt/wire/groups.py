@@ -1,4 +1,4 @@
-"""Converts groups, cuts and matches from protobuf, and group specs to it (`group.proto`, `group_service.proto`)."""
+"""Converts groups, members and cuts from protobuf, and group specs to it (`group.proto`, `group_service.proto`)."""
 
 from __future__ import annotations
 

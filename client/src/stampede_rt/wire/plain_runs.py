@@ -17,8 +17,8 @@ _PAYLOADS_TAG = 6 << 3 | 2
 _SEQ = struct.Struct("<BQ")
 _SEQ_TAG = 7 << 3 | 1
 _PAYLOAD_BYTES = struct.Struct("<I")
-# Layouts of stored plain runs: how the last column before the column of lengths begins, and where; where the column of
-# lengths begins; and how many bytes come after the payload.
+# Layouts of stored plain runs. Each entry has: the first bytes of the last column before the column of lengths; the
+# position of that column; the position of the column of lengths; and the number of bytes after the payload.
 _LAYOUTS = (
     (b"", 0, 0, _COLUMN.size + _SEQ.size),
     (bytes((_TIMES_TAG, 8)), 0, _COLUMN.size, _SEQ.size),

@@ -125,7 +125,7 @@ def resolved_from_message(message: time_pb2.ResolvedInterval) -> ResolvedInterva
 
 
 def reason_to_message(reason: Reason | None) -> str:
-    """Return the name of the AbsenceReason for `reason`; the unspecified one for None. It has no detail."""
+    """Return the name of the AbsenceReason for `reason`; the unspecified one for None. The name has no detail."""
     return _REASON_PREFIX + (reason.value if reason else "UNSPECIFIED")
 
 

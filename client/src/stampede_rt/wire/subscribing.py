@@ -13,7 +13,7 @@ _MODES = {"all": channel_pb.SUBSCRIBE_MODE_ALL, "newest": channel_pb.SUBSCRIBE_M
 
 
 def beginning(start: Bound | None, mode: SubscribeMode, after: Item | None) -> channel_pb.SubscribeOpen:
-    """The mode and the place of a subscription. Raises InvalidArgument."""
+    """Return the first message of a subscription, with its mode and its beginning. Raises InvalidArgument."""
     if mode not in _MODES:
         raise InvalidArgument(f'mode is {mode!r}; write "all" or "newest"')
     if start is not None and after is not None:
