@@ -100,8 +100,8 @@ def test_doctor_reports_a_killed_host_and_its_channels_until_it_restarts(cluster
     code, said = doctor("--url", cluster.address)
     assert (code, "Everything is well." in said) == (1, False)
     assert re.search(r"^host h2 +\S+ +lost \S+ m?s ago", said, re.M), "h2 held nothing, but doctor reports it, too"
-    assert "channels: cam/left belonged to host h1, which is lost with its items" in said
-    assert "queues: jobs belonged to host h1, which is lost with its items" in said
+    assert "channels: cam/left belonged to host h1, now lost with the items" in said
+    assert "queues: jobs belonged to host h1, now lost with the items" in said
     empty.restart()
     code, said = doctor("--url", cluster.address)
     assert (code, "lost" in row(said, "host h2"), "lost" in row(said, "host h1")) == (1, False, True)

@@ -208,7 +208,7 @@ def test_lost_channels_and_queues_are_reported_by_name_and_host() -> None:
     [channels, queues] = [finding for finding in findings if finding.part in ("channels", "queues")]
     assert (channels.state, queues) == ("7 of 9 lost", CheckResult("queues", "-", "4, none lost"))
     assert channels.advice.startswith(
-        "cam/0, cam/1, cam/2, cam/3, cam/4 and 2 more belonged to host h7, which is lost with its items"
+        "cam/0, cam/1, cam/2, cam/3, cam/4 and 2 more belonged to host h7, now lost with the items"
     )
 
 
@@ -216,7 +216,7 @@ def test_recorded_channels_of_absent_hosts_are_not_reported_as_lost() -> None:
     held = [Inventory(kind="channel", count=3, lost=[("live", "host h7")], recorded=[("rec", "host h8")])]
     [channels] = [one for one in diagnose(WELL, held, own_version="1.0", certificate_s_min=0) if one.part == "channels"]
     assert channels.state == "1 of 3 lost, 1 of 3 away"
-    assert "live belonged to host h7, which is lost with its items" in channels.advice
+    assert "live belonged to host h7, now lost with the items" in channels.advice
     assert "start host h8 again with the same archive, which has the recorded items of rec." in channels.advice
     gone = found(changed("h1", alive=False), "host h1")
     assert (gone.state, "open them again" in gone.advice) == ("gone", False)
@@ -252,14 +252,18 @@ def test_doctor_advises_to_start_a_host_if_there_is_none() -> None:
         ({"s1": (1, 1), "s2": (1, 1), "s3": (1, 1)}, "1", ""),
         (
             {"s1": (1, 2), "s2": (1, 1), "s3": (1, 2)},
-            "1, and not all know 2",
+            "1, and not all supernodes know 2",
             "upgrade s2; the level then rises by itself",
         ),
-        ({"s1": (1, 2), "s2": (0, 0), "s3": (1, 1)}, "1, and not all know 2", "upgrade s3 and start s2, whose"),
+        (
+            {"s1": (1, 2), "s2": (0, 0), "s3": (1, 1)},
+            "1, and not all supernodes know 2",
+            "upgrade s3 and start s2, whose",
+        ),
         ({"s1": (1, 2), "s2": (1, 2), "s3": (1, 2)}, "1, about to rise to 2", ""),
         (
             {"s1": (2, 2), "s2": (1, 2), "s3": (2, 3)},
-            "2, and not all know 3",
+            "2, and not all supernodes know 3",
             "upgrade s1 and s2; the level then rises",
         ),
     ],

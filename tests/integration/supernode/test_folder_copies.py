@@ -60,7 +60,7 @@ async def test_status_says_that_a_supernode_without_its_folder_is_a_cluster_of_i
         code, printed = await command("status", "--member", address)
         assert (code, "1 of 1 serve" in printed) == (0, True), printed
         assert "Cluster memory-" in printed
-        assert "should be of another cluster, start it again with its --data-dir" in printed
+        assert "should be of another cluster, start supernode-1 again with --data-dir" in printed
     finally:
         await alone.close()
 

@@ -100,7 +100,7 @@ async def test_two_supernodes_whose_states_differ_are_both_reported_until_a_rest
         code, printed = await command("status", "--member", founder.address)
         assert (code, "2 of 2 serve" in printed) == (0, True), printed
         assert "it is unknown which of them is right" in printed
-        assert "start this one and the leader again" in printed
+        assert "start this supernode and the leader again" in printed
         await served_by(founder)
         await served_by(newcomer)
         (tmp_path / founder.name / FLIP_FILE).unlink()

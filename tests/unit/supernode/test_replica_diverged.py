@@ -81,7 +81,7 @@ async def test_a_supernode_reports_that_its_disk_does_not_answer_and_doctor_give
     node.log.disk_silent_seconds = 7.2
     pong = await node.call(node.stub.Ping(pb.DirectoryServicePingRequest(), timeout=10))
     state, advice = refusal(pong.refused_supernodes["s1"])
-    assert (state, "has not answered for 7 s; the other supernodes serve without this one" in advice) == (
+    assert (state, "has not answered for 7 s; the other supernodes serve without this supernode" in advice) == (
         "waiting for its disk",
         True,
     ), advice

@@ -57,7 +57,9 @@ def add_verbs(subparsers: Any) -> None:
 
 
 def _add_change(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("who", metavar="WHO", help='names of clients, such as "cam-*"; @clients: their shared secret')
+    parser.add_argument(
+        "who", metavar="WHO", help='names of clients, such as "cam-*"; @clients: all clients with the shared secret'
+    )
     parser.add_argument("actions", metavar="VERB,...", type=_verbs, help=f"{', '.join(VERBS)}; * for all")
     parser.add_argument("names", metavar="NAME", help='names of things, such as "video/*"')
     parser.add_argument("--kind", choices=KINDS, help="only things of this kind; default: every kind")

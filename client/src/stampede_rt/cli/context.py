@@ -27,7 +27,9 @@ def add_verbs(subparsers: Any) -> None:
     verbs = noun.add_subparsers(dest="context_verb", metavar="VERB", required=True, parser_class=VerbParser)
     add = _named_verb(verbs, "add", "save a context, or replace it", run_add)
     add.add_argument("--url", required=True, metavar="HOST:PORT", help="front-ends, comma-separated")
-    add.add_argument("--secret-file", metavar="FILE", help="the file of the secret or token; - keeps standard input")
+    add.add_argument(
+        "--secret-file", metavar="FILE", help="the file of the secret or token; -: keep the secret from standard input"
+    )
     for name, what in (("ca", "certificate authority"), ("certificate", "own certificate"), ("key", "own key")):
         add.add_argument(f"--tls-{name}", metavar="FILE", help=f"the file of the {what}")
     _named_verb(verbs, "use", "choose the context for all later commands", run_use)

@@ -222,8 +222,8 @@ def _holdings(held: Inventory) -> CheckResult:
         names, hosts = _names(held.lost)
         states.append(f"{len(held.lost)} of {count} lost")
         advice.append(
-            f"{names} belonged to {hosts}, which is lost with its items; start it again, or open them at another host: "
-            f"the next put into a {held.kind} does that"
+            f"{names} belonged to {hosts}, now lost with the items; start {hosts} again, or open the {held.kind}s at "
+            f"another host: the next put into a {held.kind} does that"
         )
     if held.recorded:
         names, hosts = _names(held.recorded)

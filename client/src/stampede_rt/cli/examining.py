@@ -302,8 +302,8 @@ def _marked_if_foreign(answer: PartAnswer, own_id: str) -> PartAnswer:
     if not _of_others(answer, own_id):
         return answer
     failure = (
-        f"a supernode of another cluster, {answer.response.cluster_id}, answers there, and not one of {own_id}: stop "
-        "it, and start the member of this address, or remove that member from the cluster"
+        f"a supernode of another cluster, {answer.response.cluster_id}, answers there instead of one of {own_id}: stop "
+        "that supernode, and start the member of this address, or remove the member from the cluster"
     )
     return answer._replace(seen=replace(answer.seen, failure=failure))
 

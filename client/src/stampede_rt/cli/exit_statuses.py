@@ -1,4 +1,4 @@
-"""The exit statuses of all commands. Pure. docs/command-line.md and the man page explain the same ones."""
+"""The exit statuses of all commands. Pure. docs/command-line.md and the man page explain the same statuses."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         if index is None or index.statistics is None:
             raise FileError(
                 f"the file {arguments.path!r} has no index: its writer did not finish it; `stampede file verify` "
-                "reads it all, and `stampede file recover` writes a whole one"
+                "reads it all, and `stampede file recover` writes a whole file"
             )
         counts = index.statistics.channel_message_counts
         topics = [

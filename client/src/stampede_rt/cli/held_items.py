@@ -52,10 +52,10 @@ def file_of(
 
 
 def since_of(start: int | None, now: int, clock: ClockOffset | None) -> str:
-    """The argument `since` of `Connection.record`, for a recording that has the items from `start` on. `now`: this
-    machine's clock, which may be wrong.
+    """Return the argument `since` of `Connection.record`, for a recording that has the items from `start` on.
 
-    `clock`: how far it is ahead of the cluster's clock, if that is known.
+    `now`: the time of this machine's clock, which may be wrong. `clock`: how far this machine's clock is ahead of the
+    cluster's clock; None: this is not known.
     """
     if start is None or clock is None:
         return "oldest"
@@ -73,7 +73,7 @@ def _record(arguments: argparse.Namespace, sources: Sequence[str], path: Path, s
     for text in summary.absent:
         print(f"stampede: missing: {escaped(text)}", file=sys.stderr)
     if not summary.channels:
-        raise InvalidArgument(f"there is no file and no channel {' '.join(sources)}; `stampede ls` lists them")
+        raise InvalidArgument(f"there is no file and no channel {' '.join(sources)}; `stampede ls` lists the channels")
     return summary
 
 

@@ -39,9 +39,10 @@ class Interruption:
         self.regular_end: tuple[Callable[[], object], float] | None = None
 
     def ends(self, stop: Callable[[], object], limit_s: float) -> None:
-        """Make Ctrl-C the regular end of the command: it calls `stop`, and the process has the command's own status.
+        """Make Ctrl-C the regular end of the command: Ctrl-C then calls `stop`, and the command returns its own status.
 
-        If the command has not ended `limit_s` seconds later, it is ended as any other command is, with INTERRUPTED.
+        If the command has not ended `limit_s` seconds later, the process ends with INTERRUPTED, as after Ctrl-C in
+        other commands.
         """
         self.regular_end = (stop, limit_s)
 

@@ -41,7 +41,7 @@ def run_rebalance(arguments: argparse.Namespace) -> int:
     """Plan moves, and perform them if asked."""
     with connected(arguments) as rt:
         planned = rt.rebalance(apply=arguments.apply, over=arguments.over)
-    none = "the loads of the hosts differ by less than a tenth of a core, or no channel would even them out"
+    none = "the loads of the hosts differ by less than a tenth of a core, or no move of a channel would help"
     print_rows([asdict(one) for one in planned], arguments.output, none=none)
     return 0
 

@@ -21,7 +21,8 @@ QUOTAS = (
     "changes-per-second", "bytes-held", "bytes-archived", "cpu-percent",
 )  # fmt: skip
 IN_BYTES = frozenset({"bytes-in-flight", "bytes-held", "bytes-archived"})
-OF_EACH_HOST = {"bytes-held": "--memory-bytes-max", "bytes-archived": "--archive-bytes-max"}  # default: 7/8 of it
+# The default limit of these is 7/8 of a setting of the host.
+OF_EACH_HOST = {"bytes-held": "--memory-bytes-max", "bytes-archived": "--archive-bytes-max"}
 DEFAULT = "(default)"  # the text for the subject of a default limit
 UNLIMITED = 2**62  # a limit of this number or more is no limit
 _UNITS = {"": 1, "B": 1, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
@@ -47,7 +48,7 @@ def add_verbs(subparsers: Any) -> None:
     rm.add_argument("quotas", metavar="QUOTA", nargs="*", type=_quota, help="default: all quotas of WHO")
     add_verb(verbs, "ls", "list all limits that were set, and the defaults", run_ls)
     check = add_verb(verbs, "check", "print the limits of one caller, each with the setting that decides it", run_check)
-    check.add_argument("who", metavar="WHO", help='its name, or "@ADDRESS"')
+    check.add_argument("who", metavar="WHO", help='the name of the caller, or "@ADDRESS"')
     use = add_verb(
         verbs, "use", "show the usage and the refusals of each caller at each service of the cluster", run_use
     )

@@ -1,4 +1,4 @@
-"""`stampede hz` and `stampede bw`: rates, computed from the counters of the hosts, which send no payloads for this."""
+"""`stampede hz` and `stampede bw`: rates from the counters of the hosts, without any payloads."""
 
 from __future__ import annotations
 

@@ -106,8 +106,9 @@ def _ended(summary: RecordingSummary | None, arguments: argparse.Namespace) -> i
 
 
 def print_summary(summary: RecordingSummary, form: str, *, is_complete: bool | None = None) -> None:
-    """Print the contents of a file, and the missing items. `is_complete`: whether the file has them all, if the caller
-    knows it better than the summary.
+    """Print the contents of a file, and the missing items.
+
+    `is_complete`: whether the file has all items; None: as the summary says.
     """
     if form != "table":
         value = {

@@ -1,4 +1,4 @@
-"""Standard input as payloads. Ctrl-C ends each wait for it: a read of Python's own would wait for the next line."""
+"""Standard input as payloads. Ctrl-C ends each wait for it: Python's own read would wait for the next line."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ LEADER, FOLLOWER = SERVING = ("leader", "follower")
 TOKEN_HOURS_MAX = 24  # the longest validity of a token for a joining supernode
 IN_MEMORY_ADVICE = (
     "This cluster is kept only in memory, and ends with its processes. If {names} should be of another cluster, start "
-    "it again with its --data-dir."
+    "{names} again with --data-dir."
 )
 ID_BYTES = 4  # of a random supernode id
 
@@ -39,8 +39,8 @@ def administer(argv: Sequence[str]) -> int:
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     status = _verb(verbs, "status", "list the supernodes, which one leads, and their state", _run_status)
     add = _verb(verbs, "add", "make a token that lets one supernode join, and print the command for it", _run_add)
-    add.add_argument("address", metavar="HOST:PORT", help="the address at which it will listen and the others reach it")
-    add.add_argument("--id", help="its id, never used before; default: a random one")
+    add.add_argument("address", metavar="HOST:PORT", help="the new supernode's address; the others must reach it there")
+    add.add_argument("--id", help="the supernode's id, never used before; default: a random id")
     add.add_argument(
         "--valid-hours", type=_hours, default=1.0, metavar="HOURS", help="how many hours the token is valid; default 1"
     )
@@ -194,10 +194,11 @@ def _run_add(arguments: argparse.Namespace) -> int:
     until = instant_text(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
     print(escaped(f"The token lets supernode {name} join at {arguments.address}, once, until {until}."))
     if is_secured:
-        print("It needs its own certificate. Name the files there in $STAMPEDE_TLS_CA, ..._CERTIFICATE and ..._KEY:\n")
+        print("The supernode needs a certificate of its own. On its machine, name the certificate's files in")
+        print("$STAMPEDE_TLS_CA, ..._CERTIFICATE and ..._KEY. This command makes the certificate:\n")
         host = arguments.address.rpartition(":")[0]
         print(f"  {escaped(f'stampede certs issue --role supernode --name {name} --address {host}')}\n")
-    print(f"On its machine, run:\n\n  {escaped(command)}")
+    print(f"On the machine of the supernode, run:\n\n  {escaped(command)}")
     return 0
 
 

@@ -17,10 +17,10 @@ DOUBTFUL = "differs from that of the leader"
 IN_DOUBT = "in doubt"
 REFUSED_BY = " (says "  # comes after each reason for which another supernode refuses this one
 DOUBT_ADVICE = (
-    "it goes on serving. Start the supernodes that are down, if any: then most may agree. Otherwise start this one and "
-    "the leader again, one after the other, with their data folders: an error that was only in memory ends then. "
-    "If the doubt stays, remove the one whose release or machine you trust less (stampede supernode remove), and let "
-    "it join under a new id"
+    "it goes on serving. Start the supernodes that are down, if any: then most may agree. Otherwise start this "
+    "supernode and the leader again, one after the other, with their data folders: an error that was only in memory "
+    "ends then. If the doubt stays, remove the supernode whose release or machine you trust less (stampede supernode "
+    "remove), and let it join under a new id"
 )
 # These words are in a text about a supernode whose release does not know the cluster's feature level.
 TOO_OLD = "is of a release that is too old"
@@ -28,8 +28,9 @@ TOO_OLD = "is of a release that is too old"
 DISK_SILENT = "the disk of its data folder has not answered"
 WAITS_FOR_DISK = "waiting for its disk"
 DISK_ADVICE = (
-    "the other supernodes serve without this one; mend the disk, and this one serves again by itself; if the disk is "
-    "lost, remove this one (stampede supernode remove) and let it join under a new id (runbook: replace one)"
+    "the other supernodes serve without this supernode; mend the disk, and the supernode serves again by itself; if "
+    "the disk is lost, remove the supernode (stampede supernode remove) and let it join under a new id (runbook: "
+    "replace one)"
 )
 REPLACE_ADVICE = (
     "remove it (stampede supernode remove), empty its folder, and let it join under a new id (runbook: replace one)"
@@ -76,6 +77,6 @@ def level_finding(level: int, highest: Mapping[str, int | None]) -> tuple[str, s
     if not steps:
         return f"{level}, about to rise to {goal}", ""
     return (
-        f"{level}, and not all know {goal}",
+        f"{level}, and not all supernodes know {goal}",
         f"{' and '.join(steps)}; the level then rises by itself (runbook: upgrade)",
     )

@@ -106,7 +106,7 @@ def _serial_of(text: str) -> str:
         return _serial_in(Path(text).read_text()) if Path(text).is_file() else _checked(text)
     except (OSError, ValueError, KeyError, TypeError):
         raise StampedeError(
-            f"{text!r} is neither the file of a token nor the serial number of one, which has {SERIAL_DIGITS} "
+            f"{text!r} is neither the file of a token nor the serial number of a token, which has {SERIAL_DIGITS} "
             "hexadecimal digits; revoke certificates with `stampede certs revoke`"
         ) from None
 

@@ -37,7 +37,7 @@ def add_verbs(subparsers: Any) -> None:
     verb.add_argument(
         "--every", type=period_seconds, default=1.0, metavar="SECONDS", help="refresh this often; default 1"
     )
-    verb.add_argument("--count", type=parse_count, metavar="N", help="stop after N looks")
+    verb.add_argument("--count", type=parse_count, metavar="N", help="stop after N refreshes")
 
 
 def run_top(arguments: argparse.Namespace) -> int:

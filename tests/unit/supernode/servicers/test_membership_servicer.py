@@ -175,7 +175,7 @@ async def test_a_supernode_whose_state_differs_gives_no_snapshot_not_even_a_stal
     for stale_ok in (False, True):
         error = await reason_of(stub.TakeSnapshot(pb.TakeSnapshotRequest(stale_ok=stale_ok), timeout=10).read())
         assert "differs from that of most members at log position 7" in error.message
-        assert "take one of another supernode" in error.message
+        assert "take a snapshot of another supernode" in error.message
 
 
 @pytest.mark.parametrize(

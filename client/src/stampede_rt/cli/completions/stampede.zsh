@@ -218,7 +218,7 @@ _shtab_stampede_acl_add_options=(
   "--kind[only things of this kind\; default\: every kind]:kind:(channel group queue peer)"
   "--deny[forbid the verbs, even if other rules allow them]"
   "--dry-run[change nothing, and print the effects that the change would have]"
-  ":names of clients, such as \"cam-\*\"\; \@clients\: their shared secret:"
+  ":names of clients, such as \"cam-\*\"\; \@clients\: all clients with the shared secret:"
   ":read, put, consume, advance, create, configure, delete, take, send, register, list\; \* for all:"
   ":names of things, such as \"video\/\*\":"
 )
@@ -258,7 +258,7 @@ _shtab_stampede_acl_rm_options=(
   "--kind[only things of this kind\; default\: every kind]:kind:(channel group queue peer)"
   "--deny[forbid the verbs, even if other rules allow them]"
   "--dry-run[change nothing, and print the effects that the change would have]"
-  ":names of clients, such as \"cam-\*\"\; \@clients\: their shared secret:"
+  ":names of clients, such as \"cam-\*\"\; \@clients\: all clients with the shared secret:"
   ":read, put, consume, advance, create, configure, delete, take, send, register, list\; \* for all:"
   ":names of things, such as \"video\/\*\":"
 )
@@ -468,7 +468,7 @@ _shtab_stampede_context_add_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--url[front-ends, comma-separated]:HOST:PORT:"
-  "--secret-file[the file of the secret or token\; - keeps standard input]:FILE:_files"
+  "--secret-file[the file of the secret or token\; -\: keep the secret from standard input]:FILE:_files"
   "--tls-ca[the file of the certificate authority]:FILE:_files"
   "--tls-certificate[the file of the own certificate]:FILE:_files"
   "--tls-key[the file of the own key]:FILE:_files"
@@ -1235,7 +1235,7 @@ _shtab_stampede_quota_check_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  ":its name, or \"\@ADDRESS\":"
+  ":the name of the caller, or \"\@ADDRESS\":"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -1402,11 +1402,11 @@ _shtab_stampede_supernode_defaults_added=0
 _shtab_stampede_supernode_add_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
-  "--id[its id, never used before\; default\: a random one]:id:"
+  "--id[the supernode\'s id, never used before\; default\: a random id]:id:"
   "--valid-hours[how many hours the token is valid\; default 1]:HOURS:"
   {--url,--frontend}"[front-ends\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT,...:"
   "--member[supernodes to ask instead, if no front-end runs]:HOST:PORT,...:"
-  ":the address at which it will listen and the others reach it:"
+  ":the new supernode\'s address\; the others must reach it there:"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -1416,10 +1416,10 @@ _shtab_stampede_supernode_init_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--restore[take over the directory of a backup (see \`stampede supernode snapshot\`), or a lost member\'s folder]:PATH:_files"
   "--take-over[with --restore\: the former cluster will never run again\; its hosts and front-ends join the new one]"
-  "--data-dir[the new folder of its log]:DIR:"
-  "--listen[the address at which it will listen]:HOST:PORT:"
-  "--advertise[the address at which others reach it\; default\: --listen]:HOST:PORT:"
-  "--id[its id, never used before\; default\: a random one]:id:"
+  "--data-dir[the new folder of the log]:DIR:"
+  "--listen[the supernode listens at this address]:HOST:PORT:"
+  "--advertise[others reach the supernode at this address\; default\: --listen]:HOST:PORT:"
+  "--id[the supernode\'s id, never used before\; default\: a random id]:id:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
 
@@ -1431,10 +1431,10 @@ _shtab_stampede_supernode_join_options=(
   {--url,--frontend}"[front-ends\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT,...:"
   "--member[supernodes to ask instead, if no front-end runs]:HOST:PORT,...:"
   "--token[the token of \`stampede supernode add\`\; without it the command asks for one]:token:"
-  "--data-dir[the new folder of its log]:DIR:"
-  "--listen[the address at which it will listen]:HOST:PORT:"
-  "--advertise[the address at which others reach it\; default\: --listen]:HOST:PORT:"
-  "--id[its id, never used before\; default\: a random one]:id:"
+  "--data-dir[the new folder of the log]:DIR:"
+  "--listen[the supernode listens at this address]:HOST:PORT:"
+  "--advertise[others reach the supernode at this address\; default\: --listen]:HOST:PORT:"
+  "--id[the supernode\'s id, never used before\; default\: a random id]:id:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
 )
 
@@ -1514,7 +1514,7 @@ _shtab_stampede_top_options=(
   "--local[print instants as local time\; default\: UTC]"
   "--sort[what to sort by\; default bytes, in and out]:sort:(bytes items age lag held refused dropped name)"
   "--every[refresh this often\; default 1]:SECONDS:"
-  "--count[stop after N looks]:N:"
+  "--count[stop after N refreshes]:N:"
   ":names, such as \"cam\/\*\":"
 )
 

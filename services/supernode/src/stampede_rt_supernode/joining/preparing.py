@@ -57,12 +57,12 @@ def prepare(argv: Sequence[str]) -> int:
     add_cluster_options(join)
     join.add_argument("--token", help="the token of `stampede supernode add`; without it the command asks for one")
     for verb in (init, join):
-        verb.add_argument("--data-dir", type=Path, required=True, metavar="DIR", help="the new folder of its log")
-        verb.add_argument("--listen", required=True, metavar="HOST:PORT", help="the address at which it will listen")
+        verb.add_argument("--data-dir", type=Path, required=True, metavar="DIR", help="the new folder of the log")
+        verb.add_argument("--listen", required=True, metavar="HOST:PORT", help="the supernode listens at this address")
         verb.add_argument(
-            "--advertise", metavar="HOST:PORT", help="the address at which others reach it; default: --listen"
+            "--advertise", metavar="HOST:PORT", help="others reach the supernode at this address; default: --listen"
         )
-        verb.add_argument("--id", help="its id, never used before; default: a random one")
+        verb.add_argument("--id", help="the supernode's id, never used before; default: a random id")
         add_output(verb)
     parsed = parser.parse_args(argv)
     try:

@@ -108,7 +108,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         """A snapshot in the form of a backup file, and the response that describes it. Raises Unavailable."""
         began, status = self._clock.boottime_nanos(), self._log.status()
         if status.diverged_at:
-            text = f"{why_diverged(status)}; its snapshot is not a valid backup; take one of another supernode"
+            text = f"{why_diverged(status)}; its snapshot is not a valid backup; take a snapshot of another supernode"
             raise Unavailable(text, reason="SHUTTING_DOWN")
         try:
             if not stale_ok:
