@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import stampede_rt as st
 from stampede_rt_demos.failures import DemoFailed, one_sentence
 from stampede_rt_demos.rover.faults import Faults
-from stampede_rt_demos.rover.programme import PLANNER_JOINS, is_taken
+from stampede_rt_demos.rover.programme import PLANNER_JOINS, STREAM_MAX_AGE, is_taken
 from stampede_rt_demos.rover.report import RoverReport
 from stampede_rt_demos.staging.clip import decode_clock
 from stampede_rt_demos.staging.film import locate_film
@@ -17,7 +17,7 @@ from stampede_rt_demos.staging.messages import Message
 from stampede_rt_demos.staging.progress import Progress
 from stampede_rt_demos.staging.role_processes import RoleProcesses, role_command
 from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND, LoopedClock
-from stampede_rt_demos.stereo.programme import DEPTH_CHANNEL, STREAM_MAX_AGE, Side, sent
+from stampede_rt_demos.stereo.programme import DEPTH_CHANNEL, Side, sent
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceFailed
 

@@ -8,6 +8,8 @@ SECONDS_MIN = 16
 """The loss of a host stops its channels until its lease ends, after about 6 s. The run must go on long enough after
 that."""
 STREAM_MAX_AGE = "60s"
+DEPTH_SECONDS_MAX = 100.0
+"""The longest time from the last frame to the last disparity. A busy machine measures late."""
 
 PLANNER_JOINS = 0.2
 DRAIN = 0.3

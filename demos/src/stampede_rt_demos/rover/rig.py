@@ -12,20 +12,30 @@ import numpy as np
 from PIL import Image
 
 import stampede_rt as st
-from stampede_rt_demos.rover.programme import RIG, STREAM_MAX_AGE, is_taken
+from stampede_rt_demos.rover.programme import DEPTH_SECONDS_MAX, RIG, STREAM_MAX_AGE, is_taken
 from stampede_rt_demos.staging.clip import EncodedVideo
 from stampede_rt_demos.staging.producing import wait_until
 from stampede_rt_demos.staging.role import Stage, run_role
 from stampede_rt_demos.staging.thumbnails import encode_jpeg, luma_thumbnail
 from stampede_rt_demos.stereo.camera import NUMBER_ATTRIBUTE, clip, put_end
-from stampede_rt_demos.stereo.programme import GROUP, HEIGHT, JPEG_QUALITY, Frame, Side, planned, true_disparity
+from stampede_rt_demos.stereo.programme import (
+    DEPTH_CHANNEL,
+    END_NANOS,
+    GROUP,
+    HEIGHT,
+    JPEG_QUALITY,
+    Frame,
+    Side,
+    planned,
+    true_disparity,
+)
 from stampede_rt_demos.stereo.scene import WIDE, view
 
 LOOK_SECONDS = 0.2
 
 
 def play(stage: Stage) -> dict[str, object]:
-    """Put each frame that is not lost when it is due. Then tell the consumers that no further frame will come."""
+    """Put each frame that is not lost when it is due, tell the consumers the end, and wait for the last disparity."""
     video = clip()
     wide = [luma_thumbnail(frame, WIDE, HEIGHT) for frame in video.frames]
     speeds: list[int] = []
@@ -51,6 +61,7 @@ def play(stage: Stage) -> dict[str, object]:
         wait_until(start + stage.settings.length_nanos)
         for camera in cameras.values():
             put_end(camera, start + stage.settings.length_nanos)
+        _wait_for_depth(rt, start + stage.settings.length_nanos + END_NANOS)
         ended.set()
         obeying.join()
     return {"put": took, "by_reference": by_reference, "speeds": speeds}
@@ -61,6 +72,15 @@ def _in_time(video: EncodedVideo, start: int, length: int) -> Iterator[tuple[Sid
     both = [(side, frame) for side in Side for frame in planned(side, video.clock, start, length)]
     put = [(side, frame) for side, frame in both if is_taken(frame.number) and not frame.is_lost]
     return iter(sorted(put, key=lambda one: one[1].time))
+
+
+def _wait_for_depth(rt: st.Connection, end: int) -> None:
+    """Stay a host until the depth consumer has put its last item, which has the time `end`.
+
+    One of the cluster's two hosts is lost, so the replicas of the other one are at this host.
+    """
+    depth = rt.channel(DEPTH_CHANNEL, codec="json", create=False)
+    depth.get(end, end, match="start", timeout=DEPTH_SECONDS_MAX)
 
 
 def _obey(rt: st.Connection, ended: threading.Event, speeds: list[int]) -> None:
