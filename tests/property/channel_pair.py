@@ -128,18 +128,18 @@ class ChannelPair:
         self.tracker = ReachTracker(self.core)
 
     def put(
-        self, offer: Offer, on_seal: Callable[[int, int | None], None] | None = None
+        self, offer: Offer, on_seal: Callable[[int, Sequence[int] | None, int | None], None] | None = None
     ) -> tuple[PutOutcome, Sequence[Item | RefusedItem]]:
         """Put an offer into both. Keeps the items that have to wait, for `retry_put`. Returns both outcomes.
 
-        Calls `on_seal` with the first seq and the time of the host when the core calls `seal`.
+        Calls `on_seal` with the arguments of `seal` when the core calls it.
         """
         sealed: list[tuple[int, Sequence[int] | None, int | None]] = []
 
         def seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
             sealed.append((first_seq, None if kept is None else list(kept), stamped_time))
             if on_seal is not None:
-                on_seal(first_seq, stamped_time)
+                on_seal(first_seq, kept, stamped_time)
             return b"body"
 
         outcome = self.core.put(offer, self.clock, seal)

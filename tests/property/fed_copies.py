@@ -100,11 +100,11 @@ class FedCopy:
         has_owner = self.source is self.pair.core and self.feed is not None and self.window is not None
         return self.feed.take_ahead(item) if has_owner and self.feed is not None else None
 
-    def apply_item(self, fed: FedItem) -> None:
-        """Apply an item that the owner has sent ahead. The items that the owner has collected meanwhile stay here."""
+    def apply_item(self, fed: FedItem, run: Run) -> None:
+        """Apply a run that the owner has sent ahead. The items that the owner has collected meanwhile stay here."""
         self.channel.check_item(fed)
-        self.channel.apply_item(fed, self.pair.clock)
-        self.last = None  # an item comes once
+        self.channel.apply_item(fed, run, self.pair.clock)
+        self.last = None  # a run comes once
         here = held_by(self.channel, self.pair.clock)
         assert self.channel.next_seq == self.source.next_seq
         assert {item.seq for item in here} >= {item.seq for item in held_by(self.source, self.pair.clock)}

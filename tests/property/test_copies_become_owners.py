@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import random
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from unittest import mock
 
@@ -24,6 +25,7 @@ from stampede_rt_channel_host.core.channel import (
     FedItem,
     NewItem,
     Offer,
+    Slice,
     item_blocks,
     owner_facts,
     pieces,
@@ -34,7 +36,7 @@ from tests.oracle import Item, OracleRetries, RefusedItem
 from tests.oracle.runs import RunOutcome as OracleOutcome
 from tests.property.channel_pair import ChannelPair
 from tests.property.draws import an_offer
-from tests.property.fed_copies import FedCopy
+from tests.property.fed_copies import FedCopy, stored
 from tests.property.random_source import RandomSource
 from tests.property.test_channel_against_oracle import FIRST_CLOCK, SET_UPS, STEPS, consume
 
@@ -115,17 +117,18 @@ class Scenario:
             progress.resume(known)
         ahead: list[tuple[FedCopy, FedItem]] = []
 
-        def send_ahead(first_seq: int, stamped_time: int | None) -> None:
+        def send_ahead(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> None:
             """As `ReplicatedPuts`, to the copies that lack nothing else."""
-            if items > 1 or first_seq != self.pair.core.next_seq:
+            if len(offer.lengths) < items or kept is not None or first_seq != self.pair.core.next_seq:
                 return
-            time = offer.times[0] if offer.times is not None else stamped_time
+            time = min(offer.times) if offer.times is not None else stamped_time
             assert time is not None
-            duration = ABSENT if offer.durations is None else offer.durations[0]
+            duration = ABSENT if offer.durations is None or items > 1 else offer.durations[0]
             is_stamped = stamped_time is not None
             item = NewItem(
-                first_seq, producer_id, number, time, duration, offer.lengths[0], is_stamped, self.pair.clock, b"body"
-            )
+                first_seq, producer_id, number, time, duration, sum(offer.lengths), is_stamped, self.pair.clock,
+                b"body", items=items,
+            )  # fmt: skip
             ahead.extend((copy, found) for copy in self.copies if (found := copy.take_ahead(item)) is not None)
 
         outcome, more = self.pair.put(offer, send_ahead)
@@ -140,7 +143,8 @@ class Scenario:
         self.window.record(producer_id, number, progress.outcome(self.pair.clock))
         self.retries.record(producer_id, number, items, [*verdicts, *more], self.pair.clock)
         for copy, fed in ahead:
-            copy.apply_item(fed)
+            assert outcome.run is not None
+            copy.apply_item(fed, stored(Slice(outcome.run, 0, len(outcome.run))))
             self.sent_ahead += 1
 
     def move(self, copy: FedCopy) -> None:

@@ -50,7 +50,7 @@ class FeedRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[FeedOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ..., sent_nanos: _Optional[int] = ..., subscriptions: _Optional[int] = ..., ready: bool = ..., hold: bool = ..., committed_epoch: _Optional[int] = ..., released: bool = ..., held_next_seq: _Optional[int] = ..., item_next_seq: _Optional[int] = ...) -> None: ...
 
 class FeedOpen(_message.Message):
-    __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts", "move_id", "another_may_follow", "hand_over_when_idle", "takes_puts", "takes_items")
+    __slots__ = ("channel_id", "epoch", "host_id", "target", "place", "owner_facts", "move_id", "another_may_follow", "hand_over_when_idle", "takes_puts", "takes_items", "takes_runs")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
@@ -62,6 +62,7 @@ class FeedOpen(_message.Message):
     HAND_OVER_WHEN_IDLE_FIELD_NUMBER: _ClassVar[int]
     TAKES_PUTS_FIELD_NUMBER: _ClassVar[int]
     TAKES_ITEMS_FIELD_NUMBER: _ClassVar[int]
+    TAKES_RUNS_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     host_id: bytes
@@ -73,7 +74,8 @@ class FeedOpen(_message.Message):
     hand_over_when_idle: bool
     takes_puts: bool
     takes_items: bool
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ..., owner_facts: bool = ..., move_id: _Optional[bytes] = ..., another_may_follow: bool = ..., hand_over_when_idle: bool = ..., takes_puts: bool = ..., takes_items: bool = ...) -> None: ...
+    takes_runs: bool
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., target: _Optional[str] = ..., place: _Optional[_Union[FeedPlace, _Mapping]] = ..., owner_facts: bool = ..., move_id: _Optional[bytes] = ..., another_may_follow: bool = ..., hand_over_when_idle: bool = ..., takes_puts: bool = ..., takes_items: bool = ..., takes_runs: bool = ...) -> None: ...
 
 class FeedPlace(_message.Message):
     __slots__ = ("incarnation", "next_seq", "floor_resets", "owner_until_unix_nano", "owner_epoch")
@@ -104,7 +106,7 @@ class FeedResponse(_message.Message):
     def __init__(self, opened: _Optional[_Union[FeedOpened, _Mapping]] = ..., state: _Optional[_Union[FeedState, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., move_over: bool = ..., item: _Optional[_Union[FedItem, _Mapping]] = ...) -> None: ...
 
 class FedItem(_message.Message):
-    __slots__ = ("seq", "producer_id", "first_number", "time_unix_nano", "duration_nanos", "payload_length_bytes", "is_stamped", "judged_unix_nano", "floor_time_unix_nano", "floor_seq", "newest_collected_unix_nano", "collected_end_unix_nano", "run")
+    __slots__ = ("seq", "producer_id", "first_number", "time_unix_nano", "duration_nanos", "payload_length_bytes", "is_stamped", "judged_unix_nano", "floor_time_unix_nano", "floor_seq", "newest_collected_unix_nano", "collected_end_unix_nano", "run", "items")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     PRODUCER_ID_FIELD_NUMBER: _ClassVar[int]
     FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
@@ -118,6 +120,7 @@ class FedItem(_message.Message):
     NEWEST_COLLECTED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     COLLECTED_END_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     RUN_FIELD_NUMBER: _ClassVar[int]
+    ITEMS_FIELD_NUMBER: _ClassVar[int]
     seq: int
     producer_id: int
     first_number: int
@@ -131,7 +134,8 @@ class FedItem(_message.Message):
     newest_collected_unix_nano: int
     collected_end_unix_nano: int
     run: bytes
-    def __init__(self, seq: _Optional[int] = ..., producer_id: _Optional[int] = ..., first_number: _Optional[int] = ..., time_unix_nano: _Optional[int] = ..., duration_nanos: _Optional[int] = ..., payload_length_bytes: _Optional[int] = ..., is_stamped: bool = ..., judged_unix_nano: _Optional[int] = ..., floor_time_unix_nano: _Optional[int] = ..., floor_seq: _Optional[int] = ..., newest_collected_unix_nano: _Optional[int] = ..., collected_end_unix_nano: _Optional[int] = ..., run: _Optional[bytes] = ...) -> None: ...
+    items: int
+    def __init__(self, seq: _Optional[int] = ..., producer_id: _Optional[int] = ..., first_number: _Optional[int] = ..., time_unix_nano: _Optional[int] = ..., duration_nanos: _Optional[int] = ..., payload_length_bytes: _Optional[int] = ..., is_stamped: bool = ..., judged_unix_nano: _Optional[int] = ..., floor_time_unix_nano: _Optional[int] = ..., floor_seq: _Optional[int] = ..., newest_collected_unix_nano: _Optional[int] = ..., collected_end_unix_nano: _Optional[int] = ..., run: _Optional[bytes] = ..., items: _Optional[int] = ...) -> None: ...
 
 class FeedOpened(_message.Message):
     __slots__ = ("begins_anew", "lost_before_unix_nano", "lost_from_unix_nano", "former")

@@ -17,6 +17,7 @@ from stampede_rt_channel_host.copies.fed_items import read_answer
 from stampede_rt_channel_host.copies.fed_responses import read_response
 from stampede_rt_channel_host.copies.feed_calls import encode_request
 from stampede_rt_channel_host.copies.feed_opening import has_others_items
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from tests.support.channel_host.rig import running_host
 from tests.unit.channel_host.copies.test_feed_stream import (
@@ -104,6 +105,100 @@ async def test_a_replica_answers_an_item_before_it_stores_it() -> None:
         assert held.channel.owner_facts.window.producers[7].recorded == 3
         with pytest.raises(InvalidArgument, match="has the item with seq 3, and the copy is at 4"):
             copied._take_at_once(call, item)
+
+
+async def test_a_run_goes_to_the_replica_before_the_owner_stores_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with fed(takes_items=True, takes_runs=True) as one:
+        begin(one)
+        written_before: list[int] = []
+        store = Holdings.store
+
+        def noted(held: Holdings, *arguments: Any) -> None:
+            written_before.append(len(items_in(one.feed.written())))
+            store(held, *arguments)
+
+        monkeypatch.setattr(Holdings, "store", noted)
+        [item] = items_in(one.put(b"a", b"bc", b""))
+        assert (item.item.seq, item.item.end_seq, item.item.length) == (2, 5, 3)
+        assert (one.hosted.core.next_seq, written_before[0]) == (5, 1)
+        assert len(one.acks()) == 1, "the replica has not answered yet"
+        one.answer()
+        assert [(ack.first_seq, ack.items, ack.copies) for ack in one.acks()[1:]] == [(2, 3, 2)]
+
+
+async def test_a_replica_answers_a_run_before_it_stores_it() -> None:
+    async with fed(takes_items=True, takes_runs=True) as one, running_host() as other:
+        copied = CopyFeed(
+            other.host.store, one.hosted.record, CopyState(lambda: 0), REPLICA, "replica:1", owner_facts=True
+        )
+        sent: list[tuple[int, int]] = []
+        held: Any = None
+
+        def write(request: pb.FeedRequest | bytes) -> None:
+            sent.append((read_answer(encode_request(request)), held.channel.next_seq))
+
+        call: Any = SimpleNamespace(write_now=write)
+        await copied._take(read_response(one.feed.written()[0]))
+        held = copied._held()
+        [first] = parts_in(one.put())
+        assert copied._take_at_once(call, first)
+        one.report()
+        for offsets in ((), (5, 3, 4)):  # without times, and with times after the newest item
+            seq, newest, granted = one.hosted.core.next_seq, one.hosted.core.newest, copied._granted
+            assert newest is not None
+            times = [newest + offset for offset in offsets] or None
+            [item] = items_in(one.put(b"a", b"bc", b"", times=times))
+            one.answer()
+            assert copied._take_at_once(call, item)
+            assert sent[-1] == (seq + 3, seq), "the answer comes before the storing"
+            assert held.channel.next_seq == seq + 3
+            assert copied._granted - granted == 3 + 3 * ITEM_OVERHEAD_BYTES
+        mine, its = held.channel.counters(0), one.hosted.core.counters(0)
+        assert (mine.accepted, mine.accepted_bytes) == (its.accepted, its.accepted_bytes)
+        for first_number in (2, 5):
+            here = held.channel.owner_facts.window.find(7, first_number, 3, 0)
+            there = one.hosted.puts.retries.find(7, first_number, 3, 0)
+            assert here[:-1] == there[:-1], "only the clocks differ"
+
+
+@pytest.mark.parametrize("field", ["seq", "items", "length"])
+async def test_a_replica_refuses_a_run_that_disagrees_with_its_items(field: str) -> None:
+    async with fed(takes_items=True, takes_runs=True) as one, running_host() as other:
+        copied = CopyFeed(
+            other.host.store, one.hosted.record, CopyState(lambda: 0), REPLICA, "replica:1", owner_facts=True
+        )
+        sent: list[object] = []
+        call: Any = SimpleNamespace(write_now=sent.append)
+        await copied._take(read_response(one.feed.written()[0]))
+        [first] = parts_in(one.put())
+        assert copied._take_at_once(call, first)
+        one.report()
+        [fed_item] = items_in(one.put(b"a", b"bc"))
+        count = len(sent)
+        wrong = fed_item.item._replace(**{field: getattr(fed_item.item, field) + 1})
+        with pytest.raises(InvalidArgument, match="disagrees with its items"):
+            copied._take_at_once(call, fed_item._replace(item=wrong))
+        assert len(sent) == count
+
+
+async def test_the_runs_that_come_while_the_replica_lacks_one_go_out_together() -> None:
+    async with fed(takes_items=True, takes_runs=True) as one:
+        begin(one)
+        assert len(items_in(one.put(b"a", b"b"))) == 1
+        assert one.put(b"c", b"d") == one.put(b"e", b"f") == []
+        count = len(one.feed.written())
+        [part] = parts_in((await one.feed.until_written(count + 1))[count:])
+        assert (part.fields.state.first_seq, part.fields.state.next_seq, len(part.runs)) == (4, 8, 2)
+        one.report()
+        await pauses()
+        assert len(items_in(one.put(b"g", b"h"))) == 1
+
+
+async def test_a_run_of_which_the_channel_refuses_an_item_goes_to_the_replica_when_it_is_stored() -> None:
+    async with fed(takes_items=True, takes_runs=True, max_bytes=1000) as one:
+        begin(one)
+        [part] = parts_in(one.put(b"a", bytes(2000), b"c"))
+        assert (part.fields.state.first_seq, part.fields.state.next_seq) == (2, 4)
 
 
 async def test_a_replica_that_has_got_an_item_which_the_owner_could_not_store_begins_anew(

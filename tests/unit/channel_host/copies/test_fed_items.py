@@ -18,7 +18,7 @@ from stampede_rt_channel_host.core.channel import FedItem, NewFloor, NewItem
 instants, counts = some.integers(-(2**63), 2**63 - 1), some.integers(1, 2**64 - 1)
 bodies = some.builds(bytes, some.sampled_from([13, 200, 100_000]))  # a stored run has at least a length and a seq
 items = some.builds(NewItem, counts, counts, counts, instants, instants, some.integers(0, 2**32 - 1), some.booleans(),
-                    instants, bodies, some.just(""))  # fmt: skip
+                    instants, bodies, some.just(""), some.sampled_from([1, 2, 256, 2**32 - 1]))  # fmt: skip
 floors = some.builds(NewFloor, some.tuples(instants, counts), instants, instants)
 parts = some.builds(FedItem, items, some.none() | floors)
 
@@ -28,7 +28,7 @@ def message_of(fed: FedItem) -> pb.FeedResponse:
     message = pb.FedItem(
         seq=item.seq, producer_id=item.producer_id, first_number=item.first_number, time_unix_nano=item.time,
         duration_nanos=item.duration, payload_length_bytes=item.length, is_stamped=item.is_stamped,
-        judged_unix_nano=item.judged_at, run=bytes(item.body),
+        judged_unix_nano=item.judged_at, run=bytes(item.body), items=0 if item.items == 1 else item.items,
     )  # fmt: skip
     if new is not None:
         message.floor_time_unix_nano, message.floor_seq = new.floor

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from types import SimpleNamespace
 from typing import Any
@@ -46,11 +46,12 @@ class Fed:
         self.channel, self.hosted, self.producer, self.feed = channel, hosted, producer, feed
         self._number = 0
 
-    def put(self) -> list[bytes]:
-        """Put an item. Returns the bytes that the host wrote to the replica before the put returned."""
-        self._number += 1
+    def put(self, *payloads: bytes, times: Sequence[int] | None = None) -> list[bytes]:
+        """Put a run, or an item. Returns the bytes that the host wrote to the replica before the put returned."""
+        payloads = payloads or (b"x",)
         head, before = put_head(self.channel.channel_id, self.channel.epoch, 7), len(self.feed.written())
-        self.producer.send(put_request(head, self._number, run_parts((b"x",), times=None), 10**9))
+        self.producer.send(put_request(head, self._number + 1, run_parts(payloads, times=times), 10**9))
+        self._number += len(payloads)
         return self.feed.written()[before:]
 
     def answer(self) -> None:
@@ -67,7 +68,9 @@ class Fed:
 
 
 @asynccontextmanager
-async def fed(*, takes_puts: bool = True, takes_items: bool = False, **policy: Any) -> AsyncIterator[Fed]:
+async def fed(
+    *, takes_puts: bool = True, takes_items: bool = False, takes_runs: bool = False, **policy: Any
+) -> AsyncIterator[Fed]:
     async with running_host() as rig:
         spec = policy_to_spec(parse_policy(replicas=1, ack="replica", **policy))
         record = rig.directory.add_channel("a", rig.host.identity.host_id, spec)
@@ -75,7 +78,7 @@ async def fed(*, takes_puts: bool = True, takes_items: bool = False, **policy: A
         feed = await held_stream(rig.sockets, "/stampede_rt.v1.ReplicaService/Feed")
         opening = pb.FeedOpen(
             channel_id=record.channel_id, epoch=record.epoch, host_id=REPLICA, target="replica:1", owner_facts=True,
-            takes_puts=takes_puts, takes_items=takes_items,
+            takes_puts=takes_puts, takes_items=takes_items, takes_runs=takes_runs,
         )  # fmt: skip
         hosted = await rig.host.store.bind_for_feed(record.channel_id, record.epoch)
         assert hosted.replication is not None

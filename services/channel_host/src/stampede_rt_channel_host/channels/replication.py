@@ -151,7 +151,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         """
         if self._view is None:
             return 0
-        return self._view.shown.latest_counters().held * ITEM_OVERHEAD_BYTES + self._unseen_bytes
+        return self._view.shown.held.items * ITEM_OVERHEAD_BYTES + self._unseen_bytes
 
     @property
     def _unseen_bytes(self) -> int:

@@ -1,9 +1,10 @@
-"""The items that the feed of a replica sends before the channel stores them."""
+"""The runs that the feed of a replica sends before the channel stores them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.replication import Replication
 from stampede_rt_channel_host.copies.ahead_place import AheadPlace
@@ -13,23 +14,25 @@ from stampede_rt_channel_host.core.channel import ChannelFeed, NewItem
 
 
 class AheadItemSender(AheadPlace):
-    """Sends single items of one feed ahead."""
+    """Sends runs of one feed ahead."""
 
     def __init__(
-        self, hosted: HostedChannel, replication: Replication, host_id: bytes, feed: ChannelFeed,
+        self, hosted: HostedChannel, replication: Replication, opening: pb.FeedOpen, feed: ChannelFeed,
         responses: FeedResponses,
     ) -> None:  # fmt: skip
-        """`host_id`: the host of the replica. `responses` makes the other messages of the feed."""
-        super().__init__(host_id, replication.strays)
+        """`opening`: the first request of the feed. `responses` makes the other messages of the feed."""
+        super().__init__(opening.host_id, replication.strays)
         self._hosted = hosted
         self._feed = feed
         self._responses = responses
+        self._takes_runs = opening.takes_runs  # otherwise it takes only runs of one item
 
     def send(self, item: NewItem, write: Callable[[bytes], None]) -> bool:
-        """Send an item that the channel is about to store. Returns False if the replica lacks other facts, too."""
-        fed = None if self._responses.owes_facts(self._hosted) else self._feed.take_ahead(item)
+        """Send a run that the channel is about to store. Returns False if the replica lacks other facts, too."""
+        is_fit = (item.items == 1 or self._takes_runs) and not self._responses.owes_facts(self._hosted)
+        fed = self._feed.take_ahead(item) if is_fit else None
         if fed is None:
             return False
-        self.sent(item.seq + 1)
+        self.sent(item.end_seq)
         write(encode_item(fed))
         return True

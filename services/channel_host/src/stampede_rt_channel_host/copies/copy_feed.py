@@ -31,6 +31,7 @@ from stampede_rt_channel_host.copies.messages import (
     losses_of,
     place_to,
     run_of,
+    run_of_item,
 )
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, FedChannel, FedItem, Losses, Run
@@ -117,6 +118,7 @@ class CopyFeed:
             owner_facts=self._owner_facts,
             takes_puts=self._owner_facts,
             takes_items=self._owner_facts,
+            takes_runs=self._owner_facts,
         )
 
     def _held(self) -> HostedChannel | None:
@@ -157,10 +159,7 @@ class CopyFeed:
             if asyncio.get_running_loop().time() - self._heard_s > BROKEN_AFTER_SECONDS:
                 raise TimeoutError
             async with asyncio.timeout(BROKEN_AFTER_SECONDS), self._turn:
-                await self._send(write)
-
-    async def _send(self, write: Write) -> None:
-        await write(self._next_request())
+                await write(self._next_request())
 
     def _next_request(self, grant_bytes_min: int = 0) -> pb.FeedRequest:
         """The request that is due. It grants at least `grant_bytes_min`, or nothing: a grant is work for the source."""
@@ -211,25 +210,25 @@ class CopyFeed:
         if write is None or not self._state.caught_up or self._granted >= self._grant_bytes:
             return False
         self._heard_s = asyncio.get_running_loop().time()
-        self._store_item(fed, partial(write, encode_answer(fed.item.seq + 1)))
+        self._store_item(fed, partial(write, encode_answer(fed.item.end_seq)))
         return True
 
     def _store_item(self, fed: FedItem, answer: Callable[[], None] | None = None) -> None:
-        """Store an item of the feed. `answer`: see `_store_runs`."""
+        """Store a run of the feed that was sent ahead. `answer`: see `_store_runs`."""
         held, now, item = self._held(), self._store.now(), fed.item
         if held is None:
             raise Unavailable("the copy was dropped")
-        held.make_room(len(item.body) + ITEM_OVERHEAD_BYTES)
-        core = _core(held)
+        core, run = _core(held), run_of_item(item)
+        held.make_room(len(item.body) + item.items * ITEM_OVERHEAD_BYTES)
         core.check_item(fed)
         if answer is not None:
-            self._reported_seq = item.seq + 1
+            self._reported_seq = item.end_seq
             answer()
-        core.apply_item(fed, now)
+        core.apply_item(fed, run, now)
         held.fed_part(now)
-        self._state.source_next_seq = item.seq + 1
+        self._state.source_next_seq = item.end_seq
         self._state.note_progress()
-        self._granted += item.length + ITEM_OVERHEAD_BYTES
+        self._granted += item.length + item.items * ITEM_OVERHEAD_BYTES
         self._owes_request |= answer is None
 
     def _report(self, write: Callable[[pb.FeedRequest], None], next_seq: int) -> None:
@@ -244,7 +243,7 @@ class CopyFeed:
             self._news.set()
             return
         async with self._turn:
-            await self._send(write)
+            await write(self._next_request())
 
     async def _take(self, response: FedResponse | FedItem) -> None:
         if isinstance(response, FedItem):
@@ -332,7 +331,7 @@ class CopyFeed:
             answer()
         _core(held).apply(runs=runs, now=now, **{"collection": None, "advance": None} | part)
         held.fed_part(now)
-        return sum(sum(run.lengths) + len(run) * ITEM_OVERHEAD_BYTES for run in runs)
+        return sum(run.payload_bytes(0, len(run)) + len(run) * ITEM_OVERHEAD_BYTES for run in runs)
 
     def _note(self, state: pb.FeedState, charge_bytes: int) -> None:
         copy, held = self._state, self._held()

@@ -1,4 +1,4 @@
-"""Encodes the items of a feed, and the answers to them, in fixed places. Protobuf would take longer.
+"""Encodes the runs of a feed that go ahead, and the answers to them, in fixed places. Protobuf would take longer.
 
 The bytes are valid messages of `replica_service.proto` (`FeedResponse.item`, `FeedRequest.item_next_seq`).
 """
@@ -14,10 +14,11 @@ from stampede_rt_channel_host.core.channel import FedItem, NewFloor, NewItem
 
 _ITEM = LongField(5)
 ITEM_TAG = _ITEM.tag
-"""The first byte of a response with an item."""
+"""The first byte of a response with the items of one run."""
 _HEAD = FixedFields("QQQqqIBq")  # the fields 1 to 8 of a FedItem
 _FLOOR = FixedFields("qQqq", first=9)
 _RUN = LongField(13)
+_ITEMS = FixedFields("I", first=14)  # only of several items
 _ANSWER = FixedFields("Q", first=10)
 _INSTANT_MAX = 2**63 - 1
 
@@ -30,7 +31,8 @@ def encode_item(fed: FedItem) -> bytes:
         item.judged_at,
     )  # fmt: skip
     floor = b"" if fed.collected is None else _encode_floor(fed.collected)
-    return _ITEM.around(head, floor, _RUN.head(len(body)), body)
+    count = b"" if item.items == 1 else _ITEMS.encode(item.items)
+    return _ITEM.around(head, floor, count, _RUN.head(len(body)), body)
 
 
 def _encode_floor(new: NewFloor) -> bytes:
@@ -60,14 +62,17 @@ def _read_fixed(raw: bytes | memoryview) -> FedItem | None:
         if floor is None:
             return None
         collected, at = NewFloor((floor[0], floor[1]), *floor[2:]), at + _FLOOR.size_bytes
+    items = 1
+    if raw[at] == _ITEMS.first_tag:
+        (items,) = _ITEMS.read(raw, at) or (0,)
+        at += _ITEMS.size_bytes
     begin, end = _RUN.find(raw, at) or (0, 0)
-    if end != len(raw):
+    if end != len(raw) or not items:
         return None
     seq, producer_id, number, time, duration, length, is_stamped, judged_at = values
     body = bytes(raw[begin:])
-    return FedItem(
-        NewItem(seq, producer_id, number, time, duration, length, bool(is_stamped), judged_at, body), collected
-    )
+    new = NewItem(seq, producer_id, number, time, duration, length, bool(is_stamped), judged_at, body, items=items)
+    return FedItem(new, collected)
 
 
 def _read_message(raw: bytes | memoryview) -> FedItem:
@@ -81,13 +86,13 @@ def _read_message(raw: bytes | memoryview) -> FedItem:
         collected = NewFloor(floor, item.newest_collected_unix_nano, item.collected_end_unix_nano)
     new = NewItem(
         item.seq, item.producer_id, item.first_number, item.time_unix_nano, item.duration_nanos,
-        item.payload_length_bytes, item.is_stamped, item.judged_unix_nano, item.run,
+        item.payload_length_bytes, item.is_stamped, item.judged_unix_nano, item.run, items=item.items or 1,
     )  # fmt: skip
     return FedItem(new, collected)
 
 
 def encode_answer(next_seq: int) -> bytes:
-    """The request of a copy that holds all items before `next_seq`, in answer to an item."""
+    """The request of a copy that holds all items before `next_seq`, in answer to a run."""
     return _ANSWER.encode(next_seq)
 
 

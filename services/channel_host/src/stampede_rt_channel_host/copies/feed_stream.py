@@ -95,15 +95,15 @@ class FeedStream:
             self._news.set()
 
     def send_ahead(self, item: NewItem) -> None:
-        """Send an item that the channel has accepted and is about to store, if the copy has everything else.
+        """Send a run that the channel has accepted and is about to store, if the copy has everything else.
 
-        Then the copy works while this host stores the item. Raises nothing, as `wake`.
+        Then the copy works while this host stores the run. Raises nothing, as `wake`.
         """
         ahead = None if self._send_at_once is None or self._news.is_set() else self._ahead
         try:
             write = None if ahead is None else self._free_write()
             if ahead is not None and write is not None and ahead.send(item, write):
-                self._credit.spend(item.length + ITEM_OVERHEAD_BYTES)
+                self._credit.spend(item.length + item.items * ITEM_OVERHEAD_BYTES)
                 self._work.spend_write()
         except Exception as error:  # noqa: BLE001 - as in `wake`
             self._fail(error)
@@ -199,7 +199,7 @@ class FeedStream:
             hosted.group_observers[self] = None
             return
         if opening.takes_items and not opening.move_id:
-            self._ahead = AheadItemSender(hosted, self._replication, self._host_id, self._feed, self._responses)
+            self._ahead = AheadItemSender(hosted, self._replication, opening, self._feed, self._responses)
         self._replication.add(opening.host_id, self, refusals.not_ready(hosted.record.name))
         self._replication.report(opening.host_id, self, self._feed.next_seq)
 

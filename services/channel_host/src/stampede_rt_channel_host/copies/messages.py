@@ -21,6 +21,8 @@ from stampede_rt_channel_host.core.channel import (
     GrowingCounts,
     ItemKey,
     Losses,
+    NewItem,
+    OneRun,
     OwnerPart,
     Run,
     make_run,
@@ -137,7 +139,21 @@ def run_of(body: bytes) -> Run:
     items = len(found.lengths)
     if not items or len(found.times) != items or (found.durations and len(found.durations) != items):
         raise InvalidArgument("the feed has a run whose columns disagree; install the same release on both hosts")
-    return make_run(*found, body) if items == 1 else ColumnRun(*found, body)
+    if items == 1:
+        return make_run(*found, body)
+    run = ColumnRun(*found, body)
+    run.whole_bytes = sum(found.lengths)
+    return run
+
+
+def run_of_item(item: NewItem) -> Run:
+    """The run that the copy stores for a part of a feed that was sent ahead. Raises InvalidArgument as `run_of`."""
+    if item.items == 1:
+        return OneRun(item.seq, item.time, item.duration, item.length, item.body)
+    run = run_of(bytes(item.body))
+    if (run.first_seq, len(run), run.payload_bytes(0, len(run))) != (item.seq, item.items, item.length):
+        raise InvalidArgument("the feed has a run that disagrees with its items; install one release on both hosts")
+    return run
 
 
 def _parsed(body: bytes) -> SealedColumns:

@@ -12,9 +12,9 @@ from stampede_rt_channel_host.core.channel import ABSENT, Body, ChannelCore, New
 
 
 class ReplicatedPuts:
-    """Puts runs into a channel. Sends a run of one item to the feeds as soon as the channel has accepted it.
+    """Puts runs into a channel. Sends a run to the feeds as soon as the channel has accepted all its items.
 
-    After the judgement only a defect can keep the channel from storing the item. Then the feeds end, and the replicas
+    After the judgement only a defect can keep the channel from storing the run. Then the feeds end, and the replicas
     begin anew.
     """
 
@@ -24,7 +24,7 @@ class ReplicatedPuts:
 
     def store(self, run: IncomingRun, now: int) -> PutOutcome:
         """Judge and store the rest of a run."""
-        if run.items > 1 or not run.producer_id or not self._replication.is_filled:
+        if run.progress.judged_items or not run.producer_id or not self._replication.is_filled:
             return self._core.put(run.offer, now, run.seal)
         try:
             return self._core.put(run.offer, now, partial(self._seal, run, now))
@@ -36,14 +36,14 @@ class ReplicatedPuts:
         self, run: IncomingRun, now: int, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None
     ) -> Body:
         body, offer = run.seal(first_seq, kept, stamped_time), run.offer
-        if first_seq != self._core.next_seq:  # stored already
+        if first_seq != self._core.next_seq or kept is not None:  # stored already, or only a part is accepted
             return body
-        time = stamped_time if offer.times is None else offer.times[0]
-        assert time is not None, "the channel gives a time to an item without one"
-        duration = ABSENT if offer.durations is None else offer.durations[0]
+        time = stamped_time if offer.times is None else min(offer.times)
+        assert time is not None, "the channel gives a time to items without one"
+        duration = ABSENT if offer.durations is None or run.items > 1 else offer.durations[0]
         item = NewItem(
-            first_seq, run.producer_id, run.first_number, time, duration, offer.lengths[0], stamped_time is not None,
-            now, body, run.owner,
+            first_seq, run.producer_id, run.first_number, time, duration, sum(offer.lengths), stamped_time is not None,
+            now, body, run.owner, run.items,
         )  # fmt: skip
         self._replication.send_ahead(item)
         return body

@@ -17,7 +17,7 @@ from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.new_item import FedItem
 from stampede_rt_channel_host.core.channel.owner_facts import OwnerFacts, OwnerPart
-from stampede_rt_channel_host.core.channel.run import OneRun, Run
+from stampede_rt_channel_host.core.channel.run import Run
 from stampede_rt_channel_host.core.dedup import RetryWindow
 
 
@@ -128,19 +128,18 @@ class FedChannel(ChannelCore):
             self._acceptance.advance = self._reading.advance = advance
 
     def check_item(self, fed: FedItem) -> None:
-        """Raises InvalidArgument if the copy cannot apply the item, because earlier parts of the feed are missing."""
+        """Raises InvalidArgument if the copy cannot apply the run, because earlier parts of the feed are missing."""
         facts = self.owner_facts
         if fed.item.seq != self.next_seq or facts is None or facts.counters is None:
             raise InvalidArgument(f"the feed has the item with seq {fed.item.seq}, and the copy is at {self.next_seq}")
 
-    def apply_item(self, fed: FedItem, now: int) -> None:
-        """Apply a part of the feed for which `check_item` raises nothing."""
+    def apply_item(self, fed: FedItem, run: Run, now: int) -> None:
+        """Apply a part of the feed for which `check_item` raises nothing. `run`: its items."""
         item = fed.item
-        run = OneRun(item.seq, item.time, item.duration, item.length, item.body)
         moved = None if fed.collected is None else self._collection.with_floor(fed.collected)
         owner = None if self.owner_facts is None else self.owner_facts.part_of(item, now)
         self.apply(
-            first_seq=item.seq, cleared=None, runs=(run,), next_seq=item.seq + 1, collection=moved, advance=None,
+            first_seq=item.seq, cleared=None, runs=(run,), next_seq=item.end_seq, collection=moved, advance=None,
             now=now, owner=owner,
         )  # fmt: skip
 

@@ -195,10 +195,10 @@ class ChannelFeed:
         )
 
     def take_ahead(self, item: NewItem) -> FedItem | None:
-        """The next part, if `item` is all of it. The source has accepted the item, and must store it next.
+        """The next part, if the run `item` is all of it. The source has accepted the run, and must store it next.
 
-        Moves the place. The items that the source collects because of this item leave the copy with a later part. None
-        if the copy needs more facts: call `take` when the item is stored.
+        Moves the place. The items that the source collects because of this run leave the copy with a later part. None
+        if the copy needs more facts: call `take` when the run is stored.
         """
         held, owner = self._source.held, self.owner
         known, advance = self._sent
@@ -211,7 +211,7 @@ class ChannelFeed:
         if owner is None or (collected is None and present != known) or not owner.pass_put(item):
             return None
         self._sent = present, advance
-        self._cursor.pass_next(item.seq)
+        self._cursor.pass_next(item.seq, item.items)
         return FedItem(item, collected)
 
     def close(self) -> None:

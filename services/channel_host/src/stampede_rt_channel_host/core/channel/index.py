@@ -254,11 +254,15 @@ class ChannelIndex:
         entry = self._by_time.last
         return None if entry is None else Slice(entry.run, entry.hi - 1, entry.hi)
 
-    @property
-    def last_run(self) -> OneRun | None:
-        """The item that came last, if it is a run of its own; otherwise None."""
+    def newest_from(self, seq: int, floor: ItemKey) -> Slice | None:
+        """The items from `seq` on, if they are all items of the last entry by seq, none of them below `floor`.
+
+        None: `slices_by_seq` finds the items.
+        """
         entry = self._by_seq.last
-        return entry if isinstance(entry, OneRun) else None
+        if entry is None or entry.run.first_seq + entry.lo != seq or (entry.first_time, seq) < floor:
+            return None
+        return Slice(entry.run, entry.lo, entry.hi)
 
     def has_below(self, floor: ItemKey, entries: int = 1) -> bool:
         """Whether all items of the first `entries` entries are below `floor`. False if the index has fewer entries."""

@@ -109,9 +109,9 @@ class OwnerFactsFeed:
         return OwnerPart((run,), None, growth, now)
 
     def pass_put(self, item: NewItem) -> bool:
-        """Note that the copy gets the item, which the source is about to store, in another way.
+        """Note that the copy gets the run, which the source is about to store, in another way.
 
-        Returns False, and notes nothing, if the copy lacks other facts, or would not find out all facts from the item.
+        Returns False, and notes nothing, if the copy lacks other facts, or would not find out all facts from the run.
         """
         has_all = self._round is None and self._places_now() == self._sent
         growth, odd = counts = self._counts_now()
@@ -119,7 +119,7 @@ class OwnerFactsFeed:
             return False
         if not self._window.pass_put(item.producer_id, item.owner, item.judged_at):
             return False
-        self._sent_counts = GrowingCounts(growth.accepted + 1, growth.accepted_bytes + item.length), odd
+        self._sent_counts = GrowingCounts(growth.accepted + item.items, growth.accepted_bytes + item.length), odd
         return True
 
     def _counts_now(self) -> tuple[GrowingCounts, OtherCounts | Counters]:
@@ -205,12 +205,12 @@ class OwnerFacts:
             self._take_places(part.places, now)
 
     def part_of(self, item: NewItem, now: int) -> OwnerPart | None:
-        """The facts that follow from an item of the feed. None: the feed has brought no facts before."""
+        """The facts that follow from a run of the feed. None: the feed has brought no facts before."""
         known, producer = self.counters, self.window.producers.get(item.producer_id)
         if known is None:
             return None
         run = item.kept_run(now, "" if producer is None else producer.owner)
-        growth = GrowingCounts(known.accepted + 1, known.accepted_bytes + item.length)
+        growth = GrowingCounts(known.accepted + item.items, known.accepted_bytes + item.length)
         return OwnerPart((run,), None, growth, item.judged_at)
 
     def places(self, now: int) -> list[ConsumerPlace]:

@@ -116,11 +116,11 @@ class AllCursor:
         end = self._owed[1]
         self._owed = (seq, end) if seq < end else next(self._owed_before, None)
 
-    def pass_next(self, seq: int) -> None:
-        """Note that the reader gets the next accepted item, which has this seq, in another way."""
-        self.owed(seq + 1)
-        self.mark_done(seq + 1)
-        self.delivered += 1
+    def pass_next(self, seq: int, items: int) -> None:
+        """Note that the reader gets the next accepted items, from this seq on, in another way."""
+        self.owed(seq + items)
+        self.mark_done(seq + items)
+        self.delivered += items
 
 
 def missing_from(held: Holdings, cursor: AllCursor) -> Range | None:
@@ -276,12 +276,12 @@ def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes:
             cursor.mark_done(shared.end_seq)
             return shared.batch
     before = cursor.delivered
-    newest = held.index.last_run if limit_bytes > 0 and is_last and place + 1 == owed[1] else None
-    if newest is not None and newest.first_seq == place and (newest.first_time, place) >= held.floor:
+    newest = held.index.newest_from(place, held.floor) if limit_bytes > 0 and is_last else None
+    if newest is not None and newest.end_seq == owed[1] and (newest.items == 1 or newest.charge_bytes <= limit_bytes):
         # the usual case of a reader who has everything else
-        cursor.delivered += 1
+        cursor.delivered += newest.items
         cursor.mark_done(owed[1])
-        batch = SubscriptionBatch(slices=[DeliveredSlice(Slice(newest, 0, 1), held.next_time(newest.first_time))])
+        batch = SubscriptionBatch(slices=[DeliveredSlice(newest, held.next_time(newest.last_time))])
     else:
         batch = _next_batch(held, limits, cursor, limit_bytes)
     if is_last and batch.gap is None and batch.slices:
