@@ -135,7 +135,7 @@ class Surface:
 
 
 async def take(items: AsyncIterator[Any], count: int) -> list[Any]:
-    """Return the next `count` items. Waits for at most 10 s."""
+    """Return the next `count` items. Waits for at most 45 s."""
     async with asyncio.timeout(45):
         return [await anext(items) for _ in range(count)]
 

@@ -12,7 +12,7 @@ MS = 1_000_000
 
 
 async def waiting(channel: object, count: int = 1) -> None:
-    """Wait until `count` gets are blocked on the channel, for at most 10 s."""
+    """Wait until `count` gets are blocked on the channel, for at most 45 s."""
     async with asyncio.timeout(45):
         while (await channel.stats()).waiting_gets + waits_in_memory(channel) < count:
             await pause()

@@ -1,4 +1,4 @@
-"""Wraps blocking queues and their messages, so that tests can await them like the queues of `stampede_rt.aio`."""
+"""Wraps objects of the blocking client, so that tests can await their methods like those of `stampede_rt.aio`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _BLOCKING = (
 
 
 def awaitable(value: Any, pool: ThreadPoolExecutor | None) -> Any:
-    """Return `value` with awaitable methods. If `pool` is None, its methods are awaitable already."""
+    """Return `value`, wrapped if it is of the blocking client. `pool` None: it is of `stampede_rt.aio`, or plain."""
     return AwaitableBlocking(value, pool) if pool is not None and isinstance(value, _BLOCKING) else value
 
 

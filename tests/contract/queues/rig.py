@@ -41,7 +41,7 @@ class Rig:
 
 
 async def until(queue: Any, condition: Callable[[st.QueueStats], bool]) -> st.QueueStats:
-    """Return the first counters for which `condition` holds. Waits for at most 10 s."""
+    """Return the first counters for which `condition` holds. Waits for at most 45 s."""
     async with asyncio.timeout(45):
         while not condition(stats := await queue.stats()):
             adds_up(stats)

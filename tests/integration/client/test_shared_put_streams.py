@@ -64,7 +64,7 @@ async def test_an_asyncio_put_that_waits_for_room_delays_no_other_channel(cluste
 
 
 async def test_a_put_waits_for_room_if_another_program_has_set_block(cluster: LocalCluster) -> None:
-    """The handle does not know the new policy, so its put first asks the host not to wait for room."""
+    """The handle does not know the new policy. Its put first asks for no wait, is refused, and then asks for a wait."""
     async with await aio.connect(cluster.address) as rt, await aio.connect(cluster.address) as elsewhere:
         channel = await full_channel(rt, "shared/changed")
         await (await elsewhere.channel("shared/changed")).configure(on_full="block")

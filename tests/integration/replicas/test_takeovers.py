@@ -1,4 +1,7 @@
-"""A host is killed, and both clients go on with replicas: `ack="host"`, a group, dead letters and a mailbox."""
+"""A host is killed, and the handles of both clients continue at the replicas.
+
+There are a channel with `ack="host"`, a group, a queue with dead letters, and a mailbox.
+"""
 
 from __future__ import annotations
 
@@ -109,7 +112,10 @@ async def test_channels_queues_groups_and_mailboxes_with_replicas_survive_the_lo
 
 
 async def _channel_went_on(things: ClusterHandles, reader: Any, kept: st.Item, incarnation: int) -> None:
-    """The channel continues with all items, because the replica had them. Its reader hears that some might be lost."""
+    """The channel continues with all items, because the replica had them.
+
+    Its reader still counts a loss, because the new owner cannot know that it has all of them.
+    """
     item = await things.channel.put(b"after")
     assert (item.seq, item.incarnation != incarnation) == (ITEMS + 1, True)
     assert await read(reader, 1) == [ITEMS + 1]

@@ -1,4 +1,4 @@
-"""Hosts and a directory in one process: the real code of moves, with a link and calls that the test can cut.
+"""Hosts and a directory in one process. Moves run the product's code, over a link and calls that the test can cut.
 
 There are two hosts, and a third one if the channel has replicas. Then the real keepers of replicas run, too.
 

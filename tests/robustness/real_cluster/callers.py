@@ -45,9 +45,9 @@ async def persist(
     seconds: float = CALL_SECONDS,
     who: tuple[Role, str] = (Role.CLIENT, "caller"),
 ) -> Any:
-    """Make one call at one supernode after the other, with the same request id.
+    """Make one call at one supernode after the other, each time with the same request.
 
-    Raises StampedeError if the directory refuses the call, NotDone or Unknown.
+    Raises StampedeError if the directory refuses the call with one of FINAL_REASONS, otherwise NotDone or Unknown.
     """
     deadline, unknown = time.monotonic() + seconds, False
     nodes = rng.sample(cluster.supernodes, len(cluster.supernodes))
@@ -84,7 +84,7 @@ class Caller:
             await asyncio.sleep(self._random_source.uniform(0, 2 * pause_s))
 
     async def once(self, name: str) -> None:
-        """Make one random call about a name, and record it."""
+        """Make one random call about a name. Record the call, unless it certainly had no effect."""
         call, invoked = self._choose(name), time.monotonic()
         try:
             answer = await self._answer(name, call)
@@ -145,14 +145,14 @@ class Caller:
 
 def seen_in(record: channel_pb2.ChannelRecord, *, created: bool = False) -> SeenChannel:
     """The facts about a channel that an answer showed."""
-    value = record.spec.retention.max_items  # 0 if no limit was stated, because the directory allows no limit of 0
+    value = record.spec.retention.max_items  # 0: no limit is stated; the directory refuses a limit of 0
     return SeenChannel(record.channel_id, record.epoch, value, record.spec_version, created)
 
 
 class HostActor:
     """A host without items: it registers, keeps its lease by the product's rules, and acts on the answers that it gets.
 
-    Its fence and the callers of this process use one clock, so that the tests can compare them at one moment.
+    It runs in the process of the callers. So `hear` can compare an answer with the host's lease at the same moment.
     """
 
     def __init__(self, number: int, cluster: Cluster, seed: int) -> None:
@@ -169,8 +169,8 @@ class HostActor:
     def hear(self, record: channel_pb2.ChannelRecord, asked: float) -> None:
         """Process a record that a caller got from the directory. `asked`: the beginning of the call.
 
-        Raises TwoOwners if another host acts as the owner at this moment. The host uses only answers to calls that
-        began after its registration, because earlier answers may be out of date.
+        Raises TwoOwners if the record names another owner while this host still serves the channel. The host takes a
+        channel over only if the call began after its registration, because earlier answers may be out of date.
         """
         epoch = self._owned.get(record.channel_id)
         if record.host_id != self.host_id and epoch is not None and epoch < record.epoch and self._held():

@@ -1,4 +1,4 @@
-"""Hosts with channels that drain, in virtual time: the real code of drains, of their streams, and of early holds."""
+"""Hosts that drain their channels, in virtual time. Drains, their streams and early holds run the product's code."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class DrainCluster(Cluster):
 
     @property
     def early_holds(self) -> int:
-        """The number of channels that an owner handed over, although no destination had asked it to hold them."""
+        """How often an owner handed over a channel that it held without a request for the hold (decision 0280)."""
         return self.steps["handed over"] - self.steps["held"]
 
     def owned_channels(self, number: int) -> int:
@@ -112,7 +112,10 @@ class DrainCluster(Cluster):
     # Breaks at a message.
 
     def break_at(self, message: int, happens: Callable[[Call | Link], None]) -> None:
-        """Call `happens` with the stream of a drain or of a move at the message with this number, counted from 1."""
+        """Call `happens` when the message with this number passes (1: the next one), with the stream of this message.
+
+        Counts only messages of drains and of moves.
+        """
         self._breaks = message, happens
 
     def passes(self, link: Any) -> None:

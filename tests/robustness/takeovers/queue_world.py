@@ -1,4 +1,4 @@
-"""Hosts with queues around a directory, in virtual time: the real code of queues, their replicas and their moves.
+"""Hosts with queues around a directory, in virtual time. Queues, replicas and moves run the product's code.
 
 There are two queues with the same replicas: `jobs`, and the queue of its dead letters.
 """

@@ -1,4 +1,4 @@
-"""Hosts with leases around a directory, in virtual time: the real code of replicas, take-overs and moves.
+"""Hosts with leases around a directory, in virtual time. They run the product's code of replicas, take-overs and moves.
 
 Hosts die, come back without items, stop and go on; links and the way to the directory break. The leader of the
 directory may change. Then the directory begins all leases anew, although a lease may have ended by its host's clock.

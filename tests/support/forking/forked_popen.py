@@ -1,7 +1,7 @@
 """`subprocess.Popen` that forks a loaded process for a service, instead of a new Python that loads its modules.
 
-To load the modules takes 0.15 to 0.3 s of CPU time, which is most of the start of a service. The suite starts hundreds
-of services. The fork runs the same `main`, as a process of its own, and is a child of the tests. `tests/conftest.py`
+It takes 0.15 to 0.3 s of CPU time to load the modules: most of the start of a service. The suite starts hundreds of
+services. The fork runs the same `main`, as a process of its own, and is a child of the tests. `tests/conftest.py`
 gives this class to `ServiceProcess`. `stampede dev`, the supernodes of `tests/support/supernode` and hosts in a network
 of their own start as a user starts them.
 """

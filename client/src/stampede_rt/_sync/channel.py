@@ -33,7 +33,7 @@ from stampede_rt.values.timeline import DurationLike, InstantLike, parse_duratio
 from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec, with_users
 
 PERIOD_NANOS_MIN = 1_000_000  # the shortest period of `sample`
-# The wait for room that the first request of a put asks for, if the handle knows a policy without on_full="block".
+# The first wait for room that a put asks for, if the handle knows a policy without on_full="block".
 # Under that policy no put waits. But another program may have set "block" since the handle learned the policy.
 FIRST_WAIT_S = 1.0
 DROP_TRIES_S = 1.0  # the client begins no further try after this time, and asks the directory

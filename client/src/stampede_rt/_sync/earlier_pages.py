@@ -28,7 +28,7 @@ class EarlierPages:
     """The items of `query` as of an instant. Holds their keys, and one page of items.
 
     The items of a page are neighbours in time, so that the interval of a read has no other items. One step sorts
-    at most the keys of one answer of the host: to sort 2^20 keys would hold an event loop for half a second.
+    at most the keys of one answer of the host: a sort of 2^20 keys would block an event loop for half a second.
     """
 
     def __init__(

@@ -33,8 +33,8 @@ NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)  # a send after the end of the co
 Buffers = Sequence[bytes | memoryview]
 _NOW = getattr(socket, "MSG_DONTWAIT", 0) | NO_SIGNAL
 PARTS_MAX = 512  # the most parts of a request that this module sends unjoined; the system takes 1024 in one call
-SHORT_BYTES_MAX = 4096  # to copy a request of this length takes less time than a second part of a system call
-PART_BYTES_MIN = 1024  # the least average length of parts; to join shorter parts takes less time than to send them
+SHORT_BYTES_MAX = 4096  # a copy of a request of this length takes less time than a second part of a system call
+PART_BYTES_MIN = 1024  # the least average length of parts; shorter parts are joined in less time than sent
 
 
 class SocketCall:
@@ -264,7 +264,7 @@ def _buffers_of(request: bytes | list[bytes]) -> Iterable[Buffers]:
 
 
 def _long_buffers_of(request: bytes | list[bytes]) -> Iterator[Buffers]:
-    """Yield the frames of a request, each in parts. To join parts of 900 KB would take as long as to send them."""
+    """Yield the frames of a request, each in parts. It would take as long to join parts of 900 KB as to send them."""
     size = sum(map(len, request)) if isinstance(request, list) and len(request) <= PARTS_MAX else 0
     if max(JOINED_BYTES_MAX, PART_BYTES_MIN * len(request)) < size <= SOCKET_MESSAGE_BYTES_MAX:
         yield head_of(FrameKind.MESSAGE, size), *request

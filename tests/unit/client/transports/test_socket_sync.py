@@ -281,7 +281,7 @@ def test_a_full_request_of_medium_items_is_sent_without_a_copy_of_its_payloads()
     heads, payloads = [b"head"] * 20, [bytes(18_000) for _ in range(57)]
     [frame] = socket_sync._buffers_of([*heads, *payloads])
     assert [id(part) for part in frame[-57:]] == [id(payload) for payload in payloads]
-    [frame] = socket_sync._buffers_of([bytes(300)] * 400)  # to join short parts takes less time
+    [frame] = socket_sync._buffers_of([bytes(300)] * 400)  # short parts are joined in less time than sent
     assert len(frame) == 2
 
 

@@ -56,7 +56,7 @@ async def test_one_caller_cannot_fill_the_log(monkeypatch: pytest.MonkeyPatch) -
 
 
 class LaggingReplica(DirectoryReplica):
-    """Takes a command only after the log has confirmed a read, because the feature level has risen meanwhile."""
+    """Refuses commands until the log has confirmed a read: before that it does not know the risen feature level."""
 
     lags = True
 

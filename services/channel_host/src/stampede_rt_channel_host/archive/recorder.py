@@ -24,11 +24,11 @@ from stampede_rt_channel_host.core.archive import (
 )
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
 
-RUNS_PER_WRITE = 2048  # to gather this many runs takes about 2 ms
-BYTES_PER_WRITE, BYTES_AT_ONCE = 16 * 2**20, 4 * 2**20  # the most in a write, and the bytes that begin one immediately
+RUNS_PER_WRITE = 2048  # it takes about 2 ms to gather this many runs
+BYTES_PER_WRITE, BYTES_AT_ONCE = 16 * 2**20, 4 * 2**20  # the most in a write; the waiting bytes that begin a write
 SLICES_PER_NOTE = 2048  # a look at this many takes about 1 ms
 GAPS_KEPT = 64
-ADVANCES_MAX = 4096  # the most that wait for the archive; of more, the recorder keeps only the latest one
+ADVANCES_MAX = 4096  # if so many wait for the archive, a new one replaces the latest of them
 PUTS_LEAST = 4096  # if more puts wait for the archive, the recorder joins the puts whose items have left memory
 Part = list[ArchivedRun] | SeqGap | Advances
 
@@ -70,7 +70,7 @@ class ChannelRecorder:
         """Whether the host has given the channel up: the archive no longer writes its items."""
         self.failure = ""
         """Why the last write failed; empty: it succeeded."""
-        self._gaps: list[SeqGap] = []  # the last seqs that the archive will never have
+        self._gaps: list[SeqGap] = []  # seqs that the archive will never have; the earliest gaps are joined
         self._moved = asyncio.Event()  # is set, and replaced, when a write has ended
         self.limits = ArchiveLimits(None, None)
         self.encoded_retries: Callable[[], bytes] = bytes
@@ -91,17 +91,17 @@ class ChannelRecorder:
         self._advances: list[ArchivedAdvance] = []  # the advances that are not archived yet
         self._advances_taken = 0  # how many of them, from the first on, a write has taken
         self._advance: int | None = None  # the latest advance
-        self._lost_before: int | None = None  # see `note_loss`; None: it is on the disk
+        self._lost_before: int | None = None  # see `note_loss`; None: no loss is to be written
         self._found_to: int | None = None  # see `note_loss`
         self._has_told_loss = False
         channel.record(self.archived_to)
         self.begin()
 
     def begin(self) -> bool:
-        """Look for the first items to write, for about 1 ms. Returns whether they are known: then the archive calls
-        `take`.
+        """Look for the first items to write, for about 1 ms. Returns whether they are known. If not, the archive calls
+        this method again before it calls `take`.
 
-        In a shared archive the former owner adds the items that memory had before its last hole (see `MovedItems`).
+        In a shared archive, the items before the last hole in memory come from the former owner (see `MovedItems`).
         """
         came = self._came
         if came is not None:
@@ -147,7 +147,7 @@ class ChannelRecorder:
             self._forget_collected()
 
     def _size_from(self, seq: int) -> tuple[int, int]:
-        """The most bytes that the items from `seq` on take on the disk, and the seq up to which they are counted.
+        """The seq up to which the items from `seq` on are counted, and the most bytes that these take on the disk.
 
         Looks at SLICES_PER_NOTE slices at most. A channel that has moved here may have more; later calls count the
         others.
@@ -164,8 +164,8 @@ class ChannelRecorder:
         self.disk.expect(0 if self.is_stopped else self._coming_bytes + of_advances, largest)
 
     def _forget_collected(self) -> None:
-        """Join the waiting puts whose items memory has lost while the disk failed. The joined put has their first
-        instant.
+        """Join the waiting puts whose items memory has lost while the disk failed. The joined put has the instant
+        of the first of them.
         """
         held = next(iter(self._channel.accepted_from(self.archived_to)), None)
         done = bisect_right(self._ends, self._channel.next_seq if held is None else held.run.first_seq)
@@ -184,7 +184,7 @@ class ChannelRecorder:
 
     @property
     def fills_a_write(self) -> bool:
-        """Whether BYTES_AT_ONCE wait, or a fourth of the channel's limits (`is_a_fourth`). False while writes fail."""
+        """Whether to write now: BYTES_AT_ONCE wait, or a fourth of a limit (`is_a_fourth`). False while writes fail."""
         is_much = self._channel.limits.is_a_fourth(self._coming_bytes, self.backlog_items)
         return (is_much or self._coming_bytes >= BYTES_AT_ONCE) and not self.failure
 
@@ -203,7 +203,7 @@ class ChannelRecorder:
         return is_whole and not self.backlog_items and not self.failure
 
     def clean_stop(self) -> CleanStop | None:
-        """The note for the folder; None unless the archive has all items that the channel holds and will accept."""
+        """The note for the folder; None if the archive lacks held items. Call it when the channel accepts no more."""
         if not self.has_all_items:
             return None
         channel = self._channel
@@ -211,14 +211,14 @@ class ChannelRecorder:
         return CleanStop(channel.incarnation, channel.advanced_to, *losses, self.encoded_retries())
 
     def note_loss(self, lost_before: int, found_to: int | None = None) -> None:
-        """Note that the former owner was lost with items before this instant. The next write says so.
+        """Note that the former owner was lost with items before this instant. The next write adds this to the files.
 
-        `found_to`: the archive had its items below this seq; None: this owner continues with the next seq.
+        `found_to`: the seq after the former owner's items that the archive had; None: the first seq of this owner.
         """
         self._lost_before, self._found_to = lost_before, found_to
 
     def withdraw_loss(self) -> bool:
-        """Note that the former owner stopped cleanly. Returns whether a file reports a loss until the next write."""
+        """Note that the former owner stopped cleanly. Returns whether the next write must revoke a reported loss."""
         self._lost_before, self._found_to = NOTHING_LOST if self._has_told_loss else None, None
         return self._has_told_loss
 
@@ -332,8 +332,8 @@ class ChannelRecorder:
 
 
 def _lacks_from(channel: ChannelCore, segments: tuple[Segment, ...]) -> int:
-    """The first seq that is missing in an archive that no other host shares: the seq after its last item, or the seq of
-    the first held item.
+    """The first seq that the archive lacks, by its segments: the seq after its last item, or without segments the first
+    held seq. In a shared archive, `ChannelRecorder.begin` may then find a later one.
     """
     held = next(iter(channel.accepted_from(0)), None)
     first = channel.next_seq if held is None else held.first_seq

@@ -15,8 +15,8 @@ from stampede_rt_channel_host.core.channel import Pieces, batched_keys, one_afte
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 CHANNELS_MAX = 100_000
-CHANNELS_COMPARED_PER_PIECE = 32  # to log and drop one takes up to 50 us
-RECORDS_PER_PIECE = 64  # to decode a record takes 5 to 15 us
+CHANNELS_COMPARED_PER_PIECE = 32  # it takes up to 50 us to log and drop one
+RECORDS_PER_PIECE = 64  # it takes 5 to 15 us to decode a record
 _ID_END = b"\xff" * 17  # above every id
 Compare = Callable[[HostedChannel, RecordedChannel | None], list[Pieces[None]]]
 

@@ -22,7 +22,7 @@ MESSAGE_BYTES_MAX = 2**20  # the most bytes of runs in one message; a message wi
 SHARED_BYTES_MAX = 4 * 2**20  # the most memory of the deliveries that a host keeps until other readers take them
 KEPT_DELIVERY_BYTES = 1024  # the approximate memory of a kept delivery besides its bytes
 JOINED_BYTES_MAX = 2**16  # up to this length a join takes less time than to send parts
-PART_BYTES_MIN = 1024  # on average; to join shorter parts takes less time
+PART_BYTES_MIN = 1024  # on average; shorter parts are joined in less time than sent
 MESSAGE_RUNS_MAX = 512  # the most stored runs in one message, so that the host makes it within two milliseconds
 
 _LENGTH_DELIMITED = 2

@@ -15,7 +15,7 @@ from stampede_rt_channel_host.metrics.catalog import NAMES_MAX
 from stampede_rt_runtime.metrics.families import Family
 
 CHANNELS_PER_PIECE = 64
-"""To add one channel takes up to 10 us."""
+"""It takes up to 10 us to add one channel."""
 
 
 class ChannelMetrics:

@@ -37,8 +37,8 @@ logger = logging.getLogger(__name__)
 
 QUEUES_MAX = 100_000
 QUEUES_PER_PIECE = 128
-QUEUES_COMPARED_PER_PIECE = 32  # to log and drop one takes up to 50 us
-RECORDS_PER_PIECE = 64  # to decode a record takes 5 to 15 us
+QUEUES_COMPARED_PER_PIECE = 32  # it takes up to 50 us to log and drop one
+RECORDS_PER_PIECE = 64  # it takes 5 to 15 us to decode a record
 # the most lookups in the directory for one `use`: the store asks again if the host registered during a lookup
 LOOKUPS_MAX = 3
 

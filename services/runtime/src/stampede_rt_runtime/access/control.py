@@ -31,10 +31,10 @@ logger = logging.getLogger(__name__)
 TOKENS_KEPT_MAX = 4096
 CALLS_PER_TURN = 2
 RIGHTS_PER_TURN = 8
-"""To judge the first right of a caller takes 1.5 ms with a thousand rules, and each further right 0.1 ms."""
+"""With a thousand rules it takes 1.5 ms to judge the first right of a caller, and 0.1 ms for each further right."""
 CALLS_ENDED_PER_TURN = 16
 CALLS_LOOKED_AT_PER_TURN = 256
-"""To look at 3000 calls takes 1.8 ms."""
+"""A look at 3000 calls takes 1.8 ms."""
 SWEEP_SECONDS = 1.0
 """The time between two looks for calls whose credential has ended."""
 

@@ -36,7 +36,7 @@ class TransportCosts(NamedTuple):
 
 
 GRPC_COSTS = TransportCosts(40_000, 250_000, 1024)
-"""With grpcio 1.85.1, a message of 262,000 bytes took 0.4 ms, and one of 200 bytes 0.03 ms, also on gRPC's threads."""
+"""With grpcio 1.85.1, 262,000 bytes took 0.4 ms, and 200 bytes 0.03 ms, with the time on gRPC's own threads."""
 SOCKET_COSTS = TransportCosts(8_000, 8_000, 400)
 """A message of 100 bytes and its echo took 11 us, and 250,000 bytes and their echo 101 us."""
 
@@ -76,7 +76,7 @@ def usable_time(
 
 
 class _OpenFile:
-    """The scheduler's statistics of the thread that makes it. It stays open: to open it again takes 15 us each time."""
+    """The scheduler's statistics of the calling thread, in a file that stays open because it takes 15 us to open it."""
 
     def __init__(self) -> None:
         self.number = -1
@@ -91,7 +91,7 @@ class _OpenFile:
 class _Statistics(threading.local):
     @cached_property
     def file(self) -> _OpenFile:
-        return _OpenFile()  # at the first use: a fork of the importing process must not read about its parent
+        return _OpenFile()  # at the first use: a process that was forked before it reads about itself
 
 
 _statistics = _Statistics()
@@ -136,12 +136,12 @@ class CallerWork:
             self._loop_share.spend(nanos)
 
     def spend_read(self) -> None:
-        """Count the time that the transport takes to read a message, at the end of the present step."""
+        """Count, at the end of the present step, the time that the transport takes to read a message."""
         if self._loop_share is not None:
             self._loop_share.spend_later(self._costs.read_nanos)
 
     def spend_write(self) -> None:
-        """Count the time that the transport takes to write a message, at the end of the present step."""
+        """Count, at the end of the present step, the time that the transport takes to write a message."""
         if self._loop_share is not None:
             self._loop_share.spend_later(self._costs.write_nanos)
 
@@ -150,7 +150,7 @@ class CallerWork:
         self.spend(count * self._costs.kib_nanos >> 10)
 
     def received(self, message: Any) -> None:
-        """Count the time that the bytes of a long message took, before the stream or call does anything with it."""
+        """Count the time that the transport took to read the bytes of a long message."""
         if self._loop_share is not None and isinstance(message, bytes) and len(message) > LONG_BYTES:
             self.spend_bytes(len(message))
 
@@ -163,9 +163,9 @@ def charged(account: Account, work: Coroutine[Any, Any, Result]) -> Coroutine[An
 class _ChargedCoroutine(Coroutine[Any, Any, Result]):
     """Runs a coroutine, and measures the processor time of each step. The measurement takes about a microsecond.
 
-    A clock would also count the time in which the system ran other threads, and delay a caller that used little.
+    Elapsed time would also include the work of other threads, so a caller that used little would be delayed.
 
-    It is no `async def` function: if its task is cancelled before the first step, the cancellation reaches `work`.
+    This is no `async def` function, so that a cancellation before the first step of the task also reaches `work`.
     """
 
     __slots__ = ("_loop_share", "_work")

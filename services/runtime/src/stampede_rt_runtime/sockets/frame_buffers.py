@@ -19,9 +19,9 @@ SHORT_BYTES = 2**14
 """The most bytes of one read. A frame that needs more is long, and waits for a place."""
 PLACES = 16
 PLACE_BYTES = 2**18
-"""The long frames of one caller that come at the same time take PLACES at most, one for each PLACE_BYTES of a frame.
+"""The long frames of one caller share PLACES places. A frame takes a place for each PLACE_BYTES, and PLACES at most.
 
-To read 256 KiB takes about 0.1 ms."""
+A read of 256 KiB takes about 0.1 ms."""
 BUFFERS_KEPT = 4
 """The buffers of former frames that the port keeps for the next frames.
 
@@ -67,7 +67,7 @@ class FrameBuffers:
         return bytearray(frame_bytes)
 
     def give_back(self, buffer: bytearray) -> None:
-        """Keep the buffer of a frame for later frames. `buffer` leaves a kept buffer out while a view of it exists.
+        """Keep the buffer of a frame for later frames. The method `buffer` skips it while a view of it exists.
 
         asyncio and uvloop have a view of it until they have returned from the call that completed the frame.
         """
@@ -76,7 +76,7 @@ class FrameBuffers:
             self._kept.remove(min(self._kept, key=len))
 
     def place(self, caller: Account) -> FramePlace:
-        """A place for one stream of the caller. It is not taken yet."""
+        """The object with which one stream of the caller takes places. It has none yet."""
         if caller is unlimited():
             return FramePlace(caller, None)
         line = self._lines.get(caller)
@@ -86,7 +86,7 @@ class FrameBuffers:
 
 
 class FramePlace:
-    """The right of one stream to read a long frame. The stream takes places for each long frame."""
+    """The places that one stream has. It takes them for each long frame, and gives them back after the frame."""
 
     __slots__ = ("_line", "_taken", "_work")
 
@@ -96,7 +96,7 @@ class FramePlace:
         self._taken = 0
 
     def take_now(self, frame_bytes: int) -> bool:
-        """Take the places of a frame if the stream need not wait. Returns whether it has them. `leave` must follow."""
+        """Take the places of a frame if the stream need not wait. Returns whether it did; then `leave` must follow."""
         if self._line is None:
             return True
         needed = _places_of(frame_bytes)

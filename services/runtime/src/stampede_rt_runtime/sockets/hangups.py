@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 CLOSED_PER_TURN = 4
 """The most sockets of peers that have gone.
 
-To close one takes about 50 us: its transport, its stream's task, its slot.
+It takes about 50 us to close one: its transport, its stream's task, its slot.
 """
 
 

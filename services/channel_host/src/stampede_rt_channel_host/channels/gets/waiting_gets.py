@@ -40,7 +40,7 @@ from stampede_rt_channel_host.core.keyed_list import KeyedList
 WAITING_GETS_MAX = 20_000
 GETS_PER_PIECE = 32
 SLICES_PER_LOOK = 8
-"""To find an answer of this many slices takes about as long as one more look at a get."""
+"""It takes about as long to find an answer of this many slices as to look at one more get."""
 RELEASES_MAX = 64
 """The most changes whose states the host keeps while it looks at gets.
 

@@ -15,7 +15,8 @@ duties:
 - Consumption: the caller calls `consume` and `consumers`. `consumer_places` and `restore_consumers` move the places to
   another owner.
 - Copies: the source's host calls `ChannelFeed(channel, place, now)` and then `take`. The copy's host makes a
-  `FedChannel`, and passes each part to `apply`. If it may become the owner (`as_owner`), its feed has the retry window.
+  `FedChannel`, and passes each part to `apply`. The feed has the retry window if the copy may become the owner
+  (`as_owner`).
 - Housekeeping: the caller calls `collect(now)` at `next_deadline(now)`, and repeats the call while it returns True.
 - Long work: for reads and for the beginning of subscriptions there are methods that work in pieces (`reading`,
   `polling`, `giving_up`, `subscribing_all`). Other calls may use the channel between two pieces. The result is as of
