@@ -17,7 +17,7 @@ SECURED: dict[str, ssl.SSLContext] = {}
 
 
 class RawStream:
-    """One connection to the Unix socket at `target`."""
+    """One connection to a Unix socket or a TCP port of a host."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer

@@ -21,7 +21,7 @@ cluster = cluster_fixture(hosts=1, supernodes=1, data_ports=True)
 
 @pytest.fixture
 def sockets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of the sockets of hosts that start from now on."""
+    """The folder in which hosts put their sockets if they start from now on."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     return tmp_path / "stampede"
 

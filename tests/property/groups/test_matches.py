@@ -1,4 +1,4 @@
-"""Matches made while items come equal the matches over all items together, even if streams break at any moment."""
+"""Items that come one by one get the same matches as all items together, even if streams break at any moment."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_items_out_of_order_by_no_more_than_the_lateness_are_matched_as_if_all_w
         name: [time for time, _ in sorted(items, key=lambda one: one[0] + min(one[1], lateness))]
         for name, items in ((OWN, own), (OTHER, other))
     }
-    if not lateness:  # otherwise a further item at the time of the newest one would be late
+    if not lateness:  # a second item at the time of the newest one would then be late
         coming = {name: [*dict.fromkeys(times)] for name, times in coming.items()}
     while any(coming.values()):
         name = rng.choice([one for one, left in coming.items() if left])
@@ -102,6 +102,6 @@ def test_items_out_of_order_by_no_more_than_the_lateness_are_matched_as_if_all_w
 
 
 def nearest(own: Sequence[ItemKey], other: Sequence[ItemKey], tolerance: int) -> dict[ItemKey, ItemKey]:
-    """The nearest other item of each item; several items may have the same one."""
+    """For each item of `own` the nearest item of `other`, within `tolerance`. Several items may get the same item."""
     near = {one: min(other, key=lambda two: (abs(one[0] - two[0]), two), default=None) for one in own}
     return {one: two for one, two in near.items() if two is not None and abs(one[0] - two[0]) <= tolerance}

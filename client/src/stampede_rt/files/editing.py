@@ -1,4 +1,4 @@
-"""Verifies, recovers, cuts and merges files. Each holds one chunk of each file in memory."""
+"""Verifies, recovers and cuts files. Each function holds one chunk of each file in memory."""
 
 from __future__ import annotations
 
@@ -25,11 +25,12 @@ LOSSES_MAX = 1000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FileReport:
-    """The findings of a reading of a whole file.
+    """What `verify` or `recover` found while it read a file to its end.
 
     `damages` has the first 1000 parts that cannot be read. `finished`: the file has the index that its writer
     writes last. `unknown` counts messages of topics that the file does not name. `stated` is the recorder's own
-    summary; None if the file has none. `data_is_whole`: the bytes before the index have the stated checksum.
+    summary; None if the file has none that can be read. `data_is_whole`: the bytes before the index have the stated
+    checksum; True also if nobody has checked it, as in `recover`.
     """
 
     summary: RecordingSummary
@@ -72,7 +73,7 @@ class FileReport:
 def verify(path: str | os.PathLike[str], on_bytes: Callable[[int], object] = lambda _: None) -> FileReport:
     """Read a whole file, and check every checksum.
 
-    `on_bytes` is called with the number of read bytes. Raises FileError.
+    Calls `on_bytes` after each chunk, with the position of its end in the file. Raises FileError.
     """
     with FileReader(path) as reader:
         return replace(_walk(reader, lambda _: None, on_bytes), data_is_whole=reader.data_is_whole())
@@ -127,7 +128,10 @@ def writer_of(writer: FileWriter) -> Callable[[Event | Attachment | Metadata], N
 
 
 def finish_with(writer: FileWriter, summary: RecordingSummary) -> None:
-    """Write the summary, if there are channels of Stampede RT or unnamed losses, and finish the file."""
+    """Write the summary, if it is needed, and finish the file.
+
+    It is needed for a channel of Stampede RT, and for a loss that no gap names.
+    """
     own = [one for one in summary.channels if one.incarnation]
     if own or summary.damaged:
         written = replace(summary, channels=own)
@@ -138,7 +142,7 @@ def finish_with(writer: FileWriter, summary: RecordingSummary) -> None:
 def _walk(
     reader: FileReader, take: Callable[[Event | Attachment | Metadata], None], on_bytes: Callable[[int], object]
 ) -> FileReport:
-    """Read a file to its end, and pass all its parts to `take`, including the gaps that damage has made."""
+    """Read a file to its end, and pass what it holds to `take`, with the gaps that damage has made."""
     tally, damaged_bytes, unknown, last = FileTally(), 0, 0, None
     damages: list[Damage] = []
     for part in reader.contents():
@@ -195,7 +199,10 @@ def _with_losses(found: RecordingSummary, stated: RecordingSummary | None, losse
 
 
 def _stated(reader: FileReader, last: Metadata | None) -> RecordingSummary | None:
-    """Return the summary in a file. `last`: its record, if the file has been read and has no index."""
+    """Return the summary in a file; None if there is none that can be read.
+
+    `last`: the last record of a summary that the reading has met; None: take the record that the index names.
+    """
     try:
         return reader.summary() if last is None else summary_of(reader.path, last.metadata)
     except FileError:
@@ -211,9 +218,9 @@ def cut(
     chosen: Callable[[str], bool] = lambda _: True,
     overwrite: bool = False,
 ) -> RecordingSummary:
-    """Copy the items with a time from `start` on and before `end`, of the chosen channels. Raises FileError.
+    """Copy the items of the chosen channels with a time from `start` on and before `end`. Raises FileError.
 
-    Reads only the chunks that the index names for this time. Refuses a damaged file: recover it first.
+    Reads the whole file. Refuses a damaged file: recover it first.
     """
     check_other(path, output)
     with FileReader(path) as reader, replacing(output, overwrite=overwrite) as writer:

@@ -1,4 +1,4 @@
-"""Merges files. Holds one chunk of each file in memory, and the ranges of the seqs that it has seen."""
+"""Merges files. Holds one chunk of each file, the ranges of all seqs, and at most 64 MiB of items that must wait."""
 
 from __future__ import annotations
 

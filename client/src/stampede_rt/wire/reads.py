@@ -44,7 +44,7 @@ def bound_from_message(message: time_pb2.Bound, what: str) -> Bound:
 
 @lru_cache(INTERVALS_KEPT_MAX)  # a reader often reads the same interval, such as all time for the newest item
 def interval_to_message(interval: Interval) -> time_pb2.Interval:
-    """Return the message for an interval. The caller must not change it."""
+    """Return the message for an interval. The caller must not change the message, because later callers get it, too."""
     return time_pb2.Interval(
         start=bound_to_message(interval.start, exclusive=interval.start_exclusive),
         end=bound_to_message(interval.end, exclusive=interval.end_exclusive),

@@ -77,7 +77,7 @@ def _in_time(video: EncodedVideo, start: int, length: int) -> Iterator[tuple[Sid
 def _wait_for_depth(rt: st.Connection, end: int) -> None:
     """Stay a host until the depth consumer has put its last item, which has the time `end`.
 
-    One of the cluster's two hosts is lost, so the replicas of the other one are at this host.
+    One of the cluster's two hosts is lost, so the channels of the other host have their replicas at this host.
     """
     depth = rt.channel(DEPTH_CHANNEL, codec="json", create=False)
     depth.get(end, end, match="start", timeout=DEPTH_SECONDS_MAX)

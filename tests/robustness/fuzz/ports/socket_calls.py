@@ -26,7 +26,7 @@ _CODES = {code.value[0]: code for code in grpc.StatusCode}
 
 
 class SocketPort(NamedTuple):
-    """A socket of a host, and the TLS of its connections."""
+    """A socket of a host, "unix:PATH" or "tcp:HOST:PORT", and the TLS of its connections."""
 
     target: str
     tls: ssl.SSLContext | None = None
@@ -35,7 +35,7 @@ class SocketPort(NamedTuple):
 
 
 async def socket_targets(channel: grpc.aio.Channel, metadata: tuple[tuple[str, str], ...]) -> list[str]:
-    """Ask the gatekeeper of a host for its sockets. Each is "unix:PATH" or "tcp:PORT"."""
+    """Ask the gatekeeper of a host for the host's sockets: "unix:PATH", then "tcp:PORT"."""
     stub = GatekeeperServiceStub(channel)
     request = pb.ListDataEndpointsRequest(machine=this_machine())
     response = await stub.ListDataEndpoints(request, metadata=metadata)  # type: ignore[misc]
@@ -43,7 +43,7 @@ async def socket_targets(channel: grpc.aio.Channel, metadata: tuple[tuple[str, s
 
 
 async def socket_target(channel: grpc.aio.Channel, metadata: tuple[tuple[str, str], ...]) -> str:
-    """Ask the gatekeeper of a host for its Unix socket."""
+    """Ask the gatekeeper of a host for the host's first socket: the Unix socket, if the caller can use it."""
     return (await socket_targets(channel, metadata))[0]
 
 
@@ -55,8 +55,10 @@ async def called_over_socket(
     source: ByteSource,
     seconds: float,
 ) -> tuple[grpc.StatusCode, str]:
-    """Return the status; CANCELLED if none comes within `seconds`. The host may wait for more bytes if
-    the damage has changed a length.
+    """Send the requests over a new stream, perhaps with damage, and return the status.
+
+    CANCELLED: the connection failed, or ended without a status, or no status came within `seconds`. If the damage has
+    changed a length, the host may wait for more bytes.
     """
     frames = _damaged(_frames(path, requests, metadata), source)
     if port.tls is not None and source.chance(NO_TLS_PERCENT):
@@ -81,7 +83,7 @@ async def _status_of(stream: RawStream) -> tuple[grpc.StatusCode, str]:
 
 
 async def _sent_without_tls(target: str, data: bytes, seconds: float) -> tuple[grpc.StatusCode, str]:
-    """Send bytes that are no handshake to a port with TLS."""
+    """Send bytes without a handshake to a port that expects TLS. Returns CANCELLED."""
     host, _, port = target.removeprefix("tcp:").rpartition(":")
     with suppress(TimeoutError, OSError):
         async with asyncio.timeout(CONNECT_SECONDS):
@@ -108,7 +110,7 @@ def _frames(path: str, requests: Sequence[bytes], metadata: tuple[tuple[str, str
 
 
 def _damaged(frames: bytes, source: ByteSource) -> bytes:
-    """Cut, change, repeat or extend the bytes in some streams."""
+    """In some streams, cut off the end, change a byte, repeat bytes, or insert bytes."""
     if not source.chance(DAMAGED_PERCENT):
         return frames
     at = source.below(len(frames))

@@ -133,7 +133,7 @@ async def test_a_host_does_not_trust_its_list_of_objects_if_the_channel_moves_ba
 
 @pytest.mark.asyncio
 async def test_a_move_back_keeps_the_losses_and_the_advance_that_the_present_owner_knows(tmp_path: Path) -> None:
-    """In an earlier version the notes of the former stop replaced them if the channel had no items."""
+    """In an earlier version, if the channel had no items, the notes of the former stop replaced what the owner knew."""
     one = Host(tmp_path, FakeStore())
     recording = (await Owner(one, 1).serve()).hosted
     recording.advance(0)

@@ -1,4 +1,4 @@
-"""The order in which a file is played."""
+"""Files as sources of a replay or an import: the order of their events, the times of their topics, their errors."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_a_chunk_whose_bytes_are_zero_is_an_error_and_not_an_empty_chunk(tmp_pat
     with FileReader(path) as reader:
         start = [part.offset for part in reader.contents() if isinstance(part, ChunkContent)][1]
     content = bytearray(path.read_bytes())
-    content[start + 30 : start + 90] = bytes(60)  # with its checksum, and the name of its compression
+    content[start + 30 : start + 90] = bytes(60)  # also over its checksum, and over the name of its compression
     path.write_bytes(content)
     with pytest.raises(FileError, match=f"names a chunk at byte {start}, and there is none"):
         played(path)
@@ -169,7 +169,7 @@ def test_a_rosbag_is_a_source_by_its_folder_and_by_its_file(tmp_path: Path, plug
 def test_chosen_topics_of_a_rosbag_have_their_own_times(
     tmp_path: Path, plugin: StoragePlugin, chosen: tuple[str, ...], start: int, end: int
 ) -> None:
-    """In an earlier version they had the times of the whole bag, so an import to now was hours too early."""
+    """In an earlier version they had the times of the whole bag, so `--shift now` made an import hours too early."""
     times: dict[str, Sequence[int]] = {
         "/mid": [*range(7_200_000, 7_300_000, 333), 7_299_999], "/once": [9_000_000],
         "/rare": [5, 3_000_000, 14_000_000], "/long": range(0, 14_400_001, 60_000),

@@ -303,7 +303,7 @@ class SegmentFiles(SegmentReads):
             self._delete_leftovers(self._next_number())
 
     def _next_number(self) -> int:
-        """The number of the next segment: the owners of a channel, one after the other, never use the same one."""
+        """The number of the next segment. Two owners of a channel never give their segments the same number."""
         return max(self._segments[-1].number + 1 if self._segments else 1, first_number(self._epoch))
 
     def _delete_leftovers(self, number: int) -> None:

@@ -62,7 +62,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
         self._wait_count = 0  # the calls of `wait_until`
         self._watchers: dict[Callable[[bool], None], None] = {}
         self.strays: set[bytes] = set()
-        """The replicas that may hold an item or step that this owner does not have. They must begin anew."""
+        """The replicas that may hold items or a step that this owner does not have. They must begin anew."""
         self.news = asyncio.Event()
         """Set when the keeper of the replicas has work to do."""
 

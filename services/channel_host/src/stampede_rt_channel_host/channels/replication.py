@@ -191,7 +191,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         super().end(error)
 
     def send_ahead(self, item: NewItem) -> None:
-        """Send an item that the channel is about to store to the replicas."""
+        """Send the replicas a run that the channel is about to store."""
         for feed in self._feeds.values():
             feed.send_ahead(item)
 

@@ -25,10 +25,13 @@ class AheadItemSender(AheadPlace):
         self._hosted = hosted
         self._feed = feed
         self._responses = responses
-        self._takes_runs = opening.takes_runs  # otherwise it takes only runs of one item
+        self._takes_runs = opening.takes_runs  # whether the replica takes runs of several items ahead
 
     def send(self, item: NewItem, write: Callable[[bytes], None]) -> bool:
-        """Send a run that the channel is about to store. Returns False if the replica lacks other facts, too."""
+        """Send a run that the channel is about to store.
+
+        Returns False, and sends nothing, if the replica also lacks other facts, or does not take this run ahead.
+        """
         is_fit = (item.items == 1 or self._takes_runs) and not self._responses.owes_facts(self._hosted)
         fed = self._feed.take_ahead(item) if is_fit else None
         if fed is None:

@@ -1,4 +1,4 @@
-"""The place of a replica to which its owner has sent something that the owner itself has not stored yet."""
+"""Notes what the owner has sent ahead to a replica: a run or a step that the owner itself has not stored yet."""
 
 from __future__ import annotations
 
@@ -6,30 +6,33 @@ from stampede_rt.errors import Unavailable
 
 
 class AheadPlace:
-    """The place of the replica of one feed. At most one item, or one step of a queue, is sent and not yet stored."""
+    """What one feed has sent ahead to its replica: at most one run of a channel, or one step of a queue.
+
+    A place is a seq or the number of a step, as in `OwnedReplicas`.
+    """
 
     def __init__(self, host_id: bytes, strays: set[bytes]) -> None:
-        """`host_id`: the host of the replica. `strays`: see `OwnedReplicas`."""
+        """`host_id`: the host of the replica. `strays`: the set of this name in `OwnedReplicas`."""
         self._host_id = host_id
         self._strays = strays
-        self._unstored_next = 0  # the replica's place after it; 0: nothing is sent
+        self._unstored_next = 0  # the place after what is sent ahead; 0: nothing is sent ahead
 
     def sent(self, next_place: int) -> None:
-        """Note that the feed sends something. `next_place`: the replica's place after it."""
+        """Note that the feed sends a run or step ahead. `next_place`: the place after this run or step."""
         self._unstored_next = next_place
 
     def stored(self, next_place: int) -> bool:
-        """Note that the owner has stored everything. Returns whether the replica has got all of it ahead.
+        """Note that the owner has stored everything before `next_place`.
 
-        `next_place`: the owner's.
+        Returns whether the feed has sent the last part of it ahead, and so need not send it now.
         """
         ahead, self._unstored_next = self._unstored_next, 0
         return ahead == next_place
 
     def take_back(self) -> Unavailable | None:
-        """The error that ends the feed, because a defect kept the owner from storing it. None: nothing was sent.
+        """Note that a defect kept the owner from storing what the feed sent ahead, so the replica must begin anew.
 
-        The replica must begin anew.
+        Returns the error that ends the feed; None: nothing was sent ahead.
         """
         if not self._unstored_next:
             return None

@@ -35,7 +35,7 @@ async def fed_channel(store: ChannelStore, moves: OutgoingMoves, opening: pb.Fee
 def has_others_items(hosted: HostedChannel, opening: pb.FeedOpen) -> bool:
     """Whether the copy may have items that this owner lacks.
 
-    They are items of a former owner, or an item that this owner sent ahead and took back.
+    They are items of a former owner, or items of a run that this owner sent ahead and then could not store.
     """
     replication, place = hosted.replication, opening.place
     if replication is None or place.incarnation != hosted.core.incarnation:

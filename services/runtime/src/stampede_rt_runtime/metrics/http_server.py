@@ -37,7 +37,7 @@ class MetricsHttpServer:
 
     async def listen(self, host: str, port: int) -> int:
         """Listen at an address. Returns the port. Raises OSError."""
-        if not port:  # otherwise each address of the name would get a port of its own
+        if not port:  # with port 0, each address of a host name would get a port of its own
             host = str(socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[-1][4][0])
         self._server = await asyncio.start_server(self._accept, host, port, limit=HEAD_BYTES_MAX)
         return int(self._server.sockets[0].getsockname()[1])

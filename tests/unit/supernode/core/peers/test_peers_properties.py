@@ -1,4 +1,4 @@
-"""After any commands, a name has one live owner, a live named peer one mailbox, and a queue one owner."""
+"""After any commands, each name has at most one live peer, this peer has one mailbox, and each queue has one owner."""
 
 from __future__ import annotations
 

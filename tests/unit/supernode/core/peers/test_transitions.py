@@ -1,4 +1,4 @@
-"""Peers in the directory: one live owner for each name, and one mailbox for each such owner."""
+"""Peers in the directory: at most one live peer for each name, and one mailbox for each live peer with a name."""
 
 from __future__ import annotations
 
