@@ -34,7 +34,7 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @dataclass
 class StoredArchive:
-    """The files of a channel of the property tests. Most of them are in a store, the others only in a folder."""
+    """The files of an `ArchivedChannel`. Most of them are in a store, the others only in a folder."""
 
     channel: ArchivedChannel
     place: StoredSegments
@@ -42,7 +42,7 @@ class StoredArchive:
     store: FakeStore
 
     def move(self, draw: random.Random) -> None:
-        """Write the files, and move some of them."""
+        """Write the files to the folder, and move most of them to the store."""
         for segment in self.channel.segments:
             numbered = segment._replace(number=first_number(1) + segment.number)
             self.place.file_of(numbered.number).write_bytes(self.channel.file(segment))

@@ -2,9 +2,10 @@
 
     python -m tests.benchmarks.archive_cost
 
-All figures are from one run on this machine, in the folder of --folder: medians of --rounds rounds, with the least and
-the greatest value. In each round all writers write, one after the other. Takes about five minutes. --files N also reads
-from an archive of N items without a server: 10^8 items of 64 B need 9 GB, and some minutes more.
+All figures are from one run on this machine, with the files in the folder of --folder. The figures of writers and of
+live readers are medians of --rounds rounds, with the least and the greatest value. In each round all writers write, one
+after the other. The whole command takes about five minutes. The part `files` reads from archives of up to --files
+items, without a server: 10^8 items of 64 B need 9 GB, and some minutes more.
 """
 
 from __future__ import annotations

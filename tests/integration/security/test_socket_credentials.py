@@ -1,4 +1,7 @@
-"""The host ends a socket stream as soon as its caller's credential or right ends, whatever the caller is doing."""
+"""When the credential of a caller ends, the host ends all socket streams of the caller, in whatever state they are.
+
+When a caller loses the right to read, the host ends its subscriptions, and refuses its waiting gets.
+"""
 
 from __future__ import annotations
 
@@ -79,7 +82,7 @@ def _frame(message: pb.GetRequest | pb.SubscribeRequest) -> bytes:
 
 
 async def ended(found: dict[str, RawStream], names: set[str]) -> None:
-    """Wait until the host has closed these streams. Reads nothing of them."""
+    """Wait until the host has closed these streams, without reading from them."""
     poll, numbers = select.poll(), {}
     for name in names:
         number = found[name].writer.get_extra_info("socket").fileno()
@@ -116,7 +119,7 @@ async def test_a_revoked_token_ends_all_streams_of_its_caller(
         await all_admitted(operator, "revoked", capsys)
         assert await asyncio.to_thread(run, ["token", "revoke", str(file), "--url", cluster.address]) == 0
         await ended(found, ALL)
-        for name in ALL - {"reads nothing"}:  # the host cannot write to this stream
+        for name in ALL - {"reads nothing"}:  # to the caller that reads nothing the host cannot write
             assert "revoked" in await told(found[name]), name
 
 

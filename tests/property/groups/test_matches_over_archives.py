@@ -27,7 +27,7 @@ Match = tuple[object, ...]
 
 @pytest.fixture(autouse=True)
 def small_windows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Windows of one block or a few, and answers of a few windows."""
+    """Let a read load one block or a few blocks in each window, and a few windows for each answer."""
     monkeypatch.setattr(archived_read, "FIRST_WINDOW_BYTES", 1)
     monkeypatch.setattr(archived_read, "WINDOW_BYTES", 300)
     monkeypatch.setattr(archived_read, "ANSWER_BYTES", 12)

@@ -1,4 +1,7 @@
-"""Converts bounds, intervals, positions and answers to and from protobuf (`time.proto`, `item.proto`)."""
+"""Converts the parts of reads to and from protobuf: bounds, intervals, match modes, positions, past states, reasons.
+
+The messages are in `time.proto`, `item.proto`, `channel_service.proto` and `error.proto`.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,7 @@ def bound_from_message(message: time_pb2.Bound, what: str) -> Bound:
     return Bound(_FROM_META[message.meta_time], message.offset_nanos)
 
 
-@lru_cache(INTERVALS_KEPT_MAX)  # a reader often reads the same interval, such as all time for the newest item
+@lru_cache(INTERVALS_KEPT_MAX)  # intervals repeat: each read of the newest item asks for all time
 def interval_to_message(interval: Interval) -> time_pb2.Interval:
     """Return the message for an interval. The caller must not change the message, because later callers get it, too."""
     return time_pb2.Interval(
@@ -97,7 +100,10 @@ def position_of(after: Item | int) -> item_pb2.ItemPosition:
 
 
 def check_item(item: Item) -> None:
-    """Raise InvalidArgument for an item whose time, seq or incarnation no channel can have, as in a changed copy."""
+    """Raise InvalidArgument if no channel can have the time, seq or incarnation of an item.
+
+    For example, a program may have changed a copy of an item.
+    """
     for what, value, least, end in (
         ("time", item.time, -(2**63), 2**63),
         ("seq", item.seq, 0, 2**64),
@@ -125,7 +131,10 @@ def resolved_from_message(message: time_pb2.ResolvedInterval) -> ResolvedInterva
 
 
 def reason_to_message(reason: Reason | None) -> str:
-    """Return the name of the AbsenceReason for `reason`; the unspecified one for None. The name has no detail."""
+    """Return the name of the AbsenceReason for `reason`; for None, the name of the unspecified one.
+
+    The detail of the reason has a field of its own in each message.
+    """
     return _REASON_PREFIX + (reason.value if reason else "UNSPECIFIED")
 
 

@@ -14,14 +14,15 @@ _CLEAR_LINE = "\r\x1b[K"
 class Progress:
     """Writes progress to `output`.
 
-    `show` replaces the present line, and may be called often; `say` writes a lasting line.
+    `say` writes a line that stays. `show` may be called often. On a terminal its line replaces the line of the `show`
+    before. Elsewhere it writes a plain line, but at most one in PLAIN_PERIOD_SECONDS.
     """
 
     def __init__(self, output: TextIO, monotonic: Callable[[], float] = time.monotonic) -> None:
         self._output = output
         self._monotonic = monotonic
         self._terminal = output.isatty()
-        self._open = False  # the cursor is after a line that the next one replaces
+        self._open = False  # whether the terminal shows a line that the next line replaces
         self._shown: float | None = None
 
     def say(self, text: str) -> None:
@@ -30,7 +31,7 @@ class Progress:
         print(text, file=self._output, flush=True)
 
     def show(self, text: str) -> None:
-        """Show `text` instead of the line before. Does nothing if the last line is too recent."""
+        """Show `text` in the changing line of the terminal. Elsewhere print it, unless the last such line is recent."""
         if self._terminal:
             columns = shutil.get_terminal_size().columns
             print(f"{_CLEAR_LINE}{text[: columns - 1]}", end="", file=self._output, flush=True)

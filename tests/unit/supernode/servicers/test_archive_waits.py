@@ -1,4 +1,4 @@
-"""How long a supernode lets callers wait for a host that is away with the archive of a channel."""
+"""How long a recorded channel waits for its host, which is away, before another host takes the channel over."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ async def leave(node: Node, number: int, *, boot: int = 1) -> None:
 
 
 async def opened_at(node: Node) -> str:
-    """The host at which the channel is opened; empty while the channel waits for its host."""
+    """The name of the host at which the channel is opened. Empty while the channel waits for its host.
+
+    If the call fails with Unavailable for another reason, returns this reason.
+    """
     try:
         return (await node.open("recorded")).host.name
     except Unavailable as error:
@@ -46,7 +49,7 @@ async def test_a_wait_begins_with_the_first_call_and_ends_with_its_time_or_the_r
         await register(node, 1)
         await node.open("recorded", spec=RECORDED)
         await leave(node, 1)
-        await node.pass_seconds(10 * WAIT_SECONDS)  # nobody needs the channel
+        await node.pass_seconds(10 * WAIT_SECONDS)  # no caller opens the channel, so the wait has not begun
         await register(node, 2)
         before = node.log.index
         for _ in range(2):

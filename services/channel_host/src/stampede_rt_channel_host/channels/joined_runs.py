@@ -21,8 +21,8 @@ ITEM_BYTES_MAX = 4096  # a copy of a longer payload costs about as much as the r
 def joined_slices(slices: Iterable[Slice], ends: Container[ItemKey] = ()) -> Iterator[tuple[Slice, int]]:
     """The slices in their order, each with the number of stored runs in it.
 
-    Joins neighbours without labels whose seqs follow each other and whose times ascend. `ends`: the last time and the
-    end seq of slices that must end there.
+    Joins neighbours without labels whose seqs follow each other and whose times do not descend. `ends`: the last times
+    and end seqs at which a slice must end.
     """
     joining = _Joining()
     for part in slices:
@@ -50,7 +50,7 @@ def joined_deliveries(slices: Sequence[DeliveredSlice]) -> Iterator[DeliveredSli
 
 
 def _continues(one: DeliveredSlice, other: DeliveredSlice) -> bool:
-    """Whether the next bucket after `one` is the first one of `other`, or the same as the next one after `other`."""
+    """Whether `other` begins with the next bucket after `one`, or in the bucket of `one`, with the same next bucket."""
     time = other.slice.first_time
     return one.next_time == (time if one.slice.last_time < time else other.next_time)
 

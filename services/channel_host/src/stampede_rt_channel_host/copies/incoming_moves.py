@@ -110,7 +110,10 @@ class IncomingMoves:
         await self._streams.aclose()
 
     def _may_hold_early(self, record: RecordedChannel, source: FeedSource) -> bool:
-        """Whether the source may hold the channel unasked. Puts must not wait for an archive or for a slow copy."""
+        """Whether the source may hold the channel before this host asks it to do so.
+
+        Puts must not wait for an archive or for a slow copy.
+        """
         is_slow = bool(self._bytes_per_second) or not self._early.may(source.target, time.monotonic())
         return not (is_slow or record.policy.is_recorded or record.policy.replicas)
 

@@ -18,24 +18,24 @@ from stampede_rt_channel_host.core.records import RecordedChannel
 
 
 class MoveFeed(CopyFeed):
-    """One stream from the owner of a channel to its next owner.
+    """The feed of one move, from the owner of a channel to its next owner.
 
-    `handoff` is done as soon as this host has all items and facts. Then `permit` is the owner's permit for the
-    directory.
+    The future `handoff` is done as soon as this host has all items and facts. From then on `permit` has the owner's
+    permit, which the directory checks.
     """
 
     def __init__(
         self, store: ChannelStore, record: RecordedChannel, state: CopyState, host_id: bytes, target: str,
         bytes_per_second: int = 0, window_bytes: int = WINDOW_BYTES, *, may_hold_early: bool = False,
     ) -> None:  # fmt: skip
-        """See `CopyFeed`. `may_hold_early`: the source holds an idle channel without being asked."""
+        """See `CopyFeed`. `may_hold_early`: if the channel is idle, the source may hold its changes before `hold`."""
         super().__init__(
             store, record, state, host_id, target, bytes_per_second, owner_facts=True, window_bytes=window_bytes
         )
         self.handoff: asyncio.Future[Inheritance] = asyncio.get_running_loop().create_future()
         self.permit = b""
         self.held_nanos = 0
-        """When the changes of the channel began to wait, as far as this host knows."""
+        """When the changes of the channel began to wait at the source, as far as this host knows; 0: not yet."""
         self._handoff_took_nanos: int | None = None
         self._may_hold_early = may_hold_early
         self._came_nanos = time.monotonic_ns()  # when the latest message came, or this object began to wait for one
@@ -43,7 +43,10 @@ class MoveFeed(CopyFeed):
 
     @property
     def last_message_seconds(self) -> float:
-        """How long the message with the handoff took, at most. If it has not come: how long this host has waited."""
+        """The time from the message before the handoff to the handoff, which took no longer than this.
+
+        If the handoff has not come: the time since the latest message.
+        """
         took_nanos = self._handoff_took_nanos
         return (time.monotonic_ns() - self._came_nanos if took_nanos is None else took_nanos) / 1e9
 
@@ -77,13 +80,13 @@ class MoveFeed(CopyFeed):
         return request
 
     def _take_at_once(self, call: Any, response: FedResponse | FedItem) -> bool:
-        """Leave all messages to `_take`: no put waits for a move."""
+        """Leave all messages to `_take`: puts wait for an answer of this feed only if this host is a replica."""
         return False
 
     def _note(self, state: pb.FeedState, charge_bytes: int) -> None:
-        """Send no report that the copy has caught up, because the request of `hold` follows and contains it.
+        """Send no request only to report that the copy has caught up: the request for the next step reports it.
 
-        A channel with replicas gets the report, because its replicas wait for it.
+        If the channel has replicas, sends the request: this host may be one of them, and then puts wait for its report.
         """
         was_caught_up = self._state.caught_up
         super()._note(state, charge_bytes)

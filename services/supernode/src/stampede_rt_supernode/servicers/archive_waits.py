@@ -1,4 +1,4 @@
-"""Measures how long callers have waited for hosts that are away with the archives of channels (decision 0318)."""
+"""Measures how long the callers of recorded channels have waited for hosts that are away (decision 0318)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The streams between members: each member has one at a time, and no message of an earlier stream comes later."""
+"""The streams between members: one at a time from a member to another, without the messages of an earlier stream.
+
+A refusal that repeats is logged once.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +54,7 @@ def timeout_now(term: int) -> pb.RaftMessage:
 
 
 class Inbox:
-    """Stands for a replica. Keeps its messages, on the loop of the test."""
+    """Stands for a `RaftReplica`, on the event loop of the test. Keeps the events that it gets."""
 
     roster = ROSTER
     feature_level = 1
@@ -109,7 +112,7 @@ async def test_a_members_stream_ends_when_a_newer_one_replaces_it() -> None:
 
 
 async def greeted_by_an_older_copy(channel: grpc.aio.Channel) -> str:
-    """The answer to a caller that calls itself OTHER, with a store that lacks entries which OTHER has promised."""
+    """Call as OTHER, with a store that lacks entries of OTHER's promise. Returns the text of the refusal."""
     call = _pb_grpc.RaftServiceStub(channel).Exchange()
     hello = hello_to("self", settings_of(OTHER))
     hello.store_id = "one"
@@ -136,7 +139,7 @@ async def test_a_refused_copy_of_a_connected_member_is_logged_once_and_does_not_
         call.cancel()
         await inbox.heard(StreamEnded)
         assert servicer.refused() == {}
-        # A single such caller may be the member itself.
+        # While OTHER has no stream, such a caller may be OTHER itself. So its store counts as refused.
         await greeted_by_an_older_copy(channel)
         assert list(servicer.refused()) == ["other"]
     await server.stop(None)
@@ -169,7 +172,7 @@ class Peer(_pb_grpc.RaftServiceServicer):  # type: ignore[misc]
 async def test_messages_that_wait_on_a_broken_stream_are_not_sent_on_the_next_one() -> None:
     peer = Peer()
     server, address = await served(lambda server: _pb_grpc.add_RaftServiceServicer_to_server(peer, server))
-    # So little room that the first stream breaks with messages in its queue.
+    # The queue has room for two messages. So the third message ends the first stream while the two still wait.
     room = 2 * timeout_now(1).ByteSize()
     settings = settings_of(SELF, link_queue_bytes_max=room, timing=RaftTiming(reconnect_seconds=0.01))
     connections = 0
