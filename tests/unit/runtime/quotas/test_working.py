@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 import os
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -79,13 +79,16 @@ class Spent:
         self.nanos.append(nanos)
 
 
+@pytest.mark.parametrize("form", [bytes, memoryview])  # a long frame of a socket comes as a view
 @pytest.mark.parametrize("costs", [GRPC_COSTS, SOCKET_COSTS])
 @pytest.mark.parametrize("length_bytes", [0, LONG_BYTES, LONG_BYTES + 1, 2**18])
-async def test_the_bytes_of_a_long_message_count_for_its_caller(length_bytes: int, costs: TransportCosts) -> None:
+async def test_the_bytes_of_a_long_message_count_for_its_caller(
+    length_bytes: int, costs: TransportCosts, form: Callable[[bytes], Any]
+) -> None:
     account: Any = SimpleNamespace(loop_share=Spent())
-    CallerWork(account, costs).received(bytes(length_bytes))
+    CallerWork(account, costs).received(form(bytes(length_bytes)))
     assert account.loop_share.nanos == ([length_bytes * costs.kib_nanos // 1024] if length_bytes > LONG_BYTES else [])
-    CallerWork(unlimited()).received(bytes(length_bytes))
+    CallerWork(unlimited()).received(form(bytes(length_bytes)))
     CallerWork(account).received(grpc.aio.EOF)
 
 

@@ -151,7 +151,7 @@ class CallerWork:
 
     def received(self, message: Any) -> None:
         """Count the time that the transport took to read the bytes of a long message."""
-        if self._loop_share is not None and isinstance(message, bytes) and len(message) > LONG_BYTES:
+        if self._loop_share is not None and isinstance(message, bytes | memoryview) and len(message) > LONG_BYTES:
             self.spend_bytes(len(message))
 
 
