@@ -65,7 +65,7 @@ async def test_a_restored_cluster_accepts_hosts_of_the_former_cluster_only_on_re
             await renewed(restored, 1, former_id)
             return
         for refused in (renewed(restored, 1, former_id), register(restored, 1, cluster_id=former_id)):
-            with pytest.raises(WrongCluster, match="the caller's cluster may still serve; if it is permanently lost"):
+            with pytest.raises(WrongCluster, match="cluster may still serve; if that cluster is permanently lost"):
                 await refused
         own = await cluster_id(restored)
         assert own != former_id
