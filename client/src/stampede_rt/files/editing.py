@@ -25,7 +25,7 @@ LOSSES_MAX = 1000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FileReport:
-    """What `verify` or `recover` found while it read a file to its end.
+    """The findings of `verify` or `recover` about a file that it has read to its end.
 
     `damages` has the first 1000 parts that cannot be read. `finished`: the file has the index that its writer
     writes last. `unknown` counts messages of topics that the file does not name. `stated` is the recorder's own

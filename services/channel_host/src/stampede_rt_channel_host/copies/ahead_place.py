@@ -6,7 +6,7 @@ from stampede_rt.errors import Unavailable
 
 
 class AheadPlace:
-    """What one feed has sent ahead to its replica: at most one run of a channel, or one step of a queue.
+    """The run of a channel, or the step of a queue, that one feed has sent ahead to its replica; at most one at a time.
 
     A place is a seq or the number of a step, as in `OwnedReplicas`.
     """
