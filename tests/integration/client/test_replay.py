@@ -192,6 +192,19 @@ def test_a_looped_replay_plays_with_rising_times_until_it_is_stopped(rt: st.Conn
         rt.replay_file(path, loop=True, shift="now", speed=2.0)
 
 
+@pytest.mark.parametrize("ahead", [200, 60_000])
+def test_a_loop_goes_on_after_an_advance_beyond_the_last_item(rt: st.Connection, tmp_path: Path, ahead: int) -> None:
+    advance = FileAdvance("cam", INCARNATION, START + (5 + ahead) * MS, 5)
+    path, name = write(tmp_path / "a.mcap", [*entries("cam", range(1, 6)), advance]), f"beyond-{ahead}/"
+    with rt.replay_file(path, name, loop=True, shift="now") as player:
+        channel = rt.channel(f"{name}cam", create=False)
+        wait_until(lambda: not player.active or channel.stats().accepted >= 12)
+    assert player.summary is not None
+    assert player.summary.first_refusal == ""
+    assert player.summary.rounds >= 2
+    assert player.summary.advances >= 2
+
+
 def test_two_topics_that_would_become_one_channel_are_refused(rt: st.Connection, tmp_path: Path) -> None:
     both = [item_entry(Topic(name, "json", INCARNATION), item(1)) for name in ("a b", "a\tb")]
     with pytest.raises(st.InvalidArgument, match="would both become channel 'same/a_b'"):

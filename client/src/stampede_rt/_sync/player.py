@@ -163,7 +163,8 @@ class Player(BackgroundStart, BoundToProcess):
             self._rounds += not self._stopped
             if not self._request.loop:
                 break
-            schedule = self._plan(topics, time.time_ns())
+            # not before the former round has ended, also if the clock was set back a little
+            schedule = self._plan(topics, max(time.time_ns(), schedule.shifted(schedule.end)))
         self._flush()
 
     def _plan(self, topics: Sequence[SourceTopic], now: int) -> Schedule:
@@ -245,12 +246,16 @@ class Player(BackgroundStart, BoundToProcess):
         channel = self._channels.get(event.channel)  # None: no item of this topic is played
         if isinstance(event, FileAdvance):
             if channel is not None:
-                channel.advance(schedule.shifted(event.time))
+                channel.advance(schedule.shifted(self._promised(event.time, schedule)))
             return
         if channel is not None:
             channel.note_gap(event)
         if not self._rounds and len(self._gaps) < GAPS_KEPT_MAX:
             self._gaps.append(event)
+
+    def _promised(self, time: int, schedule: Schedule) -> int:
+        """The instant of an advance. In a loop the next round begins at the end of this one, so no advance is later."""
+        return min(time, schedule.end) if self._request.loop else time
 
     def _flush(self) -> None:
         for one in self._channels.values():
