@@ -17,7 +17,6 @@ import pytest
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Bound, Interval, Match
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
-from stampede_rt_channel_host.archive.recorder import span_of
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
 from stampede_rt_channel_host.archive.written_parts import SeqGap
 from stampede_rt_channel_host.core.archive import (
@@ -31,6 +30,7 @@ from stampede_rt_channel_host.core.archive import (
     past_moment,
     read_nothing,
     resolved,
+    span_of,
 )
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Query, ReadAnswer, Run, make_run, run_to_end
 

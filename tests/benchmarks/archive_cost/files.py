@@ -11,10 +11,9 @@ from pathlib import Path
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Bound, Interval
 from stampede_rt.wire.runs import encode_run, seal_run
-from stampede_rt_channel_host.archive.recorder import span_of
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
 from stampede_rt_channel_host.copies.messages import run_of
-from stampede_rt_channel_host.core.archive import ArchivedRead, ArchivedRun, Segment, resolved
+from stampede_rt_channel_host.core.archive import ArchivedRead, ArchivedRun, Segment, resolved, span_of
 from stampede_rt_channel_host.core.channel import ChannelCore, Query, run_to_end
 from tests.benchmarks.archive_cost.figures import heading, percentile, row, seconds_of
 

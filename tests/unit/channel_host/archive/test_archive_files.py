@@ -11,10 +11,17 @@ import pytest
 from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.clean_stop import CleanStop, read_stop
-from stampede_rt_channel_host.archive.recorder import span_of
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
 from stampede_rt_channel_host.archive.written_parts import SeqGap
-from stampede_rt_channel_host.core.archive import ROW_BYTES, ArchivedRun, Hole, Segment, WantedItems, WantedWindow
+from stampede_rt_channel_host.core.archive import (
+    ROW_BYTES,
+    ArchivedRun,
+    Hole,
+    Segment,
+    WantedItems,
+    WantedWindow,
+    span_of,
+)
 from stampede_rt_channel_host.core.channel import FIRST_KEY, Run, make_run
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 from stampede_rt_runtime.settings import SettingsError

@@ -13,7 +13,7 @@ from stampede_rt.values.model import Policy, Reason
 from stampede_rt.values.seq_starts import start_of
 from stampede_rt.values.timeline import Bound, Interval, Match
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
-from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import SegmentFiles
 from stampede_rt_channel_host.archive.written_parts import SeqGap
 from stampede_rt_channel_host.channels.past_reads import PastReader
@@ -26,6 +26,7 @@ from stampede_rt_channel_host.core.archive import (
     Hole,
     Segment,
     resolved,
+    span_of,
 )
 from stampede_rt_channel_host.core.archive.stored_segment import object_name, segment_named
 from stampede_rt_channel_host.core.channel import ChannelCore, Query, ReadAnswer, run_to_end

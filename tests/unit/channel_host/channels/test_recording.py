@@ -15,8 +15,9 @@ from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.disk_use import DiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.segment_files import SegmentFiles
+from stampede_rt_channel_host.channels.opened_archives import OpenedChannelArchive
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
-from stampede_rt_channel_host.channels.recording import OpenedChannelArchive, Recording
+from stampede_rt_channel_host.channels.recording import Recording
 from stampede_rt_channel_host.core.archive import WantedItems, WantedWindow, archived_read
 from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Offer, Query, Run, make_run
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY

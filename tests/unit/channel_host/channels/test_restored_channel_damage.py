@@ -12,7 +12,6 @@ from stampede_rt.ring.ring_view import RingView
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import NOW, OLDEST, Bound, Interval, Match
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
-from stampede_rt_channel_host.archive.recorder import span_of
 from stampede_rt_channel_host.archive.segment_files import SegmentFiles
 from stampede_rt_channel_host.archive.written_parts import SeqGap
 from stampede_rt_channel_host.channels.restored_channel import restore_channel
@@ -24,6 +23,7 @@ from stampede_rt_channel_host.core.archive import (
     WantedWindow,
     reaches,
     resolved,
+    span_of,
 )
 from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Offer, Query, ReadAnswer, run_to_end
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from bisect import bisect_right
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import islice
 from typing import NamedTuple
 
@@ -13,6 +13,7 @@ from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, ChannelDiskUse, DiskUse
 from stampede_rt_channel_host.archive.moved_items import MovedItems
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
+from stampede_rt_channel_host.archive.waiting_puts import WaitingPuts
 from stampede_rt_channel_host.archive.written_parts import Advances, SeqGap
 from stampede_rt_channel_host.core.archive import (
     ADVANCE_BYTES,
@@ -21,6 +22,7 @@ from stampede_rt_channel_host.core.archive import (
     ArchivedRun,
     ArchiveSpan,
     Segment,
+    span_of,
 )
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
 
@@ -29,7 +31,7 @@ BYTES_PER_WRITE, BYTES_AT_ONCE = 16 * 2**20, 4 * 2**20  # the most in a write; t
 SLICES_PER_NOTE = 2048  # a look at this many takes about 1 ms
 GAPS_KEPT = 64
 ADVANCES_MAX = 4096  # if so many wait for the archive, a new one replaces the latest of them
-PUTS_LEAST = 4096  # if more puts wait for the archive, the recorder joins the puts whose items have left memory
+SETTLE_SECONDS_MAX = 1.0  # the longest wait of a reader for a write that has items which have left memory
 Part = list[ArchivedRun] | SeqGap | Advances
 
 
@@ -44,10 +46,7 @@ class WriteJob(NamedTuple):
 
 
 class ChannelRecorder:
-    """One recorded channel, on the event loop. Other objects write and read its files.
-
-    `unarchived` counts the items that max_bytes collected before the archive had them.
-    """
+    """One recorded channel, on the event loop. Other objects write and read its files."""
 
     span: ArchiveSpan
     """The times between which the archive has items."""
@@ -65,7 +64,8 @@ class ChannelRecorder:
         self.files = files
         self.disk = disk or DiskUse().of_channel(b"", "")
         self.keep(segments)
-        self.unarchived = 0
+        self.named = 0
+        """The items that max_bytes collected before the archive had them, and that its files name."""
         self.is_stopped = False
         """Whether the host has given the channel up: the archive no longer writes its items."""
         self.failure = ""
@@ -81,13 +81,7 @@ class ChannelRecorder:
         self._came = MovedItems(channel) if from_memory and files.is_shared else None
         self.archived_to = _lacks_from(channel, segments) if from_memory else channel.next_seq
         """All seqs below `archived_to` are on stable storage, or lost to the archive."""
-        # For each put that is not archived: the seq after its items, the instant of their acceptance, and its bytes.
-        self._ends: list[int] = []
-        self._instants: list[int] = []
-        self._sizes: list[int] = []
-        self._coming_bytes = 0
-        # Above these numbers the recorder joins the waiting puts whose items memory has lost.
-        self._puts_max, self._bytes_max = PUTS_LEAST, BYTES_PER_WRITE
+        self._puts = WaitingPuts(files.run_bytes_max)
         self._advances: list[ArchivedAdvance] = []  # the advances that are not archived yet
         self._advances_taken = 0  # how many of them, from the first on, a write has taken
         self._advance: int | None = None  # the latest advance
@@ -126,7 +120,7 @@ class ChannelRecorder:
     def note(self, now: int) -> bool:
         """Note that the channel has accepted items or an advance at `now`. Returns whether to write something."""
         has_advance = self._note_advance(now)
-        end_seq, noted = self._channel.next_seq, self._ends[-1] if self._ends else self.archived_to
+        end_seq, noted = self._channel.next_seq, self._puts.end_seq or self.archived_to
         size = 0
         if end_seq > noted:
             sized_to, size = self._size_from(noted)
@@ -135,16 +129,9 @@ class ChannelRecorder:
         return has_advance or end_seq > self.archived_to
 
     def _add_put(self, end_seq: int, now: int, size: int) -> None:
-        self._coming_bytes += size
-        if self._ends and self._instants[-1] == now:
-            self._ends[-1] = end_seq
-            self._sizes[-1] += size
-            return
-        self._ends.append(end_seq)
-        self._instants.append(now)
-        self._sizes.append(size)
-        if len(self._ends) >= self._puts_max or self._coming_bytes >= self._bytes_max:
-            self._forget_collected()
+        if self._puts.add(end_seq, now, size):
+            held = next(iter(self._channel.accepted_from(self.archived_to)), None)
+            self._puts.join(self._channel.next_seq if held is None else held.run.first_seq)
 
     def _size_from(self, seq: int) -> tuple[int, int]:
         """The seq up to which the items from `seq` on are counted, and the most bytes that these take on the disk.
@@ -161,37 +148,47 @@ class ChannelRecorder:
         """Report the bytes that are still to be written. `largest`: the bytes of the latest put."""
         rows = len(self._advances)
         of_advances = rows * ADVANCE_BYTES + self.files.run_bytes_max if rows else 0
-        self.disk.expect(0 if self.is_stopped else self._coming_bytes + of_advances, largest)
-
-    def _forget_collected(self) -> None:
-        """Join the waiting puts whose items memory has lost while the disk failed. The joined put has the instant
-        of the first of them.
-        """
-        held = next(iter(self._channel.accepted_from(self.archived_to)), None)
-        done = bisect_right(self._ends, self._channel.next_seq if held is None else held.run.first_seq)
-        if done:
-            self._sizes[:done] = [self.files.run_bytes_max]
-            self._coming_bytes = sum(self._sizes)
-        del self._ends[: max(0, done - 1)]
-        del self._instants[1:done]
-        self._puts_max = max(PUTS_LEAST, 2 * len(self._ends))
-        self._bytes_max = max(BYTES_PER_WRITE, 2 * self._coming_bytes)
+        self.disk.expect(0 if self.is_stopped else self._puts.bytes + of_advances, largest)
 
     @property
     def waiting_since(self) -> int | None:
         """The acceptance instant of the first item or advance that is not archived, or None."""
-        return min((*self._instants[:1], *(one.accepted for one in self._advances[:1])), default=None)
+        return min((*self._puts.instants[:1], *(one.accepted for one in self._advances[:1])), default=None)
 
     @property
     def fills_a_write(self) -> bool:
         """Whether to write now: BYTES_AT_ONCE wait, or a fourth of a limit (`is_a_fourth`). False while writes fail."""
-        is_much = self._channel.limits.is_a_fourth(self._coming_bytes, self.backlog_items)
-        return (is_much or self._coming_bytes >= BYTES_AT_ONCE) and not self.failure
+        is_much = self._channel.limits.is_a_fourth(self._puts.bytes, self.backlog_items)
+        return (is_much or self._puts.bytes >= BYTES_AT_ONCE) and not self.failure
 
     @property
     def backlog_items(self) -> int:
         """The accepted items that are not archived."""
         return self._channel.next_seq - self.archived_to
+
+    @property
+    def waiting_items(self) -> int:
+        """The accepted items that the archive will still have."""
+        return given_between(self.archived_to, self._channel.next_seq) - self._channel.backlog.lost
+
+    @property
+    def unarchived(self) -> int:
+        """The items that max_bytes collected before the archive had them."""
+        return self.named + self._channel.backlog.lost
+
+    @property
+    def lost_items(self) -> int:
+        """The items that neither memory nor the archive has, and that no file names yet."""
+        return self._channel.backlog.lost + self._channel.backlog.at_risk
+
+    @property
+    def readable_segments(self) -> tuple[Segment, ...]:
+        """The segments as reads see them: the last one also has the seqs of the lost items that no file names yet."""
+        lost = self.lost_items
+        if not lost or not self.segments:
+            return self.segments
+        last = self.segments[-1]
+        return (*self.segments[:-1], last._replace(end_seq=last.end_seq + lost))
 
     @property
     def has_all_items(self) -> bool:
@@ -233,9 +230,11 @@ class ChannelRecorder:
             parts.append(Advances(self.archived_to, tuple(self._advances)))
             self._advances_taken = len(self._advances)
         expected, size, last = self.archived_to, 0, None
+        unheld = 0  # the items of the taken runs that have left memory
         for slice_ in self._channel.accepted_from(self.archived_to):
             run = slice_.run
             if run is last:
+                unheld -= slice_.items
                 continue
             if size >= BYTES_PER_WRITE or sum(len(one) for one in parts if isinstance(one, list)) >= RUNS_PER_WRITE:
                 break
@@ -243,21 +242,21 @@ class ChannelRecorder:
             if run.first_seq > expected:
                 parts.append(SeqGap(expected, run.first_seq))
             expected = self._add(parts, run)
+            unheld += len(run) - slice_.items
             size += len(run.body)
         else:
             if expected < self._channel.next_seq:
                 parts.append(SeqGap(expected, self._channel.next_seq))
                 expected = self._channel.next_seq
+        self._channel.backlog.taken(expected, unheld)
         return WriteJob(self.files, parts, self.limits, expected, size)
 
     def _add(self, parts: list[Part], run: Run) -> int:
-        at = bisect_right(self._ends, run.first_seq)
-        accepted = self._instants[min(at, len(self._instants) - 1)] if self._instants else 0
         if not parts or not isinstance(parts[-1], list):
             parts.append([])
         runs = parts[-1]
         assert isinstance(runs, list), "the last part is a list of runs"
-        runs.append(ArchivedRun(accepted, run))
+        runs.append(ArchivedRun(self._puts.accepted_at(run.first_seq), run))
         return run.first_seq + len(run)
 
     def keep(self, segments: tuple[Segment, ...]) -> None:
@@ -282,29 +281,30 @@ class ChannelRecorder:
             self._has_told_loss = self._lost_before != NOTHING_LOST
             self._lost_before = None
         gaps = [one for one in job.parts if isinstance(one, SeqGap) and one.lost_before is None]
-        self.unarchived += sum(given_between(one.first_seq, one.end_seq) for one in gaps)
+        named = sum(given_between(one.first_seq, one.end_seq) for one in gaps)
+        self.named += named
         self._gaps += gaps
         if len(over := self._gaps[:-GAPS_KEPT]):  # the earliest gaps become one
             self._gaps[: len(over) + 1] = [SeqGap(self._gaps[0].first_seq, self._gaps[len(over)].end_seq)]
         del self._advances[: sum(len(one.rows) for one in job.parts if isinstance(one, Advances))]
         self._advances_taken = 0
-        self._end_puts(job.end_seq)
+        self._end_puts(job.end_seq, named)
         self.note_end("")
 
-    def _end_puts(self, end_seq: int) -> None:
-        """Note that the archive has all items below `end_seq`, or will never have them."""
+    def _end_puts(self, end_seq: int, named: int = 0) -> None:
+        """Note that the archive has all items below `end_seq`, or will never have them. `named`: see
+        `ChannelCore.record`.
+        """
         self.archived_to = end_seq
-        done = bisect_right(self._ends, end_seq)
-        self._coming_bytes -= sum(self._sizes[:done])
-        del self._ends[:done]
-        del self._instants[:done]
-        del self._sizes[:done]
+        self._puts.end(end_seq)
         self._expect(0)
-        self._channel.record(end_seq)
+        self._channel.record(end_seq, named)
 
     def note_end(self, failure: str) -> None:
         """Note that a write has ended, with a `failure` or without one. Wakes the puts that wait for stable storage."""
         self.failure = failure
+        if failure:
+            self._channel.backlog.write_failed()
         moved, self._moved = self._moved, asyncio.Event()
         moved.set()
 
@@ -313,6 +313,16 @@ class ChannelRecorder:
         self.is_stopped = True
         self._expect(0)
         self.note_end(self.failure)
+
+    async def settle(self, end_seq: int) -> None:
+        """Wait until the archive has, or has named as lost, the items below `end_seq` that memory has lost.
+
+        Waits SETTLE_SECONDS_MAX at most, and not while the disk fails.
+        """
+        with suppress(TimeoutError):
+            async with asyncio.timeout(SETTLE_SECONDS_MAX):
+                while self.lost_items and self.archived_to < end_seq and not self.failure and not self.is_stopped:
+                    await self._moved.wait()
 
     async def stored(self, first_seq: int, end_seq: int, seconds_max: float | None) -> str:
         """Wait until these items are on stable storage, `seconds_max` at most; None: without a limit.
@@ -338,16 +348,6 @@ def _lacks_from(channel: ChannelCore, segments: tuple[Segment, ...]) -> int:
     held = next(iter(channel.accepted_from(0)), None)
     first = channel.next_seq if held is None else held.first_seq
     return max((one.end_seq for one in segments), default=first)
-
-
-def span_of(segments: tuple[Segment, ...]) -> ArchiveSpan:
-    """The times between which the segments have items."""
-    lows = [one.low[0] for one in segments if one.low is not None]
-    highs = [one.high[0] for one in segments if one.high is not None]
-    first_seq = segments[0].first_seq if segments else 1
-    is_cut = given_between(1, first_seq) > 0
-    begins_anew = first_seq > 1 and not is_cut
-    return ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=is_cut, begins_anew=begins_anew)
 
 
 def _ignore(_: CleanStop | None) -> None:

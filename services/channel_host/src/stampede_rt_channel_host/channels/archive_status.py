@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from stampede_rt.v1 import channel_pb2
-from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
@@ -18,7 +17,7 @@ def archive_status(recorder: ChannelRecorder, archive: HostArchive) -> Pieces[ch
         disk_bytes=max(0, recorder.disk.bytes - FOLDER_BYTES),
         oldest_unix_nano=recorder.span.oldest,
         newest_unix_nano=recorder.span.newest,
-        waiting=given_between(recorder.archived_to, recorder.archived_to + recorder.backlog_items),
+        waiting=recorder.waiting_items,
         unarchived=recorder.unarchived,
         place=archive.place,
         failure=recorder.failure or archive.store_failure,

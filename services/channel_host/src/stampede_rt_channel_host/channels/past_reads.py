@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeVar
 
 from stampede_rt.errors import Unavailable
 from stampede_rt_channel_host.archive.host_archive import HostArchive
-from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.core.archive import (
     ArchivedRead,
@@ -21,6 +21,7 @@ from stampede_rt_channel_host.core.archive import (
     past_moment,
     read_nothing,
     resolved,
+    span_of,
 )
 from stampede_rt_channel_host.core.channel import ChannelCore, Query, ReadAnswer
 from stampede_rt_channel_host.core.group import Horizon, RecordedView

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -15,12 +14,11 @@ from stampede_rt.values.policy import FOREVER_NANOS
 from stampede_rt.values.seq_starts import has_start, start_of
 from stampede_rt.values.timeline import Bound, Interval, Match, ResolvedInterval
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
-from stampede_rt_channel_host.archive.disk_use import ChannelDiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
-from stampede_rt_channel_host.archive.objects.segment_store import StoreError
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
-from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, OpenedArchive, SegmentFiles
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
 from stampede_rt_channel_host.channels.archive_status import archive_status
+from stampede_rt_channel_host.channels.opened_archives import OpenedChannelArchive
 from stampede_rt_channel_host.channels.past_reads import RETRY_SECONDS, TRIES, PastReader, tried
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.restored_channel import lacks_loss, restore_channel
@@ -28,10 +26,7 @@ from stampede_rt_channel_host.channels.unknown_past import UnknownPast
 from stampede_rt_channel_host.core.archive import (
     ArchivedPart,
     ArchivedRead,
-    ArchiveWindow,
     Segment,
-    WantedItems,
-    WantedWindow,
     deliver,
     next_time_of,
     reaches,
@@ -47,67 +42,9 @@ from stampede_rt_channel_host.core.channel import (
     Slice,
     SubscriptionBatch,
 )
-from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.group import Horizon, RecordedView, reaches_archive
-from stampede_rt_channel_host.core.records import RecordedChannel
 
-RESTORED_BYTES = 2**20
 ENTRIES_PER_LOOK = 1024
-
-
-class OpenedChannelArchive:
-    """The archive of a channel that the host is about to serve, and the newest items in it."""
-
-    def __init__(
-        self, files: SegmentFiles, found: OpenedArchive, newest: ArchiveWindow | None, disk: ChannelDiskUse
-    ) -> None:
-        self.files = files
-        self.disk = disk
-        self.found = found
-        self.newest = newest
-
-
-async def open_archive(
-    archive: HostArchive, record: RecordedChannel, *, may_be_unknown: bool = False, is_move: bool = False
-) -> OpenedChannelArchive:
-    """Look at the archive of a channel. Raises Unavailable if the folder cannot be read or written.
-
-    `may_be_unknown`: if the object store is away, the host may serve the channel without knowing what the store has.
-    `is_move`: another host still owns the channel, so earlier notes of this host do not count.
-    """
-    try:
-        files, found = await archive.open(record, may_be_unknown=may_be_unknown, is_move=is_move)
-        newest = await _newest(archive, files, found.segments)
-    except OSError as error:
-        raise Unavailable(
-            f"the archive of channel {record.name} in {archive.place} cannot be used ({error.strerror}); free the "
-            "disk, or give the host a folder that it can write, or an object store that it can reach, and open the "
-            "channel again"
-        ) from error
-    return OpenedChannelArchive(files, found, newest, archive.disk.of_channel(record.channel_id, record.created_by))
-
-
-async def _newest(archive: HostArchive, files: SegmentFiles, segments: tuple[Segment, ...]) -> ArchiveWindow | None:
-    """The newest archived items; None: there are none. Raises OSError.
-
-    While the object store is away, returns only items on the disk that are later than all items in the store.
-    """
-    if not segments or not files.is_known:
-        return None
-    if files.is_listed:
-        with suppress(StoreError):
-            return await archive.load(files, segments, _latest_from(FIRST_KEY))
-    stored = [one for one in segments if files.place.is_stored(one.number)]
-    edge = max((one.high[0] for one in stored if one.high is not None), default=None)
-    local = tuple(one for one in segments if one not in stored)
-    window = await archive.load(files, local, _latest_from(FIRST_KEY if edge is None else (edge + 1, 0)))
-    edges = [one for one in (edge, window.edge) if one is not None]
-    return window._replace(edge=max(edges, default=None))
-
-
-def _latest_from(low: ItemKey) -> WantedWindow:
-    """The newest items, from the key `low` on."""
-    return WantedWindow(WantedItems(low[0], LAST_KEY, 0, RESTORED_BYTES, down=True, bytes_limit=2**63), low, LAST_KEY)
 
 
 class Recording:
@@ -213,6 +150,7 @@ class Recording:
         """
         self._channel.check_positions(query)
         self.check_known(query, now())
+        await self.recorder.settle(self._channel.next_seq)
         return await tried(lambda: self._read(query, within, scheduler, now()))
 
     def check_known(self, query: Query, now: int, horizon: Horizon | None = None) -> None:
@@ -246,6 +184,7 @@ class Recording:
         """
         self._channel.check_positions(query)
         self.check_known(query, now(), horizon)
+        await self.recorder.settle(self._channel.next_seq)
         return await tried(lambda: self._read_in_group(query, horizon, within, scheduler, now(), waits=waits))
 
     def past_reader(self) -> PastReader:
@@ -281,8 +220,12 @@ class Recording:
         Raises Unavailable if the archive cannot be read.
         """
         missing = self._channel.missing(cursor, now())
+        if missing is not None and missing[0] >= self.recorder.archived_to:
+            await self.recorder.settle(missing[1])
+            missing = self._channel.missing(cursor, now())
         if missing is None or missing[0] >= self.recorder.archived_to:
             return None
+        missing = missing[0], min(missing[1], self.recorder.archived_to)
         part = await self._load_part(missing, limit_bytes)
         held, _ = self._channel.look(now())
         segments = self.recorder.segments
@@ -298,6 +241,10 @@ class Recording:
         """
         held, _ = self._channel.look(now())
         end = held.held_up_to(*seqs, ENTRIES_PER_LOOK)
+        if end == seqs[0] and end >= self.recorder.archived_to:
+            await self.recorder.settle(seqs[1])
+            held, _ = self._channel.look(now())
+            end = held.held_up_to(*seqs, ENTRIES_PER_LOOK)
         if end == seqs[0] and end < self.recorder.archived_to:
             part = await self._load_part((end, min(seqs[1], self.recorder.archived_to)), bytes_max)
             held, _ = self._channel.look(now())
@@ -321,7 +268,7 @@ class Recording:
     async def _read(
         self, query: Query, within: ResolvedInterval | None, scheduler: PieceScheduler, now: int
     ) -> ArchivedRead:
-        snapshot, segments = self._channel.snapshot(now), self.recorder.segments
+        snapshot, segments = self._channel.snapshot(now), self.recorder.readable_segments
         try:
             span = self.recorder.span
             within = within or resolved(snapshot, span, query)
@@ -334,7 +281,7 @@ class Recording:
         self, query: Query, horizon: Horizon, within: ResolvedInterval | None, scheduler: PieceScheduler, now: int,
         *, waits: bool,
     ) -> RecordedView:  # fmt: skip
-        snapshot, segments = self._channel.snapshot(now), self.recorder.segments
+        snapshot, segments = self._channel.snapshot(now), self.recorder.readable_segments
         try:
             view = RecordedView(snapshot, self.recorder.span, query, horizon)
             for read in view.reads(within, waits=waits):

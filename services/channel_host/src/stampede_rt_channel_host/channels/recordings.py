@@ -11,7 +11,8 @@ from stampede_rt.values.seq_starts import given_between, has_start
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.recording import OpenedChannelArchive, Recording, open_archive
+from stampede_rt_channel_host.channels.opened_archives import OpenedChannelArchive, open_archive
+from stampede_rt_channel_host.channels.recording import Recording
 from stampede_rt_channel_host.core.channel.limits import check_policy_change
 from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
 from stampede_rt_channel_host.core.records import RecordedChannel
@@ -215,4 +216,4 @@ def _nothing(_: RetryWindow) -> bytes:
 def _counts(recording: Recording) -> ArchiveCounts:
     recorder = recording.recorder
     backlog_items = given_between(recorder.archived_to, recorder.archived_to + recorder.backlog_items)
-    return ArchiveCounts(recorder.unarchived, backlog_items, recorder.files.damaged_blocks)
+    return ArchiveCounts(recorder.named, backlog_items, recorder.files.damaged_blocks)

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import TypeGuard
 
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
-from stampede_rt_channel_host.archive.recorder import span_of
 from stampede_rt_channel_host.archive.segment_files import OpenedArchive
-from stampede_rt_channel_host.core.archive import ArchiveWindow, Segment
+from stampede_rt_channel_host.core.archive import ArchiveWindow, Segment, span_of
 from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Run, Slice, make_run
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY

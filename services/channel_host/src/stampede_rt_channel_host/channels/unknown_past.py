@@ -8,10 +8,10 @@ from stampede_rt.errors import Unavailable
 from stampede_rt.values.seq_starts import start_of
 from stampede_rt.values.timeline import Match, MetaTime, ResolvedInterval
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
-from stampede_rt_channel_host.archive.recorder import ChannelRecorder, span_of
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import OpenedArchive
 from stampede_rt_channel_host.channels.restored_channel import loss_after, lost_since
-from stampede_rt_channel_host.core.archive import Segment, reaches, resolved_now
+from stampede_rt_channel_host.core.archive import Segment, reaches, resolved_now, span_of
 from stampede_rt_channel_host.core.archive.recorded_items import earliest
 from stampede_rt_channel_host.core.channel import ChannelCore, Query
 from stampede_rt_channel_host.core.channel.holdings import Holdings

@@ -9,7 +9,7 @@ import pytest
 
 from stampede_rt.errors import Unavailable
 from stampede_rt_channel_host.archive.objects import guarded_store, known_objects, segment_mover
-from stampede_rt_channel_host.channels.recording import open_archive
+from stampede_rt_channel_host.channels.opened_archives import open_archive
 from tests.support.channel_host.object_stores import FakeStore
 from tests.support.channel_host.recorded_hosts import Host, host, record
 from tests.support.waiting import until

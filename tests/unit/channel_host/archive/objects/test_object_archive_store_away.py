@@ -13,7 +13,7 @@ from stampede_rt._async.session import CALL_TIMEOUT_S
 from stampede_rt.errors import Unavailable
 from stampede_rt_channel_host.archive.objects import former_owners, guarded_store, object_archive, segment_mover
 from stampede_rt_channel_host.archive.objects.segment_store import FoundObject, StoreError
-from stampede_rt_channel_host.channels.recording import open_archive
+from stampede_rt_channel_host.channels.opened_archives import open_archive
 from stampede_rt_channel_host.core.channel import FIRST_KEY
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 from tests.support.channel_host.object_stores import CHANNEL, PREFIX, FakeStore

@@ -60,7 +60,7 @@ from stampede_rt_channel_host.core.archive.past_archive import (
     past_of,
     read_nothing,
 )
-from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan
+from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan, span_of
 from stampede_rt_channel_host.core.archive.segment import (
     PlacedBlock,
     ReadAt,
@@ -146,6 +146,7 @@ __all__ = [
     "resolved",
     "resolved_now",
     "scan",
+    "span_of",
     "summary",
     "window_of",
 ]

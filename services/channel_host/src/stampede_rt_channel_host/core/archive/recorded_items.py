@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from stampede_rt.values.seq_starts import given_between
+from stampede_rt_channel_host.core.archive.segment import Segment
 from stampede_rt_channel_host.core.archive.window import ArchiveWindow
 from stampede_rt_channel_host.core.channel.channel_snapshot import HoldingsSnapshot
 from stampede_rt_channel_host.core.channel.held_items import ARCHIVE
@@ -34,6 +38,16 @@ class ArchiveSpan:
         """
         tells_loss = lost_before is not None and lost_from is None
         return self.is_cut or (self.begins_anew and not tells_loss)
+
+
+def span_of(segments: Sequence[Segment]) -> ArchiveSpan:
+    """The times between which the segments have items."""
+    lows = [one.low[0] for one in segments if one.low is not None]
+    highs = [one.high[0] for one in segments if one.high is not None]
+    first_seq = segments[0].first_seq if segments else 1
+    is_cut = given_between(1, first_seq) > 0
+    begins_anew = first_seq > 1 and not is_cut
+    return ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=is_cut, begins_anew=begins_anew)
 
 
 def earliest(one: int | None, other: int | None) -> int | None:

@@ -8,19 +8,50 @@ from stampede_rt_channel_host.core.channel.oldest_items import OldestItems, belo
 
 
 class ArchiveBacklog:
-    """The items of a channel from the seq `archived_to` on."""
+    """The items of a channel from the seq `archived_to` on.
 
-    __slots__ = ("_held", "_low", "_seen_to", "archived_to")
+    `lost` counts the items that memory lost before a write had taken them. The archive will not have them, except the
+    items of a run of which memory still has a part: a write takes whole runs. `at_risk` counts the items that memory
+    has lost, and that the present write has taken.
+    """
+
+    __slots__ = ("_held", "_low", "_seen_to", "_taken_to", "archived_to", "at_risk", "lost")
 
     def __init__(self, held: Holdings, archived_to: int) -> None:
         self._held = held
-        self.archived_to = self._seen_to = archived_to
+        self.archived_to = self._seen_to = self._taken_to = archived_to
         self._low: ItemKey | None = None
+        self.lost = self.at_risk = 0
 
-    def archived(self, end_seq: int) -> None:
-        """Note that all items below `end_seq` are archived, or lost to the archive."""
-        self.archived_to = self._seen_to = end_seq
+    def archived(self, end_seq: int, named: int) -> None:
+        """Note that all items below `end_seq` are archived, or lost to the archive. The archive names `named` of the
+        lost items.
+        """
+        self.archived_to = self._seen_to = self._taken_to = end_seq
         self._low = None
+        self.at_risk = 0
+        self.lost = max(0, self.lost - named) if end_seq < self._held.next_seq else 0
+
+    def taken(self, end_seq: int, again: int) -> None:
+        """Note that a write has taken the items below `end_seq`, among them `again` items that memory has lost."""
+        self._taken_to = end_seq
+        self.at_risk = min(again, self.lost)
+        self.lost -= self.at_risk
+
+    def write_failed(self) -> None:
+        """Note that the write has failed that had taken items."""
+        self._taken_to = self.archived_to
+        self.lost, self.at_risk = self.lost + self.at_risk, 0
+
+    def leave(self, oldest: OldestItems) -> None:
+        """Count the items among `oldest` that are not archived, because they are about to leave memory."""
+        low = self.low
+        if low is None or oldest.last is None or (end := (oldest.last.last_time, oldest.last.end_seq)) <= low:
+            return
+        for part in self._held.slices(low, end):
+            untaken = max(0, part.end_seq - max(part.first_seq, self._taken_to))
+            self.lost += untaken
+            self.at_risk += max(0, part.end_seq - max(part.first_seq, self.archived_to)) - untaken
 
     @property
     def low(self) -> ItemKey | None:
@@ -44,3 +75,10 @@ def archived_part(held: Holdings, oldest: OldestItems, backlog: ArchiveBacklog |
     if low is None or oldest.last is None or (oldest.last.last_time, oldest.last.end_seq) <= low:
         return oldest
     return held.oldest_items(below(low))
+
+
+def leaving(oldest: OldestItems, backlog: ArchiveBacklog | None) -> OldestItems:
+    """The items `oldest`, which max_bytes is about to collect, after the backlog has counted them."""
+    if backlog is not None:
+        backlog.leave(oldest)
+    return oldest

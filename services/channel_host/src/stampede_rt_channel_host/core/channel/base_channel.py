@@ -169,17 +169,24 @@ class BaseChannel:
         """The held items, the newest slice first."""
         return self._held.slices_down()
 
-    def record(self, archived_to: int) -> None:
+    def record(self, archived_to: int, named: int = 0) -> None:
         """Keep items from the seq `archived_to` on until they are archived, unless max_bytes collects them.
 
-        Call it again when the archive has more items.
+        Call it again when the archive has more items. `named`: how many of the items below are lost to the archive.
         """
         if self._retention.unarchived is None:
             self._retention.unarchived = ArchiveBacklog(self._held, archived_to)
         else:
-            self._retention.unarchived.archived(archived_to)
+            self._retention.unarchived.archived(archived_to, named)
         if self._clock is not None:
             self._retention.drop_excess(self._clock)
+
+    @property
+    def backlog(self) -> ArchiveBacklog:
+        """The items that are not archived. The channel must be recorded."""
+        backlog = self._retention.unarchived
+        assert backlog is not None, "the channel is recorded"
+        return backlog
 
     def restore(
         self, runs: Iterable[Run], *, after: int | None, next_seq: int,

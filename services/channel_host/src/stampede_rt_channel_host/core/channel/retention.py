@@ -11,7 +11,7 @@ by the clock alone. So a producer whose clock is ahead does not shorten the othe
 
 from __future__ import annotations
 
-from stampede_rt_channel_host.core.channel.archive_backlog import ArchiveBacklog, archived_part, low_of
+from stampede_rt_channel_host.core.channel.archive_backlog import ArchiveBacklog, archived_part, leaving, low_of
 from stampede_rt_channel_host.core.channel.consumption import CONSUMERS_CHECKED_MAX, BoundedCount, Consumers
 from stampede_rt_channel_host.core.channel.earlier_items import EarlierItems
 from stampede_rt_channel_host.core.channel.held_items import AGE, BYTES, CONSUMPTION, COUNT
@@ -273,7 +273,8 @@ class Retention:
             oldest = archived_part(held, held.oldest_by_count(held.items - limits.max_items), self.unarchived)
             held.outdate(oldest, COUNT, clock)
         if held.charged_bytes > limits.max_bytes:
-            held.outdate(held.oldest_by_bytes(held.charged_bytes - limits.max_bytes), BYTES, clock)
+            oldest = leaving(held.oldest_by_bytes(held.charged_bytes - limits.max_bytes), self.unarchived)
+            held.outdate(oldest, BYTES, clock)
 
     def has_room(self, items: int, payload_bytes: int) -> bool:
         """Whether the channel has room for `items` more items without the collection of other items."""

@@ -1,0 +1,165 @@
+"""Items that leave memory before the archive has them: readers get them later, or hear of their loss."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from stampede_rt.values.model import Policy, Reason
+from stampede_rt.values.timeline import OLDEST, Bound, Interval, Match
+from stampede_rt_channel_host.archive.host_archive import HostArchive
+from stampede_rt_channel_host.archive.recorder import ChannelRecorder
+from stampede_rt_channel_host.archive.segment_files import SegmentFiles
+from stampede_rt_channel_host.channels.archive_status import archive_status
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.channels.recording import Recording
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, Offer, Query, run_to_end
+from tests.support.waiting import until
+from tests.unit.channel_host.archive.test_host_archive_writes import SlowDisk, archive_in, refuse
+from tests.unit.channel_host.channels.test_recording import started
+
+CLOCK = 1000
+HELD = 4  # the items that memory holds
+LARGEST = 2**20
+
+
+class RecordedChannel:
+    """A recorded channel whose puts have two items: the item with the seq n has the time n."""
+
+    def __init__(self, archive: HostArchive, recording: Recording, channel: ChannelCore) -> None:
+        self.archive, self.recording, self.channel = archive, recording, channel
+
+    def put(self, runs: int = 1) -> None:
+        for _ in range(runs):
+            at = self.channel.next_seq
+            offer = Offer(times=[at, at + 1], durations=None, lengths=[7, 7])
+            self.channel.put(offer, at, lambda first_seq, kept, stamped: b"%d " % first_seq)
+            self.recording.accepted(at)
+
+    async def write(self) -> None:
+        """Wait until the last item is on the disk."""
+        end_seq = self.channel.next_seq
+        assert await self.recording.recorder.stored(end_seq - 1, end_seq, 60) == ""
+
+    async def read(self, *, newest_first: bool = False) -> tuple[list[int], Reason | None]:
+        """The seqs of all items, and the reason of the answer."""
+        interval = Interval(OLDEST, Bound(None, CLOCK))
+        query = Query(interval=interval, match=Match.START, newest_first=newest_first)
+        read = await self.recording.read(query, None, PieceScheduler(), lambda: CLOCK)
+        answer = read.answer()
+        return sorted(part.first_seq + at for part in answer.slices for at in range(part.items)), answer.reason
+
+    def counts(self) -> tuple[int, int]:
+        """The items that wait for the disk, and the items that the archive will never have, as callers see them."""
+        status = run_to_end(archive_status(self.recording.recorder, self.archive))
+        return status.waiting, status.unarchived
+
+
+@asynccontextmanager
+async def recorded_channel(folder: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[RecordedChannel]:
+    monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.RETRY_SECONDS", 0.01)
+    monkeypatch.setattr("stampede_rt_channel_host.archive.recorder.SETTLE_SECONDS_MAX", 60)
+    archive = archive_in(folder / "a", monkeypatch)
+    recording, channel = await started(archive, folder / "c", 1, None)
+    channel.configure(Policy(max_bytes=HELD * (7 + ITEM_OVERHEAD_BYTES)), CLOCK)
+    yield RecordedChannel(archive, recording, channel)
+    await archive.close([recording.recorder])
+
+
+async def test_while_the_disk_fails_reads_name_the_items_that_memory_has_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with recorded_channel(tmp_path, monkeypatch) as one:
+        one.put(2)
+        await one.write()
+        with monkeypatch.context() as fault:
+            fault.setattr(one.recording.recorder.files, "write", refuse)
+            one.put(5)  # the seqs 5 to 14; memory holds the last four
+            await until(lambda: bool(one.recording.recorder.failure))
+            for newest_first in (False, True):
+                found, reason = await one.read(newest_first=newest_first)
+                assert found == [1, 2, 3, 4, 11, 12, 13, 14]
+                assert reason == "LOST"
+                assert "lacks 6 items" in reason.detail
+            assert one.counts() == (4, 6)
+        await until(lambda: not one.recording.recorder.backlog_items)
+        found, reason = await one.read()
+        assert (found, reason) == ([1, 2, 3, 4, 11, 12, 13, 14], "LOST")
+        assert one.counts() == (0, 6)
+
+
+async def test_a_read_waits_for_the_write_of_items_that_have_left_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with recorded_channel(tmp_path, monkeypatch) as one:
+        one.put()
+        await one.write()
+        disk = SlowDisk(monkeypatch)
+        one.put(2)
+        assert await asyncio.to_thread(disk.reached.wait, 60)  # the write has the seqs 3 to 6
+        one.put(2)
+        reading = asyncio.create_task(one.read())
+        await asyncio.sleep(0)
+        disk.go_on.set()
+        assert await reading == ([*range(1, 11)], None)
+
+
+async def test_a_subscription_waits_for_the_write_of_items_that_have_left_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with recorded_channel(tmp_path, monkeypatch) as one:
+        cursor = one.channel.subscribe_all(CLOCK)
+        disk = SlowDisk(monkeypatch)
+        one.put(2)
+        assert await asyncio.to_thread(disk.reached.wait, 60)  # the write has the seqs 1 to 4
+        one.put(5)  # memory holds the seqs 11 to 14; the next write cannot have the seqs 5 to 10
+        feeding = asyncio.create_task(one.recording.since(cursor, LARGEST, lambda: CLOCK))
+        await asyncio.sleep(0)
+        disk.go_on.set()
+        batch = await feeding
+        assert batch is not None
+        assert batch.gap is None
+        assert [part.slice.first_seq for part in batch.slices] == [1, 3]
+        batch = await one.recording.since(cursor, LARGEST, lambda: CLOCK)
+        assert batch is not None
+        assert batch.gap is not None
+        assert (batch.gap.first_seq, batch.gap.last_seq, batch.gap.reason) == (5, 10, "LOST")
+
+
+async def test_a_slow_reader_of_a_group_waits_for_the_write_of_items_that_have_left_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with recorded_channel(tmp_path, monkeypatch) as one:
+        disk = SlowDisk(monkeypatch)
+        one.put(2)
+        assert await asyncio.to_thread(disk.reached.wait, 60)
+        one.put(2)
+        reading = asyncio.create_task(one.recording.items_from((1, 9), LARGEST, lambda: CLOCK))
+        await asyncio.sleep(0)
+        disk.go_on.set()
+        items, _, end = await reading
+        assert next(part.first_seq for part in items) == 1
+        assert end >= 5
+
+
+def test_a_write_that_takes_a_run_saves_the_items_of_the_run_that_have_left_memory(tmp_path: Path) -> None:
+    channel = ChannelCore(Policy(max_bytes=3 * (7 + ITEM_OVERHEAD_BYTES)), incarnation=7)
+    files = SegmentFiles(tmp_path, {})
+    files.open(1)
+    recorder = ChannelRecorder(channel, files, ())
+    for first in (1, 3, 5):
+        offer = Offer(times=[first, first + 1], durations=None, lengths=[7, 7])
+        channel.put(offer, first, lambda first_seq, kept, stamped: b"%d " % first_seq)
+        recorder.note(first)
+    job = recorder.take()  # memory holds the seqs 4 to 6, and the run of the item 3
+    assert (channel.backlog.lost, channel.backlog.at_risk) == (2, 1)
+    recorder.note_end("no space left on device")
+    assert (recorder.lost_items, recorder.waiting_items, recorder.unarchived) == (3, 3, 3)
+    job = recorder.take()
+    recorder.written(job, files.write(job.parts, job.limits))
+    assert (recorder.lost_items, recorder.waiting_items, recorder.unarchived) == (0, 0, 2)
+    assert sum(one.items for one in recorder.segments) == 4
