@@ -130,6 +130,50 @@ async def test_a_subscription_waits_for_the_write_of_items_that_have_left_memory
         assert (batch.gap.first_seq, batch.gap.last_seq, batch.gap.reason) == (5, 10, "LOST")
 
 
+@pytest.mark.parametrize("start", [2, 7])
+async def test_a_subscription_that_begins_among_lost_items_names_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, start: int
+) -> None:
+    async with recorded_channel(tmp_path, monkeypatch) as one:
+        one.put(2)
+        await one.write()
+        monkeypatch.setattr(one.recording.recorder.files, "write", refuse)
+        one.put(5)  # the seqs 5 to 14; memory holds the last four
+        await until(lambda: bool(one.recording.recorder.failure))
+        where = one.recording.beginning({"start": Bound(None, start)}, CLOCK)
+        cursor = run_to_end(one.channel.subscribing_all(CLOCK, **where))
+        found: list[int] = []
+        while cursor.next_seq < 15:
+            batch = await one.recording.since(cursor, LARGEST, lambda: CLOCK)
+            if batch is None:
+                batch = one.channel.since(cursor, CLOCK, LARGEST)
+            found += [seq for part in batch.slices for seq in range(part.slice.first_seq, part.slice.end_seq)]
+        assert (found, cursor.dropped) == ([*range(start, 5), *range(11, 15)], 6)
+
+
+@pytest.mark.parametrize("has_segments", [False, True])
+async def test_a_subscription_begins_with_items_that_have_left_memory_during_their_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_segments: bool
+) -> None:
+    async with recorded_channel(tmp_path, monkeypatch) as one:
+        one.put()
+        if has_segments:
+            await one.write()
+        disk = SlowDisk(monkeypatch)
+        one.put(2)
+        assert await asyncio.to_thread(disk.reached.wait, 60)
+        one.put(2)
+        where = one.recording.beginning({"start": Bound(None, 4)}, CLOCK)
+        cursor = run_to_end(one.channel.subscribing_all(CLOCK, **where))
+        feeding = asyncio.create_task(one.recording.since(cursor, LARGEST, lambda: CLOCK))
+        await asyncio.sleep(0)
+        disk.go_on.set()
+        batch = await feeding
+        assert batch is not None
+        assert batch.gap is None
+        assert batch.slices[0].slice.first_seq == 4
+
+
 async def test_a_slow_reader_of_a_group_waits_for_the_write_of_items_that_have_left_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -199,17 +199,19 @@ class Recording:
         `where` are keyword arguments of `ChannelCore.subscribing_all`. Raises Unavailable as `check_known`.
         """
         start = where.get("start")
-        segments = self.recorder.segments
+        recorder = self.recorder
         if start is not None:
             self.check_start(start, now)
-        if start is None or not segments:
+        if start is None or not (recorder.segments or recorder.lost_items):
             return where
         held, _ = self._channel.look(now)
-        within = resolved_now(held, self.recorder.span, Query(interval=Interval(start, start)), now)
+        within = resolved_now(held, recorder.span, Query(interval=Interval(start, start)), now)
         if within is None or held.newest_collected is None or within.start > held.newest_collected:
             return where
         low = (within.start, 0)
-        first_seq = min((one.first_seq for one in segments if one.high is not None and one.high >= low), default=None)
+        seqs = [one.first_seq for one in recorder.segments if one.high is not None and one.high >= low]
+        seqs += [recorder.archived_to] if recorder.lost_items else []
+        first_seq = min(seqs, default=None)
         if first_seq is None:
             return where
         return {**where, "start": Bound(None, within.start), "archived_from": first_seq}
