@@ -104,6 +104,8 @@ def target_policy(
         policy["max_bytes"] = MAX_BYTES_DEFAULT
     if overlap is not None and overlap <= OVERLAP_NANOS_MAX:
         policy["overlap"] = f"{overlap} ns"
+    if (future := _count(recorded.get("max_future_nanos"))) is not None:
+        policy["max_future"] = f"{future} ns"
     return policy | archive | _content_type(recorded.get("content_type"))
 
 

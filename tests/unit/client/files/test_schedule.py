@@ -54,6 +54,13 @@ def test_a_new_channel_that_keeps_all_items_has_no_limit_of_their_number() -> No
     assert target_policy({"max_bytes": 9}, False, 0, keeps_all=True, archived=True)["max_bytes"] == 256 * 1024 * 1024
 
 
+@pytest.mark.parametrize("shifted", [False, True])
+def test_a_new_channel_takes_items_as_far_ahead_of_the_clock_as_the_recorded_one(shifted: bool) -> None:
+    found = target_policy({"max_future_nanos": 9 * SECOND}, shifted, 0, keeps_all=True, archived=True)
+    assert found["max_future"] == f"{9 * SECOND} ns"
+    assert "max_future" not in target_policy({}, shifted, 0, keeps_all=True, archived=True)
+
+
 def test_a_new_channel_has_the_recorded_archive_for_a_time_that_suits_the_times_of_its_items() -> None:
     recorded = {"max_items": 7, "archive_nanos": 5 * SECOND, "archive_bytes": 2**30}
     policy = partial(target_policy, recorded, keeps_all=True)
