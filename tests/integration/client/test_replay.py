@@ -205,6 +205,18 @@ def test_a_loop_goes_on_after_an_advance_beyond_the_last_item(rt: st.Connection,
     assert player.summary.advances >= 2
 
 
+def test_an_import_that_ends_at_a_damage_says_how_many_items_it_has_put(rt: st.Connection, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", entries("cam", range(1, 201), b"payload-"), compression="none")
+    content = path.read_bytes()
+    path.write_bytes(content.replace(b"payload-195", b"payload-915"))
+    assert path.read_bytes() != content
+    with pytest.raises(st.FileError, match="damaged") as ended:
+        rt.import_file(path, "torn/").wait()
+    found = len(rt.channel("torn/cam", create=False).get(st.OLDEST, st.NEWEST))
+    assert 64 <= found < 195
+    assert ended.value.message.endswith(f"; the channels had accepted {found} items before")
+
+
 def test_two_topics_that_would_become_one_channel_are_refused(rt: st.Connection, tmp_path: Path) -> None:
     both = [item_entry(Topic(name, "json", INCARNATION), item(1)) for name in ("a b", "a\tb")]
     with pytest.raises(st.InvalidArgument, match="would both become channel 'same/a_b'"):

@@ -138,7 +138,7 @@ def test_the_next_start_with_the_same_archive_has_the_recorded_items_again(home:
 
 
 @pytest.mark.parametrize("form", ["text", "json"])
-def test_the_screen_shows_what_hosts_say_about_their_archives_during_the_start(
+def test_the_screen_shows_the_faults_of_archives_that_hosts_log_during_the_start(
     home: Path, monkeypatch: pytest.MonkeyPatch, form: str
 ) -> None:
     for name, value in (("ENDPOINT_URL", "http://127.0.0.1:1"), ("REGION", "x"), ("ALLOW_HTTP", "true")):

@@ -11,7 +11,7 @@ from types import TracebackType
 
 from stampede_rt._async.played_channel import PlayedChannel
 from stampede_rt._async.session import Session
-from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.errors import FileError, InvalidArgument, StampedeError
 from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.files.names import channel_name
 from stampede_rt.files.reading import Event
@@ -151,6 +151,9 @@ class Player(BackgroundStart, BoundToProcess):
         self._holds.set()
         try:
             await self._play_rounds(topics, schedule)
+        except FileError as error:  # the file is damaged behind the items so far
+            await self._flush()
+            raise FileError(f"{error.message}; the channels had accepted {self.accepted} items before") from error
         finally:
             for one in self._channels.values():
                 await one.aclose()

@@ -12,7 +12,7 @@ from types import TracebackType
 
 from stampede_rt._sync.played_channel import PlayedChannel
 from stampede_rt._sync.session import Session
-from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.errors import FileError, InvalidArgument, StampedeError
 from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.files.names import channel_name
 from stampede_rt.files.reading import Event
@@ -152,6 +152,9 @@ class Player(BackgroundStart, BoundToProcess):
         self._holds.set()
         try:
             self._play_rounds(topics, schedule)
+        except FileError as error:  # the file is damaged behind the items so far
+            self._flush()
+            raise FileError(f"{error.message}; the channels had accepted {self.accepted} items before") from error
         finally:
             for one in self._channels.values():
                 one.close()

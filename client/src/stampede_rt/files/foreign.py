@@ -46,7 +46,8 @@ def source_of(path: str | os.PathLike[str]) -> FileSource:
     if head.startswith(_XDF_MAGIC):
         return XdfSource(found)
     raise FileError(
-        f"the file {os.fspath(path)!r} is neither MCAP, nor rosbag2, nor XDF; unpack a packed file (.xdfz, .zstd) first"
+        f"the file {os.fspath(path)!r} is neither MCAP, nor rosbag2, nor XDF; unpack a packed file (.xdfz, .zstd) "
+        "first, or name the folder of a rosbag2"
     )
 
 
