@@ -156,11 +156,11 @@ async def test_a_subscription_begins_with_items_that_have_left_memory_during_the
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_segments: bool
 ) -> None:
     async with recorded_channel(tmp_path, monkeypatch) as one:
-        one.put()
         if has_segments:
+            one.put()
             await one.write()
         disk = SlowDisk(monkeypatch)
-        one.put(2)
+        one.put(2)  # memory holds no more, so the write has all of them
         assert await asyncio.to_thread(disk.reached.wait, 60)
         one.put(2)
         where = one.recording.beginning({"start": Bound(None, 4)}, CLOCK)
