@@ -108,6 +108,35 @@ async def test_a_source_has_the_whole_time_for_its_answer_after_a_slow_connectio
         await rig.feed.run(source, channel)
 
 
+class DamagedSource:
+    """A source whose first message has these bytes."""
+
+    def __init__(self, raw: bytes) -> None:
+        self._raw = raw
+
+    def stream_stream(self, method: str, *, response_deserializer: Any, **named: Any) -> Any:
+        self._decode = response_deserializer
+        return lambda: self
+
+    async def write(self, request: pb.FeedRequest) -> None:
+        pass
+
+    async def read(self) -> object:
+        return self._decode(self._raw)
+
+    def cancel(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("raw", [b"*\x05", b"\xff"], ids=["an item that ends early", "no message"])
+async def test_damaged_bytes_end_the_feed_with_an_error_after_which_the_keeper_tries_again(raw: bytes) -> None:
+    """A fixed fault: the task of the keeper ended, and nothing fed the copy any more."""
+    source: Any = SimpleNamespace(host_id=b"s" * 16, target="localhost:1", epoch=1)
+    channel: Any = DamagedSource(raw)
+    with pytest.raises(InvalidArgument, match="localhost:1 sent bytes that are no FeedResponse"):
+        await Rig(holds_items=False).feed.run(source, channel)
+
+
 class BreakingSource:
     """A source whose stream breaks for the side that writes, when `break_now` is called."""
 

@@ -11,10 +11,11 @@ from unittest.mock import AsyncMock
 
 import pytest
 
-from stampede_rt.errors import Unavailable
+from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.copies import queue_feed
 from stampede_rt_channel_host.copies.queue_feed import QueueFeedStream
+from stampede_rt_channel_host.copies.queue_puts import read_answer
 from stampede_rt_runtime.sockets.dialing import HostStream
 
 LIMIT_S = 20
@@ -103,6 +104,40 @@ async def test_a_replica_of_an_earlier_release_begins_anew_instead_of_steps_that
         await feed._begin(None, place)
     assert reports == ([10] if continues else [])
     assert journal.takes_changes == takes_changes
+
+
+class DamagedReplica:
+    """A replica that answers the first requests, and then with damaged bytes."""
+
+    def __init__(self, whole_answers: int) -> None:
+        self._whole_answers = whole_answers
+
+    def stream_stream(self, method: str, **named: Any) -> Any:
+        return lambda: self
+
+    async def write(self, request: pb.FeedQueueRequest) -> None:
+        pass
+
+    async def read(self) -> object:
+        self._whole_answers -= 1
+        return read_answer(b"" if self._whole_answers >= 0 else b"\xff")
+
+    def cancel(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("whole_answers", [0, 1])
+async def test_damaged_bytes_end_the_feed_with_an_error_after_which_the_keeper_tries_again(whole_answers: int) -> None:
+    journal = SimpleNamespace(next_step=1, takes_changes=True)
+    replication: Any = SimpleNamespace(
+        journal=journal, strays=set(), add=lambda *_: None, discard=lambda *_: None,
+        begin_anew=lambda host_id: asyncio.get_running_loop().create_future(),
+    )  # fmt: skip
+    hosted: Any = SimpleNamespace(record=SimpleNamespace(message=b""))
+    feed = QueueFeedStream(hosted, replication, lambda: 0, b"o" * 16, b"h" * 16, "localhost:1")
+    channel: Any = DamagedReplica(whole_answers)
+    with pytest.raises(InvalidArgument, match="localhost:1 sent bytes that are no FeedQueueResponse"):
+        await feed.run(channel)
 
 
 class AtOnceStream(HostStream):

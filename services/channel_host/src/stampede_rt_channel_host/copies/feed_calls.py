@@ -6,8 +6,9 @@ import asyncio
 from typing import Any
 
 import grpc
+from google.protobuf.message import DecodeError
 
-from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.copies.fed_responses import read_response
@@ -36,6 +37,8 @@ def plain_error(error: BaseException, target: str) -> BaseException:
         return from_rpc_error(error, target)
     if isinstance(error, StampedeError):
         return error
+    if isinstance(error, DecodeError):
+        return InvalidArgument(f"{target} sent bytes that are no FeedResponse; install the same release on both hosts")
     if isinstance(error, TimeoutError):
         return Unavailable(f"the source at {target} was silent for {BROKEN_AFTER_SECONDS:g} s")
     if isinstance(error, asyncio.InvalidStateError):  # grpc raises this for a write after the end of the call

@@ -8,8 +8,9 @@ from collections.abc import Callable
 from typing import Any
 
 import grpc
+from google.protobuf.message import DecodeError
 
-from stampede_rt.errors import Overloaded, StampedeError, Unavailable
+from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.cluster.records import queue_message
@@ -110,7 +111,7 @@ class QueueFeedStream:
                 await self._send_steps(call)
         except BaseExceptionGroup as group:
             raise self._plain(first_failure(group)) from group
-        except (grpc.RpcError, asyncio.InvalidStateError, TimeoutError) as error:
+        except (grpc.RpcError, asyncio.InvalidStateError, TimeoutError, DecodeError) as error:
             raise self._plain(error) from error
         finally:
             self._replication.discard(self._host_id, self)
@@ -249,6 +250,9 @@ class QueueFeedStream:
         """The product's error for a broken stream; any other error stays as it is."""
         if isinstance(error, grpc.RpcError):
             return from_rpc_error(error, self._target)
+        if isinstance(error, DecodeError):
+            text = f"{self._target} sent bytes that are no FeedQueueResponse; install the same release on both hosts"
+            return InvalidArgument(text)
         if isinstance(error, TimeoutError):
             return Unavailable(f"the replica at {self._target} was silent for {ANSWER_SECONDS_MAX:g} s")
         if isinstance(error, asyncio.InvalidStateError):  # grpc raises this for a write after the end of the call
