@@ -375,6 +375,12 @@ MUTANTS = (
         noticed_by="tests/unit/channel_host/copies/test_ahead_item_sender.py",
     ),
     Mutant(
+        name="a_stray_replica_of_a_channel_continues_after_a_break",
+        file=f"{HOST}/channels/replication.py",
+        edits=(("        former = self._feeds", "        self.strays.discard(host_id)\n        former = self._feeds"),),
+        noticed_by="tests/unit/channel_host/copies/test_ahead_item_sender.py",
+    ),
+    Mutant(
         name="a_replica_keeps_a_message_that_the_owner_could_not_store",
         file=f"{HOST}/queues/queue_replication.py",
         edits=(("if self._ahead is not None and not self.journal.has_made(self._ahead):", "if False:"),),

@@ -19,6 +19,7 @@ from stampede_rt_channel_host.copies.feed_calls import encode_request
 from stampede_rt_channel_host.copies.feed_opening import has_others_items
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES
 from stampede_rt_channel_host.core.channel.holdings import Holdings
+from tests.support.channel_host.held_transport import held_stream
 from tests.support.channel_host.rig import running_host
 from tests.unit.channel_host.copies.test_feed_stream import (
     REPLICA,
@@ -201,6 +202,21 @@ async def test_a_run_of_which_the_channel_refuses_an_item_goes_to_the_replica_wh
         assert (part.fields.state.first_seq, part.fields.state.next_seq) == (2, 4)
 
 
+def fail_to_store(one: Fed, monkeypatch: pytest.MonkeyPatch) -> pb.FeedPlace:
+    """Put an item that goes to the replica, and that a defect keeps the owner from storing. Returns the replica's place
+    after it."""
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("a defect")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Holdings, "store", fail)
+        [item] = items_in(one.put())
+    assert one.hosted.core.next_seq == item.item.seq
+    core, epoch = one.hosted.core, one.hosted.epoch
+    return pb.FeedPlace(incarnation=core.incarnation, next_seq=item.item.end_seq, owner_epoch=epoch)
+
+
 async def test_a_replica_that_has_got_an_item_which_the_owner_could_not_store_begins_anew(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -208,21 +224,46 @@ async def test_a_replica_that_has_got_an_item_which_the_owner_could_not_store_be
         begin(one)
         replication = one.hosted.replication
         assert replication is not None
-
-        def fail(*_: object) -> None:
-            raise RuntimeError("a defect")
-
-        with monkeypatch.context() as patch:
-            patch.setattr(Holdings, "store", fail)
-            assert items_in(one.put())
-        assert one.hosted.core.next_seq == 2
+        place = fail_to_store(one, monkeypatch)
         assert not replication.is_fed(REPLICA), "no report of the replica counts any more"
-        opening = pb.FeedOpen(
-            host_id=REPLICA,
-            place=pb.FeedPlace(incarnation=one.hosted.core.incarnation, next_seq=3, owner_epoch=one.hosted.epoch),
-        )
-        assert has_others_items(one.hosted, opening)
+        assert has_others_items(one.hosted, pb.FeedOpen(host_id=REPLICA, place=place))
         await pauses()
+
+
+async def test_a_replica_begins_anew_again_if_its_feed_breaks_before_it_has_done_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A fixed fault: the owner had forgotten it by then, so the replica kept an item that the owner does not have."""
+    async with fed(takes_items=True) as one:
+        begin(one)
+        replication = one.hosted.replication
+        assert replication is not None
+        place = fail_to_store(one, monkeypatch)
+        await pauses()
+        sockets = one.channel.rig.sockets
+        one.producer = await held_stream(sockets, "/stampede_rt.v1.ChannelService/Put")
+        for next_seq in (3, 4):  # the owner has another item under the last seq of the replica
+            one.put()
+            await pauses()
+            assert one.hosted.core.next_seq == next_seq
+        opening = pb.FeedOpen(
+            channel_id=one.channel.channel_id, epoch=one.channel.epoch, host_id=REPLICA, target="replica:1",
+            owner_facts=True, takes_puts=True, takes_items=True, place=place,
+        )  # fmt: skip
+        for breaks in (True, True, False):
+            feed = await held_stream(sockets, "/stampede_rt.v1.ReplicaService/Feed")
+            feed.send(pb.FeedRequest(open=opening, credit_bytes=2**20, sent_nanos=1).SerializeToString())
+            await pauses()
+            for change in replication.changes():  # the flag of the replica
+                replication.confirm(change)
+            [opened, *_] = parts_in(await feed.until_written(1))
+            assert opened.fields.opened.begins_anew
+            await pauses()
+            if not breaks:
+                feed.send(pb.FeedRequest(held_next_seq=1, sent_nanos=2).SerializeToString())
+            assert replication.strays == ({REPLICA} if breaks else set())
+            feed.close()
+            await pauses()
 
 
 @pytest.mark.parametrize("reason", ["a late item", "two items", "no producer", "an unknown producer"])

@@ -178,11 +178,19 @@ class Replication(OwnedReplicas[ReplicaFeed]):
 
     def add(self, host_id: bytes, feed: ReplicaFeed, error: StampedeError) -> None:
         """Note the feed of a replica. An earlier feed of the same replica ends with `error`."""
-        self.strays.discard(host_id)
         former = self._feeds.get(host_id)
         self._feeds[host_id] = feed
         if former is not None:
             former.end(error)
+
+    def hear(self, host_id: bytes, feed: ReplicaFeed, next_seq: int) -> None:
+        """As `report`, from the replica itself. `next_seq` 0: it has not opened the feed.
+
+        A replica that has opened the feed holds no item that this owner lacks: the feed of a stray begins anew.
+        """
+        if next_seq and self._feeds.get(host_id) is feed:
+            self.strays.discard(host_id)
+        self.report(host_id, feed, next_seq)
 
     def end(self, error: StampedeError) -> None:
         """End the feeds and the waits. The replicas come back if this host remains the owner."""

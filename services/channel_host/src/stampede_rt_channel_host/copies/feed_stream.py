@@ -231,7 +231,7 @@ class FeedStream:
     def _report(self, next_seq: int) -> None:
         self._held_next_seq = next_seq
         if self._replication is not None:
-            self._replication.report(self._host_id, self, min(next_seq, self._feed.next_seq))
+            self._replication.hear(self._host_id, self, min(next_seq, self._feed.next_seq))
 
     def _take(self, request: pb.FeedRequest, hosted: HostedChannel, copy: FedCopy) -> None:
         self._responses.heard_nanos, self._heard_s = request.sent_nanos, time.monotonic()
