@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -32,6 +35,30 @@ from tests.unit.channel_host.copies.test_feed_stream import (
 )
 
 __all__ = ["unlimited_time"]
+
+
+@asynccontextmanager
+async def begun_copy(one: Fed) -> AsyncIterator[tuple[CopyFeed, Any, list[tuple[int, int]]]]:
+    """Yield a replica that has the first item of `one`, its stream, and its answers.
+
+    Each answer has the place that it reports, and the next seq of the replica at that moment.
+    """
+    async with running_host() as other:
+        copied = CopyFeed(
+            other.host.store, one.hosted.record, CopyState(lambda: 0), REPLICA, "replica:1", owner_facts=True
+        )
+        sent: list[tuple[int, int]] = []
+
+        def write(request: pb.FeedRequest | bytes) -> None:
+            held: Any = copied._held()
+            sent.append((read_answer(encode_request(request)), held.channel.next_seq))
+
+        call: Any = SimpleNamespace(write_now=write)
+        await copied._take(read_response(one.feed.written()[0]))
+        [first] = parts_in(one.put())
+        assert copied._take_at_once(call, first)
+        one.report()
+        yield copied, call, sent
 
 
 def begin(one: Fed) -> None:
@@ -80,22 +107,8 @@ async def test_the_replica_loses_collected_items_with_the_next_item_or_sign_of_l
 
 
 async def test_a_replica_answers_an_item_before_it_stores_it() -> None:
-    async with fed(takes_items=True) as one, running_host() as other:
-        copied = CopyFeed(
-            other.host.store, one.hosted.record, CopyState(lambda: 0), REPLICA, "replica:1", owner_facts=True
-        )
-        sent: list[tuple[int, int]] = []
-        held: Any = None
-
-        def write(request: pb.FeedRequest | bytes) -> None:
-            sent.append((read_answer(encode_request(request)), held.channel.next_seq))
-
-        call: Any = SimpleNamespace(write_now=write)
-        await copied._take(read_response(one.feed.written()[0]))
-        held = copied._held()
-        [first] = parts_in(one.put())
-        assert copied._take_at_once(call, first)
-        one.report()
+    async with fed(takes_items=True) as one, begun_copy(one) as (copied, call, sent):
+        held: Any = copied._held()
         for seq in (2, 3):
             [item] = items_in(one.put())
             one.answer()
@@ -128,22 +141,8 @@ async def test_a_run_goes_to_the_replica_before_the_owner_stores_it(monkeypatch:
 
 
 async def test_a_replica_answers_a_run_before_it_stores_it() -> None:
-    async with fed(takes_items=True, takes_runs=True) as one, running_host() as other:
-        copied = CopyFeed(
-            other.host.store, one.hosted.record, CopyState(lambda: 0), REPLICA, "replica:1", owner_facts=True
-        )
-        sent: list[tuple[int, int]] = []
-        held: Any = None
-
-        def write(request: pb.FeedRequest | bytes) -> None:
-            sent.append((read_answer(encode_request(request)), held.channel.next_seq))
-
-        call: Any = SimpleNamespace(write_now=write)
-        await copied._take(read_response(one.feed.written()[0]))
-        held = copied._held()
-        [first] = parts_in(one.put())
-        assert copied._take_at_once(call, first)
-        one.report()
+    async with fed(takes_items=True, takes_runs=True) as one, begun_copy(one) as (copied, call, sent):
+        held: Any = copied._held()
         for offsets in ((), (5, 3, 4)):  # without times, and with times after the newest item
             seq, newest, granted = one.hosted.core.next_seq, one.hosted.core.newest, copied._granted
             assert newest is not None
@@ -164,16 +163,7 @@ async def test_a_replica_answers_a_run_before_it_stores_it() -> None:
 
 @pytest.mark.parametrize("field", ["seq", "items", "length"])
 async def test_a_replica_refuses_a_run_that_disagrees_with_its_items(field: str) -> None:
-    async with fed(takes_items=True, takes_runs=True) as one, running_host() as other:
-        copied = CopyFeed(
-            other.host.store, one.hosted.record, CopyState(lambda: 0), REPLICA, "replica:1", owner_facts=True
-        )
-        sent: list[object] = []
-        call: Any = SimpleNamespace(write_now=sent.append)
-        await copied._take(read_response(one.feed.written()[0]))
-        [first] = parts_in(one.put())
-        assert copied._take_at_once(call, first)
-        one.report()
+    async with fed(takes_items=True, takes_runs=True) as one, begun_copy(one) as (copied, call, sent):
         [fed_item] = items_in(one.put(b"a", b"bc"))
         count = len(sent)
         wrong = fed_item.item._replace(**{field: getattr(fed_item.item, field) + 1})
@@ -264,6 +254,24 @@ async def test_a_replica_begins_anew_again_if_its_feed_breaks_before_it_has_done
             assert replication.strays == ({REPLICA} if breaks else set())
             feed.close()
             await pauses()
+
+
+async def test_the_owner_remembers_a_stray_replica_when_the_channel_gets_another_kind_of_replicas(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A fixed fault: the replica kept an item that the owner does not have."""
+    async with fed(takes_items=True) as one:
+        begin(one)
+        place = fail_to_store(one, monkeypatch)
+        record = one.hosted.record
+        policy = replace(record.policy, ack="host")
+        store = one.channel.rig.host.store
+        store.adopt(replace(record, spec_version=record.spec_version + 1, policy=policy))
+        continued = store.known(record.channel_id)
+        assert continued is not None
+        assert continued is not one.hosted
+        assert has_others_items(continued, pb.FeedOpen(host_id=REPLICA, place=place))
+        await pauses()
 
 
 @pytest.mark.parametrize("reason", ["a late item", "two items", "no producer", "an unknown producer"])

@@ -30,13 +30,14 @@ class OwnedCore(NamedTuple):
     """The state of a channel at its owner: the items, and the retry window of the producers.
 
     `counted_before`: the counts of the former owners, which are in the sums of their hosts; None: there were none.
-    `is_replicated`: all items are at all replicas in sync, if the channel has replicas.
+    `is_replicated`: all items are at all replicas in sync, if the channel has replicas. `strays`: see `OwnedReplicas`.
     """
 
     channel: ChannelCore
     retries: RetryWindow
     counted_before: Counters | None
     is_replicated: bool = False
+    strays: frozenset[bytes] = frozenset()
 
 
 def owned_core(copy: FedChannel, now: int, *, is_replicated: bool = False, incarnation: int | None = None) -> OwnedCore:
@@ -67,7 +68,10 @@ def replication_of(
 ) -> Replication:  # fmt: skip
     """The replicas of a channel that begins at its owner."""
     is_replicated = isinstance(begun, OwnedCore) and begun.is_replicated
-    return Replication(core, now, on_shown, epoch=record.epoch, is_replicated=is_replicated)
+    replication = Replication(core, now, on_shown, epoch=record.epoch, is_replicated=is_replicated)
+    if isinstance(begun, OwnedCore):
+        replication.strays.update(begun.strays)
+    return replication
 
 
 def new_core(record: RecordedChannel, now: int, copy: NewCopy | OwnedCore | None) -> ChannelCore:

@@ -227,5 +227,10 @@ def own_again(replication: Replication | None, record: RecordedChannel, *, is_fa
         replication.own_again(record.epoch)
 
 
+def strays_of(replication: Replication | None) -> frozenset[bytes]:
+    """The replicas that must begin anew, see `OwnedReplicas`."""
+    return frozenset() if replication is None else frozenset(replication.strays)
+
+
 def _least(policy: Policy) -> int:
     return 1 if policy.min_replicas is None else policy.min_replicas
