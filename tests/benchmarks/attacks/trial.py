@@ -128,7 +128,9 @@ class TrialCluster:
         arguments = ["--data-port", str(self._data_port), "--memory-bytes-max", MEMORY_BUDGET, *archive]
         self.cluster.hosts[0].arguments += arguments
 
-    def _hear(self, _: ServiceProcess, line: str) -> None:
+    def _hear(self, process: ServiceProcess, line: str) -> None:
+        if not process.is_ready:
+            return
         self.found.log_bytes += len(line) + 1
         self.found.leases_lost += LEASE_LOST in line
 

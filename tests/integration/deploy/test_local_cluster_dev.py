@@ -137,6 +137,21 @@ def test_the_next_start_with_the_same_archive_has_the_recorded_items_again(home:
         assert ([item.seq for item in found], found.reason) == ([*range(1, 11)], None)
 
 
+@pytest.mark.parametrize("form", ["text", "json"])
+def test_the_screen_shows_the_faults_of_archives_that_hosts_log_during_the_start(
+    home: Path, monkeypatch: pytest.MonkeyPatch, form: str
+) -> None:
+    for name, value in (("ENDPOINT_URL", "http://127.0.0.1:1"), ("REGION", "x"), ("ALLOW_HTTP", "true")):
+        monkeypatch.setenv(f"AWS_{name}", value)
+    for name in ("ACCESS_KEY_ID", "SECRET_ACCESS_KEY"):
+        monkeypatch.setenv(f"AWS_{name}", "of-tests")
+    words = ("--archive", "s3://away/x", "--archive-folder", str(home / "kept"), "--log-format", form)
+    with running(*words) as dev:
+        dev.process.send_signal(signal.SIGTERM)
+        _, said = dev.process.communicate(timeout=READY_SECONDS)
+    assert "the object store of the archive cannot be reached; the host tries again" in said
+
+
 def test_each_object_store_has_a_directory_of_its_own(home: Path) -> None:
     one, other, again = (
         DevSettings(archive=f"s3://{bucket}/a", archive_folder=home).directory for bucket in ("one", "other", "one")

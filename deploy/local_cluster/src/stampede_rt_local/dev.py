@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import queue
+import re
 import signal
 import sys
 import threading
@@ -24,6 +25,7 @@ from stampede_rt_runtime.listen import AddressNotAllowed, CannotListen, check_li
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings
 
 PAGE_SECONDS = 20.0  # for the start of the page
+ABOUT_ARCHIVE = re.compile(r'\bevent(=|": ")archive_')  # in a line of a log, as text or as JSON
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -61,7 +63,8 @@ def _run(settings: DevSettings, began: float) -> int:
     ready = threading.Event()
 
     def pass_on(process: ServiceProcess, line: str) -> None:
-        if ready.is_set():  # during the start, services log errors about each other
+        # during the start, services log errors about each other
+        if ready.is_set() or ABOUT_ARCHIVE.search(line):
             shown = line if line.startswith("{") else f"{process.name}: {line}"  # a line of JSON stays one line
             print(escaped(shown), file=sys.stderr)
 

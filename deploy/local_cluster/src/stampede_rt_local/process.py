@@ -30,8 +30,8 @@ class ServiceFailed(Exception):
 class ServiceProcess:
     """A service on this machine. It ends when this process ends, in any way.
 
-    `name` is for people; `module` is run as `python -m`. `on_line` is called with each line that the process prints
-    after it is ready, and `on_exit` at each end of the process. Both are called on a separate thread and must not
+    `name` is for people; `module` is run as `python -m`. `on_line` is called with each line that the process prints,
+    except the ready line, and `on_exit` at each end of the process. Both are called on a separate thread and must not
     block. The process runs in `namespace`, if one is given. `stop` waits `stop_seconds` for its end; state more for a
     host with a longer `--drain-seconds`. Only one thread at a time may use the object.
     """
@@ -68,6 +68,11 @@ class ServiceProcess:
     def ended(self) -> bool:
         """Whether it was started and does not run any more."""
         return self._run is not None and not self.alive
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether its last start has printed the ready line."""
+        return self._run is not None and self._run.address is not None
 
     @property
     def address(self) -> str:
@@ -225,11 +230,11 @@ class _Run:
         with self.popen.stdout as output:
             for line in _lines(output):
                 self.lines.append(line)
-                if self.address is not None:
-                    self._on_line(line)
-                elif match := _READY.fullmatch(line):
+                if self.address is None and (match := _READY.fullmatch(line)):
                     self.address = match[1]
                     self.ready_or_ended.set()
+                else:
+                    self._on_line(line)
         self.popen.wait()
         self.ready_or_ended.set()
         self._on_exit()

@@ -116,6 +116,8 @@ class FuzzedCluster:
         return [one.pid for one in (*self.processes.hosts, *self.processes.supernodes) if one.alive]
 
     def _hear(self, process: ServiceProcess, line: str) -> None:
+        if not process.is_ready:  # during the start, services log errors about each other
+            return
         if LEASE_LOST in line:
             self.outcome.leases_lost += 1
             self.leases_lost_at.append(time.monotonic())
