@@ -32,19 +32,19 @@ def registration(**fields: int | str) -> pb.RegisterHostRequest:
     )
 
 
-@pytest.mark.parametrize(("known_as", "name"), [(None, "h1"), ("h1", "h1"), ("h1", None), (None, None)])
-def test_a_host_may_call_with_its_own_id(known_as: str | None, name: str | None) -> None:
-    check_host_caller(H1, known_as=known_as, name=name)
+@pytest.mark.parametrize(("registered_name", "new_name"), [(None, "h1"), ("h1", "h1"), ("h1", None), (None, None)])
+def test_a_host_may_call_with_its_own_id(registered_name: str | None, new_name: str | None) -> None:
+    check_host_caller(H1, registered_name=registered_name, new_name=new_name)
 
 
-@pytest.mark.parametrize(("known_as", "name"), [(None, "h2"), ("h2", "h1"), ("h2", None), ("h1", "h2")])
-def test_a_host_may_not_call_with_the_id_of_another_host(known_as: str | None, name: str | None) -> None:
+@pytest.mark.parametrize(("registered_name", "new_name"), [(None, "h2"), ("h2", "h1"), ("h2", None), ("h1", "h2")])
+def test_a_host_may_not_call_with_the_id_of_another_host(registered_name: str | None, new_name: str | None) -> None:
     with pytest.raises(PermissionDenied, match="cannot speak for host h2"):
-        check_host_caller(H1, known_as=known_as, name=name)
+        check_host_caller(H1, registered_name=registered_name, new_name=new_name)
 
 
 def test_without_certificates_a_caller_may_use_any_host_id() -> None:
-    check_host_caller(None, known_as="h2", name="h1")
+    check_host_caller(None, registered_name="h2", new_name="h1")
 
 
 def test_another_protocol_is_reported_with_both_versions() -> None:
@@ -64,7 +64,7 @@ async def test_a_host_of_another_release_may_register_but_not_one_of_another_pro
 
 
 @pytest.mark.parametrize("service", [queue_directory_service_pb2, peer_service_pb2], ids=["queues", "peers"])
-def test_all_participants_may_call_the_services_of_queues_and_peers(service: Any) -> None:
+def test_clients_operators_and_hosts_may_call_the_services_of_queues_and_peers(service: Any) -> None:
     for described in service.DESCRIPTOR.services_by_name.values():
         for method in described.methods:
             allowed = roles_for(f"/{described.full_name}/{method.name}")
@@ -72,7 +72,7 @@ def test_all_participants_may_call_the_services_of_queues_and_peers(service: Any
 
 
 @pytest.mark.parametrize(("caller", "refused"), [("host-1", False), ("host-2", True)])
-async def test_only_a_host_itself_may_register_its_peer(
+async def test_only_a_host_itself_may_register_a_peer_with_its_host_id(
     monkeypatch: pytest.MonkeyPatch, caller: str, refused: bool
 ) -> None:
     async with running_node() as node:

@@ -7,16 +7,16 @@ from stampede_rt.version import PROTOCOL_VERSION, VERSION
 from stampede_rt_runtime.identity import Identity
 
 
-def check_host_caller(caller: Identity | None, *, known_as: str | None, name: str | None) -> None:
+def check_host_caller(caller: Identity | None, *, registered_name: str | None, new_name: str | None) -> None:
     """Check the caller's certificate for a host.
 
-    `known_as`: the name of the host in the directory; None for a new host. `name`: the name that the caller wants for
-    the host; None if the host keeps its name. `caller` is None in a cluster without certificates, where every caller
-    passes. Raises PermissionDenied.
+    `registered_name`: the name of the host in the directory; None for a new host. `new_name`: the name that the caller
+    wants for the host; None if the host keeps its name. `caller` is None in a cluster without certificates, where every
+    caller passes. Raises PermissionDenied.
     """
     if caller is None:
         return
-    for stated in (name, known_as):
+    for stated in (new_name, registered_name):
         if stated is not None and stated != caller.name:
             raise PermissionDenied(
                 f"{caller} cannot speak for host {stated}: its certificate must contain that name; "

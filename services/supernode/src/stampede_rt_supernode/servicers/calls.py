@@ -239,5 +239,5 @@ class DirectoryCalls:
         """
         caller = caller_identity(context)
         known = self._replica.read(lambda directory: directory.tables.hosts.get(host_id))
-        check_host_caller(caller, known_as=known.name if known else None, name=name)
+        check_host_caller(caller, registered_name=known.name if known else None, new_name=name)
         check_not_judged("speak for a host")
