@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = ROOT / "client/src/stampede_rt/cli/completions"
 MAN_PAGE = ROOT / "client/man/stampede.1"
 SHELLS = ("bash", "zsh", "fish")
-WIDTH = "100"  # of usages in the man page
+WIDTH = "100"  # the columns of a usage in the man page
 COMPLETED = {"FILE": shtab.FILE, "OUT": shtab.FILE, "PATH": shtab.FILE, "FOLDER": shtab.DIRECTORY}
 ENVIRONMENT = {
     "STAMPEDE_URL": "HOST:PORT of the front-ends, comma-separated, unless --url names them. Default: localhost:7580.",

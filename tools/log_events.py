@@ -47,7 +47,7 @@ def _events(node: ast.AST) -> set[str]:
             for key, value in zip(one.keys, one.values, strict=True):
                 if isinstance(key, ast.Constant) and key.value == KEY:
                     found.add(str(value.value) if isinstance(value, ast.Constant) else "")
-        elif isinstance(one, ast.keyword) and one.arg == KEY:  # of a line that another function logs
+        elif isinstance(one, ast.keyword) and one.arg == KEY:  # the event of a line that another function logs
             found |= {str(text.value) for text in ast.walk(one.value) if isinstance(text, ast.Constant) and text.value}
     return found
 

@@ -37,7 +37,7 @@ from stampede_rt_channel_host.core.channel import Position, Query, ReachTracker,
 from stampede_rt_channel_host.core.group import Horizon, VisibleChannel
 
 COUNTS = (10, 100, 1000, 10_000)
-CONSUMERS_MAX = 1000  # of one channel, which may have 1024 at most
+CONSUMERS_MAX = 1000  # one channel may have 1024 at most
 PUTS = 200
 S = 10**9
 START = 1_700_000_000 * S

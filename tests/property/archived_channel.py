@@ -65,7 +65,7 @@ class ArchivedChannel:
         self.segments: list[Segment] = []
         self._read_blocks: FoundBlocks = self._written_blocks_of
         self._content_of: ContentOf = self._written_content_of
-        self.step: RecordedStep | None = None  # of the subscription through a group
+        self.step: RecordedStep | None = None  # the step of the subscription through a group
 
     def put(self, offer: Offer, now: int) -> PutOutcome:
         self.now = max(self.now, now)

@@ -42,7 +42,7 @@ class FedCopy:
 
     pair: ChannelPair
     upstream: FedCopy | None = None
-    window: RetryWindow | None = None  # of the owner, if the copy may become the owner
+    window: RetryWindow | None = None  # the owner's window, if the copy may become the owner
     source: ChannelCore = field(init=False)
     channel: FedChannel = field(init=False)
     feed: ChannelFeed | None = None

@@ -48,7 +48,7 @@ def filled_remote_channel(rt: st.Connection, items: int) -> st.Channel:
 def filled_embedded_channel(rt: st.Connection, items: int) -> tuple[st.Channel, st.Item]:
     """Return a channel at the host in this process, filled as in `filled_remote_channel`, and its item in the middle.
 
-    A producer puts all other items in runs. The item in the middle is a put of its own, so reads return its payload by
+    A producer puts all other items in runs. A single put brings the item in the middle, so reads return its payload by
     reference.
     """
     channel = rt.channel(f"bench/embedded/{items}", max_items=items, max_bytes=REMOTE_BYTES_MAX)

@@ -93,7 +93,7 @@ def main() -> int:
     )
     options = parser.parse_args()
     if unknown := set(options.names) - set(CASES):
-        parser.error(f"there is no attack {', '.join(sorted(unknown))}; there are {', '.join(CASES)}")
+        parser.error(f"there is no attack {', '.join(sorted(unknown))}; the attacks are {', '.join(CASES)}")
     table, unmeasured = Table(COLUMNS, notes=["", NOTE]), []
     if options.markdown:
         print(Table(COLUMNS).markdown(), flush=True)

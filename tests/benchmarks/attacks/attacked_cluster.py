@@ -18,7 +18,7 @@ from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
 from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
 
 GOOD_CHANNEL = "good"
-TRANSPORT = "socket"  # of good clients and attackers: reads of shared memory would not reach the host
+TRANSPORT = "socket"  # for good clients and attackers: reads of shared memory would not reach the host
 NAME_VARIABLE = "STAMPEDE_ATTACK_NAME"  # the attacker's things have this name as their prefix
 OPTIONS = [
     ("grpc.max_receive_message_length", -1),

@@ -107,7 +107,7 @@ def main() -> None:
         run_loop(serve())
         return
     if unknown := set(options.names) - set(FLOODS):
-        parser.error(f"there is no flood {', '.join(sorted(unknown))}; there are {', '.join(FLOODS)}")
+        parser.error(f"there is no flood {', '.join(sorted(unknown))}; the floods are {', '.join(FLOODS)}")
     table = Table(("flood", "goes to", "p99 alone, ms", "beside it", "times", "of each run"))
     for name in options.names or FLOODS:
         found: dict[str, list[AttackResult]] = {"host": [], "bare": [], "elsewhere": []}

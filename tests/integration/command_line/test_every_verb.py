@@ -70,7 +70,7 @@ def status_of(words: list[str], name: str, made: Stage) -> int:
     with made.busy() if name in WAITS_FOR_NEWS else contextlib.nullcontext():
         try:
             return run(words)
-        except SystemExit as end:  # of --help
+        except SystemExit as end:  # --help raises this
             return int(end.code or 0)
 
 

@@ -90,7 +90,9 @@ def test_a_group_without_visible_items_has_a_reason_for_each_channel(run: Comman
         status, _, told = run(*words)
         assert status == 3
         for name in ("early", "late"):
-            assert any(line.startswith(f"stampede: {name}: HIDDEN: the group hides it") for line in told.splitlines())
+            assert any(
+                line.startswith(f"stampede: {name}: HIDDEN: the group hides items") for line in told.splitlines()
+            )
 
 
 def test_cuts_and_matches_are_printed_when_they_arrive(

@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[3]
 UNITS = sorted((ROOT / "deploy/systemd").glob("*.service"))
 INSTALLED = Path(sys.executable).parent
 SECONDS = 60.0  # long, because the machine may be busy
-EXPOSURE_MAX = 20  # of 100 points, as `systemd-analyze security` counts
+EXPOSURE_MAX = 20  # `systemd-analyze security` gives 0 to 100 points
 STOPS_IN_SECONDS = {
     "supernode": 2 * DRAIN_SECONDS + HAND_OVER_SECONDS,
     "frontend": 2 * DRAIN_SECONDS,

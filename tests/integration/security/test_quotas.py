@@ -222,7 +222,7 @@ def test_a_wrong_quota_is_refused_with_advice(operator: Operator) -> None:
         assert "10.0.0.3 is an address; write @10.0.0.3" in operator.says("quota", *asked, status=2)
     assert "no caller that matches 'nobody' uses any quota" in operator.says("quota", "use", "nobody")
     for words, complaint in (
-        (("cam", "x=3"), "there is no quota 'x'; there are streams, "),
+        (("cam", "x=3"), "there is no quota 'x'; the quotas are streams, "),
         (("cam", "streams=3MiB"), "write it as streams=100, or streams=unlimited"),
         (("cam", "bytes-in-flight"), "write it as bytes-in-flight=64MiB"),
     ):

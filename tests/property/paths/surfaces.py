@@ -43,15 +43,15 @@ class Surface(Protocol):
         """Begin a call."""
 
     def put_run(self, handle: Any, run: Run) -> Any:
-        """Return a call of the surface that puts a run as any producer would, and returns its Ack."""
+        """Put a run as any producer would. Returns its Ack; AwaitedSurface returns a coroutine for it."""
 
     def hang_up(self, run: Run) -> None:
         """Break the stream of a waiting run."""
 
     def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> Any:
-        """Return a call of the surface that consumes as any consumer would.
+        """Consume as any consumer would. Returns the number of items, and the lease.
 
-        Its result: the number of items, and the lease.
+        AwaitedSurface returns a coroutine for them.
         """
 
     def follow(self, subscribe: Callable[[], Any]) -> FollowedItems:

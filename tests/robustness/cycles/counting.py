@@ -21,7 +21,7 @@ from tests.support.waiting import wait_until
 FOLDER_VARIABLE = "CYCLES_FOLDER"
 COUNT = signal.SIGUSR2
 SPARE = 10  # files, threads and tasks that come and go
-SPARE_OBJECTS = 60  # of one type
+SPARE_OBJECTS = 60  # for each type
 SPARE_BUILTINS = 300  # tuples, lists and dicts, which are also parts of objects that a service keeps for some seconds
 CYCLES_FOR_AN_OBJECT = 4  # a leak of one object in four cycles is found, if there are many cycles
 SPARE_BYTES, BYTES_FOR_A_CYCLE = 8 * 2**20, 512

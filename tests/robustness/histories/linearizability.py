@@ -32,7 +32,7 @@ class _Node:
     time.
     """
 
-    position: int  # of the operation
+    position: int  # the operation's position
     is_call: bool
     before: _Node | None = None
     after: _Node | None = None

@@ -26,7 +26,7 @@ from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 
 HEALED_SECONDS = 30.0
 DRAIN_SECONDS_MAX = 30.0  # without faults a drain takes less than a second
-PAUSES_SECONDS = (0.1, 0.1, 1.5, 4.0)  # of producers: channels are idle after a second
+PAUSES_SECONDS = (0.1, 0.1, 1.5, 4.0)  # the mean pauses of producers; a channel is idle after a second
 MESSAGES_MAX = 40
 HANDOFF_PUT_SHARE = 0.3
 DRAINS_AT_END = 3

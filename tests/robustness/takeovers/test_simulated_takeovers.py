@@ -19,7 +19,7 @@ T = TypeVar("T")
 SEEDS_IN_SUITE, BLOCKS = 12, 2
 QUEUE_SEEDS_IN_SUITE = 4
 DRAIN_SEEDS_IN_SUITE = 6
-REPORTS_PER_SECOND_MAX = 12  # of one replica and its owner: each sends five, and answers
+REPORTS_PER_SECOND_MAX = 12  # one replica and its owner send five each, and answer
 IDLE_SECONDS = 10.0
 
 

@@ -25,7 +25,7 @@ from tests.robustness.takeovers.virtual_time import VirtualClock
 from tests.support.supernode.operations import Log, expire, id_of, open_channel, register
 
 TTL_S, FENCE_S, RENEWAL_S, CHECK_S = 5.0, 4.0, 1.5, 0.5
-ANSWER_SECONDS_MAX = 0.03  # of the directory, one way
+ANSWER_SECONDS_MAX = 0.03  # to or from the directory, one way
 WAY_SECONDS_MAX = 0.005  # between two hosts
 
 
@@ -110,8 +110,8 @@ class Cluster(World):
         self.renewed_s: dict[int, float] = {}
         self.hosts: dict[int, Any] = {}
         self.background: dict[int, list[asyncio.Task[Any]]] = {}
-        self.incarnations: dict[bytes, list[int]] = {}  # of each channel or queue
-        self.defects: list[BaseException] = []  # of tasks that must not fail
+        self.incarnations: dict[bytes, list[int]] = {}  # for each channel or queue
+        self.defects: list[BaseException] = []  # the exceptions of tasks that must not fail
         for number in self.boots:
             self.start(number)
         self._open(policy)

@@ -1,10 +1,10 @@
-"""The check for docstrings and names of tests that begin with a clause without its noun."""
+"""The check for docstrings, comments and names of tests that begin with a clause without its noun."""
 
 from __future__ import annotations
 
 import pytest
 
-from tools.plain_words import complaints
+from tools.plain_words import complaints, complaints_about_comments
 
 
 @pytest.mark.parametrize(
@@ -63,3 +63,26 @@ def test_words_with_two_meanings_are_found(source: str) -> None:
 @pytest.mark.parametrize("source", ["def take_at_once(): ...", '"""Look at `take_at_once`."""'])
 def test_other_names_with_these_words_pass(source: str) -> None:
     assert list(complaints("a.py", source)) == []
+
+
+@pytest.mark.parametrize(
+    ("start", "words"), [("MOST = 16  #", "of one request"), ("#", "Those of others."), ("x = 1  #:", "What it is")]
+)
+def test_a_comment_without_its_noun_is_found(start: str, words: str) -> None:
+    (line,) = complaints("a.py", f"{start} {words}\nx = 1\n")
+    assert line.startswith("a.py:1: name the noun instead of")
+
+
+@pytest.mark.parametrize(
+    "source", ["# The most\n# of one request.\nx = 1\n", 'x = "# of"\n', "x = 1  # offers, if any\n"]
+)
+def test_other_comments_pass(source: str) -> None:
+    assert list(complaints("a.py", source)) == []
+
+
+def test_a_comment_of_the_contract_names_its_subject() -> None:
+    contract = "\n".join(
+        ["message A {", "// It can serve", "// what it has.", "bool a = 1;", "// The host", "// It feeds."]
+    )
+    (line,) = complaints_about_comments("a.proto", contract)
+    assert line.startswith('a.proto:2: name the noun instead of "It"')

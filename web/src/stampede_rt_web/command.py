@@ -1,4 +1,4 @@
-"""The entry of `stampede web`. It loads only the settings to answer `--help`, and the service to run it."""
+"""The entry of `stampede web`. `--help` loads only the settings; a run loads the service, too."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 
 PIXELS_MAX = 40_000_000  # 8K video has 33 million
-_SEGMENTS_MAX = 1000  # of a JPEG, before its frame
+_SEGMENTS_MAX = 1000  # before the frame of a JPEG
 _PNG_SIZE = struct.Struct(">4sII")
 _JPEG_FRAME = struct.Struct(">HBHH")
 _JPEG_LENGTH = struct.Struct(">H")

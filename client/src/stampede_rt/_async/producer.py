@@ -53,7 +53,7 @@ class Producer(BoundToProcess):
         self._unacked = UnackedRuns()
         self._steps = Steps()  # guards the builder and the order of writes; the threads that bring acks do not wait
         self._news: deque[tuple[int, channel_pb.PutAck | StampedeError]] = deque()  # each with its stream's generation
-        self._interrupting_bytes = 0  # of items that signal handlers put while they interrupted other puts
+        self._interrupting_bytes = 0  # the bytes of items that signal handlers put while they interrupted other puts
         self._moved = Signal()  # is set when an ack has come, or when the stream has ended
         self._stream: RunStream | None = None
         self._opened: list[RunStream] = []  # holds the latest stream, which `_give_up` cancels

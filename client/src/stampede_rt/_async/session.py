@@ -80,7 +80,7 @@ class Session:
         self.here: InProcessHost | None = None  # the channel host in this process, which belongs to this connection
         self.closing = False  # True from the beginning of `aclose` on
         self.closed = False  # True after `aclose` has ended all tasks
-        self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # of the connection as a consumer
+        self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # the connection's id as a consumer
         self.consumer_places: dict[bytes, SessionTask] = {}  # by channel id; see `consuming`
         self._attached: dict[SessionTask, None] = {}  # in the order of `attach`
 

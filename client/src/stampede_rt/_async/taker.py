@@ -61,7 +61,7 @@ class Taker:
         self._draining = False  # whether the taker has asked the host to end the stream
         self._opened = Signal()  # is set while the stream is open, and while no stream is wanted
         self._drained = Signal()  # is set when the present stream has ended; each stream has its own signal
-        self._incarnation = 0  # of the queue
+        self._incarnation = 0  # the queue's incarnation
         self._worker: BackgroundTask | None = None  # opens streams and receives messages while messages are wanted
         self.closed = False
 

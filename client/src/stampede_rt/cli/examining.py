@@ -30,7 +30,7 @@ from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.wire.records import policy_from_spec
 
-TIMEOUT_S = 5.0  # of one request; a front-end may need 2 s of it to find a healthy supernode
+TIMEOUT_S = 5.0  # for one request; a front-end may need 2 s of it to find a healthy supernode
 ASKED_AT_ONCE_MAX = 16  # parts that the command asks in parallel
 PATIENT_NANOS_MAX = 10**9  # if the first round trip takes longer, the command sends no second request
 PAGES_MAX = 10_000  # the pages of one list

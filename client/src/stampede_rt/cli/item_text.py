@@ -24,7 +24,7 @@ FORMAT_HELP = (
     "how to print an item, such as '{time} {seq:06d} {payload}\\t{attributes[enc]}'; the fields are "
     f"{', '.join(FIELDS)} and attributes[KEY]; \\n and \\t count as in Python"
 )
-WIDTH_MAX = 1000  # of one field of a format
+WIDTH_MAX = 1000  # the most characters of one field of a format
 Form = list[tuple[str, str | None, str | None, str | None]]
 
 

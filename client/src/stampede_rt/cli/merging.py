@@ -15,7 +15,7 @@ from stampede_rt.values.model import Item
 CHANNEL_ITEMS_MAX = 64  # waiting items of one channel
 # The bytes of the waiting payloads of one channel; a longer item may wait if no other item waits.
 CHANNEL_BYTES_MAX = 256 * 1024
-ALL_BYTES_MAX = 64 * 1024 * 1024  # of the payloads of all waiting items; each channel may exceed it by one item
+ALL_BYTES_MAX = 64 * 1024 * 1024  # the bytes of all waiting payloads; each channel may exceed them by one item
 
 
 class MergedItem(NamedTuple):

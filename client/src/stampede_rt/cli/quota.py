@@ -1,4 +1,4 @@
-"""`stampede quota set|rm|ls|check|use`: how much one caller may use of a host or supernode, and what it uses."""
+"""`stampede quota set|rm|ls|check|use`: the limits of each caller's use of a host or supernode, and the use itself."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ QUOTAS = (
     "changes-per-second", "bytes-held", "bytes-archived", "cpu-percent",
 )  # fmt: skip
 IN_BYTES = frozenset({"bytes-in-flight", "bytes-held", "bytes-archived"})
-# The default limit of these is 7/8 of a setting of the host.
+# The default limit of each of these quotas is 7/8 of the named setting of the host.
 OF_EACH_HOST = {"bytes-held": "--memory-bytes-max", "bytes-archived": "--archive-bytes-max"}
 DEFAULT = "(default)"  # the text for the subject of a default limit
 UNLIMITED = 2**62  # a limit of this number or more is no limit
@@ -43,7 +43,7 @@ def add_verbs(subparsers: Any) -> None:
         "limits", metavar="QUOTA=LIMIT", nargs="+", type=_limit,
         help=f"{', '.join(QUOTAS)}; a number, bytes also with KiB, MiB, GiB; or `unlimited`",
     )  # fmt: skip
-    rm = add_verb(verbs, "rm", "remove limits, so that the next pattern or the default counts", run_rm)
+    rm = add_verb(verbs, "rm", "remove limits; the next shorter pattern or the default counts from then on", run_rm)
     rm.add_argument("who", metavar="WHO", help="the same text as in `quota set`")
     rm.add_argument("quotas", metavar="QUOTA", nargs="*", type=_quota, help="default: all quotas of WHO")
     add_verb(verbs, "ls", "list all limits that were set, and the defaults", run_ls)
@@ -57,7 +57,7 @@ def add_verbs(subparsers: Any) -> None:
 
 def _quota(text: str) -> str:
     if text not in QUOTAS:
-        raise argparse.ArgumentTypeError(f"there is no quota {text!r}; there are {', '.join(QUOTAS)}")
+        raise argparse.ArgumentTypeError(f"there is no quota {text!r}; the quotas are {', '.join(QUOTAS)}")
     return text
 
 
@@ -73,7 +73,7 @@ def _limit(text: str) -> tuple[str, int]:
 
 
 def _check_who(who: str) -> None:
-    """Raise InvalidArgument for an address without its "@", which would be the name of a client."""
+    """Raise InvalidArgument for an address without "@". A service would take it for the name of a client."""
     try:
         ip_address(who)
     except ValueError:
@@ -149,7 +149,7 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 
 def run_use(arguments: argparse.Namespace) -> int:
-    """Print how much callers use of their quotas, and whose calls were refused."""
+    """Print how much of its quotas each caller uses, and how many of its calls were refused."""
     from stampede_rt.administration.running_cluster import reached
 
     with reached(arguments.url, None) as cluster:

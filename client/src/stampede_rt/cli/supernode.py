@@ -30,7 +30,7 @@ IN_MEMORY_ADVICE = (
     "This cluster is kept only in memory, and ends with its processes. If {names} should be of another cluster, start "
     "{names} again with --data-dir."
 )
-ID_BYTES = 4  # of a random supernode id
+ID_BYTES = 4  # the length of a random supernode id
 
 
 def administer(argv: Sequence[str]) -> int:

@@ -23,7 +23,7 @@ def indexed_frames(records: RecordFile, ends: Mapping[int, int]) -> Iterator[Rec
     while True:
         for frame in records.frames(offset):
             at = bisect_left(starts, frame.offset)
-            start = starts[at] if at < len(starts) else None  # of the next chunk
+            start = starts[at] if at < len(starts) else None  # the start of the next chunk
             end = None if start is None or isinstance(frame, Damage) else _end_of_damage(frame, start, ends[start])
             if end is None:
                 yield frame

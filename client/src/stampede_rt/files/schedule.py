@@ -13,7 +13,7 @@ from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, format_instant
 
 SHIFT_NOW = "now"
 SPEED_MAX = 1e6
-MAX_BYTES_DEFAULT = 256 * 1024 * 1024  # of a channel that a replay creates without another limit
+MAX_BYTES_DEFAULT = 256 * 1024 * 1024  # for a channel that a replay creates without another limit
 MARGIN_NANOS = 10_000_000_000  # a new channel keeps items for this time longer than the replay's own delay
 
 

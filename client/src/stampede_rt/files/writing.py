@@ -23,9 +23,9 @@ except ImportError as missing:
 
 Compression = Literal["zstd", "lz4", "none"]
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
-CHUNK_BYTES = 1024 * 1024  # of messages before compression; a larger message has a chunk of its own
+CHUNK_BYTES = 1024 * 1024  # before compression; a larger message has a chunk of its own
 FACTS_BYTES_PER_ITEM = 16  # so that a chunk of many empty items ends, too
-PART_SUFFIX = ".part"  # of the name of a file that `replacing` has not finished
+PART_SUFFIX = ".part"  # the end of the name of a file that `replacing` has not finished
 TOPICS_MAX = 65_000  # MCAP numbers them with 16 bits
 _TYPES = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 

@@ -84,7 +84,7 @@ class TlsReader:
         self.files = files
         self._lock = threading.Lock()
         self._stamp, self._material = _read_patiently(files)
-        self._refused: _Stamp | None = None  # of changed files that cannot be used
+        self._refused: _Stamp | None = None  # the stamp of changed files that cannot be used
         self._looked_s = time.monotonic()  # when the reader last looked for changes
 
     def current(self) -> TlsMaterial:

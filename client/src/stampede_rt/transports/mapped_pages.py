@@ -9,7 +9,7 @@ from typing import Any
 
 from stampede_rt.transports.futexes import address_of
 
-_POPULATE_READ, _POPULATE_WRITE = 22, 23  # of madvise, since Linux 5.14
+_POPULATE_READ, _POPULATE_WRITE = 22, 23  # advice values of madvise, since Linux 5.14
 
 
 @functools.cache

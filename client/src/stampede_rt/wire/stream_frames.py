@@ -83,8 +83,8 @@ class FrameReader:
         self._kept_buffer = bytearray()
         self._bytes_max: dict[int, int] = {int(kind): most for kind, most in bytes_max.items()}
         self._partial = bytearray()
-        self._wanted_bytes = 0  # of the unfinished frame, or of its head
-        self._came_bytes = 0  # of the unfinished frame, once it has a buffer for all its bytes
+        self._wanted_bytes = 0  # the length of the unfinished frame, or of its head
+        self._came_bytes = 0  # the bytes in the buffer of an unfinished frame; 0: the frame has no buffer yet
 
     @property
     def unfinished_bytes(self) -> int:

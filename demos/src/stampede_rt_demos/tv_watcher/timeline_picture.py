@@ -36,7 +36,7 @@ WIDTH_INCHES, HEIGHT_INCHES, DOTS_PER_INCH = 12.0, 6.0, 150
 LEFT, RIGHT, TOP, BOTTOM = 0.1, 0.955, 0.87, 0.085
 CAPTION_CHARS = 23
 LOUDNESS_FLOOR_DBFS = -60
-PHOTO_COLOURS = 224  # of the 256 of a PNG with a palette; the others are kept for the drawing
+PHOTO_COLOURS = 224  # a PNG with a palette has 256 colours; the drawing uses the others
 _LANES = {
     "brackets": 0.3,
     "video": 0.97,

@@ -26,7 +26,7 @@ class PortBlocks:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._file: int | None = None
-        self._pid = 0  # of the process that has the locks; a forked process has none
+        self._pid = 0  # the process that has the locks; a forked process has none
         self._ports: list[int] = []  # the ports of the blocks, in the order in which they were last taken
 
     def ports(self) -> Iterator[int]:

@@ -53,7 +53,7 @@ class SupernodeRoster:
 
     seeds: tuple[str, ...]
     cluster_id: str = ""
-    former_cluster_ids: tuple[str, ...] = ()  # of the clusters that this cluster has replaced
+    former_cluster_ids: tuple[str, ...] = ()  # this cluster has replaced these clusters
     clocks: dict[str, ClockOffset] = field(init=False, default_factory=dict)
     """How far this front-end's clock is ahead of the clock of each supernode that answers, by target."""
     _nodes: dict[str, Supernode] = field(init=False)

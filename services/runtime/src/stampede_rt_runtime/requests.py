@@ -139,7 +139,7 @@ async def _aborting(context: Context) -> AsyncIterator[None]:
         yield
     except StampedeError as error:
         await abort(context, error)
-    except BaseExceptionGroup as group:  # of the tasks that serve a stream
+    except BaseExceptionGroup as group:  # the errors of the tasks that serve a stream
         errors = group.subgroup(StampedeError)
         if errors is None:
             raise

@@ -30,7 +30,7 @@ EXIT_BAD_SETTINGS = 2
 # One file serves a whole deployment. A service ignores the tables of other services, but refuses a misspelt table.
 TABLES = ("frontend", "supernode", "host", "web", "dev")
 SAMPLE_COLUMNS = 100
-_CREDENTIALS = re.compile(r"(?<=://)[^/\s]*(?=@)|(?<=\?).*")  # of a URL
+_CREDENTIALS = re.compile(r"(?<=://)[^/\s]*(?=@)|(?<=\?).*")  # the secret parts of a URL
 
 
 def unusable(source: str, text: str, error: ValueError) -> SettingsError:

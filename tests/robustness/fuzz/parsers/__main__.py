@@ -24,7 +24,7 @@ def main() -> int:
     arguments = parser.parse_args()
     names = arguments.targets or sorted(BY_NAME)
     if unknown := set(names) - set(BY_NAME):
-        parser.error(f"there is no target {', '.join(sorted(unknown))}; there are {', '.join(sorted(BY_NAME))}")
+        parser.error(f"there is no target {', '.join(sorted(unknown))}; the targets are {', '.join(sorted(BY_NAME))}")
     run = run_guided if arguments.guided else run_unguided
     found = [
         name for name in names if not run(name, inputs=arguments.inputs, seconds=arguments.seconds, seed=arguments.seed)

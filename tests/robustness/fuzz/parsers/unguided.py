@@ -10,7 +10,7 @@ from tests.robustness.fuzz.drawing import drawn_bytes
 from tests.robustness.fuzz.parsers.catalogue import BY_NAME
 
 FOUND_MAX = 5
-INPUT_SECONDS_MAX = 5.0  # of processor time, for one input: 10,000 times the time of the slowest one
+INPUT_SECONDS_MAX = 5.0  # CPU time for one input: 10,000 times that of the slowest input
 
 
 def run_unguided(name: str, *, inputs: int, seconds: float, seed: int) -> bool:

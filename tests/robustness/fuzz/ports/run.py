@@ -25,7 +25,8 @@ GOOD = "good"
 # the budget, and the memory that the allocator may keep and gRPC may buffer (docs/security.md)
 MEMORY_GROWTH_MIB_MAX = 164
 CALLERS = 32
-ROLES = (Role.CLIENT, Role.HOST, Role.OPERATOR, Role.SUPERNODE)  # of the connections, where there are certificates
+# The roles of the connections to a cluster with certificates.
+ROLES = (Role.CLIENT, Role.HOST, Role.OPERATOR, Role.SUPERNODE)
 GOOD_SECONDS = 0.1
 GOOD_CALL_SECONDS = 20.0
 STILL_SECONDS = 15.0

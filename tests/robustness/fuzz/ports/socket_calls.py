@@ -19,7 +19,7 @@ from tests.robustness.fuzz.drawing import ByteSource
 from tests.support.raw_stream import RawStream, raw_stream
 
 DAMAGED_PERCENT = 30
-NO_TLS_PERCENT = 10  # of the streams to a port with TLS
+NO_TLS_PERCENT = 10  # the share of streams without TLS to a port with TLS
 CONNECT_SECONDS = 20.0  # a host takes 300 handshakes a second at most, and hundreds may wait
 NO_STATUS = (grpc.StatusCode.CANCELLED, "the connection ended without a status")
 _CODES = {code.value[0]: code for code in grpc.StatusCode}

@@ -49,7 +49,7 @@ async def test_a_caller_with_much_work_does_not_block_another_caller() -> None:
     tasks = [asyncio.create_task(work("heavy", CallerWork(heavy), 50)) for _ in range(20)]
     await asyncio.sleep(0)
     await work("light", CallerWork(light), 3)
-    assert order.count("heavy") < 100  # of 1000 steps
+    assert order.count("heavy") < 100  # there are 1000 steps
     for task in tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)

@@ -135,7 +135,7 @@ function drawArchive(context, left, edge, width, height) {
   if (left >= 0) context.fillRect(left, 4, 2, height - 5);
 }
 
-// Of a window with very many items of the past, the server reads only the first.
+// If a window of the past has very many items, the server reads only the first ones.
 function drawUnread(context, left, width, height) {
   context.fillStyle = colours.dim;
   context.font = '11px system-ui, "DejaVu Sans", sans-serif';

@@ -514,7 +514,7 @@ complete -c stampede -n '_shtab_stampede_using quota set' -s h -l help -d 'show 
 complete -c stampede -n '_shtab_stampede_using quota set' -l url -x -d 'front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580'
 complete -c stampede -n '_shtab_stampede_using quota set' -s o -l output -xka "table json jsonl" -d 'how to print; default table'
 complete -c stampede -n '_shtab_stampede_using quota set' -l local -d 'print instants as local time; default: UTC'
-complete -c stampede -n '_shtab_stampede_using quota; and test $_shtab_stampede_npos -eq 0' -a rm -d 'remove limits, so that the next pattern or the default counts'
+complete -c stampede -n '_shtab_stampede_using quota; and test $_shtab_stampede_npos -eq 0' -a rm -d 'remove limits; the next shorter pattern or the default counts from then on'
 complete -c stampede -n '_shtab_stampede_using quota rm' -s h -l help -d 'show this help message and exit'
 complete -c stampede -n '_shtab_stampede_using quota rm' -l url -x -d 'front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580'
 complete -c stampede -n '_shtab_stampede_using quota rm' -s o -l output -xka "table json jsonl" -d 'how to print; default table'

@@ -168,7 +168,7 @@ _shtab_stampede_quota_commands() {
   local _commands=(
     check:'print the limits of one caller, each with the setting that decides it'
     ls:'list all limits that were set, and the defaults'
-    rm:'remove limits, so that the next pattern or the default counts'
+    rm:'remove limits; the next shorter pattern or the default counts from then on'
     set:'set limits; for each caller the longest matching pattern counts'
     use:'show the usage and the refusals of each caller at each service of the cluster'
   )

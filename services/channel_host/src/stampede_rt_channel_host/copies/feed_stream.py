@@ -74,7 +74,7 @@ class FeedStream:
         self._lag = LagWatch()
         self._moves = moves
         self._move: OutgoingMove | None = None
-        self._handoff: HandoffDecision | None = None  # of the move
+        self._handoff: HandoffDecision | None = None  # the decision about `_move`
         self._opened: pb.FeedOpened | None = None  # goes into the next message
         self._is_released = False
 

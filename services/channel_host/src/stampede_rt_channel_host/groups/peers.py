@@ -188,7 +188,7 @@ class PeerHosts:
                 del self._peers[link.host_id]
 
     async def _keep(self, peer: PeerHost) -> None:
-        """Keep a stream to the peer for as long as both share a group: open the stream, or ask the peer to open it."""
+        """Keep a stream to the other host while both share a group: open the stream, or ask that host to open it."""
         pause_s = PAUSE_SECONDS_MIN
         while True:  # paced by the sleep; `_drop` cancels this task
             if peer.link is None and peer.target and self._lease_held():
@@ -200,7 +200,7 @@ class PeerHosts:
                         "no link to a host",
                         extra={"event": "no_host_link", "host": peer.host_id.hex(), "why": str(error)},
                     )
-            if peer.link is not None:  # the peer has opened the stream
+            if peer.link is not None:  # the other host has opened the stream
                 pause_s = PAUSE_SECONDS_MIN
                 await peer.unlinked.wait()
             await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
@@ -226,7 +226,7 @@ class PeerHosts:
             await channel.close(None)
 
     async def _ask_for_link(self, peer: PeerHost) -> None:
-        """Call GetCut of a shared group, so that the peer learns of the group and opens the stream."""
+        """Call GetCut of a shared group, so that the other host learns of the group and opens the stream."""
         group_id = min(peer.groups, default=None)
         if group_id is None:
             return

@@ -34,22 +34,22 @@ class Quota(StrEnum):
 
 
 DEFAULTS: Mapping[Quota, int] = {
-    Quota.STREAMS: 3072,  # of the 4096 of a port
+    Quota.STREAMS: 3072,  # a port allows 4096
     Quota.SUBSCRIPTIONS: 2048,
     Quota.WAITING_CALLS: 16_384,
     Quota.BYTES_IN_FLIGHT: 512 * 2**20,
-    Quota.CHANNELS: 150_000,  # of the 200,000 of a directory
+    Quota.CHANNELS: 150_000,  # a directory has room for 200,000
     Quota.QUEUES: 150_000,
     Quota.CHANGES_PER_SECOND: 1000,
     Quota.BYTES_HELD: LIMIT_MAX,  # a host sets its own limit
     Quota.CPU_PERCENT: 50,
-    Quota.GROUPS: 7500,  # of the 10,000 of a directory
-    # Of the 100,000 of a directory. A mailbox takes the room of a queue, and 40,000 mailboxes and 150,000 queues leave
-    # room for other callers.
+    Quota.GROUPS: 7500,  # a directory has room for 10,000
+    # A directory has room for 100,000. A mailbox takes the room of a queue, and 40,000 mailboxes and 150,000 queues
+    # leave room for other callers.
     Quota.PEERS: 40_000,
     Quota.BYTES_ARCHIVED: LIMIT_MAX,  # a host with an archive sets its own limit
 }
-# The directory counts and refuses these.
+# The directory counts these things, and refuses a further one.
 IN_DIRECTORY = frozenset({Quota.CHANNELS, Quota.QUEUES, Quota.GROUPS, Quota.PEERS})
 COUNTED_BY_CREATOR = IN_DIRECTORY | {Quota.BYTES_HELD, Quota.BYTES_ARCHIVED}
 """These quotas count the things that a caller has created, wherever it calls from.

@@ -69,7 +69,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._has_ended = self._is_lost = self._is_paused = self._has_written = self._is_full = False
         self._room: asyncio.Future[None] | None = None
         self._frame_since_s: float | None = None
-        self._place: FramePlace | None = None  # of the stream's caller, from its first read on
+        self._place: FramePlace | None = None  # None before the first read
         self._is_filling = False  # Whether a long frame that has a place is being read.
         self._stalled_since_s, self._stalled_bytes = 0.0, 0
 

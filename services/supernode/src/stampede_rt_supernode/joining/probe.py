@@ -95,7 +95,7 @@ class Probe:
         began, sent_unix_nano = time.monotonic_ns(), time.time_ns()
         try:
             pong = await stub.Ping(directory_service_pb2.DirectoryServicePingRequest(), timeout=PROBE_SECONDS)
-        except grpc.aio.AioRpcError:  # whatever the reason, this supernode cannot reach the member
+        except grpc.aio.AioRpcError:  # for some reason this supernode cannot reach the member
             await self._tell_why(member)
             return ProbeResult(False, None)
         self._logged.pop(member.address, None)

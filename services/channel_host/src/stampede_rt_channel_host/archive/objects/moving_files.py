@@ -35,7 +35,7 @@ class MovingFiles(SegmentFiles):
         self.stored, self.cut = place, cut
         self.is_shared = True
         self.is_left = self.is_given_up = False
-        self._unplaced: list[Segment] = []  # of the former owner, from a `find_again` that an error interrupted
+        self._unplaced: list[Segment] = []  # the former owner's, from a `find_again` that an error interrupted
         self.waiting: tuple[Segment, ...] = ()
         """The closed segments that have not moved yet, as of the last `look`."""
         self.former_stop: CleanStop | None = None

@@ -58,7 +58,7 @@ class StoredSegments(SegmentFolder):
         self.stored_bytes = 0
         """The bytes of the channel's objects."""
         self._stored: dict[int, StoredSegment] = {}
-        self._indexes: dict[int, Sequence[PlacedBlock]] = {}  # of the few segments that overlap with the next one
+        self._indexes: dict[int, Sequence[PlacedBlock]] = {}  # for the few segments that overlap with the next one
         self._epoch = 0
         self._dropped_to = 0  # this process has removed segments up to this number; no listing brings them back
         self._limited_to = 0  # the limits have removed all segments up to this number, as the list on the disk says

@@ -44,7 +44,7 @@ class ReadAhead:
         self._account = account
         self._in_flight = account.charge_for(Quota.BYTES_IN_FLIGHT)
         self._received: deque[tuple[Any, float]] = deque()  # the requests read ahead, each with its monotonic time
-        self._bytes = 0  # of these requests, of the request that `next` gave last, and the bytes that `keeping` adds
+        self._bytes = 0  # the bytes of `_received`, of the request that `next` gave last, and of `keeping`
         self._given_bytes = 0  # the bytes of the request that `next` gave last, if it was read ahead
         self._task: asyncio.Task[None] | None = None
         self._failure: Exception | None = None

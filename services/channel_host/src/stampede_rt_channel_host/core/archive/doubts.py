@@ -51,7 +51,7 @@ class _Search:
         away.
         """
         former: BlockHead | Segment | None = None
-        ends: list[int] = []  # of the segments that end after `former`
+        ends: list[int] = []  # the end seqs of the segments that end after `former`
         for at, one in enumerate(self.segments):
             if one.number not in self.near and one.items:
                 if former is None or one.end_seq - former.end_seq != one.items:  # a quick test, for long archives

@@ -24,7 +24,7 @@ ARCHIVE = "archive"
 COLLECTED_FOR = (AGE, COUNT, BYTES, CONSUMPTION)
 """The causes for which a channel collects items."""
 
-COPIED_BYTES_MIN = 4096  # of a run, see `Holdings`
+COPIED_BYTES_MIN = 4096  # a channel copies only parts of longer runs, see `Holdings`
 
 Cut = Callable[[bytes, int, int], bytes]
 """Takes a run's body and two positions. Returns the body of the items from the first position up to the second,

@@ -1,7 +1,7 @@
 """The part of a channel that a group shows: the items before the cut (paper, section 3.3). Pure.
 
-A `VisibleChannel` copies nothing; it reads the channel's own index. It answers like a channel without the hidden items,
-whose clock never passes the cut.
+A `VisibleChannel` copies nothing; it reads the channel's own index. It answers like a channel that has no hidden
+items, and whose clock never passes the cut.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ class VisibleQueryReader(QueryReader):
         """The reason HIDDEN, with a text that names the cut and the members that hold it back."""
         cut = self._horizon.cut
         shown = "nothing is visible yet" if cut is None else f"its cut is at {format_instant(cut)}"
-        return Reason("HIDDEN", f"the group hides it: {shown}, {self._horizon.held_by()}")
+        return Reason("HIDDEN", f"the group hides items: {shown}, {self._horizon.held_by()}")
 
 
 def may_hide(newest: int, within: ResolvedInterval, cut: int | None) -> bool:
@@ -238,7 +238,7 @@ class VisibleChannel:
         return VisibleQueryReader(self._channel, horizon, now).answer(pending.query, pending.interval, now)
 
     def stalled(self, floor: int, horizon: Horizon) -> ReadAnswer:
-        """The answer to a reader that has seen the cut `floor`, which is later than this host can show yet.
+        """The answer to a reader that has seen the cut `floor`, if this host's cut is still before it.
 
         The answer has no items.
         """
@@ -256,11 +256,9 @@ class VisibleChannel:
         return held.items - held.items_below(FIRST_KEY if cut is None else (cut, 0))
 
     def window_too_short(self, cut: int | None, now: int) -> bool:
-        """Whether retention has collected items that the group has not shown yet, or max_age is so short that it soon
-        will.
-        """
+        """Whether retention has collected items that the group has not shown yet, or soon will because of max_age."""
         held, retention = self._channel.look(now)
-        return _has_lost(held, cut) or _outlives_its_age(held, retention, cut)
+        return _has_lost(held, cut) or _leads_by_more_than_max_age(held, retention, cut)
 
     def _reading(self, query: Query, horizon: Horizon, now: int) -> VisibleQueryReader:
         reading = VisibleQueryReader(self._channel, horizon, now)
@@ -284,7 +282,7 @@ def _has_lost(held: Holdings, cut: int | None) -> bool:
     return gone is not None and (cut is None or gone >= cut)
 
 
-def _outlives_its_age(held: Holdings, retention: Retention, cut: int | None) -> bool:
+def _leads_by_more_than_max_age(held: Holdings, retention: Retention, cut: int | None) -> bool:
     """Whether the newest item is ahead of the cut by more than max_age."""
     age = retention.limits.max_age_nanos
     return age is not None and cut is not None and held.newest is not None and held.newest - cut > age

@@ -1,4 +1,4 @@
-"""Commands about the rules of access, and their results. Pure, immutable values; see `commands`."""
+"""Commands about the rules of access, and their results. Pure, immutable values; see `core.commands`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands about quotas, and their results. Pure, immutable values; see `commands`."""
+"""Commands about quotas, and their results. Pure, immutable values; see `core.commands`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands of a leader about the cluster as a whole, and their results. Pure, immutable values; see `commands`."""
+"""Commands of a leader about the cluster as a whole, and their results. Pure, immutable values; see `core.commands`."""
 
 from __future__ import annotations
 

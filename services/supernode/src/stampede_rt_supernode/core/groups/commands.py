@@ -1,4 +1,4 @@
-"""Commands about groups, and their results (paper, section 3.3). Pure, immutable values; see `commands`."""
+"""Commands about groups, and their results (paper, section 3.3). Pure, immutable values; see `core.commands`."""
 
 from __future__ import annotations
 

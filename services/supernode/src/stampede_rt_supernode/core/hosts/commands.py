@@ -1,4 +1,4 @@
-"""Commands about hosts, and their results (paper, section 4.2). Pure, immutable values; see `commands`."""
+"""Commands about hosts, and their results (paper, section 4.2). Pure, immutable values; see `core.commands`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands about moves, and their results (paper, section 4.1). Pure, immutable values; see `commands`."""
+"""Commands about moves, and their results (paper, section 4.1). Pure, immutable values; see `core.commands`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands about peers, and their results (paper, sections 3.5 and 4.2). Pure, immutable values; see `commands`."""
+"""Commands about peers, and their results (paper, sections 3.5 and 4.2). Pure values; see `core.commands`."""
 
 from __future__ import annotations
 

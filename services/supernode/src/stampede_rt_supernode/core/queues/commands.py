@@ -1,4 +1,4 @@
-"""Commands about queues, and their results (paper, section 3.5). Pure, immutable values; see `commands`."""
+"""Commands about queues, and their results (paper, section 3.5). Pure, immutable values; see `core.commands`."""
 
 from __future__ import annotations
 

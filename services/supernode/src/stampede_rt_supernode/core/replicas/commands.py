@@ -1,4 +1,4 @@
-"""Commands about copies of channels, and their results (paper, section 4.1). Pure, immutable values; see `commands`."""
+"""Commands about copies of channels, and their results (paper, section 4.1). Pure values; see `core.commands`."""
 
 from __future__ import annotations
 

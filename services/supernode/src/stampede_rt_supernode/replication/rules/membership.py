@@ -55,7 +55,7 @@ class Membership(NodeState):
     disputed_by: dict[str, str]
     # All members that this node hears, by id, without itself.
     peers: dict[str, Member]
-    # What this node adopted last: the version of the log's configurations, and the newest applied configuration.
+    # The facts that this node adopted last: the version of the log's configurations, and the newest applied one.
     _adopted: tuple[int, Configuration | None] = (-1, None)
 
     def open_snapshot(self) -> None:

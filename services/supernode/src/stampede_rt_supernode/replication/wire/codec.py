@@ -39,7 +39,7 @@ from stampede_rt_supernode.replication.wire.records import (
 
 # The largest snapshot of which this member accepts a piece.
 SNAPSHOT_BYTES_MAX = 1 << 30
-# Of a longer digest this member reads only this many bytes.
+# This member reads only this many bytes of a longer digest.
 DIGEST_BYTES_MAX = 64
 
 
