@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt.wire.put_frames import put_head, put_request
 from stampede_rt.wire.runs import run_parts
@@ -23,7 +24,7 @@ from stampede_rt_channel_host.copies.feed_opening import has_others_items
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from tests.support.channel_host.held_transport import held_stream
-from tests.support.channel_host.rig import running_host
+from tests.support.channel_host.rig import run_of, running_host
 from tests.unit.channel_host.copies.test_feed_stream import (
     REPLICA,
     Fed,
@@ -183,6 +184,53 @@ async def test_the_runs_that_come_while_the_replica_lacks_one_go_out_together() 
         one.report()
         await pauses()
         assert len(items_in(one.put(b"g", b"h"))) == 1
+
+
+@pytest.mark.parametrize("transport", ["grpc", "socket"])
+async def test_the_owner_tells_its_replica_and_readers_of_all_runs_of_a_request_together(
+    monkeypatch: pytest.MonkeyPatch, transport: str
+) -> None:
+    async with fed(takes_items=True, takes_runs=True) as one:
+        begin(one)
+        replication = one.hosted.replication
+        assert replication is not None
+        told: list[int] = []
+        accepted = replication.accepted
+
+        def noted(now: int) -> None:
+            told.append(one.hosted.core.next_seq)
+            accepted(now)
+
+        monkeypatch.setattr(replication, "accepted", noted)
+        count = len(one.feed.written())
+        runs = [run_of(b"a", b"b", number=2), run_of(b"c", b"d", number=4), run_of(b"e", b"f", number=6)]
+        request = channel_pb.PutRequest(
+            channel_id=one.channel.channel_id, epoch=one.channel.epoch, producer_id=7, puts=runs
+        )
+        if transport == "grpc":
+            call: Any = one.channel.rig.channels.Put()
+            await call.write(request)
+        else:
+            one.producer.send(request.SerializeToString())
+        ahead, rest = (await one.feed.until_written(count + 2))[count:]
+        assert [item.item.seq for item in items_in([ahead])] == [2]
+        assert [(part.fields.state.first_seq, len(part.runs)) for part in parts_in([rest])] == [(4, 2)]
+        assert told == [8]
+        one.answer()
+        if transport == "grpc":
+            acks = [ack async for ack in acks_of(call, 3)]
+            await call.done_writing()
+        else:
+            acks = one.acks()[1:]
+        assert [(ack.first_seq, ack.items, ack.copies) for ack in acks] == [(2, 2, 2), (4, 2, 2), (6, 2, 2)]
+
+
+async def acks_of(call: Any, count: int) -> AsyncIterator[channel_pb.PutAck]:
+    """Yield the next acks of a stream, at least `count`."""
+    while count > 0:
+        for ack in (await call.read()).acks:
+            count -= 1
+            yield ack
 
 
 async def test_a_run_of_which_the_channel_refuses_an_item_goes_to_the_replica_when_it_is_stored() -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NamedTuple
 
@@ -134,9 +134,7 @@ class PutStream:
         if names:
             self._channel_id, self._epoch, self._producer_id = channel_id, epoch, request.producer_id
             self._refused = None
-        received_s = time.monotonic()
-        with _announced_together(hosted):
-            acks = [self._judge_now(put, received_s, hosted) for put in request.puts]
+        acks = self._judge_together(request.puts, time.monotonic(), hosted)
         due = [ack for ack in acks if isinstance(ack, pb.PutAck)]
         if len(due) == len(acks):
             write(_encoded(due))
@@ -149,6 +147,8 @@ class PutStream:
             await self._work.turn()
         self._requests.release()  # the runs are judged without a wait; a run that has to wait is counted then
         self._work.spend_read()
+        for judged in self._judge_replicated(received):
+            await self._acks.add(judged)
         while received.puts:
             ack: pb.PutAck | HeldAck
             if received.too_much:
@@ -161,6 +161,27 @@ class PutStream:
             return
         self._acks.wake()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
+
+    def _judge_replicated(self, received: _ReceivedRequest) -> list[pb.PutAck | HeldAck]:
+        """The acks of the runs, if they go to replicas together. Otherwise judges no run."""
+        if received.too_much or not 1 < len(received.puts) <= RUNS_AT_ONCE_MAX:
+            return []
+        try:
+            hosted = self._store.find(self._channel_id, self._epoch)
+        except StampedeError:  # each ack tells it
+            return []
+        if hosted.replication is None or hosted.puts.may_wait:
+            return []
+        puts = [*received.puts]
+        received.puts.clear()
+        return self._judge_together(puts, received.received_s, hosted)
+
+    def _judge_together(
+        self, puts: Iterable[Put], received_s: float, hosted: HostedChannel
+    ) -> list[pb.PutAck | HeldAck]:
+        """The acks of runs whose channel lets no put wait for room."""
+        with _announced_together(hosted):
+            return [self._judge_now(put, received_s, hosted) for put in puts]
 
     def _judge_now(self, put: Put, received_s: float, hosted: HostedChannel) -> pb.PutAck | HeldAck:
         """The ack of a run whose channel lets no put wait for room."""
@@ -254,11 +275,11 @@ def _encoded(acks: list[pb.PutAck]) -> bytes:
 
 
 def _announced_together(hosted: HostedChannel) -> AbstractContextManager[None]:
-    """A block of puts. If the channel has a ring, readers learn of all its runs at the end of the block. Otherwise they
-    learn of each run as it comes.
+    """A block of puts. If the channel has a ring or replicas, these get all its runs at the end of the block.
+    Otherwise readers learn of each run as it comes.
     """
-    has_ring = hosted.ring is not None and hosted.recording is None
-    return hosted.puts.announced_together() if has_ring else nullcontext()
+    repeats = (hosted.ring is not None or hosted.replication is not None) and hosted.recording is None
+    return hosted.puts.announced_together() if repeats else nullcontext()
 
 
 def _lose(waiting: tuple[ChannelPuts, IncomingRun], error: PermissionDenied) -> None:
