@@ -1,4 +1,4 @@
-"""The hosts of new channels: chosen by the loads that real hosts report, or beside other channels."""
+"""The choice of the host of a new channel: by the loads that real hosts report, or beside another channel."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def loads(rt: st.Connection) -> dict[str, int]:
 
 
 def until_one_is_busy(rt: st.Connection) -> None:
-    """Skip the test if the machine has so much other work that no host gets the processor time to be busy."""
+    """Wait until one host is busy. Skip the test if the machine has too little CPU time for a busy host."""
 
     def holds() -> bool:
         now = loads(rt)
@@ -105,9 +105,7 @@ def test_the_doctor_and_the_list_of_hosts_show_the_loads(
     )
 
 
-def test_channels_of_both_clients_open_beside_the_channel_that_they_name(
-    cluster: LocalCluster, rt: st.Connection
-) -> None:
+def test_both_clients_open_a_channel_beside_the_stated_channel(cluster: LocalCluster, rt: st.Connection) -> None:
     for host in ("h1", "h2"):
         first = rt.channel(f"{host}/first", host=host)
         assert rt.channel(f"{host}/second", beside=first).host == host

@@ -135,7 +135,7 @@ async def test_hundreds_of_waiting_takers_are_served_in_turn(rig: QueueRig) -> N
     assert (await queue.status()).waiting_takers == 0
 
 
-async def test_a_frozen_taker_keeps_an_item_from_live_ones_for_one_lease_only() -> None:
+async def test_a_frozen_taker_delays_an_item_for_one_lease_only() -> None:
     """The frozen taker has an open stream and credit.
 
     In an earlier version, the host leased every message to the frozen taker again and again.
@@ -165,7 +165,7 @@ async def test_a_frozen_taker_keeps_an_item_from_live_ones_for_one_lease_only() 
         assert {(await frozen.items(1))[0].payload, (await live.items(1))[0].payload} == {b"b", b"c"}
 
 
-async def test_a_taker_that_was_heard_of_since_its_lease_began_gets_further_items() -> None:
+async def test_a_taker_that_has_sent_a_message_since_its_lease_began_gets_further_items() -> None:
     clock = ManualClock()
     async with running_queue_host(clock=clock) as rig:
         queue = rig.open(lease_nanos=10 * S)
