@@ -1,4 +1,4 @@
-"""Push and producer pull: functions that the library calls, on both clients."""
+"""Push and producer pull: functions that the client calls, on both clients."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def _summary(run: Run) -> str:
     rows: list[tuple[str, object]] = [
         ("faults injected into real processes", len(run.outcomes)),
         ("kinds of faults", len({outcome.kind for outcome in run.outcomes})),
-        ("calls of the directory, recorded and judged", len(operations)),
+        ("calls to the directory, recorded and judged", len(operations)),
         ("names of channels and peers, each with its own history", sum(findings.names for findings in run.findings)),
         (
             "calls whose caller does not know whether they took effect",

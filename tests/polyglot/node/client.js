@@ -3,7 +3,8 @@
 //   node client.js PROTO_FOLDER ADDRESS SECRET_FILE CHANNEL TEXT...
 //
 // Puts each TEXT as one item. Prints the seqs of its puts, the items of the last 30 s and the items of the subscription.
-// With AS_OF, an instant in nanoseconds, "the last 30 s" are the items that the host of a recorded channel knew then.
+// AS_OF may name an instant, in nanoseconds. The client then prints the items of the 30 s before it, as the host
+// of a recorded channel knew them at that instant.
 "use strict";
 
 const crypto = require("node:crypto");
@@ -65,7 +66,7 @@ async function open(name) {
   return { data: connect(v1.ChannelService, place.endpoints[0].target), at: { channel_id, epoch: place.channel.epoch } };
 }
 
-// Runs of one item; their acks come in order.
+// Puts each text as a run of one item. The acks come in order.
 async function put({ data, at }, texts) {
   const stream = data.Put(metadata);
   const producer_id = crypto.randomBytes(8).readBigUInt64LE().toString(); // this id and the numbers make retries safe

@@ -39,7 +39,7 @@ PAIRS = [
     ("MatchSubscription", MatchSubscription, PastMatches),
 ]
 SPECIAL = {"__getitem__", "__iter__", "__len__", "__next__", "__enter__", "__exit__", "__aenter__", "__aexit__"}
-OTHER_NAMES = {"begin": "it makes the subscription"}  # names without an underscore that only the library uses
+OTHER_NAMES = {"begin": "it makes the subscription"}  # names without an underscore that only the client uses
 ATTRIBUTES = {
     "skipped",
     "dropped",

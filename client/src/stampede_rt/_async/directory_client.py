@@ -211,7 +211,7 @@ class DirectoryClient:
         return _Pong(ClusterSeen(pong.cluster_id, tuple(pong.former_cluster_ids)), clock if pong.ready else None)
 
     async def call(self, method: str, request: Any, timeout_s: float, *, since_s: float | None = None) -> Any:
-        """Make one call of the directory.
+        """Make one call to the directory.
 
         If a supernode cannot serve, the client asks the next one. If none can, it asks the front-ends for other
         supernodes. Updates are safe to repeat: they carry a request id and their age. The age counts from now, or from

@@ -1,4 +1,4 @@
-"""Consumer push: the library calls a function of the program for each item (paper, section 4.1)."""
+"""Consumer push: the client calls a function of the program for each item (paper, section 4.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Producer pull: in each period the library calls a function of the program for an item (paper, section 4.1)."""
+"""Producer pull: in each period the client calls a function of the program for an item (paper, section 4.1)."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 """Consumption: a channel can keep its items until all consumers have consumed them (paper, section 3.4).
 
 The consumer is the connection. All its handles of a channel share one consumer place. Each `consume` renews the lease
-of the place. Between calls the library renews it in the background, until the connection is closed. If a process dies,
+of the place. Between calls the client renews it in the background, until the connection is closed. If a process dies,
 its places end with their leases.
 """
 

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Consumer push: the library calls a function of the program for each item (paper, section 4.1)."""
+"""Consumer push: the client calls a function of the program for each item (paper, section 4.1)."""
 
 from __future__ import annotations
 

@@ -331,7 +331,7 @@ class Reader(Reference):
     ) -> Listener:
         """Call `fn` for each item, one call after the other, until `cancel` of the returned handle.
 
-        The other arguments are as in `subscribe`. `fn` runs in a thread or task of the library. The handle logs and
+        The other arguments are as in `subscribe`. `fn` runs in a thread or task of the client. The handle logs and
         counts an exception of `fn`, and calls `fn` with the next item. Items wait at the host while `fn` runs;
         `dropped` counts the items that retention collects meanwhile. If the host is lost with its items, the handle
         logs and counts the loss, and continues with the channel's new incarnation. After an outage the handle continues

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Producer pull: in each period the library calls a function of the program for an item (paper, section 4.1)."""
+"""Producer pull: in each period the client calls a function of the program for an item (paper, section 4.1)."""
 
 from __future__ import annotations
 

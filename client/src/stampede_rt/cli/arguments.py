@@ -62,7 +62,7 @@ def _add_local(parser: argparse.ArgumentParser) -> None:
 
 
 def connected(arguments: argparse.Namespace, name: str | None = None) -> Connection:
-    """Connect as the common options say, as the peer `name`. Ctrl-C closes the connection."""
+    """Connect to the cluster that the common options name. `name`: the peer's name. Ctrl-C closes the connection."""
     from stampede_rt import connect  # gRPC takes 0.1 s to load; --help does not need it
 
     rt = connect(arguments.url or os.environ.get("STAMPEDE_URL"), name=name)

@@ -1,4 +1,4 @@
-"""One call of the directory: decides which supernode to ask next, how long to wait, and what failures mean. Pure.
+"""One call to the directory: decides which supernode to ask next, how long to wait, and what failures mean. Pure.
 
 The client and the channel host share this module. Their shells make the calls, wait between two rounds, and ask the
 front-ends.

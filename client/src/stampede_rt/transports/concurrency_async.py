@@ -243,7 +243,7 @@ def process_check(made_at: int, event_loop: EventLoopCheck) -> Callable[[], None
 
 
 class BackgroundTask:
-    """A task of the library. `operation` must handle its errors itself."""
+    """A task of the client. `operation` must handle its errors itself."""
 
     def __init__(self, operation: Callable[[], Awaitable[None]], name: str) -> None:
         self._task = asyncio.ensure_future(operation())

@@ -149,7 +149,7 @@ class Steps:
     def offer(self, step: Callable[..., None], *arguments: Any) -> None:
         """Run the step now, or leave it to the thread that runs a step at present. Waits for nothing.
 
-        Call it only on threads of the library: Ctrl-C could leave the steps locked.
+        Call it only on threads of the client: Ctrl-C could leave the steps locked.
         """
         self._waiting.append(partial(step, *arguments))
         while self._waiting and not self.is_interrupted and self._mutex.acquire(blocking=False):
@@ -211,7 +211,7 @@ def begin_if_blocking(operation: Callable[[], None]) -> None:
 
 
 class BackgroundTask:
-    """A daemon thread of the library. `operation` must handle its errors itself."""
+    """A daemon thread of the client. `operation` must handle its errors itself."""
 
     def __init__(self, operation: Callable[[], None], name: str) -> None:
         self._thread = threading.Thread(target=operation, name=f"stampede {name}", daemon=True)
@@ -288,7 +288,7 @@ os.register_at_fork(after_in_child=_after_fork)
 
 
 def when_dropped(owner: object, operation: Callable[[], object]) -> None:
-    """Run `operation` on a thread of the library when no code references `owner`.
+    """Run `operation` on a thread of the client when no code references `owner`.
 
     `operation` itself must not reference `owner`.
     """

@@ -1,4 +1,4 @@
-"""Many calls at the same time become few calls of the directory."""
+"""Many calls at the same time become few calls to the directory."""
 
 from __future__ import annotations
 

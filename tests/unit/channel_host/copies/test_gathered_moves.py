@@ -1,4 +1,4 @@
-"""The moves that one call of the directory gathers: each has its own outcome, and waits for no other move."""
+"""The moves that one call to the directory states: each has its own outcome, and waits for no other move."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The supernodes that a call of the directory asks: their order, and the time for each."""
+"""The supernodes that the client asks in one call to the directory: their order, and the time for each."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Joins the calls that many callers make at the same time into few calls of the directory."""
+"""Joins the calls that many callers make at the same time into few calls to the directory."""
 
 from __future__ import annotations
 
