@@ -99,7 +99,7 @@ def rig(port: Open, request: pytest.FixtureRequest) -> Opened:
             secret = None if is_secured else SECRET
             server = await stack.enter_async_context(serving(gatekeeper.add_to, secret=secret, tls=own))
             reader = TlsReader(certificates().issue(Role.OPERATOR, "tests")) if is_secured else None
-            known = KnownEndpoints()
+            known = KnownEndpoints(lambda: 0.0)
             again = partial(dial, server.address, secret=secret, tls=reader, transport=transport, known=known)
             made = Rig(await stack.enter_async_context(again()), one, gatekeeper)
             made.known, made.again, made.address = known, again, server.address
