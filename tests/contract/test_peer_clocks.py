@@ -57,7 +57,7 @@ def is_right(clock: st.ClockOffset | None) -> bool:
     return abs(clock.offset_nanos) <= clock.uncertainty_nanos <= MINUTE_NANOS
 
 
-async def test_a_connected_participant_and_its_peers_know_its_clock_offset(
+async def test_a_connected_peer_and_other_peers_know_its_clock_offset(
     connected: Connecting, cluster: LocalCluster
 ) -> None:
     async with connected(cluster.address, name=NAME) as named:

@@ -172,7 +172,7 @@ def test_a_connection_that_was_closed_leaves_no_thread_although_its_handles_are_
     assert len(channels) == 3
 
 
-def test_the_client_closes_the_longest_unused_streams_of_many_kept_handles(
+def test_the_client_closes_the_least_recently_used_streams_of_many_kept_handles(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(put_streams_sync, "STREAMS_MAX", 8)

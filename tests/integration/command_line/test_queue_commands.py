@@ -145,7 +145,7 @@ def test_a_policy_that_differs_from_the_present_policy_of_the_queue_is_refused(s
     assert "max_items 5" in said
 
 
-def test_a_message_is_sent_to_a_participant_and_taken_by_it(stampede: Run, cluster: LocalCluster) -> None:
+def test_a_peer_takes_a_message_that_was_sent_to_it(stampede: Run, cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="cli/robot", zone="lab") as rt:
         assert stampede("mailbox", "send", "cli/robot", "go") == ("cli/robot #1\n", "")
         info, _ = stampede("mailbox", "info", "cli/robot")
@@ -166,13 +166,13 @@ def test_a_message_is_sent_to_a_participant_and_taken_by_it(stampede: Run, clust
         assert "another live peer has the name" in said
 
 
-def test_sending_to_an_absent_participant_fails(stampede: Run) -> None:
+def test_sending_to_an_absent_peer_fails(stampede: Run) -> None:
     for verb in (("send", "cli/nobody", "x"), ("info", "cli/nobody")):
         _, said = stampede("mailbox", *verb, status=1)
         assert said == "stampede: no live peer is named cli/nobody; `stampede peers` lists the live ones\n"
     assert stampede("peers", "nothing/*")[0] == "no peer matches 'nothing/*'\n"
 
 
-def test_a_command_is_a_participant_while_it_runs(stampede: Run) -> None:
+def test_a_command_is_a_peer_while_it_runs(stampede: Run) -> None:
     _, said = stampede("mailbox", "get", "cli/short", "--timeout", "0.1", status=3)
     assert said == "stampede: no message came within 0.1 s\n"

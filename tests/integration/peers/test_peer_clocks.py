@@ -39,7 +39,7 @@ with st.connect(sys.argv[1], name=sys.argv[2]) as rt:
 
 
 class ClockedPeer:
-    """A participant with a wall clock of its own."""
+    """A peer with a wall clock of its own."""
 
     def __init__(self, cluster: LocalCluster, name: str, file: Path, off_nanos: int) -> None:
         self.name, self._file = name, file
@@ -84,7 +84,7 @@ def is_off(clock: st.ClockOffset | None, nanos: int) -> bool:
     return clock is not None and abs(clock.offset_nanos - nanos) <= clock.uncertainty_nanos
 
 
-def test_every_leader_reports_the_clock_offset_of_a_participant(
+def test_every_leader_reports_the_clock_offset_of_a_peer(
     cluster: LocalCluster, robot: Callable[[str, int], ClockedPeer], capsys: pytest.CaptureFixture[str]
 ) -> None:
     late = robot("robot/late", -7200 * SECOND)

@@ -62,7 +62,7 @@ class PathPair(PathPuts):
         """Consume items as a consumer of any id, with a lease of any length."""
         self._consume(consumer_id, seqs, lease, lambda: self.surface.consume(self.channel, consumer_id, seqs, lease))
 
-    def consume_as_participant(self, seqs: Sequence[int]) -> None:
+    def consume_by_client(self, seqs: Sequence[int]) -> None:
         """Consume items by a handle of the client, which keeps a consumer place.
 
         The lease of the place does not end during a test.

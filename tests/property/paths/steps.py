@@ -177,7 +177,7 @@ def consume(rng: RandomSource, pair: PathPair) -> None:
     """Consume as one of four consumers with leases of any length, or by a client, which renews its own lease."""
     seqs = some_seqs(rng, pair)
     if rng.one_in(6):
-        pair.consume_as_participant(seqs)
+        pair.consume_by_client(seqs)
     else:
         pair.consume(rng.pick(CONSUMERS), seqs, rng.pick(LEASES))
 

@@ -148,7 +148,7 @@ async def test_a_server_reads_only_a_few_unfinished_requests_of_a_caller_at_the_
         ]
 
         async def read(number: int) -> list[int]:
-            """The streams that are read, as soon as there are that many."""
+            """The streams that the server reads, once there are `number` of them."""
             async with asyncio.timeout(LIMIT_S):
                 while sum(task.done() for task in sending) < number:
                     await asyncio.wait({task for task in sending if not task.done()}, return_when=FIRST)
@@ -209,7 +209,9 @@ async def test_any_caller_may_check_the_health_but_not_with_large_or_slow_reques
             assert answer.status == health_pb2.HealthCheckResponse.SERVING
 
 
-async def test_a_connection_has_a_limited_number_of_calls_and_a_caller_with_more_of_them_opens_another() -> None:
+async def test_a_connection_has_a_limited_number_of_calls_and_a_caller_with_more_calls_opens_another_connection() -> (
+    None
+):
     async with port(limits=Limits(calls_per_connection_max=8)) as one:
         raw = await RawConnection.open(one.address)
         await raw.greeted.wait()

@@ -113,7 +113,7 @@ class Puts:
             with self._session.put_streams.use(
                 owner, blocks_until_s, binding, lambda: self._open_stream(self._session.endpoints.to(binding.target))
             ) as stream:
-                ack = stream.put(request, timeout_s, stays=shares)
+                ack = stream.put(request, timeout_s, survives_cancel=shares)
             return accepted(ack)
 
         return attempt(self._locator, put_at, seconds + CALL_TIMEOUT_S)

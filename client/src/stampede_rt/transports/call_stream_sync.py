@@ -28,7 +28,7 @@ class StreamEndpoint(Protocol):
     route: SocketRoute
     is_stuck: bool
 
-    def begin_bidi(self, method: BidiMethod, *, in_turn: bool, reads_on: bool) -> Any:
+    def begin_bidi(self, method: BidiMethod, *, in_turn: bool, keeps_reading: bool) -> Any:
         """Begin the call of a stream in both directions. Raises Unavailable when the endpoint is closed."""
 
     def opened(self, stream: CallStream) -> None:
@@ -41,7 +41,7 @@ class CallStream:
     def __init__(self, endpoint: StreamEndpoint, method: BidiMethod, *, in_turn: bool) -> None:
         self._endpoint = ref(endpoint)
         self._target = endpoint.target
-        self._call = endpoint.begin_bidi(method, in_turn=in_turn, reads_on=True)
+        self._call = endpoint.begin_bidi(method, in_turn=in_turn, keeps_reading=True)
         self.broken = False
         self._route, self._late_arrivals = endpoint.route, endpoint.route.late_arrivals
         self._forks = forking.forks()

@@ -283,10 +283,10 @@ class PutExchange(CallStream):
         self._waiting: deque[asyncio.Future[channel_pb.PutAck]] = deque()
         super().__init__(call, target, tasks, route)
 
-    async def put(self, request: bytes, timeout_s: float | None, *, stays: bool = False) -> channel_pb.PutAck:
+    async def put(self, request: bytes, timeout_s: float | None, *, survives_cancel: bool = False) -> channel_pb.PutAck:
         """Send the run in `request`, and return its ack. `timeout_s` and the errors are as in `GetExchange.get`.
 
-        `stays`: the put waits for no room, so the stream continues if the task is cancelled.
+        `survives_cancel`: the put waits for no room, so the stream continues if the task is cancelled.
         """
         if self.broken:
             raise closed(self._target)
@@ -296,7 +296,7 @@ class PutExchange(CallStream):
         try:
             return await within(future, timeout_s, self._target)
         except (asyncio.CancelledError, DeadlineExceeded) as reason:
-            goes_on = stays and isinstance(reason, asyncio.CancelledError) and len(self._waiting) <= CALLS_MAX
+            goes_on = survives_cancel and isinstance(reason, asyncio.CancelledError) and len(self._waiting) <= CALLS_MAX
             self.broken = self.broken or not goes_on
             self._end_if_idle()
             raise

@@ -108,15 +108,15 @@ class ServerEndpoint(Stubs):
             raise closed(self.target) from error
 
     def begin_bidi(
-        self, method: BidiMethod, *, in_turn: bool = False, reads_on: bool = False
+        self, method: BidiMethod, *, in_turn: bool = False, keeps_reading: bool = False
     ) -> GrpcCall | SingleThreadCall | SocketCall:
         """Begin the call of a stream in both directions. Raises Unavailable when this endpoint is closed.
 
-        `in_turn`: see `SocketCall`. `reads_on`: see `SingleThreadCall`.
+        `in_turn`: see `SocketCall`. `keeps_reading`: see `SingleThreadCall`.
         """
         connected = connect(self.route, self._ask_for_sockets)
         if connected is None:
-            return self._begin_over_grpc(method, reads_on=reads_on)
+            return self._begin_over_grpc(method, keeps_reading=keeps_reading)
         opening = opening_of(method.name, self._metadata(), self.route.ticket if connected.is_local else b"")
         call = SocketCall(connected.socket, method, opening, in_turn=in_turn, tls=connected.tls)
         with self._mutex:
@@ -127,9 +127,9 @@ class ServerEndpoint(Stubs):
             raise closed(self.target)
         return call
 
-    def _begin_over_grpc(self, method: BidiMethod, *, reads_on: bool) -> GrpcCall | SingleThreadCall:
+    def _begin_over_grpc(self, method: BidiMethod, *, keeps_reading: bool) -> GrpcCall | SingleThreadCall:
         try:
-            call = single_thread_call.begin(self._channel, method, self._metadata()) if reads_on else None
+            call = single_thread_call.begin(self._channel, method, self._metadata()) if keeps_reading else None
         except ValueError as error:
             raise closed(self.target) from error
         return call or GrpcCall(partial(self.begin, method))
@@ -162,7 +162,7 @@ class ServerEndpoint(Stubs):
 
     def open_read_bidi(self, method: BidiMethod) -> BidiStream[Any]:
         """Open a stream in both directions, for a caller that reads after it has sent."""
-        return BidiStream(self.begin_bidi(method, reads_on=True), self.target, self._watchdog)
+        return BidiStream(self.begin_bidi(method, keeps_reading=True), self.target, self._watchdog)
 
     def gets(self) -> GetExchange:
         """Return this thread's open stream for gets."""
@@ -248,10 +248,10 @@ class PutExchange(LockstepStream):
     one_at_a_time = True
     """Whether a stream has at most one put under way."""
 
-    def put(self, request: bytes, timeout_s: float | None, *, stays: bool = False) -> channel_pb.PutAck:
+    def put(self, request: bytes, timeout_s: float | None, *, survives_cancel: bool = False) -> channel_pb.PutAck:
         """Send the run in `request`, and return its ack. `timeout_s` and the errors are as in `GetExchange.get`.
 
-        `stays` is for the stream on asyncio. An interrupt ends this stream in any case, because the next answer would
+        `survives_cancel` is for the stream on asyncio. An interrupt ends this stream in any case, because the next answer would
         belong to the interrupted put.
         """
         with self._limit(timeout_s) as limit:

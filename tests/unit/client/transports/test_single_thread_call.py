@@ -78,7 +78,7 @@ def endpoint(
 
 
 def begun(endpoint: ServerEndpoint, method: BidiMethod) -> Any:
-    return endpoint.begin_bidi(method, reads_on=True)
+    return endpoint.begin_bidi(method, keeps_reading=True)
 
 
 def in_thread(work: Callable[[], Any]) -> threading.Thread:

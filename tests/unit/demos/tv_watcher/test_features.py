@@ -64,7 +64,7 @@ def test_a_full_scale_square_wave_has_0_dbfs():
     assert measured.peak_dbfs == pytest.approx(0)
 
 
-def test_a_sine_lies_3_db_below_its_peak_and_half_the_amplitude_6_db_lower():
+def test_a_sine_lies_3_db_below_its_peak_and_a_sine_of_half_the_amplitude_6_db_lower():
     phase = np.linspace(0, 20 * math.pi, 48_000, endpoint=False)
     full = loudness((np.sin(phase) * 32767).astype(np.int16))
     half = loudness((np.sin(phase) * 16383.5).astype(np.int16))

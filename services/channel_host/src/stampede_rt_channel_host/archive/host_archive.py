@@ -30,7 +30,7 @@ READERS, READERS_OF_STORE = 2, 8  # threads; the readers of an object store most
 WRITE_AFTER_SECONDS = 0.2  # how long the archive gathers small writes
 RETRY_SECONDS = 1.0
 CLOSE_SECONDS_MAX = 5.0  # the limit for the last work of a host that stops, unless its process ends it earlier
-_REST_SECONDS = 0.0002  # a reader gives the other threads their turn after each block
+_PAUSE_SECONDS = 0.0002  # a reader gives the other threads their turn after each block
 
 
 class HostArchive:
@@ -295,7 +295,7 @@ class HostArchive:
         if found is not None:
             return found
         loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self._readers, files.load, segments, wanted, self._decode, _rest, past)
+        return await loop.run_in_executor(self._readers, files.load, segments, wanted, self._decode, _pause, past)
 
     async def past(self, files: SegmentFiles, segments: tuple[Segment, ...], as_of: int) -> PastArchive:
         """The segments as they were at an earlier instant. Looks at them in a thread. Raises OSError as `load`."""
@@ -307,7 +307,7 @@ class HostArchive:
     ) -> ArchivedPart:
         """Load items in the order of their seqs, in a thread. Raises OSError as `load`."""
         loop = asyncio.get_running_loop()
-        arguments = (segments, missing, bytes_max, self._decode, _rest)
+        arguments = (segments, missing, bytes_max, self._decode, _pause)
         return await loop.run_in_executor(self._readers, files.load_part, *arguments)
 
     async def finish(
@@ -348,5 +348,5 @@ class HostArchive:
             await asyncio.wait([self._task])
 
 
-def _rest() -> None:
-    time.sleep(_REST_SECONDS)
+def _pause() -> None:
+    time.sleep(_PAUSE_SECONDS)
