@@ -58,7 +58,7 @@ class PathAndOracle:
 
     @property
     def channel(self) -> Any:
-        """The handle that was not used for the longest time."""
+        """The least recently used handle."""
         return next(self._turns)
 
     def reader(self) -> OracleReader:

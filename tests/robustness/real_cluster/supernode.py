@@ -1,4 +1,4 @@
-"""One supernode under test. A test can fill its disk, and call it as any participant."""
+"""One supernode under test. A test can fill its disk, and call it in any role and under any name."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class Supernode(PlacedProcess):
         return await super().start()
 
     def channel(self, role: Role = Role.CLIENT, name: str = "caller") -> grpc.aio.Channel:
-        """The connection of that participant, which this object keeps."""
+        """The connection of the caller with this role and name. This object keeps the connection."""
         if (role, name) not in self._channels:
             files = self._callers(role, name)
             reader = None if files is None else TlsReader(files)
@@ -90,7 +90,7 @@ class Supernode(PlacedProcess):
         return self._channels[role, name]
 
     def stub_for(self, role: Role, name: str) -> Any:
-        """The stub of the directory's service for that participant."""
+        """The stub of the directory's service for the caller with this role and name."""
         if (role, name) not in self._stubs:
             self._stubs[role, name] = directory_service_pb2_grpc.DirectoryServiceStub(self.channel(role, name))
         return self._stubs[role, name]

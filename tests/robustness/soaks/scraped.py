@@ -1,7 +1,7 @@
 """A soak of the metrics: `python -m tests.robustness.soaks.scraped --minutes 10` (also `make soak-metrics`).
 
 A Prometheus scrapes a real cluster each second, while programs put and read, and each part in turn is killed with
-SIGKILL and started again. Afterwards nothing may be missing: every part is scraped again within seconds of its start,
+SIGKILL and started again. The soak fails unless every part is scraped again within seconds of its start, the
 scrapes of running parts are short, and no process has grown. Needs Debian's prometheus.
 """
 

@@ -155,7 +155,7 @@ class FollowedChannel:
 class FollowedChannels:
     """The channels that pages show, by name.
 
-    Above TRACKS_MAX, forgets the channel that no page has shown for the longest time.
+    Above TRACKS_MAX, forgets the least recently shown channel.
     """
 
     def __init__(self) -> None:

@@ -15,8 +15,7 @@ ENDPOINTS_MAX = 1024
 
 
 class EndpointPool:
-    """Opens an endpoint at its first use and keeps it. Beyond ENDPOINTS_MAX it drops the endpoint that was not used for
-    the longest time.
+    """Opens an endpoint at its first use, and keeps it. Beyond ENDPOINTS_MAX it drops the least recently used one.
 
     When the certificates change, the pool opens new endpoints, which use the new certificates. A stream under way keeps
     the certificates with which it began.

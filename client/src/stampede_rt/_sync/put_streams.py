@@ -51,8 +51,7 @@ class PutStream:
 
 
 class PutStreams:
-    """Keeps one open stream for each host and thread. Beyond 512 streams it closes the idle stream that was not used
-    for the longest time.
+    """Keeps one open stream for each host and thread. Beyond 512 streams it closes the least recently used idle stream.
 
     A put that waits for room blocks later puts on its stream. A handle whose puts may wait therefore has streams of its
     own. A put with an earlier deadline uses another of these streams, so that it does not wait beyond its deadline.
@@ -61,7 +60,7 @@ class PutStreams:
     """
 
     def __init__(self) -> None:
-        self._streams: dict[StreamKey, PutStream] = {}  # the stream that was unused longest is first
+        self._streams: dict[StreamKey, PutStream] = {}  # the least recently used stream is first
         self._mutex = Mutex()
 
     def handle(self, owner: object) -> int:

@@ -47,7 +47,7 @@ class CallStream:
         self._forks = forking.forks()
         endpoint.opened(self)
         # Only the thread that opened this stream may use it. When that thread ends, Python drops this object, and the
-        # library closes the stream.
+        # client closes the stream.
         when_dropped(self, self._call.cancel)
 
     @property

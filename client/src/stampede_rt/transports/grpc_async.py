@@ -286,7 +286,7 @@ class PutExchange(CallStream):
     async def put(self, request: bytes, timeout_s: float | None, *, survives_cancel: bool = False) -> channel_pb.PutAck:
         """Send the run in `request`, and return its ack. `timeout_s` and the errors are as in `GetExchange.get`.
 
-        `survives_cancel`: the put waits for no room, so the stream continues if the task is cancelled.
+        `survives_cancel`: the stream continues if the task is cancelled, because the put waits for no room.
         """
         if self.broken:
             raise closed(self._target)

@@ -112,7 +112,7 @@ class ServerEndpoint(Stubs):
     ) -> GrpcCall | SingleThreadCall | SocketCall:
         """Begin the call of a stream in both directions. Raises Unavailable when this endpoint is closed.
 
-        `in_turn`: see `SocketCall`. `keeps_reading`: see `SingleThreadCall`.
+        `in_turn`: see `SocketCall`. `keeps_reading`: whether the caller continues to read, see `SingleThreadCall`.
         """
         connected = connect(self.route, self._ask_for_sockets)
         if connected is None:
@@ -251,8 +251,8 @@ class PutExchange(LockstepStream):
     def put(self, request: bytes, timeout_s: float | None, *, survives_cancel: bool = False) -> channel_pb.PutAck:
         """Send the run in `request`, and return its ack. `timeout_s` and the errors are as in `GetExchange.get`.
 
-        `survives_cancel` is for the stream on asyncio. An interrupt ends this stream in any case, because the next answer would
-        belong to the interrupted put.
+        Only the stream on asyncio uses `survives_cancel`. An interrupt always ends this stream, because the
+        next answer would belong to the interrupted put.
         """
         with self._limit(timeout_s) as limit:
             self._call.send(request)

@@ -30,9 +30,7 @@ class PortBlocks:
         self._ports: list[int] = []  # the ports of the blocks, in the order in which they were last taken
 
     def ports(self) -> Iterator[int]:
-        """The ports of this process, the longest unused first, and then the ports of further blocks, which it
-        claims.
-        """
+        """The ports of this process, least recently used first, then the ports of further blocks, which it claims."""
         if self._file is None or self._pid != os.getpid():
             self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
             self._pid, self._ports = os.getpid(), []

@@ -31,7 +31,7 @@ SERVICES = frozenset({Role.SUPERNODE, Role.FRONTEND, Role.HOST})
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """One participant of one cluster."""
+    """One service or client of one cluster."""
 
     cluster: str
     role: Role

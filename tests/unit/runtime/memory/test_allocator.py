@@ -10,7 +10,7 @@ import pytest
 
 PROGRAM = """
 import contextlib, os, resource, sys, time
-import grpc  # as in every service; it loads the library that the end of a thread needs
+import grpc  # as in every service; grpc loads libgcc_s, which the end of a thread needs
 from stampede_rt_runtime.memory import allocator
 
 statm = os.open("/proc/self/statm", os.O_RDONLY)
@@ -26,8 +26,8 @@ if "without descriptors" in sys.argv:
         while True:
             os.dup(0)
 before = resident()
-blocks = [bytearray(9000) for _ in range(40_000)]  # smaller than what has a mapping of its own
-held = blocks[::1000]  # some stay, spread over all of it
+blocks = [bytearray(9000) for _ in range(40_000)]  # smaller than blocks with a mapping of their own
+held = blocks[::1000]  # some blocks stay, spread over the memory of all blocks
 print(resident() - before > 300 * 2**20)
 del blocks
 while resident() - before > 100 * 2**20:

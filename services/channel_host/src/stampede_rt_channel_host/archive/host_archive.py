@@ -29,7 +29,7 @@ logger = logging.getLogger(__name__)
 READERS, READERS_OF_STORE = 2, 8  # threads; the readers of an object store mostly wait for the network
 WRITE_AFTER_SECONDS = 0.2  # how long the archive gathers small writes
 RETRY_SECONDS = 1.0
-CLOSE_SECONDS_MAX = 5.0  # the limit for the last work of a host that stops, unless its process ends it earlier
+CLOSE_SECONDS_MAX = 5.0  # the limit for the last work of a host that stops; its process may end the work earlier
 _PAUSE_SECONDS = 0.0002  # a reader gives the other threads their turn after each block
 
 
@@ -38,7 +38,7 @@ class HostArchive:
 
     After new items have come, the archive waits WRITE_AFTER_SECONDS for more, unless a channel has enough for a write.
     Then it writes the items of all channels, one channel after the other. For items that come meanwhile, it waits
-    again. `decode` makes a run of its stored body. `join` joins neighbouring runs for readers. `on_written` is called
+    again. `decode` makes a run from a stored body. `join` joins neighbouring runs for readers. `on_written` is called
     after each write of a channel that succeeds. `disk` counts the bytes of the files. `now` is the host's clock.
     """
 
@@ -313,8 +313,9 @@ class HostArchive:
     async def finish(
         self, recorders: Sequence[ChannelRecorder], boot_incarnation: int = 0, seconds_max: float = CLOSE_SECONDS_MAX
     ) -> None:
-        """Write the remaining items, and move the files to the object store. If a channel's folder has all items, notes
-        this there. See `ArchiveEnd.finish`.
+        """Write the remaining items, and move the files to the object store.
+
+        A folder with all items of its channel gets a note of this. See `ArchiveEnd.finish`.
         """
         self._is_closing = True
         if self._making_room is not None:

@@ -41,9 +41,7 @@ class KeptBlocks:
             return found
 
     def keep(self, files: object, number: int, found: FoundBlocks) -> None:
-        """Keep these blocks of a segment in place of its former blocks. Drops the segments that were used the longest
-        time ago.
-        """
+        """Keep these blocks of a segment in place of its former blocks. Drops the least recently used segments."""
         with self._lock:
             before = self._kept.pop((files, number), None)
             self._kept[files, number] = found

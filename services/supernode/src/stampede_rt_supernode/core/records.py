@@ -1,6 +1,6 @@
 """The records of the directory (hosts, channels, groups, copies, queues and peers), and the changes of these records.
 
-Pure, immutable values. The paper describes them in its sections 3.3 (groups), 3.5 (queues, participants), 4.1 (proxies)
+Pure, immutable values. The paper describes them in its sections 3.3 (groups), 3.5 (queues, peers), 4.1 (proxies)
 and 4.3 (hosts, channels). Ids are 16 opaque bytes.
 """
 
@@ -233,7 +233,7 @@ class QueueRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerRecord:
-    """A participant (paper, sections 3.5 and 4.2).
+    """A peer (paper, sections 3.5 and 4.2).
 
     A peer may have a name, which is unique among live peers; it then has a mailbox while it is alive. `host_id`: if the
     peer is a host, its id as a host; otherwise None. `owner`: the name by which rules of access know the caller that

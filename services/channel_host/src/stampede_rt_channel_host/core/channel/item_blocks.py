@@ -17,8 +17,8 @@ from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
 BLOCK_ITEMS = 1024
-"""The usual number of items in a block. To count any number of the oldest items, the channel walks over hardly more
-items than one block has.
+"""The usual number of items in a block. To count some of the oldest items, the channel walks over little
+more than the items of one block.
 """
 
 
@@ -115,7 +115,7 @@ class ItemBlocks:
         return self._whole(self._block(key))
 
     def whole_within(self, *, items: int | None = None, charged_bytes: int | None = None) -> WholeBlocks:
-        """As many first blocks as have at most `items` items, or at most `charged_bytes` charged bytes, together.
+        """The first blocks that together have at most `items` items, or at most `charged_bytes` charged bytes.
 
         One step for each block.
         """
