@@ -25,7 +25,15 @@ from stampede_rt_channel_host.core.archive import (
     resolved,
     span_of,
 )
-from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Offer, Query, ReadAnswer, run_to_end
+from stampede_rt_channel_host.core.channel import (
+    FIRST_KEY,
+    ITEM_OVERHEAD_BYTES,
+    ChannelCore,
+    Offer,
+    Query,
+    ReadAnswer,
+    run_to_end,
+)
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 from stampede_rt_channel_host.core.ring_writer import ClockReading, RingWriter, ring_size
 from tests.unit.channel_host.archive.test_archive_files import NO_LIMITS, decode, opened, run_at, write
@@ -37,11 +45,11 @@ LAST = 12  # the seq and the time of the last item
 class RestartedChannel:
     """A channel of a host that has started with this folder."""
 
-    def __init__(self, folder: Path, restored_bytes: int = 2**20) -> None:
+    def __init__(self, folder: Path, restored_bytes: int = 2**20, policy: Policy | None = None) -> None:
         self.files = SegmentFiles(folder, {})
         self.found = self.files.open(2, 7)
         self.segments: tuple[Segment, ...] = self.found.segments
-        self.channel = ChannelCore(Policy(max_items=100), incarnation=7)
+        self.channel = ChannelCore(policy or Policy(max_items=100), incarnation=7)
         wanted = WantedItems(FIRST_KEY[0], LAST_KEY, 0, restored_bytes, down=True)
         newest = self.files.load(self.segments, WantedWindow(wanted, FIRST_KEY, LAST_KEY), decode, lambda: None)
         restore_channel(self.channel, self.found, newest, lambda body, lo, hi: body)
@@ -167,3 +175,13 @@ def test_a_ring_asks_the_host_for_the_newest_item_if_only_the_archive_has_items(
     found = view.facts()
     assert found is not None
     assert find_newest(view, found) is True
+
+
+@pytest.mark.parametrize("policy", [Policy(max_items=5), Policy(max_bytes=5 * (7 + ITEM_OVERHEAD_BYTES))])
+def test_a_restarted_channel_keeps_only_as_many_items_in_memory_as_its_limits_allow(path: Path, policy: Policy) -> None:
+    restarted = RestartedChannel(path.parent, policy=policy)
+    counters = restarted.channel.counters(CLOCK)
+    assert (counters.held, counters.accepted, sum(counters.collected.values())) == (5, LAST, LAST - 5)
+    assert seqs(restarted.channel.read(Query(interval=Interval(OLDEST, NOW)), CLOCK)) == {*range(8, LAST + 1)}
+    assert seqs(restarted.read(1, LAST)) == {*range(1, LAST + 1)}
+    assert restarted.read(1, LAST).reason is None

@@ -192,13 +192,14 @@ class BaseChannel:
         self, runs: Iterable[Run], *, after: int | None, next_seq: int,
         loss: tuple[int | None, int | None], advance: int | None = None,
     ) -> None:  # fmt: skip
-        """Take the newest items of an archive into an empty channel.
+        """Take the newest items of an archive into an empty channel, as many as the limits allow.
 
         `runs` have all items later than `after`, in the order of their seqs.
         `next_seq`: the seq of the next accepted item. `loss`: from which instant on, and before which, items may be
         lost, see `QueryReader`; None: without a bound, or no item was lost. `advance`: the latest one.
         """
         restore(self._held, runs, after=after, next_seq=next_seq)
+        self._retention.drop_excess(self._held.newest or 0)
         self._reading.lost_from, self.lost_before = loss
         self._reading.note_loss(self.lost_before)
         self._acceptance.advance = self._reading.advance = advance
