@@ -10,17 +10,18 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.values.model import Policy, Reason
-from stampede_rt.values.timeline import OLDEST, Bound, Interval, Match
+from stampede_rt.values.timeline import Bound, Interval, Match
+from stampede_rt_channel_host.archive.disk_use import DiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import SegmentFiles
 from stampede_rt_channel_host.channels.archive_status import archive_status
+from stampede_rt_channel_host.channels.opened_archives import OpenedChannelArchive
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.recording import Recording
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, Offer, Query, run_to_end
 from tests.support.waiting import until
 from tests.unit.channel_host.archive.test_host_archive_writes import SlowDisk, archive_in, refuse
-from tests.unit.channel_host.channels.test_recording import started
 
 CLOCK = 1000
 HELD = 4  # the items that memory holds
@@ -36,8 +37,7 @@ class RecordedChannel:
     def put(self, runs: int = 1) -> None:
         for _ in range(runs):
             at = self.channel.next_seq
-            offer = Offer(times=[at, at + 1], durations=None, lengths=[7, 7])
-            self.channel.put(offer, at, lambda first_seq, kept, stamped: b"%d " % first_seq)
+            put(self.channel, at)
             self.recording.accepted(at)
 
     async def write(self) -> None:
@@ -45,12 +45,17 @@ class RecordedChannel:
         end_seq = self.channel.next_seq
         assert await self.recording.recorder.stored(end_seq - 1, end_seq, 60) == ""
 
-    async def read(self, *, newest_first: bool = False) -> tuple[list[int], Reason | None]:
-        """The seqs of all items, and the reason of the answer."""
-        interval = Interval(OLDEST, Bound(None, CLOCK))
+    async def read(
+        self, *, start: int = 1, end: int = CLOCK, newest_first: bool = False
+    ) -> tuple[list[int], Reason | None]:
+        """The seqs of the items, and the reason: from memory if that is enough, as the host decides it."""
+        interval = Interval(Bound(None, start), Bound(None, end))
         query = Query(interval=interval, match=Match.START, newest_first=newest_first)
-        read = await self.recording.read(query, None, PieceScheduler(), lambda: CLOCK)
-        answer = read.answer()
+        if self.recording.reaches(query, CLOCK):
+            read = await self.recording.read(query, None, PieceScheduler(), lambda: CLOCK)
+            answer = read.answer()
+        else:
+            answer = self.channel.read(query, CLOCK)
         return sorted(part.first_seq + at for part in answer.slices for at in range(part.items)), answer.reason
 
     def counts(self) -> tuple[int, int]:
@@ -59,13 +64,25 @@ class RecordedChannel:
         return status.waiting, status.unarchived
 
 
+def put(channel: ChannelCore, at: int) -> None:
+    offer = Offer(times=[at, at + 1], durations=None, lengths=[7, 7])
+    channel.put(offer, at, lambda first_seq, kept, stamped: b"%d " % first_seq)
+
+
 @asynccontextmanager
-async def recorded_channel(folder: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[RecordedChannel]:
+async def recorded_channel(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, earlier: int = 0
+) -> AsyncIterator[RecordedChannel]:
+    """`earlier`: how many puts the channel takes before its recording begins."""
     monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.RETRY_SECONDS", 0.01)
     monkeypatch.setattr("stampede_rt_channel_host.archive.recorder.SETTLE_SECONDS_MAX", 60)
     archive = archive_in(folder / "a", monkeypatch)
-    recording, channel = await started(archive, folder / "c", 1, None)
-    channel.configure(Policy(max_bytes=HELD * (7 + ITEM_OVERHEAD_BYTES)), CLOCK)
+    files = SegmentFiles(folder / "c", {})
+    channel = ChannelCore(Policy(max_bytes=HELD * (7 + ITEM_OVERHEAD_BYTES)), incarnation=7)
+    for at in range(1, 2 * earlier, 2):
+        put(channel, at)
+    opened = OpenedChannelArchive(files, files.open(1, 7), None, DiskUse().of_channel(b"", ""))
+    recording = Recording(archive, opened, channel, lambda body, lo, hi: body, lambda: None)
     yield RecordedChannel(archive, recording, channel)
     await archive.close([recording.recorder])
 
@@ -92,20 +109,56 @@ async def test_while_the_disk_fails_reads_name_the_items_that_memory_has_lost(
         assert one.counts() == (0, 6)
 
 
-async def test_a_read_waits_for_the_write_of_items_that_have_left_memory(
+async def test_a_read_names_the_items_that_memory_has_lost_before_the_first_write(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with recorded_channel(tmp_path, monkeypatch) as one:
-        one.put()
-        await one.write()
+        with monkeypatch.context() as fault:
+            fault.setattr(one.recording.recorder.files, "write", refuse)
+            one.put(5)
+            await until(lambda: bool(one.recording.recorder.failure))
+            for newest_first in (False, True):
+                found, reason = await one.read(newest_first=newest_first)
+                assert (found, reason) == ([7, 8, 9, 10], "LOST")
+                assert reason is not None
+                assert "lacks 6 items" in reason.detail
+            assert await one.read(start=8) == ([8, 9, 10], None)
+        await until(lambda: not one.recording.recorder.backlog_items)
+        found, reason = await one.read()
+        assert (found, reason) == ([7, 8, 9, 10], "LOST")
+
+
+async def test_before_the_first_write_items_that_left_memory_before_the_recording_began_are_collected(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with recorded_channel(tmp_path, monkeypatch, earlier=3) as one:  # memory holds the seqs 3 to 6
+        monkeypatch.setattr(one.recording.recorder.files, "write", refuse)
+        one.put(4)  # the seqs 7 to 14
+        await until(lambda: bool(one.recording.recorder.failure))
+        found, reason = await one.read(end=6)
+        assert (found, reason) == ([], "COLLECTED")
+        found, reason = await one.read()
+        assert (found, reason) == ([11, 12, 13, 14], "LOST")
+        assert reason is not None
+        assert "lacks 4 items" in reason.detail
+
+
+@pytest.mark.parametrize("has_segments", [False, True])
+async def test_a_read_waits_for_the_write_of_items_that_have_left_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_segments: bool
+) -> None:
+    async with recorded_channel(tmp_path, monkeypatch) as one:
+        if has_segments:
+            one.put()
+            await one.write()
         disk = SlowDisk(monkeypatch)
-        one.put(2)
-        assert await asyncio.to_thread(disk.reached.wait, 60)  # the write has the seqs 3 to 6
+        one.put(2)  # memory holds no more, so the write has all of them
+        assert await asyncio.to_thread(disk.reached.wait, 60)
         one.put(2)
         reading = asyncio.create_task(one.read())
         await asyncio.sleep(0)
         disk.go_on.set()
-        assert await reading == ([*range(1, 11)], None)
+        assert await reading == ([*range(1, one.channel.next_seq)], None)
 
 
 async def test_a_subscription_waits_for_the_write_of_items_that_have_left_memory(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from functools import partial
 from typing import Any
 
@@ -26,12 +26,16 @@ from stampede_rt_channel_host.channels.unknown_past import UnknownPast
 from stampede_rt_channel_host.core.archive import (
     ArchivedPart,
     ArchivedRead,
-    Segment,
+    ArchiveSpan,
+    ArchiveWindow,
+    Hole,
+    WantedWindow,
     deliver,
     next_time_of,
     reaches,
     resolved,
     resolved_now,
+    span_of,
 )
 from stampede_rt_channel_host.core.channel import (
     FIRST_KEY,
@@ -42,6 +46,7 @@ from stampede_rt_channel_host.core.channel import (
     Slice,
     SubscriptionBatch,
 )
+from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.group import Horizon, RecordedView, reaches_archive
 
 ENTRIES_PER_LOOK = 1024
@@ -130,11 +135,22 @@ class Recording:
         """Whether a read may need items that only the archive has."""
         if self._unknown is not None and self._unknown.hides(self.recorder, query, now):
             return True
-        if not self.recorder.segments:
+        if not self._may_read:
             return False
         held, _ = self._channel.look(now)
-        within = resolved_now(held, self.recorder.span, query, now)
+        within = resolved_now(held, self._span, query, now)
         return within is not None and reaches(held, within.start)
+
+    @property
+    def _may_read(self) -> bool:
+        """Whether the archive has items, or will have or lacks items that memory has lost."""
+        return bool(self.recorder.segments or self.recorder.lost_items)
+
+    @property
+    def _span(self) -> ArchiveSpan:
+        """The times of the archived items. Before the first write the archive begins with the next seq to write."""
+        recorder = self.recorder
+        return recorder.span if recorder.segments else span_of((), recorder.archived_to)
 
     @property
     def is_past_known(self) -> bool:
@@ -172,7 +188,7 @@ class Recording:
         held, _ = self._channel.look(now)
         if self._unknown is not None and self._unknown.hides(self.recorder, query, now, horizon):
             return True
-        return bool(self.recorder.segments) and reaches_archive(held, self.recorder.span, query, horizon, now)
+        return self._may_read and reaches_archive(held, self._span, query, horizon, now)
 
     async def read_in_group(
         self, query: Query, horizon: Horizon, within: ResolvedInterval | None, scheduler: PieceScheduler,
@@ -270,12 +286,12 @@ class Recording:
     async def _read(
         self, query: Query, within: ResolvedInterval | None, scheduler: PieceScheduler, now: int
     ) -> ArchivedRead:
-        snapshot, segments = self._channel.snapshot(now), self.recorder.readable_segments
+        snapshot, windows = self._channel.snapshot(now), self._windows()
         try:
-            span = self.recorder.span
+            span = self._span
             within = within or resolved(snapshot, span, query)
-            assert within is not None, "there is at least one archived item"
-            return await self._perform(ArchivedRead(snapshot, span, query, within), segments, scheduler)
+            assert within is not None, "there is at least one item"
+            return await self._perform(ArchivedRead(snapshot, span, query, within), windows, scheduler)
         finally:
             snapshot.close()
 
@@ -283,20 +299,34 @@ class Recording:
         self, query: Query, horizon: Horizon, within: ResolvedInterval | None, scheduler: PieceScheduler, now: int,
         *, waits: bool,
     ) -> RecordedView:  # fmt: skip
-        snapshot, segments = self._channel.snapshot(now), self.recorder.readable_segments
+        snapshot, windows = self._channel.snapshot(now), self._windows()
         try:
-            view = RecordedView(snapshot, self.recorder.span, query, horizon)
+            view = RecordedView(snapshot, self._span, query, horizon)
             for read in view.reads(within, waits=waits):
-                await self._perform(read, segments, scheduler)
+                await self._perform(read, windows, scheduler)
             return view
         finally:
             snapshot.close()
 
     async def _perform(
-        self, read: ArchivedRead, segments: tuple[Segment, ...], scheduler: PieceScheduler
+        self, read: ArchivedRead, load: Callable[[WantedWindow], Awaitable[ArchiveWindow]], scheduler: PieceScheduler
     ) -> ArchivedRead:
         await scheduler.do(read.begin())
         while (wanted := read.next_window()) is not None:
-            window = await self._archive.load(self.recorder.files, segments, wanted)
+            window = await load(wanted)
             await scheduler.do(read.take(window))
         return read
+
+    def _windows(self) -> Callable[[WantedWindow], Awaitable[ArchiveWindow]]:
+        """A function that loads windows of the archive as it is now."""
+        recorder = self.recorder
+        if recorder.segments:
+            return partial(self._archive.load, recorder.files, recorder.readable_segments)
+        times = self._channel.backlog.lost_times
+        lacks = [] if times is None else [Hole(*times, recorder.lost_items)]
+        return partial(_nothing_but, ArchiveWindow(ChannelIndex(), None, None, None, lacks))
+
+
+async def _nothing_but(window: ArchiveWindow, _: WantedWindow) -> ArchiveWindow:
+    """The only window of an archive that has nothing yet."""
+    return window

@@ -40,11 +40,11 @@ class ArchiveSpan:
         return self.is_cut or (self.begins_anew and not tells_loss)
 
 
-def span_of(segments: Sequence[Segment]) -> ArchiveSpan:
-    """The times between which the segments have items."""
+def span_of(segments: Sequence[Segment], begin: int = 1) -> ArchiveSpan:
+    """The times between which the segments have items. `begin`: the first seq of an archive without segments."""
     lows = [one.low[0] for one in segments if one.low is not None]
     highs = [one.high[0] for one in segments if one.high is not None]
-    first_seq = segments[0].first_seq if segments else 1
+    first_seq = segments[0].first_seq if segments else begin
     is_cut = given_between(1, first_seq) > 0
     begins_anew = first_seq > 1 and not is_cut
     return ArchiveSpan(min(lows, default=None), max(highs, default=None), is_cut=is_cut, begins_anew=begins_anew)
@@ -77,7 +77,8 @@ class RecordedItems:
         self.overlap_nanos = held.overlap_nanos
         self.oldest = earliest(held.oldest, span.oldest)
         self.newest = latest(held.newest, span.newest)
-        self.frontier = span.oldest if has_dropped else None
+        kept_from = held.frontier if span.oldest is None else span.oldest
+        self.frontier = kept_from if has_dropped else None
         self.gone_before = None if self.frontier is None else self.frontier + self.overlap_nanos
 
     @property

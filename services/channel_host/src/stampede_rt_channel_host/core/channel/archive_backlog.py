@@ -12,16 +12,18 @@ class ArchiveBacklog:
 
     `lost` counts the items that memory lost before a write had taken them. The archive will not have them, except the
     items of a run of which memory still has a part: a write takes whole runs. `at_risk` counts the items that memory
-    has lost, and that the present write has taken.
+    has lost, and that the present write has taken. `lost_times` are the least and the greatest time of all these items
+    since the last write that succeeded.
     """
 
-    __slots__ = ("_held", "_low", "_seen_to", "_taken_to", "archived_to", "at_risk", "lost")
+    __slots__ = ("_held", "_low", "_seen_to", "_taken_to", "archived_to", "at_risk", "lost", "lost_times")
 
     def __init__(self, held: Holdings, archived_to: int) -> None:
         self._held = held
         self.archived_to = self._seen_to = self._taken_to = archived_to
         self._low: ItemKey | None = None
         self.lost = self.at_risk = 0
+        self.lost_times: tuple[int, int] | None = None
 
     def archived(self, end_seq: int, named: int) -> None:
         """Note that all items below `end_seq` are archived, or lost to the archive. The archive names `named` of the
@@ -29,7 +31,7 @@ class ArchiveBacklog:
         """
         self.archived_to = self._seen_to = self._taken_to = end_seq
         self._low = None
-        self.at_risk = 0
+        self.at_risk, self.lost_times = 0, None
         self.lost = max(0, self.lost - named) if end_seq < self._held.next_seq else 0
 
     def taken(self, end_seq: int, again: int) -> None:
@@ -49,9 +51,14 @@ class ArchiveBacklog:
         if low is None or oldest.last is None or (end := (oldest.last.last_time, oldest.last.end_seq)) <= low:
             return
         for part in self._held.slices(low, end):
+            unarchived = max(0, part.end_seq - max(part.first_seq, self.archived_to))
+            if not unarchived:
+                continue
             untaken = max(0, part.end_seq - max(part.first_seq, self._taken_to))
             self.lost += untaken
-            self.at_risk += max(0, part.end_seq - max(part.first_seq, self.archived_to)) - untaken
+            self.at_risk += unarchived - untaken
+            first, last = self.lost_times or (part.first_time, part.last_time)
+            self.lost_times = min(first, part.first_time), max(last, part.last_time)
 
     @property
     def low(self) -> ItemKey | None:
