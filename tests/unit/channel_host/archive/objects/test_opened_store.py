@@ -104,6 +104,63 @@ async def test_the_error_for_wrong_credentials_is_clear_and_does_not_show_the_se
     assert "<" not in str(caught.value), "the error has the code and the message of the store, and no XML"
 
 
+LONG_NAME = f"channels/{'0' * 32}/{'9' * 150}.segment"
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "bucket", "why"),
+    [
+        ("AWS_SECRET_ACCESS_KEY", "wrong", BUCKET, "SignatureDoesNotMatch"),
+        ("AWS_ACCESS_KEY_ID", "nobody", BUCKET, "No user exists"),
+        ("AWS_REGION", "us-east-1", "missing", "NoSuchBucket"),
+    ],
+)
+@pytest.mark.asyncio
+async def test_a_store_that_refuses_the_caller_or_has_no_such_bucket_says_why_and_not_that_objects_are_missing(
+    server: S3Server, monkeypatch: pytest.MonkeyPatch, variable: str, value: str, bucket: str, why: str
+) -> None:
+    right = opened(server, monkeypatch, "refusing")
+    await right.create(LONG_NAME, b"x")
+    monkeypatch.setenv(variable, value)
+    store = OpenedStore(f"s3://{bucket}/refusing")
+    with pytest.raises(StoreError, match=why) as caught:
+        await store.create(LONG_NAME, b"y")
+    assert caught.value.is_refusal
+    with pytest.raises(StoreError, match=why) as caught:
+        store.read(LONG_NAME, 0, 1)
+    assert caught.value.is_refusal
+    with pytest.raises(StoreError, match=why):
+        store.delete([LONG_NAME])
+    with pytest.raises(StoreError, match=why):
+        [*store.find("channels/")]
+    assert right.read(LONG_NAME, 0, 1) == b"x"
+
+
+@pytest.mark.asyncio
+async def test_a_container_that_azure_does_not_have_is_not_a_missing_object(
+    azure: AzureServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened_in_azure(azure, monkeypatch, "x")
+    store = OpenedStore("az://missing/x")
+    with pytest.raises(StoreError, match="ContainerNotFound"):
+        store.read(LONG_NAME, 0, 1)
+
+
+@pytest.mark.usefixtures("no_credentials")
+def test_the_error_of_a_store_that_cannot_be_reached_ends_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]  # no server answers there once the socket is closed
+    for name, value in {
+        "ENDPOINT_URL": f"http://127.0.0.1:{port}",
+        "ACCESS_KEY_ID": "a",
+        "SECRET_ACCESS_KEY": "b",
+    }.items():
+        monkeypatch.setenv(f"AWS_{name}", value)
+    monkeypatch.setenv("AWS_ALLOW_HTTP", "true")
+    with pytest.raises(StoreError, match=r"HTTP error: error sending request$"):
+        OpenedStore(f"s3://{BUCKET}/x").read(LONG_NAME, 0, 1)
+
+
 @pytest.mark.parametrize("variable", ["AZURE_STORAGE_ACCOUNT_KEY", "AZURE_STORAGE_ACCOUNT_NAME"])
 @pytest.mark.asyncio
 async def test_the_error_of_azure_for_wrong_credentials_is_clear_and_does_not_show_the_key(

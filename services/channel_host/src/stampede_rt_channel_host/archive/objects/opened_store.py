@@ -28,6 +28,7 @@ LISTED_AT_ONCE = 1000
 _TEXT_MAX = 300
 # client_options replace these variables, which obstore reads
 _ALLOW_HTTP = {"s3": "AWS_ALLOW_HTTP", "gs": "GOOGLE_ALLOW_HTTP", "az": "AZURE_ALLOW_HTTP"}
+_NO_OBJECT = ("NoSuchKey", "BlobNotFound", "PathNotFound", "ResourceNotFound")
 _REFUSED = (
     exceptions.PermissionDeniedError, exceptions.UnauthenticatedError, exceptions.UnknownConfigurationKeyError,
     FileNotFoundError,  # no such bucket or user
@@ -86,6 +87,8 @@ class OpenedStore:
         try:
             return bytes(obstore.get_range(self._reading, name, start=offset, length=size))
         except FileNotFoundError as error:
+            if not _lacks_object(error):
+                raise self._failed(error) from None
             raise FileNotFoundError(errno.ENOENT, f"the object store {self.url} has no object {name}") from error
         except (exceptions.BaseError, OSError, ValueError) as error:
             raise self._failed(error) from None
@@ -103,8 +106,9 @@ class OpenedStore:
         for name in names:  # not all stores can delete several objects with one request
             try:
                 obstore.delete(self._reading, name)
-            except FileNotFoundError:
-                continue
+            except FileNotFoundError as error:
+                if not _lacks_object(error):
+                    raise self._failed(error) from None
             except (exceptions.BaseError, OSError, ValueError) as error:
                 raise self._failed(error) from None
 
@@ -118,12 +122,25 @@ def _refuses(error: BaseException) -> bool:
     return isinstance(error, _REFUSED) or any(word in str(error) for word in words)
 
 
+def _said(error: BaseException) -> tuple[str, str] | None:
+    """The code and the message in the answer of a store; None: the error has no such answer."""
+    found = re.search(r"<Code>(.*?)</Code>.*?<Message>(.*?)</Message>", str(error), re.DOTALL)
+    return None if found is None else (found[1], found[2].partition("\n")[0].rstrip(". "))
+
+
+def _lacks_object(error: FileNotFoundError) -> bool:
+    """Whether the store has no such object. False: it has no such bucket, or does not know the caller."""
+    said = _said(error)
+    return said is None or said[0] in _NO_OBJECT
+
+
 def _short(error: BaseException, url: str) -> str:
-    """The text of an error: one line, without queries of URLs, which may have credentials."""
-    text = str(error).partition("\n\n")[0]
-    said = re.search(r"<Code>(.*?)</Code>.*?<Message>(.*?)</Message>", text, re.DOTALL)
+    """The text of an error: one line, without queries of URLs, which may have credentials, and without long paths."""
+    text, said = str(error).partition("\n\n")[0], _said(error)
+    place = re.search(r"https?://[^/\s]+", text)
     if said is not None:
-        text = f"{text.partition('<')[0]}{said[1]}: {said[2]}"
+        text = f"{said[0]}: {said[1]}{'' if place is None else f' ({place[0]})'}"
+    text = re.sub(r"(https?://[^/\s]+/)[^\s\"')]*", r"\1...", text)
     text = re.sub(r"\?[^\s\"')]*", "?...", text)
     allow = _ALLOW_HTTP.get(url.partition("://")[0], "AWS_ALLOW_HTTP")
     text = text.replace("builder error", f"the endpoint is http://, and {allow} is not true")
