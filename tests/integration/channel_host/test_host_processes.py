@@ -95,7 +95,7 @@ async def test_the_hosts_keep_their_identities_over_restarts_and_leave_on_sigter
     assert seen[0] == seen[1]
 
 
-async def test_a_killed_process_is_started_again_and_a_frozen_one_is_left_until_the_end(
+async def test_a_killed_process_is_started_again_and_a_frozen_process_does_not_prevent_the_stop(
     directory: FakeDirectory, tmp_path: Path
 ) -> None:
     async with hosts(directory, "--processes", "2", "--data-dir", str(tmp_path)) as running:
@@ -133,7 +133,7 @@ async def test_no_host_process_outlives_a_supervisor_that_was_killed(directory: 
         assert not [one for one in directory.hosts.values() if one.alive], "each host has left the directory"
 
 
-async def test_a_process_that_cannot_start_ends_all_with_its_own_exit_status(
+async def test_a_process_that_cannot_start_ends_all_processes_with_its_own_exit_status(
     directory: FakeDirectory, tmp_path: Path
 ) -> None:
     (tmp_path / "process-1").mkdir()

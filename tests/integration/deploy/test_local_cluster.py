@@ -94,7 +94,7 @@ async def test_a_host_can_be_added(cluster: LocalCluster) -> None:
     assert list(await host_records(cluster)) == ["h1", "h2", "h3"]
 
 
-def test_nothing_is_left_when_the_cluster_ends() -> None:
+def test_no_process_or_file_is_left_when_the_cluster_ends() -> None:
     with LocalCluster(hosts=0, supernodes=1) as made:
         folder = made.folder
         assert folder is not None

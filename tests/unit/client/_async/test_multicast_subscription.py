@@ -168,7 +168,7 @@ async def test_a_gap_that_the_host_reports_again_is_counted_once(session: Sessio
     assert (await repaired(subscription), subscription.dropped) == ([], 7)
 
 
-async def test_a_reader_learns_the_size_of_items_that_only_the_host_sends(session: Session) -> None:
+async def test_a_reader_learns_the_size_of_items_that_come_only_over_the_stream(session: Session) -> None:
     subscription, stream = await followed(session)
     assert subscription._receiving is not None
     subscription._receiving.merge.announce(1000)

@@ -242,7 +242,7 @@ async def test_the_user_gets_the_error_of_a_response_that_is_taken_in_the_turn_o
             await asyncio.wait_for(reading, 20)
 
 
-async def test_nothing_is_written_without_a_wait_after_the_end() -> None:
+async def test_a_call_that_has_ended_offers_no_write_without_a_wait() -> None:
     async with opened() as (call, _):
         call.cancel()
         assert call.write_now is None
