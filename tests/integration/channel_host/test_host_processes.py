@@ -26,10 +26,10 @@ class Hosts:
 
     def __init__(self, supervisor: Process) -> None:
         self.supervisor = supervisor
-        self.pids: dict[int, int] = {}  # the last process id by the number of the process
+        self.pids: dict[int, int] = {}  # by the number of the process: its last process id
 
     async def ready(self, count: int) -> dict[str, str]:
-        """The addresses by name in the next `count` ready lines."""
+        """The addresses in the next `count` lines that say ready, by the name of the host."""
         assert self.supervisor.stdout is not None
         found: dict[str, str] = {}
         for _ in range(count):

@@ -270,7 +270,7 @@ class DirectoryWorld(World):
         self.last_answered: dict[object, DirectoryMember] = {}
         # Hosts and peers by id: whether the process of that boot incarnation counts on its lease at this moment.
         self.counts_on_lease: dict[bytes, Callable[[int], bool]] = {}
-        # For each caller: the registration epoch from which on the network holds its registrations, and the held ones.
+        # For each caller: the lowest registration epoch that the network holds, and the held registrations.
         self._held_from: dict[object, int] = {}
         self._held: dict[object, list[Callable[[], None]]] = {}
         self._applied_first = 0

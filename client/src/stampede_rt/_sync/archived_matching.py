@@ -147,7 +147,7 @@ class ArchivedMatching:
             one.skip_to(clamp(low[0] if one is self._per else low[0] - self._rule.tolerance_nanos))
 
     def _low(self) -> ItemKey:
-        """Return the key from which on the items of `per` get a match."""
+        """Return the key at or above which the items of `per` get a match."""
         newest, start = self._per.newest, self._rule.start
         if start is None:
             return FIRST_KEY if newest is None else (newest.time, newest.seq + 1)

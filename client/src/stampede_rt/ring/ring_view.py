@@ -80,7 +80,7 @@ class RingView:
         return max(self.words[TAIL_WORD], facts[HEAD] - self._slots, 0)
 
     def first_ordered(self, facts: list[int]) -> int:
-        """Return the number of the first slot from which on the slots have all items in order."""
+        """Return the number of the slot at and after which all items are in order."""
         return max(self.oldest_slot(facts), facts[ORDERED_FROM])
 
     def is_whole(self, number: int) -> bool:
@@ -103,18 +103,18 @@ class RingView:
         return seq
 
     def copy(self, slot: Slot) -> bytes | None:
-        """Return the slot's run; None if its numbers lead outside of the data."""
+        """Return the slot's run; None if the numbers in the slot lead outside of the data."""
         at = slot.offset % self._data_bytes
         if not 0 < slot.length <= self._data_bytes - at:
             return None
         return bytes(self._data[at : at + slot.length])
 
     def copy_item(self, slot: Slot) -> bytes | None:
-        """Return the payload of a plain slot, or the run of another one; None as `copy`."""
+        """Return the payload of a plain slot, or the run of another slot. None in the same cases as `copy`."""
         return self.copy_payload(slot) if slot.is_plain else self.copy(slot)
 
     def copy_payload(self, slot: Slot) -> bytes | None:
-        """Return the payload of a slot with PAYLOAD; None if its numbers lead outside of the run."""
+        """Return the payload of a slot with PAYLOAD; None if the numbers in the slot lead outside of the run."""
         at, begin, length = slot.offset % self._data_bytes, slot.payload & PAYLOAD_BEGIN_MAX, slot.payload >> 16
         if not 0 < begin + length <= slot.length <= self._data_bytes - at:
             return None

@@ -1,4 +1,4 @@
-"""Numbers and lengths in protobuf's form. Pure."""
+"""Protobuf's varints: the form of numbers and lengths. Pure."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ _SHORT = tuple(bytes((value,)) for value in range(0x80))
 
 
 def encode_varint(value: int) -> bytes:
-    """Return `value`, 0 or more, in protobuf's form of numbers and lengths."""
+    """Return `value`, 0 or more, as a varint."""
     if value < 0x80:
         return _SHORT[value]
     out = bytearray()
@@ -18,9 +18,9 @@ def encode_varint(value: int) -> bytes:
 
 
 def decode_varint(raw: bytes | bytearray | memoryview, at: int) -> tuple[int, int]:
-    """Return the number at position `at` in protobuf's form, and the position after it.
+    """Return the number whose varint is at position `at`, and the position after the varint.
 
-    Raises IndexError if the bytes end within the number, or if it is longer than protobuf allows.
+    Raises IndexError if the bytes end within the varint, or if the varint is longer than protobuf allows.
     """
     value = 0
     for shift in range(0, 70, 7):

@@ -72,7 +72,7 @@ class ServiceSettings:
         metadata=setting(
             metavar="FILE",
             shared=False,
-            help="the cluster's authorities (PEM); with it every caller needs a certificate",
+            help="the certificates of the cluster's authorities (PEM); if set, every caller needs a certificate",
         ),
     )
     tls_certificate: Path | None = field(

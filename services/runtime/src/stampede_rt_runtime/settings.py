@@ -260,7 +260,7 @@ def _sample(known: list[_Setting], service: str) -> str:
     """A settings file with every setting of the service."""
     head = (
         f"# The settings of `stampede {service}`. Name this file with --config or in $STAMPEDE_CONFIG.\n"
-        "# Each setting shows its default, or the form of its value if it has none. To set it, remove the #.\n"
+        "# Each setting shows its default, or the form of its value if it has no default. To set it, remove the #.\n"
     )
     return "\n".join([head, f"[{service}]\n", *(one.sample() for one in known)])
 

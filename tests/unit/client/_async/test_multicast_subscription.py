@@ -146,7 +146,7 @@ async def followed(session: Session) -> tuple[MulticastSubscription, Stream]:
 
 
 async def repaired(subscription: MulticastSubscription) -> list[int]:
-    """Let the reader ask. Returns the seqs of the items that it has then."""
+    """Let the reader ask for a repair. Returns the seqs of the items that the reader has then."""
     assert subscription._receiving is not None
     await subscription._repair(subscription._receiving)
     seqs = [item.seq for item in subscription._ready.take_all()]

@@ -1,4 +1,4 @@
-"""The instant from which on a command records the items that it then plays."""
+"""The earliest instant of the items that a command records and then plays."""
 
 from __future__ import annotations
 

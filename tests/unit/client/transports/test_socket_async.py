@@ -171,7 +171,9 @@ async def test_a_stream_whose_opening_fails_or_is_cancelled_ends_with_the_reason
 
 @pytest.mark.parametrize("last", [frame_of(FrameKind.STATUS, encode_status(InvalidArgument("no"))), b"", None])
 async def test_a_failed_stream_is_freed_without_the_garbage_collector(last: bytes | None) -> None:
-    """The kept error of a stream referred to the frames of its reader, and these to the stream.
+    """In an earlier version the kept error of a stream referred to the stack frames of the reader.
+
+    These frames referred to the stream.
 
     `last`: the bytes that the host sends before it closes the socket; None: this side cancels the stream.
     """

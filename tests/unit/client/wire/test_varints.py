@@ -1,4 +1,4 @@
-"""Numbers in protobuf's form: one function writes them, and the other one reads them."""
+"""Protobuf's varints: one function writes them, and the other one reads them."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def loss_after(stop: CleanStop, since: int | None, end_seq: int) -> tuple[int | 
 
 
 def lost_since(segments: Sequence[Segment]) -> int | None:
-    """The instant from which on the items behind these segments may lie; None: any instant.
+    """The earliest instant at which items behind these segments may lie; None: any instant.
 
     The newest item may have a time in the future. Then the items behind it have the time of their acceptance.
     """

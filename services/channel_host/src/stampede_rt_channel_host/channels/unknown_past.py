@@ -129,7 +129,7 @@ class UnknownPast:
         return self._channel.leave_to_archive(edge, loss, now)
 
     def _loss(self, former: Sequence[Segment]) -> tuple[int | None, int | None]:
-        """The instants from which on, and before which, items of the former owners may be lost."""
+        """Two instants. Items of the former owners may be lost at or after the first one, and before the second one."""
         stop, since = self._stop, lost_since(former)
         if stop is None:
             return since, self._begun

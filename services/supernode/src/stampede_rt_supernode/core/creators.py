@@ -9,7 +9,7 @@ from stampede_rt_supernode.core.commands import Creation
 
 
 class Creators:
-    """For each caller the number of things of one kind that it has created and that still exist.
+    """Counts, for each caller, the existing things of one kind that this caller has created.
 
     Things of callers without a known name are not counted.
     """
@@ -25,7 +25,7 @@ class Creators:
         return self._made.most_common(callers_max)
 
     def note(self, name: str, step: int) -> None:
-        """Add `step` to the caller's number: 1 for a thing that it has created, -1 for such a thing that is gone."""
+        """Add `step` to the caller's number: 1 for a thing that the caller has created, -1 when the thing is gone."""
         if name:
             self._made[name] += step
             if not self._made[name]:

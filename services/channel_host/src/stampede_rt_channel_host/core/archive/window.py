@@ -112,7 +112,7 @@ class _GrowingWindow:
     """
 
     def __init__(self, wanted: WantedItems, low: int) -> None:
-        """`low`: the time from which on the read needs items."""
+        """`low`: the earliest time at which the read needs items."""
         self.taken: list[tuple[Segment, PlacedBlock]] = []
         self.size = 0
         self._wanted = wanted
@@ -152,8 +152,8 @@ class _GrowingWindow:
 
 
 def _low_time(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: WantedItems) -> int:
-    """The time from which on the read needs items: at or before the last bucket before `start`, whose spans may reach
-    `start`.
+    """The earliest time at which the read needs items. It is at or before the last bucket before `start`, because the
+    spans of this bucket may reach `start`.
     """
     start = wanted.start
     before = FIRST_KEY[0]

@@ -154,7 +154,7 @@ def aged(kept: KeptRun, now: int) -> KeptRun:
 
 
 def _fresh_from(state: QueueHandoff) -> int:
-    """The seq from which on messages become fresh messages: the queue holds all of these, and none has a history.
+    """The first seq of the messages that become fresh messages: the queue holds all of these, and none has a history.
 
     An older message becomes a tracked message, even if it has no history. An example is a message whose delivery the
     queue took back before the host sent it.
