@@ -19,7 +19,7 @@ from stampede_rt.values.policy import MAX_FUTURE_DEFAULT_NANOS
 from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.timeline import MAX_INSTANT, Bound
 from stampede_rt.wire.long_answers import LongRun
-from stampede_rt.wire.reads import bound_to_message
+from stampede_rt.wire.reads import bound_to_message, reason_from_message
 
 WINDOW_BYTES = 1024 * 1024  # the bytes that the host may send ahead of the recording, for each channel
 
@@ -125,12 +125,12 @@ class RecordingStream(Subscription):
                 self._batch.advance = (advance, response.progress.next_seq - 1)
 
     def _gap(self, gap: channel_pb.SubscriptionGap) -> RecordingGap:
-        if gap.reason == error_pb2.ABSENCE_REASON_LOST:
+        if gap.reason == error_pb2.ABSENCE_REASON_LOST and not gap.items:  # with items, the archive lacks them
             return self._loss(gap)
         return RecordingGap(
             channel=self._state.info.name,
             incarnation=self.incarnation,
-            reason="COLLECTED",
+            reason=reason_from_message(gap.reason, gap.detail) or "UNKNOWN",
             detail=gap.detail,
             first_seq=gap.first_seq,
             last_seq=gap.last_seq,

@@ -287,11 +287,9 @@ class Session:
                     endpoint.gatekeeper.BindChannel, request, min(left_s(deadline_s), TRY_TIMEOUT_S)
                 )
             except (Unavailable, DeadlineExceeded) as error:
-                failure = Unavailable(
-                    f"the host {state.info.host!r} of channel {state.info.name!r} at {target} cannot be reached: "
-                    f"{error}",
-                    reason=error.reason,
-                )
+                about = f"the host {state.info.host!r} of channel {state.info.name!r} at {target}"
+                what = "cannot serve the channel" if error.from_service else "cannot be reached"
+                failure = Unavailable(f"{about} {what}: {error}", reason=error.reason)
                 continue
             return self._bound(state, response)
         raise failure

@@ -196,12 +196,16 @@ async def test_a_subscription_that_begins_among_lost_items_names_them(
         where = one.recording.beginning({"start": Bound(None, start)}, CLOCK)
         cursor = run_to_end(one.channel.subscribing_all(CLOCK, **where))
         found: list[int] = []
+        gaps: list[tuple[int, int, Reason]] = []
         while cursor.next_seq < 15:
             batch = await one.recording.since(cursor, LARGEST, lambda: CLOCK)
             if batch is None:
                 batch = one.channel.since(cursor, CLOCK, LARGEST)
+            if batch.gap is not None:
+                gaps.append((batch.gap.first_seq, batch.gap.last_seq, batch.gap.reason))
             found += [seq for part in batch.slices for seq in range(part.slice.first_seq, part.slice.end_seq)]
         assert (found, cursor.dropped) == ([*range(start, 5), *range(11, 15)], 6)
+        assert gaps == [(5, 10, "LOST")]
 
 
 @pytest.mark.parametrize("has_segments", [False, True])

@@ -31,6 +31,7 @@ from stampede_rt_channel_host.core.archive import (
     Hole,
     WantedWindow,
     deliver,
+    lacked,
     next_time_of,
     reaches,
     resolved,
@@ -241,8 +242,10 @@ class Recording:
         if missing is not None and missing[0] >= self.recorder.archived_to:
             await self.recorder.settle(missing[1])
             missing = self._channel.missing(cursor, now())
-        if missing is None or missing[0] >= self.recorder.archived_to:
+        if missing is None:
             return None
+        if missing[0] >= self.recorder.archived_to:  # memory has lost the items before a write had them
+            return None if cursor.losses else lacked(cursor, missing)
         missing = missing[0], min(missing[1], self.recorder.archived_to)
         part = await self._load_part(missing, limit_bytes)
         held, _ = self._channel.look(now())

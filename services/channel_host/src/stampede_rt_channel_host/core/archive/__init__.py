@@ -13,6 +13,7 @@ from stampede_rt_channel_host.core.archive.archived_part import (
     ArchivedPart,
     choose_part,
     deliver,
+    lacked,
     next_time_of,
     part_of,
 )
@@ -135,6 +136,7 @@ __all__ = [
     "holes",
     "is_nothing_left",
     "is_whole",
+    "lacked",
     "next_time_of",
     "nothing_left",
     "part_of",

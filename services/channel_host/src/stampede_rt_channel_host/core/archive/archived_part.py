@@ -127,6 +127,11 @@ def deliver(
     return _gap(cursor, first, end if found is None else found.first_seq, kept_from, part.ends)
 
 
+def lacked(cursor: AllCursor, missing: Range) -> SubscriptionBatch:
+    """The gap of seqs that neither memory nor the archive has. Moves the cursor."""
+    return _gap(cursor, *missing, missing[0], ())
+
+
 def _gap(cursor: AllCursor, first: int, end: int, kept_from: int, ends: Sequence[int]) -> SubscriptionBatch:
     """The gap of seqs that the archive does not have. A later call gives the part from `kept_from` on."""
     end = next((one for one in ends if first < one < end), end)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from stampede_rt.values.model import Reason
-from stampede_rt.values.timeline import MAX_INSTANT, Match, ResolvedInterval, format_instant
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.archive.doubts import Doubt
 from stampede_rt_channel_host.core.archive.holes import Hole, WindowReach
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan, RecordedItems, earliest, latest
@@ -247,13 +247,13 @@ class ArchivedRead:
         if not count:
             return Reason(
                 "LOST",
-                f"the archive may lack items between {format_instant(start)} and {format_instant(end)}: the channel's "
+                f"the archive may lack items {_when(start, end)}: the channel's "
                 "host was lost before it had archived them",
                 _after(end),
             )
         return Reason(
             "LOST",
-            f"the archive lacks {count} items between {format_instant(start)} and {format_instant(end)}: max_bytes "
+            f"the archive lacks {count} items {_when(start, end)}: max_bytes "
             "collected them before they were archived, or their block or file is damaged or removed",
             _after(end),
         )
@@ -266,10 +266,17 @@ def _doubted(doubts: set[Doubt]) -> Reason | None:
     start, end = min(one.start for one in doubts), max(one.end for one in doubts)
     return Reason(
         "LOST",
-        f"the archive lacks {sum(one.items for one in doubts)} items whose times are not known. They were between "
-        f"{format_instant(start)} and {format_instant(end)} if they came as late, or as early, as the limits allow",
+        f"the archive lacks {sum(one.items for one in doubts)} items whose times are not known. They were "
+        f"{_when(start, end)} if they came as late, or as early, as the limits allow",
         _after(end),
     )
+
+
+def _when(start: int, end: int) -> str:
+    """The times from `start` up to `end` as words."""
+    if start == MIN_INSTANT:
+        return f"at or before {format_instant(end)}"
+    return f"between {format_instant(start)} and {format_instant(end)}"
 
 
 def _after(last: int) -> int | None:
