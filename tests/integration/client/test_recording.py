@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -236,6 +238,38 @@ def test_items_that_cannot_be_read_in_time_are_named_as_not_read(
     (counts,) = recorder.summary.channels
     assert counts.accepted == 30 == counts.recorded + counts.missing
     assert counts.gaps[-1].reason == "NOT_READ"
+
+
+def host_away(_: channel_recording.Channel) -> st.ChannelStats:
+    raise st.Unavailable("its host is away")
+
+
+def begun_anew(channel: channel_recording.Channel, stats: Any = channel_recording.Channel.stats) -> st.ChannelStats:
+    found: st.ChannelStats = stats(channel)
+    return replace(found, incarnation=found.incarnation + 1)
+
+
+@pytest.mark.parametrize(("stats", "reason"), [(host_away, "UNAVAILABLE"), (begun_anew, "LOST")])
+def test_a_recording_that_cannot_know_the_last_item_of_a_channel_at_its_end_says_that_items_may_be_missing(
+    rt: st.Connection,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stats: Callable[[channel_recording.Channel], st.ChannelStats],
+    reason: str,
+) -> None:
+    channel = rt.channel(f"cam/{reason.lower()}", max_age="60s")
+    with rt.record(channel, tmp_path / "a.mcap") as recorder:
+        channel.put(b"x")
+        wait_until(lambda: recorder.recorded == 1)
+        monkeypatch.setattr(channel_recording.Channel, "stats", stats)
+    assert recorder.summary is not None
+    (counts,) = recorder.summary.channels
+    assert (counts.recorded, [(one.reason, one.first_seq, one.items) for one in counts.gaps]) == (
+        1,
+        [(reason, 2, None)],
+    )
+    assert not recorder.summary.complete
+    assert not verify(tmp_path / "a.mcap").summary.complete
 
 
 def test_the_recording_of_a_lost_channel_has_a_gap_and_continues_with_its_next_incarnation(

@@ -88,8 +88,7 @@ class ChannelRecording:
             self.problem = error.message
             return
         try:
-            reason = "DELETED" if isinstance(error, ChannelNotFound) else "UNAVAILABLE"
-            self._end_incarnation(reason, error.message)
+            self._end_incarnation(reason_of(error), error.message)
         except FileError:
             return
 
@@ -229,7 +228,7 @@ class ChannelRecording:
     def finish(self, drain_s: float) -> None:
         """Record the items that the host has accepted until now, wait for them at most `drain_s` seconds, and end."""
         self.begun.wait(drain_s)
-        accepted, advance = self._accepted()
+        accepted, advance, unknown = self._accepted()
         self._ending, stream = True, self._stream
         if stream is None or stream.opened_seq is None:
             self._give_up(stream)
@@ -238,35 +237,45 @@ class ChannelRecording:
         if stream.read_to >= end_seq or not self._done.wait(drain_s):
             stream.close()
         self._done.wait(drain_s)
-        if self._stream is stream:  # the stream was not lost meanwhile
+        if self._stream is not stream:  # the stream was lost meanwhile
+            return
+        if unknown is not None:
+            self._end_incarnation(*unknown)
+        else:
             self._sink.seal(self.tallies[-1], end_seq, advance)
 
     def _give_up(self, stream: RecordingStream | None) -> None:
         if stream is not None:
             stream.close()
         if not self.tallies:
-            self.problem = self.problem or f"channel {self.name!r}: its host could not be reached"
+            self.problem = self.problem or f"channel {self.name!r}: its host, or its archive, did not answer in time"
 
-    def _accepted(self) -> tuple[int | None, int | None]:
-        """Return the last seq that the host has accepted, and the channel's advance; None if they cannot be known."""
+    def _accepted(self) -> tuple[int | None, int | None, tuple[str, str] | None]:
+        """Return the last seq that the host has accepted, and the channel's advance; None if they cannot be known.
+
+        The third value is the reason and the detail of the gap at the end, if the last seq cannot be known.
+        """
         try:
             stats = self._channel.stats()
-        except StampedeError:
-            return None, None
-        if not self.tallies or stats.incarnation != self.tallies[-1].incarnation:
-            return None, None
-        return stats.accepted if stats.next_seq is None else self._last_seq(stats.next_seq), stats.advance
+            if self.tallies and stats.incarnation != self.tallies[-1].incarnation:
+                return None, None, ("LOST", f"channel {self.name!r} has begun anew: its host was lost with its items")
+            last = stats.accepted if stats.next_seq is None else self._last_seq(stats.next_seq)
+        except StampedeError as error:
+            return None, None, (reason_of(error), error.message)
+        return last, stats.advance, None
 
-    def _last_seq(self, next_seq: int) -> int | None:
-        """Return the seq of the last item before `next_seq`; None if it cannot be known.
+    def _last_seq(self, next_seq: int) -> int:
+        """Return the seq of the last item before `next_seq`. Raises StampedeError if it cannot be known.
 
         An owner that follows a lost owner leaves out many seqs. Until it accepts its first item, the last item is not
         at `next_seq - 1`. So this reads the newest item of the channel.
         """
         if next_seq == 1 or given_between(1, next_seq):
             return next_seq - 1
-        try:
-            found = self._found_from(OLDEST, newest_first=True)
-        except StampedeError:
-            return None
+        found = self._found_from(OLDEST, newest_first=True)
         return found[0].seq if found else 0
+
+
+def reason_of(error: StampedeError) -> str:
+    """Return the reason of the gap after the last item that the recording could read before `error`."""
+    return "DELETED" if isinstance(error, ChannelNotFound) else "UNAVAILABLE"

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 CHANNELS_MAX = 1000  # the most channels of one recording; each may keep 1 MiB in memory
 GLOBS_MAX = 64
 DRAIN_S = 5.0  # how long the end of a recording waits for items that the host has accepted before the end
+BEGIN_S = 7.0  # together with DRAIN_S this is longer than a call takes, so the recording learns why a call failed
 FINISHED_AT_ONCE = 32  # the channels whose recordings end in parallel
 _log = logging.getLogger("stampede_rt")
 
@@ -164,7 +165,7 @@ class Recorder(BackgroundStart, BoundToProcess):
             watch = self._watch(glob, later=False)
             BackgroundTask(partial(self._follow, glob, watch), f"watch for the recording of {glob!r}")
         for one in list(self._channels.values()):
-            one.begun.wait(DRAIN_S)
+            one.begun.wait(BEGIN_S)
         if self._sink.error is not None:
             raise self._sink.error
 

@@ -16,7 +16,7 @@ from stampede_rt.cli.exit_statuses import INCOMPLETE
 from stampede_rt.cli.output import joined
 from stampede_rt.cli.progress import shown_progress
 from stampede_rt.cli.record import recording_progress
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.escaping import escaped
 from stampede_rt.files.schedule import window_text
 from stampede_rt.values.peering import ClockOffset
@@ -70,8 +70,10 @@ def _record(arguments: argparse.Namespace, sources: Sequence[str], path: Path, s
     ):
         summary = recorder.wait()
     assert summary is not None, "the recording has no limit of time here"
-    for text in summary.absent:
+    for text in summary.absent if summary.channels else ():
         print(f"stampede: missing: {escaped(text)}", file=sys.stderr)
+    if not summary.channels and recorder.channels:
+        raise Unavailable(f"no items of {joined(recorder.channels)} could be read; {summary.absent[-1]}")
     if not summary.channels:
         raise InvalidArgument(f"there is no file and no channel {' '.join(sources)}; `stampede ls` lists the channels")
     return summary

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 import stampede_rt as st
+from stampede_rt._sync import channel_recording
+from stampede_rt.cli.main import main as stampede
 from stampede_rt.files.editing import verify
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.waiting import wait_until
@@ -76,3 +78,23 @@ def test_an_archive_that_cannot_take_a_new_channel_is_not_called_a_host_that_can
         channels.unlink()
         channels.with_name("away").rename(channels)
     assert "cannot be reached" not in str(caught.value)
+
+
+def test_an_export_of_a_channel_that_cannot_be_read_says_why(
+    rt: st.Connection,
+    cluster: LocalCluster,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rt.channel("lacks/reads", archive="7d").put(b"1")
+
+    def away(*_: object, **__: object) -> st.Items:
+        raise st.Unavailable("the object store says: SignatureDoesNotMatch")
+
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(cluster.secret_file))
+    monkeypatch.setattr(channel_recording.Channel, "get", away)
+    assert stampede(["export", "lacks/reads", "-o", str(tmp_path / "a.csv"), "--url", cluster.address]) == 1
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "no items of lacks/reads could be read" in said
+    assert said.endswith("the object store says: SignatureDoesNotMatch")
