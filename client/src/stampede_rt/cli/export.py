@@ -95,6 +95,8 @@ def _exported(summary: ExportSummary, arguments: argparse.Namespace) -> int:
         print_rows([{"file": file, "rows": rows} for file, rows in summary.rows.items()], "table", none="no tables")
         for gap in summary.gaps[:GAPS_SHOWN]:
             print(f"missing: {gap_text(gap)}")
+        if len(summary.gaps) > GAPS_SHOWN:
+            print(f"missing: {len(summary.gaps) - GAPS_SHOWN} more gaps")
         for text in summary.damaged:
             print(f"missing: {escaped(text)}")
     return 0 if summary.complete else INCOMPLETE

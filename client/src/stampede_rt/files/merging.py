@@ -6,6 +6,7 @@ import heapq
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.files.editing import check_other, finish_with, intact_contents, losses_of, writer_of
@@ -97,6 +98,8 @@ def _merged(event: Event, seen: Ranges, held: Ranges) -> Iterator[Event]:
 
 def _remaining(gap: RecordingGap, held: SeqRanges, told: SeqRanges) -> Iterator[RecordingGap]:
     first, last = gap.first_seq, gap.last_seq
+    if first is not None and last is None:
+        gap = replace(gap, first_seq=held.end_from(first))
     if first is None or last is None:
         yield gap
         return

@@ -32,6 +32,11 @@ class SeqRanges:
             first, last = min(first, self._firsts[begin]), max(last, self._lasts[end - 1])
         self._firsts[begin:end], self._lasts[begin:end] = [first], [last]
 
+    def end_from(self, seq: int) -> int:
+        """Return the first seq from `seq` on that the set lacks."""
+        place = bisect_right(self._firsts, seq) - 1
+        return self._lasts[place] + 1 if place >= 0 and self._lasts[place] >= seq else seq
+
     def next_from(self, seq: int) -> int | None:
         """Return the least seq of the set from `seq` on; None: there is none."""
         place = bisect_right(self._lasts, seq - 1)

@@ -74,7 +74,7 @@ class McapSource:
         index = self._reader.index
         if index is None or not index.chunks:
             self._reader.__exit__()
-            raise _unplayable(self.path, index)
+            raise _unplayable(self.path, index, self._reader.states_no_index)
         self.damaged = _damaged(self._reader)
         self._chunks = sorted(index.chunks, key=lambda one: one.chunk_start_offset)
         self._index = index
@@ -215,12 +215,17 @@ class McapSource:
         return found
 
 
-def _unplayable(path: str, index: FileIndex | None) -> FileError:
+def _unplayable(path: str, index: FileIndex | None, states_no_index: bool) -> FileError:
     if index is not None and index.statistics is not None and not index.statistics.message_count:
         return FileError(f"the file {path!r} cannot be played: it has no items")
+    if index is None and not states_no_index:
+        return FileError(
+            f"the file {path!r} cannot be played: its end is missing or damaged, so it may lack items; "
+            "`stampede file recover` saves the readable part"
+        )
     return FileError(
-        f"the file {path!r} cannot be played: it has no index of chunks; `stampede file recover` or "
-        "`stampede file merge` writes a file with an index"
+        f"the file {path!r} cannot be played: it has no index of chunks; `stampede file merge` writes a file with an "
+        "index"
     )
 
 

@@ -90,6 +90,21 @@ def test_the_parts_of_a_recovered_file_say_it_too(whole: Path, tmp_path: Path) -
     assert verify(both).summary.damaged == told
 
 
+@pytest.mark.parametrize(("others", "unknown_from"), [((8, 26), 26), ((40, 50), 10)])
+def test_in_a_merge_the_unknown_end_of_a_torn_file_begins_after_the_adjacent_items_of_the_other_file(
+    tmp_path: Path, others: tuple[int, int], unknown_from: int
+) -> None:
+    whole = write(tmp_path / "whole.mcap", entries("cam", range(1, 31)), chunk_items=9)
+    torn, saved, both = (tmp_path / name for name in ("torn.mcap", "saved.mcap", "both.mcap"))
+    torn.write_bytes(whole.read_bytes()[: chunks_of(whole)[0][1]])
+    recover(torn, saved)
+    (before,) = verify(saved).summary.channels
+    assert [(one.first_seq, one.last_seq) for one in before.gaps] == [(10, None)]
+    merge([saved, write(tmp_path / "other.mcap", entries("cam", range(*others)))], both)
+    (after,) = verify(both).summary.channels
+    assert [(one.first_seq, one.last_seq) for one in after.gaps] == [(unknown_from, None)]
+
+
 def test_a_file_that_is_damaged_only_behind_its_summary_loses_nothing(
     whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

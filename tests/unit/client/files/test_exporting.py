@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stampede_rt.cli.main import main as stampede
 from stampede_rt.errors import FileError
 from stampede_rt.files import cells
 from stampede_rt.files.entries import Topic, item_entry
@@ -155,3 +156,15 @@ def test_an_existing_file_is_not_overwritten(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="exists"):
         export(path, tmp_path / "a.csv", "csv")
     assert (tmp_path / "a.csv").read_text() == "precious"
+
+
+def test_the_command_says_how_many_more_gaps_there_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    topic = Topic("imu", JSON, INCARNATION)
+    pairs = [
+        (item_entry(topic, item(seq, b"1", content_type=JSON)), gap("imu", seq + 1, seq + 1)) for seq in range(1, 50, 2)
+    ]
+    path = write(tmp_path / "a.mcap", [event for pair in pairs for event in pair])
+    assert stampede(["export", str(path), "-o", str(tmp_path / "a.csv")]) == 3
+    said = capsys.readouterr().out.splitlines()
+    assert len([line for line in said if line.startswith("missing: imu")]) == 20
+    assert said[-1] == "missing: 5 more gaps"
