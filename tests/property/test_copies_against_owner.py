@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Offer, SavedCursor, item_blocks, pieces
-from tests.property.channel_pair import INCARNATION, ChannelPair
+from tests.property.channel_pair import INCARNATION, ChannelPair, facts
 from tests.property.fed_copies import FedCopy, MovingSubscription, held_by, refuses_behind
 from tests.property.random_source import RandomSource
 from tests.property.test_channel_against_oracle import FIRST_CLOCK, SET_UPS, STEPS, a_query, consume
@@ -81,6 +81,32 @@ def test_a_copy_equals_its_owner_up_to_its_lag_in_every_scenario(numbers: list[i
 
 def _timed(*times: int) -> Offer:
     return Offer(times=times, durations=None, lengths=[8] * len(times))
+
+
+def test_a_copy_that_lacks_only_the_last_run_gets_it_alone() -> None:
+    scenario = Scenario(Policy(max_items=4, max_future_nanos=8))
+    copy, pair = scenario.copies[0], scenario.pair
+    alone = []
+    for times in ((100,), (101,), (101, 103), (102,), (103,), (107, 106), (106,)):
+        pair.put(_timed(*times))
+        before, copy.takes = copy.got_alone, 0
+        copy.catch_up()
+        alone.append(copy.got_alone > before)
+        assert held_by(copy.channel, FIRST_CLOCK) == held_by(pair.core, FIRST_CLOCK)
+    # not the first state, the first collection, and the run whose times descend
+    assert alone == [False, True, True, False, True, False, True]
+
+
+def test_a_copy_gets_the_duration_of_an_item_whose_run_lost_its_other_items() -> None:
+    scenario = Scenario(Policy(max_bytes=1000, max_future_nanos=8))
+    copy, pair = scenario.copies[0], scenario.pair
+    pair.put(_timed(100))
+    copy.catch_up()
+    pair.put(Offer(times=(101, 102), durations=(3, 3), lengths=[8, 2000]))
+    copy.takes = 0
+    copy.catch_up()
+    assert copy.got_alone == 1
+    assert facts(held_by(copy.channel, FIRST_CLOCK)) == facts(held_by(pair.core, FIRST_CLOCK))
 
 
 def test_a_copy_counts_the_items_that_left_before_it_could_get_them_as_missed() -> None:

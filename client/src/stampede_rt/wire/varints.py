@@ -9,6 +9,8 @@ def encode_varint(value: int) -> bytes:
     """Return `value`, 0 or more, as a varint."""
     if value < 0x80:
         return _SHORT[value]
+    if value < 0x4000:
+        return bytes((value & 0x7F | 0x80, value >> 7))
     out = bytearray()
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)

@@ -122,6 +122,15 @@ async def test_a_replica_answers_an_item_before_it_stores_it() -> None:
             copied._take_at_once(call, item)
 
 
+async def test_a_replica_refuses_an_item_without_a_producer() -> None:
+    async with fed(takes_items=True) as one, begun_copy(one) as (copied, call, sent):
+        [fed_item] = items_in(one.put())
+        count = len(sent)
+        with pytest.raises(InvalidArgument, match="an item without a producer"):
+            copied._take_at_once(call, fed_item._replace(item=fed_item.item._replace(producer_id=0)))
+        assert len(sent) == count
+
+
 async def test_a_run_goes_to_the_replica_before_the_owner_stores_it(monkeypatch: pytest.MonkeyPatch) -> None:
     async with fed(takes_items=True, takes_runs=True) as one:
         begin(one)

@@ -117,8 +117,8 @@ class CopyFeed:
             place=None if held is None else place_to(_core(held).place, held.epoch),
             owner_facts=self._owner_facts,
             takes_puts=self._owner_facts,
-            takes_items=self._owner_facts,
-            takes_runs=self._owner_facts,
+            takes_items=True,
+            takes_runs=True,
         )
 
     def _held(self) -> HostedChannel | None:
@@ -210,11 +210,11 @@ class CopyFeed:
         if write is None or not self._state.caught_up or self._granted >= self._grant_bytes:
             return False
         self._heard_s = asyncio.get_running_loop().time()
-        self._store_item(fed, partial(write, encode_answer(fed.item.end_seq)))
+        self._store_item(fed, partial(write, encode_answer(fed.item.end_seq)) if self._owner_facts else None)
         return True
 
     def _store_item(self, fed: FedItem, answer: Callable[[], None] | None = None) -> None:
-        """Store a run of the feed that was sent ahead. `answer`: see `_store_runs`."""
+        """Store a run of the feed that came alone. `answer`: see `_store_runs`."""
         held, now, item = self._held(), self._store.now(), fed.item
         if held is None:
             raise Unavailable("the copy was dropped")
@@ -227,9 +227,7 @@ class CopyFeed:
         core.apply_item(fed, run, now)
         held.fed_part(now)
         self._state.source_next_seq = item.end_seq
-        self._state.note_progress()
-        self._granted += item.length + item.items * ITEM_OVERHEAD_BYTES
-        self._owes_request |= answer is None
+        self._note_place(held, item.charge_bytes)
 
     def _report(self, write: Callable[[pb.FeedRequest], None], next_seq: int) -> None:
         """Tell the source that this host holds all items before `next_seq`, because it stores them in this step."""
@@ -256,8 +254,7 @@ class CopyFeed:
         """Take over the channel as the source knows it, if the response describes it."""
         state = response.state
         if response.HasField("opened"):
-            opened = response.opened
-            self._begin(state, begins_anew=opened.begins_anew, losses=losses_of(opened))
+            self._begin(state, begins_anew=response.opened.begins_anew, losses=losses_of(response.opened))
             self.is_opened = True
         elif state.HasField("channel"):
             self._update(self._record_of(state))
@@ -334,11 +331,16 @@ class CopyFeed:
         return sum(run.payload_bytes(0, len(run)) + len(run) * ITEM_OVERHEAD_BYTES for run in runs)
 
     def _note(self, state: pb.FeedState, charge_bytes: int) -> None:
-        copy, held = self._state, self._held()
+        copy = self._state
         copy.heard_nanos = state.heard_nanos - state.staleness_nanos
         copy.source_next_seq = state.source_next_seq
         copy.merge_floors(map(floor_from_message, state.floors))
-        if not copy.caught_up and held is not None and held.channel.next_seq >= state.source_next_seq:
+        self._note_place(self._held(), charge_bytes)
+
+    def _note_place(self, held: HostedChannel | None, charge_bytes: int) -> None:
+        """Note that the copy has stored a part. `charge_bytes`: its cost to the source's credit."""
+        copy = self._state
+        if not copy.caught_up and held is not None and held.channel.next_seq >= copy.source_next_seq:
             copy.caught_up = self._owes_request = True  # the source may now send readers to this copy
         copy.note_progress()
         if self._owner_facts and held is not None and held.channel.next_seq != self._reported_seq:

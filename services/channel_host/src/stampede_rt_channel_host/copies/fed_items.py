@@ -26,10 +26,7 @@ _INSTANT_MAX = 2**63 - 1
 def encode_item(fed: FedItem) -> bytes:
     """The response of the source with this part."""
     item, body = fed.item, bytes(fed.item.body)
-    head = _HEAD.encode(
-        item.seq, item.producer_id, item.first_number, item.time, item.duration, item.length, item.is_stamped,
-        item.judged_at,
-    )  # fmt: skip
+    head = _HEAD.encode(*item[:8])  # from `seq` to `judged_at`
     floor = b"" if fed.collected is None else _encode_floor(fed.collected)
     count = b"" if item.items == 1 else _ITEMS.encode(item.items)
     return _ITEM.around(head, floor, count, _RUN.head(len(body)), body)
@@ -78,8 +75,8 @@ def _read_fixed(raw: bytes | memoryview) -> FedItem | None:
 def _read_message(raw: bytes | memoryview) -> FedItem:
     """As `read_item`, for fields in any places."""
     item = pb.FeedResponse.FromString(bytes(raw)).item
-    if not (item.seq and item.producer_id and item.run):
-        raise InvalidArgument("the feed has an item without a seq, producer or run; install the same release")
+    if not (item.seq and item.run):
+        raise InvalidArgument("the feed has an item without a seq or run; install the same release")
     collected = None
     if item.HasField("floor_seq"):
         floor = item.floor_time_unix_nano, item.floor_seq

@@ -12,11 +12,10 @@ from collections.abc import Callable
 from contextlib import closing, suppress
 from functools import partial
 
-from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError, Unavailable
+from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.fed_copies import FedCopies, FedCopy
-from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.replication import Replication
 from stampede_rt_channel_host.channels.requests import parse
@@ -24,26 +23,18 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
 from stampede_rt_channel_host.copies.ahead_item_sender import AheadItemSender
-from stampede_rt_channel_host.copies.fed_items import read_answer
+from stampede_rt_channel_host.copies.fed_items import encode_item, read_answer
 from stampede_rt_channel_host.copies.feed_opening import fed_channel, has_others_items
 from stampede_rt_channel_host.copies.feed_responses import FeedResponses
+from stampede_rt_channel_host.copies.feed_writer import FeedWriter
 from stampede_rt_channel_host.copies.handoff_decision import HandoffDecision
 from stampede_rt_channel_host.copies.messages import opened_to, place_of
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
-from stampede_rt_channel_host.core.channel import (
-    ITEM_OVERHEAD_BYTES,
-    ChannelCore,
-    ChannelFeed,
-    FeedPart,
-    LagWatch,
-    NewItem,
-)
+from stampede_rt_channel_host.core.channel import ChannelCore, ChannelFeed, FeedPart, LagWatch, NewItem
 from stampede_rt_channel_host.core.group import CutFloor
-from stampede_rt_runtime.access.control import current_work
-from stampede_rt_runtime.rpc import Context, answer_at_once, write_now
+from stampede_rt_runtime.rpc import Context, answer_at_once
 
 SILENT_SECONDS_MAX = 4.0  # the destination of a move sends several requests a second
-WRITE_SECONDS_MAX = 10.0  # the stream of a copy ends if the copy takes nothing for this time during a write
 
 
 class FeedStream:
@@ -58,13 +49,15 @@ class FeedStream:
         self._responses = FeedResponses(store.now, floors_of)
         self._context = context
         self._stream = stream
-        self._work = current_work()
         self._news = asyncio.Event()
         self._credit = Credit(self._news.set)
+        self._writer = FeedWriter(context, self._credit)
         self._heard_s = time.monotonic()  # when this host got the last request
         self._held_next_seq = 0  # the copy has reported the items before this seq
         self._send_at_once: Callable[[], bool] | None = None  # while the feed waits for a change, and has no move
+        self._is_scheduled = False  # whether the event loop sends the next part to a proxy in its next turn
         self._ahead: AheadItemSender | None = None  # if the copy takes items before the channel stores them
+        self._takes_newest = False  # whether the copy is a proxy that takes a single run in fixed places
         self._failure: Exception | None = None  # an error outside of the feed's task, which ends the feed
         self._source: ChannelCore  # the channel that is fed; set when the feed begins, as `_feed`
         self._feed: ChannelFeed
@@ -79,13 +72,22 @@ class FeedStream:
         self._is_released = False
 
     def wake(self) -> None:
-        """Send a change of the channel in this turn of the event loop, if the copy has everything else.
-
-        The puts wait for the copy's answer. If the copy lacks something, the items that come until the next turn go out
-        together. Raises nothing, because the host has accepted the change: an error ends the feed.
+        """Send a change of the channel: to a replica in this turn of the event loop if it has everything else, because
+        puts wait for its answer, and to a proxy in the next turn, with the other changes until then.
         """
         if self._ahead is not None and self._ahead.stored(self._source.next_seq):
             return  # the items that the channel has collected meanwhile leave the replica with the next part
+        if self._replication is not None or self._send_at_once is None:
+            self._send_or_wake()
+        elif not self._is_scheduled:
+            self._is_scheduled = True
+            asyncio.get_running_loop().call_soon(self._send_or_wake)
+
+    def _send_or_wake(self) -> None:
+        """Send the next part, or let the task of the feed do so. Raises nothing, because the host has accepted the
+        change: an error ends the feed.
+        """
+        self._is_scheduled = False
         try:
             is_sent = self._send_at_once is not None and self._send_at_once()
         except Exception as error:  # noqa: BLE001 - the task of the feed raises it
@@ -97,15 +99,14 @@ class FeedStream:
     def send_ahead(self, item: NewItem) -> None:
         """Send a run that the channel has accepted and is about to store, if the copy has everything else.
 
-        Then the copy works while this host stores the run. Raises nothing, as `wake`.
+        Then the copy works while this host stores the run. Raises nothing, as `_send_or_wake`.
         """
         ahead = None if self._send_at_once is None or self._news.is_set() else self._ahead
         try:
             write = None if ahead is None else self._free_write()
             if ahead is not None and write is not None and ahead.send(item, write):
-                self._credit.spend(item.length + item.items * ITEM_OVERHEAD_BYTES)
-                self._work.spend_write()
-        except Exception as error:  # noqa: BLE001 - as in `wake`
+                self._writer.spend(item.charge_bytes)
+        except Exception as error:  # noqa: BLE001 - as in `_send_or_wake`
             self._fail(error)
 
     def take_back(self) -> None:
@@ -196,6 +197,7 @@ class FeedStream:
     def _observe(self, hosted: HostedChannel, opening: pb.FeedOpen) -> None:
         self._host_id = opening.host_id
         if self._replication is None:
+            self._takes_newest = opening.takes_runs and not opening.owner_facts and hosted.copy is None
             hosted.group_observers[self] = None
             return
         if opening.takes_items and not opening.move_id:
@@ -249,24 +251,23 @@ class FeedStream:
         """Whether the move is over, and the caller may begin another one. If so, tells the caller."""
         is_free = self._is_released and opening.another_may_follow
         if is_free:
-            await self._write(pb.FeedResponse(move_over=True).SerializeToString())
+            await self._writer.write(pb.FeedResponse(move_over=True).SerializeToString())
         return is_free
 
     async def _greet(self, hosted: HostedChannel) -> None:
         """Tell the copy how the feed begins. In the feed of a move, the first part does so."""
         self._opened = opened_to(self._source.losses, begins_anew=self._feed.begins_anew or self._begins_anew)
         if self._move is None:
-            await self._write(self._bare(hosted))
+            await self._writer.write(self._bare(hosted))
 
     async def _serve(self, hosted: HostedChannel) -> None:
         await self._greet(hosted)
         while not self._credit.is_final:
             self._news.clear()  # before each wait, so that no change is lost
-            if self._work.must_wait:
-                await self._work.turn()
+            await self._writer.turn()
             self._check_destination(hosted)
             now = self._store.now()
-            part = self._feed.take(now, max(0, min(self._credit.left, MESSAGE_BYTES_MAX)))
+            part = self._feed.take(now, self._writer.limit_bytes)
             if self._feed.owner is not None:  # a proxy shows its readers its age instead
                 self._lag.check(hosted.record.name, self._source.next_seq - self._feed.next_seq, now)
             handoff = None if self._handoff is None else self._handoff.due(now)
@@ -277,7 +278,7 @@ class FeedStream:
             if handoff is not None:
                 await self._hand_off(encoded)
             elif encoded:
-                await self._write(encoded)
+                await self._writer.write(encoded)
             if not encoded or (has_all and not self._news.is_set()):
                 await self._wait_for_news(hosted)
 
@@ -313,7 +314,7 @@ class FeedStream:
 
     async def _hand_off(self, encoded: bytes) -> None:
         """Write the message that hands the channel over."""
-        await self._write(encoded)
+        await self._writer.write(encoded)
 
     def _bare(self, hosted: HostedChannel, handoff: pb.FeedHandoff | None = None) -> bytes:
         opened, self._opened = self._opened, None
@@ -322,33 +323,31 @@ class FeedStream:
     def _send_now(self, hosted: HostedChannel) -> bool:
         """Send the next part if the copy has all earlier ones, and the transport takes it immediately."""
         write = self._free_write()
-        part = None if write is None else self._feed.take(self._store.now(), min(self._credit.left, MESSAGE_BYTES_MAX))
-        if write is None or part is None:
+        if write is None:
+            return False
+        now, limit_bytes = self._store.now(), self._writer.limit_bytes
+        is_plain = self._takes_newest and not self._responses.owes_facts(hosted)
+        fed = self._feed.take_newest(now, limit_bytes) if is_plain else None
+        if fed is not None:
+            self._writer.spend(fed.item.charge_bytes)
+            write(encode_item(fed))
+            return True
+        part = self._feed.take(now, limit_bytes)
+        if part is None:
             return False
         self._lag.stays_behind(0, 0)
         write(self._encoded(hosted, part))
         return part.next_seq == self._source.next_seq
 
     def _free_write(self) -> Callable[[bytes], None] | None:
-        """Writes in this turn. None if the copy lacks earlier parts, or the next part has to wait."""
-        has_all = self._held_next_seq >= self._feed.next_seq and self._credit.left > 0 and not self._work.must_wait
-        return write_now(self._context) if has_all else None
+        """Writes in this turn. None if a replica lacks earlier parts, or the next part has to wait."""
+        has_all = self._replication is None or self._held_next_seq >= self._feed.next_seq
+        return self._writer.at_once if has_all else None
 
     def _encoded(self, hosted: HostedChannel, part: FeedPart, handoff: pb.FeedHandoff | None = None) -> bytes:
         """The message with a part, which is written now."""
         opened, self._opened = self._opened, None
         about = self._responses.of(hosted, self._source, part, opened, handoff)
         delivery = hosted.deliveries.encode_once(part.slices, about)
-        self._credit.spend(delivery.charge_bytes)
-        self._work.spend_write()
+        self._writer.spend(delivery.charge_bytes)
         return delivery.encoded
-
-    async def _write(self, message: bytes) -> None:
-        try:
-            async with asyncio.timeout(WRITE_SECONDS_MAX):
-                await self._context.write(message)
-        except TimeoutError:
-            raise Overloaded(
-                f"the copy took nothing for {WRITE_SECONDS_MAX:g} s, and its feed is ended; feed it again when it can "
-                "take items"
-            ) from None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from itertools import chain
 
 from stampede_rt.wire.varints import decode_varint, encode_varint
 
@@ -20,12 +19,15 @@ class FixedFields:
         """
         self._struct = struct.Struct("<" + "".join(f"B{kind}" for kind in form))
         self._tags = tuple(number << 3 | _WIRE_TYPES[kind] for number, kind in enumerate(form, first))
+        self._fields = tuple(one for tag in self._tags for one in (tag, 0))
         self.first_tag = self._tags[0]
         self.size_bytes = self._struct.size
 
     def encode(self, *values: int) -> bytes:
         """The encoded fields."""
-        return self._struct.pack(*chain.from_iterable(zip(self._tags, values, strict=True)))
+        fields = [*self._fields]
+        fields[1::2] = values
+        return self._struct.pack(*fields)
 
     def read(self, raw: bytes | memoryview, at: int = 0) -> tuple[int, ...] | None:
         """The values of the fields from the position `at` on; None if other fields are there.

@@ -102,6 +102,8 @@ class GroupStore:
 
     def floors_of(self, channel_id: bytes) -> list[CutFloor]:
         """The cuts of the channel's groups that this host knows and has confirmed."""
+        if not self._table.ids_of(channel_id):
+            return []
         floors = (group.floor() for group in self._table.groups_of(channel_id) if group.cut.is_confirmed)
         return [one for one in floors if one is not None]
 

@@ -128,9 +128,13 @@ class FedChannel(ChannelCore):
             self._acceptance.advance = self._reading.advance = advance
 
     def check_item(self, fed: FedItem) -> None:
-        """Raises InvalidArgument if the copy cannot apply the run, because earlier parts of the feed are missing."""
+        """Raises InvalidArgument if the copy cannot apply the run, because earlier parts of the feed are missing, or
+        facts that a replica needs.
+        """
         facts = self.owner_facts
-        if fed.item.seq != self.next_seq or facts is None or facts.counters is None:
+        if facts is not None and not fed.item.producer_id:
+            raise InvalidArgument("the feed of a replica has an item without a producer; install the same release")
+        if fed.item.seq != self.next_seq or (facts is not None and facts.counters is None):
             raise InvalidArgument(f"the feed has the item with seq {fed.item.seq}, and the copy is at {self.next_seq}")
 
     def apply_item(self, fed: FedItem, run: Run, now: int) -> None:

@@ -16,7 +16,7 @@ from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
-from stampede_rt_channel_host.core.channel.new_item import FedItem, NewFloor, NewItem
+from stampede_rt_channel_host.core.channel.new_item import FedItem, NewFloor, NewItem, new_item
 from stampede_rt_channel_host.core.channel.owner_facts import OwnerFactsFeed, OwnerPart
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice
@@ -200,15 +200,32 @@ class ChannelFeed:
         Moves the place. The items that the source collects because of this run leave the copy with a later part. None
         if the copy needs more facts: call `take` when the run is stored.
         """
-        held, owner = self._source.held, self.owner
-        known, advance = self._sent
-        is_next = self._cursor.next_seq == item.seq == held.next_seq and not self._cursor.losses
+        held = self._source.held
+        is_next = self._cursor.next_seq == item.seq == held.next_seq
         is_newest = held.newest is not None and item.time >= held.newest
-        if not (is_next and is_newest) or self._cleared is not None or advance != self._source.advanced_to:
+        return self._fed(item) if is_next and is_newest and self.owner is not None else None
+
+    def take_newest(self, now: int, limit_bytes: int) -> FedItem | None:
+        """The next part, if the run that the source has stored last is all of it. For a copy without the owner's facts.
+
+        Moves the place. None, and nothing moves, if the part has more, or a run of several items above the limit: call
+        `take`.
+        """
+        held, _ = self._source.look(now)
+        newest = held.index.newest_from(self.next_seq, held.floor)
+        item = None if newest is None or self.owner is not None else new_item(newest)
+        if item is None or item.end_seq != held.next_seq or limit_bytes <= 0:
             return None
-        present = collection_of(held)
+        return self._fed(item) if item.items == 1 or item.charge_bytes <= limit_bytes else None
+
+    def _fed(self, item: NewItem) -> FedItem | None:
+        """The part with this run, the next one, and with the present floor. Moves the place. None: more has changed."""
+        known, advance = self._sent
+        if self._cursor.losses or self._cleared is not None or advance != self._source.advanced_to:
+            return None
+        present = collection_of(self._source.held)
         collected = None if present == known else _new_floor(known, present)
-        if owner is None or (collected is None and present != known) or not owner.pass_put(item):
+        if (collected is None and present != known) or not (self.owner is None or self.owner.pass_put(item)):
             return None
         self._sent = present, advance
         self._cursor.pass_next(item.seq, item.items)
@@ -228,8 +245,8 @@ def _new_floor(known: CollectionFacts | None, present: CollectionFacts) -> NewFl
     floor, newest, end = present.floor, present.newest_collected, present.collected_end
     if known is None or newest is None or end is None:
         return None
-    found = NewFloor(floor, newest, end)
-    return found if known.with_floor(found) == present else None
+    is_plain = known[1:3] == present[1:3] and known[5:] == present[5:]  # the fields that a `NewFloor` lacks
+    return NewFloor(floor, newest, end) if is_plain else None
 
 
 def _continues(source: ChannelCore, held: Holdings, place: FeedPlace | None, *, follows: bool) -> bool:

@@ -1,22 +1,23 @@
-"""The items of a run on their way to the copies before their channel stores them. Pure."""
+"""The items of a run on their way to the copies of their channel. Pure."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
-from stampede_rt_channel_host.core.channel.run import Body
+from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, Body, OneRun, Slice
 from stampede_rt_channel_host.core.dedup import KeptRun
 from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunPart
 
 
 class NewItem(NamedTuple):
-    """A run that a channel has accepted as a whole and is about to store as its next item, or as its next items.
+    """A run that a channel has accepted as a whole and stores as its next item, or as its next items.
 
     `seq` and `first_number` are those of the first item. `time`: the earliest time. `duration`: the duration of a
     single item; -1 for none, and for several items. `length`: the length of all payloads. `is_stamped`: the owner has
     given the items their time. `judged_at`: the owner's clock. `body`: as in `Run`. `owner`: the name of the caller, as
-    in `KeptRun`; the copies know it already.
+    in `KeptRun`; the copies know it already. A copy without the owner's facts does not need `producer_id`,
+    `first_number`, `is_stamped` and `judged_at`, and gets zeros.
     """
 
     seq: int
@@ -36,11 +37,28 @@ class NewItem(NamedTuple):
         """The seq after the last item's seq."""
         return self.seq + self.items
 
+    @property
+    def charge_bytes(self) -> int:
+        """The bytes that the items cost a copy's credit."""
+        return self.length + self.items * ITEM_OVERHEAD_BYTES
+
     def kept_run(self, now: int, owner: str) -> KeptRun:
         """The run for a retry window. `now`: the clock of the window's host."""
         part = RunPart(0, self.seq, self.items, self.time if self.is_stamped else None)
         outcome = RunOutcome(self.items, self.items, (part,), (), now)
         return KeptRun(self.producer_id, self.first_number, outcome, owner)
+
+
+def new_item(part: Slice) -> NewItem | None:
+    """A run that the channel has stored, for copies without the owner's facts. None if the slice is a part of a run."""
+    run = part.run
+    if isinstance(run, OneRun):
+        return NewItem(run.first_seq, 0, 0, run.first_time, run.duration, run.length, False, 0, run.body)
+    if not part.is_whole:
+        return None
+    durations = run.durations if part.items == 1 else None
+    duration, length = ABSENT if durations is None else durations[0], part.payload_bytes
+    return NewItem(run.first_seq, 0, 0, part.first_time, duration, length, False, 0, run.body, items=part.items)
 
 
 class NewFloor(NamedTuple):
