@@ -192,7 +192,7 @@ def _row_verdict(members: Sequence[Outcome], limit: float | None) -> str:
         return f"**{late} of {len(members)} over the limit**"
     if excused := [one for one in members if one.over_limit]:
         slowest = max(one.excused_s for one in excused)
-        return f"kept, but for up to {slowest:.1f} s of waiting for the CPU ({len(excused)} of {len(members)})"
+        return f"kept, except for up to {slowest:.1f} s of waiting for the CPU ({len(excused)} of {len(members)})"
     return "-" if limit is None else "kept"
 
 

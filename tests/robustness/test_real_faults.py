@@ -150,7 +150,7 @@ def test_a_recovery_over_its_limit_breaks_the_promise_and_shows_in_the_report() 
 def test_a_recovery_that_exceeds_its_limit_only_by_the_start_of_processes_is_reported_and_keeps_the_promise() -> None:
     slow = outcome("kill -9 of all", 0, 9, 6.5, start_s=4.0)
     assert limits_broken([slow]) == []
-    assert "kept, but for up to 4.0 s of waiting for the CPU (1 of 1)" in write_report(run(findings(slow)))
+    assert "kept, except for up to 4.0 s of waiting for the CPU (1 of 1)" in write_report(run(findings(slow)))
     assert limits_broken([replace(slow, start_s=1.0)]) != []
     assert limits_broken([replace(slow, start_s=0.0, stall_s=2.0)]) == []
 

@@ -1,4 +1,4 @@
-"""Certificates that end during use: a caller that renews its certificate goes on, and another one gets an error."""
+"""Certificates that end during use: a caller that renews its certificate goes on, and other callers get an error."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ async def settled(calling: CallingClient, settle: Any) -> bool:
 
 
 async def reads_groups(calling: CallingClient, group: Any, over: asyncio.Event) -> None:
-    """Reads at one cut."""
+    """Read the group at one cut, again and again."""
     while not over.is_set():
         call = group.newest if calling.rng.random() < 0.5 else group.get
         arguments = () if call == group.newest else (st.OLDEST, st.NEWEST)
@@ -81,7 +81,7 @@ async def reads_groups(calling: CallingClient, group: Any, over: asyncio.Event) 
 
 
 async def matches(calling: CallingClient, group: Any, per: Any, over: asyncio.Event) -> None:
-    """Matches, at most one for each item."""
+    """Follow the matches. Check that each item has at most one."""
     made = await opened(calling, group.match, per, "1s", partial=True)
     seen = await stepped(calling, made, over)
     seqs = [(match[per].incarnation, match[per].seq) for match in seen]
@@ -89,7 +89,7 @@ async def matches(calling: CallingClient, group: Any, per: Any, over: asyncio.Ev
 
 
 async def cuts(calling: CallingClient, group: Any, over: asyncio.Event) -> None:
-    """Cut events, whose times ascend, and which bring each item at most once."""
+    """Follow the cut events. Check that their times ascend, and that they bring each item at most once."""
     made = await opened(calling, group.subscribe, "100ms")
     events = await stepped(calling, made, over)
     times = [cut.time for cut in events]

@@ -2,7 +2,7 @@
 
 There are two hosts, and a third one if the channel has replicas. Then the real keepers of replicas run, too.
 
-`World.crash_at` names the step at which something happens; `STEPS` has all of them, in their order.
+`World.crash_at` names the step of a move at which the test interferes. `STEPS` has all steps, in their order.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class World:
     ) -> None:  # fmt: skip
         """`replica_at`: the host with the replica; 0: the channel has none. `third`: there is always a third host.
 
-        `channels`: the number of channels, all at the source. `channel_id` is the first one.
+        `channels`: the number of channels, all at the source. `channel_id` is the id of the first channel.
         """
         self.crash_at, self.happens = crash_at, happens
         self.reached: list[str] = []
@@ -89,7 +89,7 @@ class World:
         return recorded_channel(channel_record(self.log.directory.tables.channels[channel_id]))
 
     def placed(self, channel_id: bytes = b"") -> tuple[RecordedChannel, FeedSource]:
-        """The record and the owner of a channel, the first one if no id is given."""
+        """The record and the owner of a channel; without an id, of the first channel."""
         record = self.record_of(channel_id or self.channel_id)
         return record, FeedSource(record.host_id, self.target_of(record.host_id), record.epoch)
 

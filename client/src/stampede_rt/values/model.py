@@ -23,8 +23,8 @@ class Item(NamedTuple):
     """One item of a channel (paper, section 3.2). Times are nanoseconds since the epoch, durations are nanoseconds.
 
     - `end` is the end of the item's span at the time of the read: the earlier of time + duration and the time of the
-      next later item. In a channel with `overlap`, a later item does not end the span of an item with a duration before
-      time + `overlap`. `end` is None for an item without a duration and without a later item.
+      next later item. In a channel with `overlap`, a later item cannot end the span of an item with a duration earlier
+      than time + `overlap`. `end` is None for an item without a duration and without a later item.
     - `seq` grows by one for each item that the channel accepts, within one `incarnation` of the channel.
     - `payload` is None in reads without payloads; `payload_length_bytes` is the length even then.
     """
@@ -46,7 +46,7 @@ class Item(NamedTuple):
 
     @property
     def copies(self) -> int | None:
-        """The number of hosts that hold an item that `put` returned, and that can own the channel.
+        """For an item that `put` returned: the number of hosts that hold the item, and can own the channel.
 
         The present owner is one of them: without replicas the number is 1. None for an item that was read.
         """
@@ -177,7 +177,7 @@ class ChannelInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LoadInfo:
-    """How busy a host was, by its own report, when the directory last noted it. The note is a few seconds old or more.
+    """The load that a host reported, as the directory last noted it, perhaps a few seconds ago or earlier.
 
     - `busy_permille` is the share of one core that the host's process used, in thousandths.
     - `held_bytes` are the bytes of its channels and queues, of at most `bytes_max`; 0 if the host has not reported
@@ -195,9 +195,10 @@ class LoadInfo:
 class HostInfo:
     """A channel host as the directory knows it.
 
-    `load` is None if the directory knows none. `lease_ended` is the time, in Unix nanoseconds, at which the directory
-    ended the lease of a host that did not renew it; None if the host lives or has deregistered. `archive_place` is the
-    folder of its archive, or the URL of an object store and a folder; None if the host has no archive.
+    `load` is None if the directory knows no load. `lease_ended` is the time, in Unix nanoseconds, at which the
+    directory ended the lease of a host that did not renew it; None if the host lives or has deregistered.
+    `archive_place` is the folder of its archive, or the URL of an object store and a folder; None if the host has no
+    archive.
     """
 
     host_id: bytes

@@ -60,7 +60,7 @@ class PeerInfo:
     of the cluster and operators may renew, replace or end the peer. `owner` is empty if a member or an operator
     registered the peer, and None if the owner is not known.
 
-    `boot_incarnation` is a random number. Each start of the peer's process has another one.
+    `boot_incarnation` is a random number. Each start of the peer's process has a different one.
     """
 
     peer_id: bytes

@@ -1,6 +1,6 @@
 """Computes when each item of a looped clip is due. Pure; in whole nanoseconds, so that times do not drift.
 
-The time of the nth item depends only on n, and not on the item before. So a late put does not delay later items.
+The time of the nth item depends only on n, and not on the previous item. So a late put does not delay later items.
 """
 
 from __future__ import annotations

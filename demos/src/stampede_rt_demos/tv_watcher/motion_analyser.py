@@ -15,7 +15,7 @@ LUMA_HEIGHT = 90
 
 
 def play(stage: Stage) -> dict[str, object]:
-    """Compare every frame with the one before."""
+    """Compare every frame with the previous frame."""
     meter = MotionMeter()
 
     def feature(jpeg: bytes) -> dict[str, object]:

@@ -21,16 +21,16 @@ Option = tuple[str, int | str]
 class Limits:
     """The limits of a server and its connections.
 
-    A server serves `concurrent_rpcs_max` calls at a time. `streams_max` of them may be streams, which may
-    stay open. In addition it serves `reserved_rpcs_max` calls that only parts of the cluster make. It refuses further
-    calls with RESOURCE_EXHAUSTED. If it is refusing `refusals_max` calls already, gRPC itself refuses the next.
+    A server serves `concurrent_rpcs_max` calls at a time. `streams_max` of them may be streams, which may stay open. In
+    addition it serves `reserved_rpcs_max` calls that only parts of the cluster make. It refuses further calls with
+    RESOURCE_EXHAUSTED. While it is refusing `refusals_max` calls, gRPC itself refuses all others.
 
     Neither side sends a message of more than `message_bytes_max`, and no client accepts such a message. A server
-    accepts messages of `request_bytes_max` at most, and on each stream `unread_bytes_max` more before it reads them;
-    over a socket messages of `socket_request_bytes_max`. It accepts `calls_per_connection_max` calls on one connection.
-    Callers open further connections for further calls. The server closes a connection whose set-up takes longer than
-    `handshake_millis_max`. Each side pings the other after `keepalive_millis` of silence, and closes the connection if
-    no answer comes within `keepalive_timeout_millis`.
+    accepts messages of `request_bytes_max` at most, or of `socket_request_bytes_max` over a socket. On each stream it
+    accepts `unread_bytes_max` more bytes before it reads them. It accepts `calls_per_connection_max` calls on one
+    connection. Callers open further connections for further calls. The server closes a connection whose set-up takes
+    longer than `handshake_millis_max`. Each side pings the other after `keepalive_millis` of silence, and closes the
+    connection if no answer comes within `keepalive_timeout_millis`.
 
     A server closes a connection whose peer pings more often than every `ping_interval_millis_min` while nothing else is
     sent. This value must be well below every caller's keepalive time. Otherwise an idle subscription breaks after three

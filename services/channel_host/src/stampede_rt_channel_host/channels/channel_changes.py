@@ -1,4 +1,4 @@
-"""Changes of channels that callers ask of their hosts: first in the directory, then at the host."""
+"""Performs changes of channels for callers: first in the directory, then at the host."""
 
 from __future__ import annotations
 

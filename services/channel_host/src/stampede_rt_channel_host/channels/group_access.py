@@ -71,8 +71,8 @@ class Cursor(Protocol):
     def saved(self) -> SavedCursor | None:
         """The place from which a later subscription of the reader continues.
 
-        None while a subscription through a group is within one step of the cut. If the stream breaks then, the reader
-        continues from the last saved place, and gets some items again.
+        None while a subscription through a group has sent only a part of the items between two cuts. If the stream
+        breaks then, the reader continues from the last saved place, and gets some items again.
         """
 
 

@@ -11,7 +11,7 @@ from stampede_rt_channel_host.core.queue import FailedDelivery, ItemState, Lease
 
 COPIES_PER_ENTRY = 256
 """An entry has at most this many leases, each with the name of a taker: about 40 KiB."""
-_CONTINUED = 0  # in place of a seq: the entry belongs to the message of the entry before
+_CONTINUED = 0  # in place of a seq: the entry belongs to the message of the previous entry
 
 
 def entries_of(items: Iterable[ItemState]) -> Iterator[pb.HandedMessage]:

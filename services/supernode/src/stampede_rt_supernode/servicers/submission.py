@@ -184,8 +184,8 @@ def _unknown(seconds: float) -> errors.Unavailable:
 
 def _no_quorum(seconds: float) -> errors.Unavailable:
     return errors.Unavailable(
-        f"no majority of the supernodes answered within {seconds:.1f} s; try another supernode, or see that most of "
-        "them run and reach each other",
+        f"no majority of the supernodes answered within {seconds:.1f} s; try another supernode, or make sure that "
+        "most of them run and reach each other",
         reason="NO_QUORUM",
     )
 

@@ -254,7 +254,7 @@ def test_an_entry_of_an_earlier_term_between_later_ones_is_found(tmp_path: Path)
     fill(tmp_path)
     earlier = Entry(b"\x00command 3", 3, 0)
     edit(tmp_path, f"UPDATE entry SET term = 0, checksum = {_entry_checksum(earlier)} WHERE log_index = 3")
-    assert "entry 3 has a lower term than the entry before" in damage_found(tmp_path)
+    assert "entry 3 has a lower term than the previous entry" in damage_found(tmp_path)
 
 
 @pytest.mark.parametrize(

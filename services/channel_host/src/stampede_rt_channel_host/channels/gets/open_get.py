@@ -32,7 +32,7 @@ class OpenGet:
         self.hosted = hosted
         self.pending: PendingGet | None = None  # the query and interval of a blocking get; None for other gets
         self.continues = False  # whether the answer was cut off for its length
-        self.waits_for_archive = False  # whether the answer of memory is to be completed from the archive
+        self.waits_for_archive = False  # whether the archive must complete the answer from memory
         self.past: PastSummary | None = None  # set for a get as of an earlier instant
         self._begun_at = now
         self._polled_at: int | None = None  # `hosted.changes` at the last poll; None: no poll, or an outdated one
@@ -60,7 +60,7 @@ class OpenGet:
         if self.hosted.recording is None:
             why = f"channel {name} is not recorded, so its host does not know its past; record it (archive)"
         elif self.plan.wait_nanos:
-            why = f"the read of channel {name} waits, and a read as of an instant does not"
+            why = f"the read of channel {name} has a time to wait, and a read as of an instant cannot wait"
         elif as_of > now:
             text = f"{format_instant(as_of)} is ahead of the host's clock, {format_instant(now)}"
             metadata = {"channel": name, "host_time_unix_nano": str(now)}
@@ -79,7 +79,7 @@ class OpenGet:
         return first_of(self.hosted.channel.polling(self.pending, now))
 
     def released(self) -> None:
-        """Note that a look at an earlier state of the channel may have released the get. Sets `is_outdated` to True."""
+        """Note that the get no longer waits, perhaps because of an earlier state of the channel. Sets `is_outdated`."""
         self._polled_at = None
 
     @property

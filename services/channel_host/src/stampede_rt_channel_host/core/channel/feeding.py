@@ -60,10 +60,11 @@ class FeedPart(NamedTuple):
     """The next part of a feed. The copy applies the fields in their order.
 
     `first_seq`: the copy's place before this part. `cleared`: the copy drops the items below this key that it held
-    before this part, because the source has set its floor back since the part before. None: it has not. `slices`: the
-    next items, in the order of seqs. `next_seq`: the copy's place after this part. Seqs before it that the copy has not
-    got are missing: the source no longer holds their items. `collection` and `advance` are None if they have not
-    changed since the part before. `owner`: the facts that only the owner knows, if the copy has asked for them.
+    before this part, because the source has set its floor back since the previous part; None: the floor was not set
+    back. `slices`: the next items, in the order of seqs. `next_seq`: the copy's place after this part. Seqs before
+    it that the copy has not got are missing: the source no longer holds their items. `collection` and `advance` are
+    None if they have not changed since the previous part. `owner`: the facts that only the owner knows, if the copy
+    has asked for them.
     """
 
     first_seq: int
@@ -75,7 +76,7 @@ class FeedPart(NamedTuple):
     owner: OwnerPart | None = None
 
     def can_join(self, former: FeedPart) -> bool:
-        """Whether one part can replace `former` and this part: this part has no items, and clears none."""
+        """Whether one part can replace both parts: this part has no items, and clears no items of `former`."""
         return self.next_seq == former.next_seq and (self.cleared is None or not former.slices) and self.owner is None
 
     def joined_to(self, former: FeedPart) -> FeedPart:
@@ -113,8 +114,8 @@ class LagWatch:
         """Raises Overloaded if the copy of the channel stays behind."""
         if self.stays_behind(items, now):
             raise Overloaded(
-                f"the copy of channel {channel} cannot catch up: it is {items} items behind, no fewer than "
-                f"{CATCH_UP_NANOS // 10**9} s ago; put less, or give it a faster link (--copy-bytes-per-second)",
+                f"the copy of channel {channel} cannot catch up: it is {items} items behind, and was no further "
+                f"behind {CATCH_UP_NANOS // 10**9} s ago; put less, or give it a faster link (--copy-bytes-per-second)",
                 metadata={"channel": channel},
             )
 
@@ -129,13 +130,13 @@ class ChannelFeed:
         """Begin a feed at `place`. None: the copy holds nothing, and the feed begins with the oldest item.
 
         With `window`, the retry window of the channel's owner, the feed has the facts that only the owner knows, too.
-        `is_exact`: a part says which items have left only if the copy has all items of the source after this part.
+        `is_exact`: a part names the items that have left only if it completes the items of the copy.
         The copy therefore gets new items before it drops the items that left the source because of them. `follows`: the
         source is itself a copy of the owner from which `place` comes. `takes_puts`: see `OwnerFactsFeed`.
 
         If the source cannot continue at `place`, because the incarnation or the floor differs, `begins_anew` is True.
-        The copy then drops its items, and the feed begins with the oldest item. Raises Unavailable if the source is
-        behind `place` and `follows`, because it soon reaches `place`. Without `follows`, a source that is behind
+        The copy then drops its items, and the feed begins with the oldest item. With `follows`, raises Unavailable
+        if the source is behind `place`, because it soon reaches `place`. Without `follows`, a source that is behind
         `place` never reaches it, because it took the channel over without the last items of the former owner.
         """
         held, _ = source.look(now)
@@ -195,7 +196,7 @@ class ChannelFeed:
         )
 
     def take_ahead(self, item: NewItem) -> FedItem | None:
-        """The next part, if the run `item` is all of it. The source has accepted the run, and must store it next.
+        """The next part, if it has only the run `item`. The source has accepted the run, and must store it next.
 
         Moves the place. The items that the source collects because of this run leave the copy with a later part. None
         if the copy needs more facts: call `take` when the run is stored.

@@ -70,7 +70,7 @@ class NewFloor(NamedTuple):
 
 
 class FedItem(NamedTuple):
-    """A part of a feed: the items of a run, and the items collected before. `collected` None: as in the part before."""
+    """A part of a feed: the items of a run, and the items collected before. `collected` None: as in the last part."""
 
     item: NewItem
     collected: NewFloor | None

@@ -38,8 +38,8 @@ def register_host(tables: Tables, operation: RegisterHost, *, knows_level_4: boo
     A new boot incarnation means that the host lost its items. Then, in this one step, all its channels and queues get a
     new epoch and incarnation. A channel with a warm replica in sync moves to the host of that replica. The other
     channels and all queues stay at the host. Recorded channels keep their incarnation if the host's archive has all of
-    their items. `knows_level_4`: the feature level allows loads, archives and keys of moves; the first load is an idle
-    one.
+    their items. `knows_level_4`: the feature level allows loads, archives and keys of moves; until its
+    first report the host counts as idle.
     """
     check_register(operation)
     _check_name_is_free(tables, operation)
@@ -146,7 +146,7 @@ def check_boot(host: HostRecord, boot_incarnation: int) -> None:
     if host.boot_incarnation != boot_incarnation:
         raise LeaseExpired(
             f"the lease of host {host.name} belongs to another process, started with another boot incarnation; "
-            "register again, and see that two processes do not share one data folder",
+            "register again, and make sure that two processes do not share one data folder",
             metadata={"host": host.name},
         )
 
@@ -167,7 +167,7 @@ def expire_host(tables: Tables, operation: ExpireHost, tenure: int, now_unix_nan
 
 
 def note_host_loads(tables: Tables, operation: NoteHostLoads, tenure: int) -> int:
-    """Set the loads of hosts. Ignores the loads of another leader and of former registrations.
+    """Set the loads of hosts. Ignores the loads that a former leader noted, and the loads of former registrations.
 
     Returns the number of loads set.
     """

@@ -175,7 +175,7 @@ def check_peer_boot(peer: PeerRecord, boot_incarnation: int) -> None:
         shown = peer.name or peer.peer_id.hex()
         raise LeaseExpired(
             f"the lease of peer {shown} belongs to another process, started with another boot incarnation; register "
-            "again, and see that two processes do not share one identity",
+            "again, and make sure that two processes do not share one identity",
             metadata={"peer": shown, **({"registration_epoch": str(peer.registration_epoch)} if peer.alive else {})},
         )
 

@@ -229,7 +229,7 @@ class MemberChanges:
         self._given_up_id = addition.member.member_id
         text = (
             f"{addition.member.member_id} at {addition.member.address} took nothing of the log for "
-            f"{self._clock() - addition.progress_at:.0f} s; see that it runs, and that this address leads to it"
+            f"{self._clock() - addition.progress_at:.0f} s; make sure that it runs, and that this address leads to it"
         )
         self._end_addition(addition, text)
 

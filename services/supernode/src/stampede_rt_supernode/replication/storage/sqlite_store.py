@@ -252,7 +252,9 @@ class SqliteStore:
             if entries and log_index != entries[-1].log_index + 1:
                 raise StoreDamaged(f"{self._path}: entries before {log_index} are missing: {REJOIN}")
             if entries and term < entries[-1].term:
-                raise StoreDamaged(f"{self._path}: entry {log_index} has a lower term than the entry before: {REJOIN}")
+                raise StoreDamaged(
+                    f"{self._path}: entry {log_index} has a lower term than the previous entry: {REJOIN}"
+                )
             entries.append(entry)
         return entries
 
