@@ -12,7 +12,7 @@ from tests.robustness.fuzz.channel_callers import payload_of
 from tests.robustness.fuzz.ledger import Ledger
 
 LEASE = "1s"
-NOBODY = (None, FAILED, INTERRUPTED)
+NO_MESSAGE = (None, FAILED, INTERRUPTED)
 
 
 async def enqueues(calling: CallingClient, queue: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
@@ -37,7 +37,7 @@ class Takers:
             timeout = calling.rng.choice([0, 0.05, 1, None if calling.is_async else 1])
             call = calling.plain(queue.get, timeout)
             message = await calling.outcome("get from a queue", call, timeout or 0, endless=timeout is None)
-            if message not in NOBODY:
+            if message not in NO_MESSAGE:
                 await self._settle(calling, message)
 
     async def take_the_rest(self, calling: CallingClient, queue: Any) -> None:

@@ -27,7 +27,7 @@ def test_a_figure_prints_its_table_and_draws_its_chart(
     assert (tmp_path / f"{figure}.png").read_bytes().startswith(PNG)
 
 
-def test_a_figure_and_a_table_are_json_for_programs_with_the_fields_of_the_page(
+def test_a_figure_as_json_has_the_documented_fields_and_all_rows(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["paper", "--figure", "memory", "--items-max", "1000", "--runs", "1", "--out", str(tmp_path)]

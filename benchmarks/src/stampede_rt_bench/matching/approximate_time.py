@@ -61,4 +61,4 @@ def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
         given, *times = map(int, line.split())
         by_stream = dict(zip(streams, times, strict=True))
         sets.append(FoundSet(given=given, reference=by_stream.pop(REFERENCE), times=by_stream))
-    return Replay(sets=sets, told_unmatched=None)
+    return Replay(sets=sets, reported_unmatched=None)

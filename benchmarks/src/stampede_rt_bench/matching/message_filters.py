@@ -76,4 +76,4 @@ def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
     for given, *times in json.loads(ran.stdout):
         by_stream = dict(zip(streams, times, strict=True))
         sets.append(FoundSet(given=given, reference=by_stream.pop(REFERENCE), times=by_stream))
-    return Replay(sets=sets, told_unmatched=None)
+    return Replay(sets=sets, reported_unmatched=None)

@@ -27,7 +27,7 @@ def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
         _put(channels[arrival.stream], arrival)
         times[arrival.stream].observe(arrival.arrived)
         found += [_found(one, arrival.arrived) for one in _take(matcher, times, arrival.arrived) if not one.missing]
-    return Replay(sets=found, told_unmatched=matcher.unmatched)
+    return Replay(sets=found, reported_unmatched=matcher.unmatched)
 
 
 def _take(matcher: Matcher, times: Mapping[str, OwnChannelTimes], now: int) -> list[FoundMatch]:

@@ -21,11 +21,11 @@ class FoundSet:
 class Replay:
     """All sets of one run.
 
-    `told_unmatched`: the number of reported items without a partner; None if the synchroniser cannot report them.
+    `reported_unmatched`: the number of reported items without a partner; None if the synchroniser cannot report them.
     """
 
     sets: Sequence[FoundSet]
-    told_unmatched: int | None
+    reported_unmatched: int | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -56,7 +56,7 @@ def judge(replay: Replay, arrivals: Sequence[Arrival], tolerance_nanos: int) -> 
         right=right,
         wrong=len(replay.sets) - right,
         unmatched=references - len({one.reference for one in replay.sets}),
-        told=replay.told_unmatched,
+        told=replay.reported_unmatched,
         delays_nanos=sorted(one.given - _complete(one, arrived) for one in replay.sets),
     )
 

@@ -39,7 +39,7 @@ def test_a_set_that_is_not_the_nearest_counts_as_wrong() -> None:
     arrivals = [Arrival(1, "lidar", 100 * ms), Arrival(2, "camera", 90 * ms), Arrival(3, "camera", 101 * ms)]
     arrivals += [Arrival(4, "radar", 100 * ms)]
     wrong = FoundSet(given=10, reference=100 * ms, times={"camera": 90 * ms, "radar": 100 * ms})
-    judgement = judge(Replay(sets=[wrong], told_unmatched=None), arrivals, TOLERANCE)
+    judgement = judge(Replay(sets=[wrong], reported_unmatched=None), arrivals, TOLERANCE)
     assert (judgement.possible, judgement.right, judgement.wrong, judgement.unmatched) == (1, 0, 1, 0)
     assert judgement.delays_nanos == [6]
 
