@@ -15,7 +15,7 @@ from stampede_rt.files.cells import BOOL, FLOAT, FLOATS, INT, INTS, Columns, cel
 from stampede_rt.files.entries import FileEntry
 from stampede_rt.files.names import channel_name
 from stampede_rt.files.sources import FileSource, none_chosen
-from stampede_rt.files.writing import opened_new, write_fault
+from stampede_rt.files.writing import opened_new, replaced, write_fault
 from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap
 
 ROWS_AT_ONCE = 4096
@@ -56,8 +56,8 @@ class TableWriter(Protocol):
 class CsvTable:
     """A table as CSV in UTF-8. Times and durations are nanoseconds. Lists and attributes are JSON."""
 
-    def __init__(self, path: Path, columns: Columns, *, overwrite: bool) -> None:
-        opened_new(path, overwrite=overwrite).close()
+    def __init__(self, path: Path, columns: Columns) -> None:
+        opened_new(path, overwrite=True).close()
         self._file = path.open("w", encoding="utf-8", newline="")
         self._writer = csv.writer(self._file)
         self._writer.writerow([*HEADS, *columns.kinds])
@@ -77,7 +77,7 @@ class CsvTable:
 class ParquetTable:
     """A table as Parquet. Times are timestamps in UTC, durations nanoseconds, attributes a map."""
 
-    def __init__(self, path: Path, columns: Columns, *, overwrite: bool) -> None:
+    def __init__(self, path: Path, columns: Columns) -> None:
         try:
             import pyarrow as pa
             import pyarrow.parquet as pq
@@ -91,7 +91,7 @@ class ParquetTable:
         heads = zip(HEADS, of_heads, strict=True)
         values = [(name, types.get(kind or "", pa.string())) for name, kind in columns.kinds.items()]
         self._pa, self._schema = pa, pa.schema([*heads, *values])
-        opened_new(path, overwrite=overwrite).close()
+        opened_new(path, overwrite=True).close()
         self._writer = pq.ParquetWriter(str(path), self._schema, compression="zstd")
 
     def write(self, entries: Sequence[FileEntry], cells: Sequence[Sequence[Any]]) -> None:
@@ -184,16 +184,17 @@ class _Topic:
 
 
 def _export(topic: _Topic, path: Path, form: str, overwrite: bool) -> int:
-    columns = Columns()
-    for entry in topic.entries(note=True):
-        columns.learn(topic.cells(entry))
-    table, rows = _TABLES[form](path, columns, overwrite=overwrite), 0
-    try:
-        for part in _parts(topic.entries()):
-            table.write(part, [columns.cells(topic.cells(entry)) for entry in part])
-            rows += len(part)
-    finally:
-        table.close()
+    with replaced(path, overwrite=overwrite) as written:
+        columns = Columns()
+        for entry in topic.entries(note=True):
+            columns.learn(topic.cells(entry))
+        table, rows = _TABLES[form](written, columns), 0
+        try:
+            for part in _parts(topic.entries()):
+                table.write(part, [columns.cells(topic.cells(entry)) for entry in part])
+                rows += len(part)
+        finally:
+            table.close()
     return rows
 
 

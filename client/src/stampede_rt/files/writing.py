@@ -65,7 +65,18 @@ def write_fault(path: str | os.PathLike[str], error: OSError) -> FileError:
 
 @contextmanager
 def replacing(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[FileWriter]:
-    """Give a writer of a file that gets its name `path` when the block ends.
+    """Give a writer of a file that gets its name `path` when the block ends (see `replaced`). Raises FileError."""
+    with replaced(path, overwrite=overwrite) as part:
+        writer = FileWriter(part, overwrite=True)
+        try:
+            yield writer
+        finally:
+            writer.abandon()
+
+
+@contextmanager
+def replaced(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]:
+    """Give the path of a file to write, which gets its name `path` when the block ends.
 
     Until then its name ends with PART_SUFFIX. After an error there is no such file, and a former file `path` stays.
     Raises FileError, also if the file exists and `overwrite` is False.
@@ -74,15 +85,13 @@ def replacing(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[File
     if os.path.exists(target) and not (overwrite and os.path.isfile(target)):
         raise _exists(path)
     part = Path(target + PART_SUFFIX)
-    writer = FileWriter(part, overwrite=True)
     try:
-        yield writer
+        yield part
         try:
             os.replace(part, target)
         except OSError as error:
             raise write_fault(path, error) from error
     finally:
-        writer.abandon()
         part.unlink(missing_ok=True)
 
 

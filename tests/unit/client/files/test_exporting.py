@@ -13,7 +13,7 @@ import pytest
 
 from stampede_rt.cli.main import main as stampede
 from stampede_rt.errors import FileError
-from stampede_rt.files import cells
+from stampede_rt.files import cells, exporting
 from stampede_rt.files.entries import Topic, item_entry
 from stampede_rt.files.exporting import ExportSummary, export_tables
 from stampede_rt.files.sources import McapSource
@@ -168,3 +168,26 @@ def test_the_command_says_how_many_more_gaps_there_are(tmp_path: Path, capsys: p
     said = capsys.readouterr().out.splitlines()
     assert len([line for line in said if line.startswith("missing: imu")]) == 20
     assert said[-1] == "missing: 5 more gaps"
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_an_export_that_fails_leaves_no_part_of_a_table_and_the_former_table_stays(
+    tmp_path: Path, form: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exporting, "ROWS_AT_ONCE", 1)
+    path, output = file_of(tmp_path / "a.mcap", [b"1", b"2"], JSON), tmp_path / f"a.{form}"
+    output.write_bytes(b"the former table")
+    source, read = McapSource(path), []
+
+    def damaged_at_the_end(*arguments: Any) -> Any:
+        read.append(1)
+        yield from McapSource.events(source, *arguments)
+        if len(read) == 2:  # the table is being written
+            raise FileError("the file is damaged")
+
+    monkeypatch.setattr(source, "events", damaged_at_the_end)
+    with pytest.raises(FileError, match="is damaged"):
+        export_tables(source, output, form, chosen=lambda _: True, start=MIN_INSTANT, end=MAX_INSTANT, overwrite=True)
+    source.close()
+    assert output.read_bytes() == b"the former table"
+    assert sorted(one.name for one in tmp_path.iterdir()) == sorted(["a.mcap", output.name])
