@@ -66,7 +66,7 @@ def test_a_rotation_of_certificates_changes_every_file_and_trusts_both_authoriti
     certificates = Certificates(tmp_path / "certificates")
     files = certificates.files(Role.SUPERNODE, "s1", "10.0.0.1")
     before = [path.read_bytes() for path in files.paths()]
-    certificates.take_over()
+    certificates.add_authority()
     assert files.paths()[0].read_bytes().startswith(before[0])
     certificates.renew()
     certificates.forget_former()

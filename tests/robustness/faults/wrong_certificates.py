@@ -41,7 +41,7 @@ async def _rotated(certificates: Certificates, victims: list[PlacedProcess], for
 
     After each step wait until every service uses its new files. Raises FaultHadNoEffect.
     """
-    certificates.take_over()
+    certificates.add_authority()
     newcomer = certificates.files(Role.CLIENT, f"newcomer-{time.monotonic_ns()}")
     await _each(victims, lambda one: accepts(one, newcomer), "trusts the new authority")
     certificates.renew()

@@ -31,7 +31,7 @@ class Certificates:
         self._authorities = 0
         self._issued: dict[tuple[Role, str], tuple[str, ...]] = {}
         folder.mkdir(mode=0o700, parents=True)
-        self.take_over()
+        self.add_authority()
 
     @property
     def ca(self) -> Path:
@@ -42,7 +42,7 @@ class Certificates:
     def _authority(self) -> Path:
         return self.folder / f"authority-{self._authorities}"
 
-    def take_over(self) -> None:
+    def add_authority(self) -> None:
         """Make a new authority, which issues from now on. The parts still trust the former authorities."""
         self._authorities += 1
         _run("init", str(self._authority), "--cluster", CLUSTER)

@@ -32,7 +32,7 @@ from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
 from stampede_rt_supernode.background import background
 from stampede_rt_supernode.core.access.queries import access_state, things_of_callers
 from stampede_rt_supernode.joining.copied_folder import OwnAddress
-from stampede_rt_supernode.joining.founding import FoundingRecord, misplaced, note_started, read_founding
+from stampede_rt_supernode.joining.founding import FoundingRecord, misplacement_warning, note_started, read_founding
 from stampede_rt_supernode.joining.members import Members, why_diverged
 from stampede_rt_supernode.joining.preparing import PREPARING, prepare
 from stampede_rt_supernode.joining.probe import Probe
@@ -81,7 +81,7 @@ async def serve(settings: SupernodeSettings) -> None:
     address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
     founding = settings.founding(address)
     own_cluster.learn(founding.log_cluster_id)
-    if wrong := misplaced(founding, address, settings.advertise):
+    if wrong := misplacement_warning(founding, address, settings.advertise):
         logger.warning(wrong, extra={"event": "address_misplaced"})
         await OwnAddress(founding.supernode_id, founding.address, 0, credentials).check()
     if settings.data_dir is None and not settings.members:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.errors import StampedeError
-from stampede_rt_supernode.joining.founding import FoundingRecord, check_unused, misplaced, restoring
+from stampede_rt_supernode.joining.founding import FoundingRecord, check_unused, misplacement_warning, restoring
 from stampede_rt_supernode.replication import StoreRefused, restore_from
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME
@@ -35,7 +35,7 @@ def test_a_supernode_that_listens_at_an_unlisted_address_reports_it(
     told: str, here: str, advertise: str, is_misplaced: bool
 ) -> None:
     founding = FoundingRecord(supernode_id="a", address=told, members={"a": told})
-    words = misplaced(founding, here, advertise)
+    words = misplacement_warning(founding, here, advertise)
     assert (f"listens at {here}, but the others call it at {told}" in words) is is_misplaced
 
 

@@ -142,7 +142,7 @@ def check_restored(data_dir: Path) -> None:
         )
 
 
-def misplaced(founding: FoundingRecord, listening_at: str, advertise: str) -> str:
+def misplacement_warning(founding: FoundingRecord, listening_at: str, advertise: str) -> str:
     """The warning for a supernode that does not listen at the address at which callers reach it; empty if it does.
 
     With --advertise there is no warning, because the user knows that calls to that address come here.
