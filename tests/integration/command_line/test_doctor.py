@@ -56,7 +56,7 @@ def test_doctor_names_the_supernodes_to_start_after_a_lost_quorum_also_without_a
         supernode.kill()
     code, said = doctor("--url", cluster.address)
     assert (code, "1 of 3 run" in said) == (1, True)
-    assert "start s2 and s3 with their data folders, or, if those are lost, see the runbook: lose two" in said
+    assert "start s2 and s3 with their data folders. If the folders are lost, see the runbook: lose two" in said
     assert "Hosts cannot renew their leases: within 5 s they refuse all calls. They keep their items" in said
 
     cluster.frontends[0].stop()

@@ -61,7 +61,7 @@ def test_a_removed_supernode_does_not_count_for_the_majority() -> None:
 def test_doctor_says_to_start_or_replace_a_supernode_that_a_majority_misses() -> None:
     quorum = found(changed("s2", failure="nobody is there"), "quorum")
     assert quorum.state == "2 of 3 serve"
-    assert quorum.advice.startswith("start s2 again with its data folder, or, if that is lost, replace it")
+    assert quorum.advice.startswith("start s2 again with its data folder. If the folder is lost, replace the supernode")
 
 
 @pytest.mark.parametrize(("nanos", "how"), [(1500 * MS, "1.5 s ahead of"), (-60 * MS, "60 ms behind")])
@@ -238,7 +238,9 @@ def test_a_cluster_without_folders_is_reported_but_not_as_a_fault() -> None:
 
 def test_the_advice_after_the_loss_of_all_supernodes_names_its_chapter() -> None:
     observations = [replace(one, failure="gone") if one.kind == SUPERNODE else one for one in WELL]
-    assert "start s1, s2 and s3 with their data folders, or" in found(observations, "quorum").advice
+    assert (
+        "start s1, s2 and s3 with their data folders. If the folders are lost" in found(observations, "quorum").advice
+    )
     assert "see the runbook: lose all" in found(observations, "quorum").advice
 
 

@@ -20,8 +20,8 @@ from stampede_rt.wire.groups import group_info, group_spec
 class GroupMembers(Reference):
     """The members of a group, as the directory last described them, and the latest cut that this process has seen.
 
-    `create`: the program stated the members when it opened the group. If the directory begins anew, `refresh` then
-    creates the group again.
+    `create`: whether the program stated the members when it opened the group. If so, and if the directory begins anew,
+    `refresh` creates the group again.
     """
 
     def __init__(self, session: Session, info: GroupInfo, channels: Sequence[Channel], create: bool) -> None:

@@ -126,7 +126,7 @@ def _refused_puts(one: Observation) -> str:
     return refused + (
         f"it holds {bytes_text(one.held_bytes)} of {bytes_text(one.memory_bytes_max)}: raise --memory-bytes-max (or "
         "max_memory of st.host), tighten the retention of its channels, or start another host (`stampede ls -l` shows "
-        "who holds what)"
+        "the host and the counters of each channel)"
     )
 
 
@@ -135,9 +135,9 @@ def _refused_calls(one: Observation) -> str:
     if one.refused_call_ago_nanos is None or one.refused_call_ago_nanos > REFUSED_LATELY_NANOS:
         return ""
     return (
-        f"it refused or ended calls as Overloaded, the last one {roughly(one.refused_call_ago_nanos)} ago, as its log "
-        "says: too many streams, reads or channels at a time, or a reader that took nothing; close some of them, or "
-        "start another host"
+        f"it refused or ended calls as Overloaded, the last one {roughly(one.refused_call_ago_nanos)} ago; its log "
+        "gives the reason: too many streams, reads or channels at a time, or a reader that took nothing. Close some of "
+        "them, or start another host"
     )
 
 
@@ -179,7 +179,10 @@ def _quorum(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     running, ready = [one for one in members if not one.failure], sum(one.ready and not one.failure for one in members)
     needed = len(members) // 2 + 1
     if ready >= needed:
-        again = f"start {down} again with its data folder, or, if that is lost, replace it (runbook: replace one)"
+        again = (
+            f"start {down} again with its data folder. If the folder is lost, replace the supernode "
+            "(runbook: replace one)"
+        )
         kept = ", only in memory" if any(one.in_memory for one in running) else ""
         yield CheckResult("quorum", "-", f"{ready} of {len(members)} serve{kept}", again if down else "")
     elif len(running) >= needed:
@@ -200,7 +203,7 @@ def _quorum(seen: Sequence[Observation]) -> Iterator[CheckResult]:
             "-",
             f"{len(running)} of {len(members)} run",
             f"the directory has no majority and refuses all changes ({needed} must run); start {down} with their "
-            f"data folders, or, if those are lost, see the runbook: {_chapter(len(members), len(running))}. "
+            f"data folders. If the folders are lost, see the runbook: {_chapter(len(members), len(running))}. "
             "Hosts cannot renew their leases: within 5 s they refuse all calls. They keep their items, and serve them "
             "again when a majority serves again",
         )
@@ -252,7 +255,7 @@ def _quotas(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     count, last = sum(one.quota_refusals for one in refusing), min(one.quota_refused_ago_nanos or 0 for one in refusing)
     where = joined([f"{one.part} ({one.quota_refusals})" for one in refusing])
     advice = (
-        "`stampede quota use` shows which callers are beyond which quota, and `stampede quota set` raises one"
+        "`stampede quota use` shows which callers are beyond which quota, and `stampede quota set` raises a quota"
         if last <= REFUSED_LATELY_NANOS
         else ""
     )

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from stampede_rt.cli.output import joined
 
 STORE_ADVICE = (
-    "start it with its latest data folder, or, if that is lost, remove it (stampede supernode remove) and "
-    "let it join under a new id (runbook: replace one)"
+    "start it with its latest data folder. If the folder is lost, remove the supernode (stampede supernode remove), "
+    "and let it join under a new id (runbook: replace one)"
 )
 # These words are in a text from a supernode whose state differs from the state of most members.
 DIVERGED = "differs from that of most members"

@@ -46,7 +46,7 @@ MAX_AGE = 10  # the channel's max_age in nanoseconds; -1: none
 CLOCK_BOOTTIME = 11  # a reading of CLOCK_BOOTTIME, and the host's clock at that moment
 CLOCK_HOST = 12
 CLOCK_OFFSET = 13  # the machine's wall clock minus the host's clock at that moment
-LATE = 14  # the number of slots that did not follow the newest item in time
+LATE = 14  # the number of slots whose first item was older than the newest item
 
 CHANGES_WORD = 32  # the host adds 1 after each change; its lower half is the futex on which readers wait
 

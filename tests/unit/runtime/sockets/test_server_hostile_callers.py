@@ -94,7 +94,7 @@ async def test_a_frame_that_is_never_finished_is_ended_after_a_while(
         await stream.send_bytes(head_of(FrameKind.MESSAGE, 1000) + b"x")
         status = await stream.status()
         assert status.code == OVERDUE
-        assert "6 bytes of a frame came, and not the rest within 0.05 s" in status.message
+        assert "6 bytes of a frame came, but the rest did not come within 0.05 s" in status.message
 
 
 async def test_a_frame_that_arrives_byte_by_byte_ends_its_stream_after_a_while(

@@ -10,8 +10,8 @@ DELETIONS_MAX = 1024
 class Deletions:
     """The ids of the latest requests that deleted a channel, at most DELETIONS_MAX.
 
-    For a further id, the oldest id of the caller with the most ids is dropped. So one caller does not push out the ids
-    of other callers.
+    When one more id comes, this class drops the oldest id of the caller with the most ids. So one caller does not push
+    out the ids of other callers.
     """
 
     def __init__(self) -> None:

@@ -21,8 +21,8 @@ def opening_in(body: bytes) -> pb.StreamOpening:
 def unfinished(seconds: float, came_bytes: int) -> DeadlineExceeded:
     """The error for a frame if only some of its bytes came within that time."""
     return DeadlineExceeded(
-        f"{came_bytes} bytes of a frame came, and not the rest within {seconds:g} s; send smaller messages, "
-        "or over a faster network"
+        f"{came_bytes} bytes of a frame came, but the rest did not come within {seconds:g} s; send smaller "
+        "messages, or use a faster network"
     )
 
 

@@ -16,8 +16,8 @@ class OpenChannel(Creation):
     `beside`: the name of another channel; empty if the caller names none. The host of that other channel gets the
     opened channel, if the host has room and the opened channel needs an owner.
     A new channel gets `new_channel_id` and `new_incarnation`. If the owner of an existing channel is not alive, the
-    channel gets a new owner and `new_incarnation`. `waited_for_index`: the registration of a host for whose archive
-    callers have waited long enough, as its log position; 0: of none.
+    channel gets a new owner and `new_incarnation`. `waited_for_index`: the log position of the registration of a host.
+    Callers have waited long enough for the archive of this host. 0: there is no such host.
     """
 
     name: str
