@@ -47,8 +47,14 @@ class Interruption:
         self.regular_end = (stop, limit_s)
 
     def closes(self, close: Callable[[], object]) -> None:
-        """Keep the function `close`. After Ctrl-C a separate thread calls it."""
+        """Keep the function `close`. After Ctrl-C a separate thread calls it.
+
+        If Ctrl-C came before and the command has no regular end, calls it immediately: the command must begin nothing
+        more.
+        """
         self._closes.append(close)
+        if self.asked and self.regular_end is None:
+            self.close()
 
     def close(self) -> None:
         """Call all functions that `closes` has kept, the latest first, and forget them."""

@@ -183,3 +183,32 @@ def test_a_service_that_is_still_loaded_ends_immediately() -> None:
         threading.Event().wait()
     """
     assert ended(program) == (130, "")
+
+
+def test_a_connection_that_opens_after_ctrl_c_is_closed_immediately_so_the_command_begins_nothing_more() -> None:
+    program = """
+    def work():
+        ctrl_c_and_wait()
+        closed = threading.Event()
+        interrupts.interruption.closes(closed.set)
+        print("closed" if closed.is_set() else "goes on")
+        return 0
+
+    sys.exit(interrupts.run_interruptibly(work))
+    """
+    assert ended(program) == (130, "closed\n")
+
+
+def test_a_connection_that_opens_after_the_regular_end_was_asked_for_stays_open() -> None:
+    program = """
+    def work():
+        interrupts.interruption.ends(lambda: None, 10)
+        ctrl_c_and_wait()
+        closed = threading.Event()
+        interrupts.interruption.closes(closed.set)
+        print("closed" if closed.is_set() else "goes on")
+        return 3
+
+    sys.exit(interrupts.run_interruptibly(work))
+    """
+    assert ended(program) == (3, "goes on\n")
