@@ -17,7 +17,7 @@ BINDING = Binding(subject_id=b"c" * 16, target="host:1", epoch=3, incarnation=7)
 
 
 class Clock:
-    """Time that passes in sleeps alone."""
+    """Time that passes only in sleeps."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -29,8 +29,8 @@ class Clock:
         self.now_s += delay_s
 
 
-class Place:
-    """A place that is always found. `forgotten` counts how often it turned out to be stale."""
+class FixedLocator:
+    """A locator that always finds the same binding. `forgotten` counts how often the binding turned out to be stale."""
 
     closed = False
     names_a_lost_channel = False
@@ -76,20 +76,20 @@ class Operation:
 
 
 async def test_an_operation_whose_host_does_not_answer_in_time_is_tried_again(clock: Clock) -> None:
-    place = Place()
+    locator = FixedLocator()
     operation = Operation(st.DeadlineExceeded("slow"), st.Unavailable("gone"), st.DeadlineExceeded("slow"))
-    assert await attempt(place, operation, 10) == "done"
-    assert place.forgotten == 3
+    assert await attempt(locator, operation, 10) == "done"
+    assert locator.forgotten == 3
 
 
-async def test_a_last_try_that_was_cut_short_does_not_hide_the_failure_of_the_others(clock: Clock) -> None:
+async def test_a_last_try_that_was_cut_short_does_not_hide_the_failure_of_the_earlier_tries(clock: Clock) -> None:
     operation = Operation(st.Unavailable("gone"), st.DeadlineExceeded("too little time"), for_ever=True)
     with pytest.raises(st.Unavailable, match="gone"):
-        await attempt(Place(), operation, 10)
+        await attempt(FixedLocator(), operation, 10)
 
 
 @pytest.mark.parametrize(("began_s", "told"), [(9.5, "gone"), (5.0, "no majority")])
-async def test_a_majority_that_is_not_found_at_the_very_end_does_not_hide_the_failure_of_the_others(
+async def test_a_majority_that_is_not_found_at_the_very_end_does_not_hide_the_failure_of_the_earlier_tries(
     began_s: float, told: str, clock: Clock
 ) -> None:
     async def fail(binding: Binding, timeout_s: float) -> str:
@@ -98,12 +98,12 @@ async def test_a_majority_that_is_not_found_at_the_very_end_does_not_hide_the_fa
         raise st.Unavailable("no majority", reason="NO_QUORUM")
 
     with pytest.raises(st.Unavailable, match=told):
-        await attempt(Place(), fail, 10)
+        await attempt(FixedLocator(), fail, 10)
 
 
 async def test_a_host_that_never_answers_ends_the_call_with_deadline_exceeded(clock: Clock) -> None:
     with pytest.raises(st.DeadlineExceeded, match="slow"):
-        await attempt(Place(), Operation(st.DeadlineExceeded("slow"), for_ever=True), 10)
+        await attempt(FixedLocator(), Operation(st.DeadlineExceeded("slow"), for_ever=True), 10)
     assert clock.now_s == pytest.approx(110)
 
 
@@ -120,7 +120,7 @@ async def test_no_try_may_take_longer_than_the_call(taken_s: float, clock: Clock
         raise st.DeadlineExceeded("slow") if timeout_s <= taken_s else st.Unavailable("gone")
 
     with pytest.raises(st.Unavailable):
-        await attempt(Place(), fail_slowly, 10)
+        await attempt(FixedLocator(), fail_slowly, 10)
     assert allowed[0] == (100, 10)
     assert all(began_s + timeout_s == pytest.approx(110, abs=TRY_S_MIN) for began_s, timeout_s in allowed)
     assert clock.now_s <= 110 + TRY_S_MIN
@@ -128,19 +128,19 @@ async def test_no_try_may_take_longer_than_the_call(taken_s: float, clock: Clock
 
 @pytest.mark.parametrize("error", [st.ChannelNotFound("none"), st.InvalidArgument("wrong")])
 async def test_a_permanent_error_is_raised_immediately(clock: Clock, error: Any) -> None:
-    place = Place()
+    locator = FixedLocator()
     with pytest.raises(type(error)):
-        await attempt(place, Operation(error), 10)
-    assert (place.forgotten, clock.now_s) == (0, 100)
+        await attempt(locator, Operation(error), 10)
+    assert (locator.forgotten, clock.now_s) == (0, 100)
 
 
 async def tries(quota: str, clock: Clock) -> tuple[int, float]:
     """The number of tries of an operation that meets this quota, and their time together."""
-    place, began_s = Place(), clock.now_s
+    locator, began_s = FixedLocator(), clock.now_s
     operation = Operation(st.Overloaded("cam has 3; its quota is 3", metadata={"quota": quota}), for_ever=True)
     with pytest.raises(st.Overloaded):
-        await attempt(place, operation, 10)
-    return place.forgotten + (place.forgotten == 0), clock.now_s - began_s
+        await attempt(locator, operation, 10)
+    return locator.forgotten + (locator.forgotten == 0), clock.now_s - began_s
 
 
 @pytest.mark.parametrize("quota", ["channels", "queues"])
@@ -162,16 +162,16 @@ async def test_a_call_beyond_a_quota_that_time_frees_is_repeated_until_its_deadl
 async def test_an_operation_follows_the_first_move_of_its_channel_immediately_and_later_ones_after_pauses(
     clock: Clock,
 ) -> None:
-    place, moved = Place(), error_for("MOVED", "the channel has moved", {})
-    assert await attempt(place, Operation(moved), 10.0) == "done"
-    assert (clock.now_s, place.forgotten) == (100.0, 1)
-    assert await attempt(place, Operation(moved, moved), 10.0) == "done"
+    locator, moved = FixedLocator(), error_for("MOVED", "the channel has moved", {})
+    assert await attempt(locator, Operation(moved), 10.0) == "done"
+    assert (clock.now_s, locator.forgotten) == (100.0, 1)
+    assert await attempt(locator, Operation(moved, moved), 10.0) == "done"
     assert clock.now_s > 100.0
 
 
 async def test_a_deleted_channel_is_looked_up_once_more_before_the_error_is_raised(clock: Clock) -> None:
-    place, calls = Place(), 0
-    place.names_a_lost_channel = True
+    locator, calls = FixedLocator(), 0
+    locator.names_a_lost_channel = True
 
     async def missing(binding: Binding, timeout_s: float) -> None:
         nonlocal calls
@@ -179,5 +179,5 @@ async def test_a_deleted_channel_is_looked_up_once_more_before_the_error_is_rais
         raise st.ChannelNotFound("gone")
 
     with pytest.raises(st.ChannelNotFound):
-        await attempt(place, missing, 10.0)
-    assert (calls, place.forgotten, clock.now_s) == (2, 1, 100.0)
+        await attempt(locator, missing, 10.0)
+    assert (calls, locator.forgotten, clock.now_s) == (2, 1, 100.0)
