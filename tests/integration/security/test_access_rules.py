@@ -312,7 +312,7 @@ def test_an_operator_sees_the_effect_of_a_rule_and_the_reason_of_a_denial(
     assert operator.run("acl", "check", "@cluster", "put", "video/1") == 0
     assert "@cluster may put channel video/1: no rule limits it" in capsys.readouterr().out
     assert operator.run("acl", "rm", "cam", "put", "video/1", "--deny", "--dry-run") == 0
-    assert "put" in capsys.readouterr().out.split("this changes for cam")[1]
+    assert "put" in capsys.readouterr().out.split("The effects on cam")[1]
     assert operator.run("acl", "add", "cam", "put", "jobs", "--kind", "queue") == 2
     assert "nobody can put a queue" in capsys.readouterr().err
 

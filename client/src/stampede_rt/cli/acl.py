@@ -47,7 +47,7 @@ def add_verbs(subparsers: Any) -> None:
     _add_change(
         add_verb(verbs, "add", "add a rule; if any rule exists, clients may do only what a rule allows", run_add)
     )
-    _add_change(add_verb(verbs, "rm", "remove a rule, written as for add", run_rm))
+    _add_change(add_verb(verbs, "rm", "remove a rule; write it as for add", run_rm))
     add_verb(verbs, "ls", "list all rules", run_ls)
     check = add_verb(verbs, "check", "tell whether a client may do something, and why; status 3: it may not", run_check)
     check.add_argument("who", metavar="WHO", help="the name of a client")
@@ -72,7 +72,9 @@ def _add_change(parser: argparse.ArgumentParser) -> None:
 def _verbs(text: str) -> tuple[str, ...]:
     words = () if text == "*" else tuple(sorted(set(text.split(","))))
     if wrong := [word for word in words if word not in VERBS]:
-        raise argparse.ArgumentTypeError(f"{', '.join(wrong)!r}; allowed: {', '.join(VERBS)}, or * for all")
+        raise argparse.ArgumentTypeError(
+            f"there is no verb {', '.join(wrong)!r}; the verbs are {', '.join(VERBS)}, or * for all"
+        )
     return words
 
 
@@ -130,10 +132,10 @@ def _warnings(rpc: str, *, changed: bool, rules: int) -> list[str]:
 def _print_effects(who: str, effects: Sequence[dict[str, Any]]) -> None:
     if not effects:
         return
-    print(f"\nFor the things that exist now, this changes for {who}:\n")
+    print(f"\nThe effects on {who}, for the things that exist now:\n")
     print_rows(effects[:EFFECTS_SHOWN], "table", none="")
     if len(effects) > EFFECTS_SHOWN:
-        print(f"and {len(effects) - EFFECTS_SHOWN} more at least (-o json)")
+        print(f"and at least {len(effects) - EFFECTS_SHOWN} more (-o json)")
 
 
 def run_ls(arguments: argparse.Namespace) -> int:

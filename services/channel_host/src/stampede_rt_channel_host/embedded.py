@@ -54,7 +54,7 @@ class EmbeddedHost:
         self._served: ServedHost | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop = asyncio.Event()
-        self._is_leaving = False  # also before the loop runs
+        self._is_leaving = False  # may be True before the loop runs
         self._has_ended = False
         self._asked: set[Future[Any]] = set()  # calls that the loop has still to answer
         self._puts: set[InProcessPutStream] = set()  # the open streams of producers
@@ -111,7 +111,10 @@ class EmbeddedHost:
             self._thread.join(self._drain_s + LEAVE_SECONDS_MAX)
 
     def put(self, channel_id: bytes, epoch: int, put: InProcessPut) -> Future[pb.PutAck | None]:
-        """Put one item by reference. None: it may have to wait for room. The future may have the errors of a put."""
+        """Put one item by reference. The future may have the errors of a put.
+
+        Its result is None if the put may have to wait for room.
+        """
 
         def perform(store: ChannelStore, told: Future[pb.PutAck | None]) -> None:
             ack = put_here(store, channel_id, epoch, put)
@@ -146,15 +149,18 @@ class EmbeddedHost:
         return opened
 
     def read_now(self, channel_id: bytes, epoch: int, query: ReadQuery) -> InProcessAnswer | None:
-        """Read by reference, without a wait. None: take `read`. Raises the errors of a get."""
+        """Read by reference, without a wait. If it returns None, call `read`. Raises the errors of a get."""
         return self._look(read_now, channel_id, epoch, query)
 
     def at_now(self, channel_id: bytes, epoch: int, time: int) -> InProcessAnswer | None:
-        """Read at an instant by reference, without a wait. None: take `read_now`. Raises the errors of a get."""
+        """Read at an instant by reference, without a wait.
+
+        If it returns None, call `read_now`. Raises the errors of a get.
+        """
         return self._look(at_now, channel_id, epoch, time)
 
     def newest_now(self, channel_id: bytes, epoch: int) -> InProcessAnswer | None:
-        """Read the newest item by reference, without a wait. None: take `read_now`."""
+        """Read the newest item by reference, without a wait. If it returns None, call `read_now`."""
         return self._look(newest_now, channel_id, epoch)
 
     def _look(self, look: Callable[..., Found | None], *arguments: Any) -> Found | None:
@@ -284,7 +290,7 @@ async def _tell_when_due(told: Future[pb.PutAck | None], ack: HeldAck) -> None:
 
 
 def _cancel(loop: asyncio.AbstractEventLoop, waiting: WaitingGet | asyncio.Task[None], told: Future[Any]) -> None:
-    """End the wait of a call whose caller has given up. The done callback of its future keeps the wait."""
+    """End the wait of a call whose caller has given up. The done callback of the future refers to `waiting`."""
     if told.cancelled():
         with contextlib.suppress(RuntimeError):  # the loop has closed
             loop.call_soon_threadsafe(waiting.cancel)

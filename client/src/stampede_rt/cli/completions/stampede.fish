@@ -487,7 +487,7 @@ complete -c stampede -n '_shtab_stampede_using acl add' -l local -d 'print insta
 complete -c stampede -n '_shtab_stampede_using acl add' -l kind -xka "channel group queue peer" -d 'only things of this kind; default: every kind'
 complete -c stampede -n '_shtab_stampede_using acl add' -l deny -d 'forbid the verbs, even if other rules allow them'
 complete -c stampede -n '_shtab_stampede_using acl add' -l dry-run -d 'change nothing, and print the effects that the change would have'
-complete -c stampede -n '_shtab_stampede_using acl; and test $_shtab_stampede_npos -eq 0' -a rm -d 'remove a rule, written as for add'
+complete -c stampede -n '_shtab_stampede_using acl; and test $_shtab_stampede_npos -eq 0' -a rm -d 'remove a rule; write it as for add'
 complete -c stampede -n '_shtab_stampede_using acl rm' -s h -l help -d 'show this help message and exit'
 complete -c stampede -n '_shtab_stampede_using acl rm' -l url -x -d 'front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580'
 complete -c stampede -n '_shtab_stampede_using acl rm' -s o -l output -xka "table json jsonl" -d 'how to print; default table'

@@ -60,7 +60,7 @@ _shtab_stampede_acl_commands() {
     add:'add a rule; if any rule exists, clients may do only what a rule allows'
     check:'tell whether a client may do something, and why; status 3: it may not'
     ls:'list all rules'
-    rm:'remove a rule, written as for add'
+    rm:'remove a rule; write it as for add'
   )
   _describe 'stampede acl commands' _commands
 }

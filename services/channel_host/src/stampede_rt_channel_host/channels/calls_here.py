@@ -94,9 +94,9 @@ def read_now(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuer
 
 
 def at_now(store: ChannelStore, channel_id: bytes, epoch: int, instant: int) -> InProcessAnswer | None:
-    """The answer to a read at an instant, if one item is all of it. Changes nothing.
+    """The answer to a read at an instant, if the answer is one item. Changes nothing.
 
-    None: take `read_now`. The caller holds the turn of the loop. Raises the errors of a get.
+    If it returns None, call `read_now`. The caller holds the turn of the loop. Raises the errors of a get.
     """
     hosted, now = find_here(store, channel_id, epoch), store.now()
     if hosted is None or (hosted.due is not None and hosted.due <= now):
@@ -112,7 +112,8 @@ def at_now(store: ChannelStore, channel_id: bytes, epoch: int, instant: int) -> 
 def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> InProcessAnswer | None:
     """The answer to a read of the newest item. Changes nothing.
 
-    None: take `read_now`, which also finds the reason of a failure. The caller holds the turn of the loop.
+    If it returns None, call `read_now`, which also finds the reason of a failure. The caller holds the turn of the
+    loop.
     """
     try:
         hosted = find_here(store, channel_id, epoch)
