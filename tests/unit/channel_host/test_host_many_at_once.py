@@ -212,7 +212,7 @@ async def test_a_registration_looks_at_a_bounded_number_of_channels_in_one_piece
     assert len(store.scheduler._begun) <= 8
 
 
-async def test_a_lost_lease_ends_a_bounded_number_of_channels_in_one_piece_and_lists_no_others(
+async def test_a_lost_lease_ends_a_bounded_number_of_channels_in_one_piece_and_lists_no_other_channels(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = rig.host.store

@@ -72,7 +72,7 @@ FINISH_SECONDS_MAX = 1.0  # how much longer a host that stops keeps its lease fo
 CHANNELS_LISTED_MAX = QUEUES_LISTED_MAX = 1000  # the most of each in the answer to a registration
 
 
-def _of_a_host(access: AccessControl, memory_bytes_max: int) -> AccessControl:
+def _set_up_for_host(access: AccessControl, memory_bytes_max: int) -> AccessControl:
     """The control, set up for the callers of a host."""
     access.takes_ids = True
     access.accounts.set_default(Quota.BYTES_HELD, memory_bytes_max * 7 // 8)
@@ -123,7 +123,7 @@ class ChannelHost:
         self._supernodes = Supernodes(frontends, self._dial, **known)
         self._of_lease = Supernodes(frontends, self._naming(dial_for_lease), **known)
         self._lease = LeaseThread(lambda serving: self._make_registration(self._of_lease, clock, serving))
-        access = _of_a_host(access or AccessControl(), memory_bytes_max)
+        access = _set_up_for_host(access or AccessControl(), memory_bytes_max)
         memory = MemoryBudget(memory_bytes_max, lambda: self.store.sweep.reclaim(), accounts=access.accounts)
         queries = DirectoryQueries(self._supernodes)
         held = self._lease.lease_held

@@ -68,7 +68,7 @@ async def test_a_failed_call_fails_its_own_lookups_and_no_later_ones(fails: Exce
     assert await asyncio.gather(*later) == [4, 9]
 
 
-async def test_a_cancelled_lookup_is_left_out_and_delays_no_other() -> None:
+async def test_a_cancelled_lookup_is_left_out_and_delays_no_other_lookup() -> None:
     directory = Directory()
     calls = GatheredCalls(directory.ask, 8)
     first, (gone, stays) = await asked(calls, 1), await asked(calls, 2, 3)

@@ -52,7 +52,7 @@ def told(number: int, *members: int, **settings: Any) -> ResolvedGroup:
 def ignored(one: bytes) -> None: ...
 
 
-async def test_a_group_that_loses_members_deletes_their_state_and_looks_at_no_others() -> None:
+async def test_a_group_that_loses_members_deletes_their_state_and_looks_at_no_other_members() -> None:
     table = HostedGroups()
     table.board._known = known = WalkCounter()
     begin = PieceScheduler().begin

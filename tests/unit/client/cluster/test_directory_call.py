@@ -86,7 +86,7 @@ def test_without_a_supernode_the_error_names_the_service_to_start() -> None:
     assert "start a front-end and supernodes" in DirectoryCall(deadline_s=1.0).failure([]).message
 
 
-def test_the_error_gives_the_reason_of_a_forgotten_supernode_if_it_has_no_other() -> None:
+def test_the_error_gives_the_reason_of_a_forgotten_supernode_if_it_has_no_other_reason() -> None:
     call = DirectoryCall(deadline_s=10.0)
     call.begin_round(["gone"], 2.5)
     asked(call, {"gone": unreached()})

@@ -63,7 +63,7 @@ async def test_a_cancelled_reader_does_not_cancel_the_shared_read_of_others() ->
     assert await second == 2
 
 
-async def test_a_closed_log_fails_all_waiting_reads_and_begins_no_other() -> None:
+async def test_a_closed_log_fails_all_waiting_reads_and_begins_no_new_reads() -> None:
     rig = Rig()
     first, second = await rig.ask(), await rig.ask()
     rig.shared.close()

@@ -85,11 +85,11 @@ class HomeCluster:
         self._noted = ""  # the id with which `note` was called last
         self._former: tuple[str, ...] = ()  # the clusters that the present one has replaced
 
-    def judge(self, callers: str) -> StampedeError | None:
-        """The error for a caller that names `callers` as its cluster; None if the host serves such callers."""
-        if may_change_to(callers, self.cluster_id, self._former):
+    def judge(self, caller_cluster_id: str) -> StampedeError | None:
+        """The error for a caller that names `caller_cluster_id` as its cluster; None if the host serves such callers."""
+        if may_change_to(caller_cluster_id, self.cluster_id, self._former):
             return None
-        return wrong_cluster("this host", self.cluster_id, callers)
+        return wrong_cluster("this host", self.cluster_id, caller_cluster_id)
 
     def is_noted(self, cluster_id: str) -> bool:
         """Whether the last `note` in this process had this id. Always True for an empty id, which needs no note."""

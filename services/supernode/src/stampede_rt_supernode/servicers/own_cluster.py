@@ -31,8 +31,8 @@ class OwnCluster:
         """The id that this cluster has, or will have as soon as its founder leads; empty if the id is not known yet."""
         return self._known or self._replica.read(_id_of)
 
-    def judge(self, callers: str) -> StampedeError | None:
-        """The error for a caller of the cluster with the id `callers`; None if the supernode serves that caller.
+    def judge(self, caller_cluster_id: str) -> StampedeError | None:
+        """The error for a caller of that cluster; None if the supernode serves the caller.
 
         The supernode serves no caller while its state is still empty, or, in a restored cluster, still the state of the
         former cluster, because reads and updates would concern that state.
@@ -44,9 +44,9 @@ class OwnCluster:
                 "try again in a moment",
                 reason="NO_QUORUM",
             )
-        if may_change_to(callers, own, self._replica.read(_former_of)):
+        if may_change_to(caller_cluster_id, own, self._replica.read(_former_of)):
             return None
-        return wrong_cluster("this supernode", own, callers)
+        return wrong_cluster("this supernode", own, caller_cluster_id)
 
 
 def _id_of(directory: Directory) -> str:

@@ -35,7 +35,7 @@ def test_the_oldest_message_ids_are_forgotten_when_they_take_too_much(monkeypatc
     assert not core.put(1, message_id="a").is_duplicate
 
 
-def test_a_caller_of_many_message_ids_makes_the_queue_forget_its_own_and_no_others(
+def test_a_caller_of_many_message_ids_makes_the_queue_forget_only_ids_of_that_caller(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """In an earlier version, one caller with many ids made the queue forget the ids of others."""

@@ -71,7 +71,7 @@ def test_an_extended_lease_is_counted_from_now_and_may_get_shorter() -> None:
     assert core.queue.next_deadline() == core.now + 1000
 
 
-def test_a_given_back_item_holds_up_no_other_while_it_is_delayed() -> None:
+def test_a_given_back_item_does_not_hold_up_other_items_while_it_is_delayed() -> None:
     core = Core()
     core.put(1, 1)
     core.taker(1, credit=1)
