@@ -68,12 +68,12 @@ from stampede_rt_runtime.sockets.tickets import SocketTickets
 
 logger = logging.getLogger(__name__)
 
-FINISH_SECONDS_MAX = 1.0  # how much longer a host that stops keeps its lease for its archive; `leave` has 2 s
-CHANNELS_LISTED_MAX = QUEUES_LISTED_MAX = 1000  # the most of each in the answer to a registration
+FINISH_SECONDS_MAX = 1.0  # a host that stops keeps its lease this much longer, for its archive; `leave` has 2 s
+CHANNELS_LISTED_MAX = QUEUES_LISTED_MAX = 1000  # the most channels and the most queues in the answer to a registration
 
 
 def _set_up_for_host(access: AccessControl, memory_bytes_max: int) -> AccessControl:
-    """The control, set up for the callers of a host."""
+    """Set the control up for the callers of a host. Returns the control."""
     access.takes_ids = True
     access.accounts.set_default(Quota.BYTES_HELD, memory_bytes_max * 7 // 8)
     return access
@@ -227,7 +227,7 @@ class ChannelHost:
         GroupServicer(self.groups, self._dial, self._streams).add_to(server)
         QueueServicer(self.queues, self._streams).add_to(server)
         ReplicaServicer(self.store, self._streams, self.groups.floors_of, self.moves_away, self._callers).add_to(server)
-        # one servicer for gRPC and for sockets: a queue's newest feed ends an earlier one over the other transport
+        # one servicer for gRPC and sockets: a queue's newest feed ends an earlier feed, also over the other transport
         migration_service_pb2_grpc.add_MigrationServiceServicer_to_server(self._migration, server)
 
     async def enter(

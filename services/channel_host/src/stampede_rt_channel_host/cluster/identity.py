@@ -86,7 +86,7 @@ class HomeCluster:
         self._former: tuple[str, ...] = ()  # the clusters that the present one has replaced
 
     def judge(self, caller_cluster_id: str) -> StampedeError | None:
-        """The error for a caller that names `caller_cluster_id` as its cluster; None if the host serves such callers."""
+        """The error for a caller that names this id as its cluster; None if the host serves such callers."""
         if may_change_to(caller_cluster_id, self.cluster_id, self._former):
             return None
         return wrong_cluster("this host", self.cluster_id, caller_cluster_id)

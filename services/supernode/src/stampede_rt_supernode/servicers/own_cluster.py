@@ -34,8 +34,8 @@ class OwnCluster:
     def judge(self, caller_cluster_id: str) -> StampedeError | None:
         """The error for a caller of that cluster; None if the supernode serves the caller.
 
-        The supernode serves no caller while its state is still empty, or, in a restored cluster, still the state of the
-        former cluster, because reads and updates would concern that state.
+        The supernode serves no caller while its state is still empty. In a restored cluster it serves no caller while
+        it still has the state of the former cluster. Otherwise reads and updates would concern that state.
         """
         own, held = self.id(), self._replica.read(_id_of)
         if not own or held != own:
