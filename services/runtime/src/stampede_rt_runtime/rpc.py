@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Generator
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Generator, Sequence
 from contextlib import aclosing
 from typing import Any, TypeAlias, TypeVar
 
@@ -33,12 +33,12 @@ def answer_at_once(context: Context, take: Callable[[bytes | memoryview, Callabl
         answer(take)
 
 
-def write_now(context: Context) -> Callable[[bytes], None] | None:
-    """A function that writes an encoded message in this turn of the event loop.
+def write_now(context: Context) -> Callable[[bytes | Sequence[bytes]], None] | None:
+    """A function that writes an encoded message, or its parts (`takes_parts`), in this turn of the event loop.
 
     None if the transport has none, or the caller takes no bytes at present: then await `context.write`.
     """
-    write: Callable[[bytes], None] | None = getattr(context, "write_now", None)
+    write: Callable[[bytes | Sequence[bytes]], None] | None = getattr(context, "write_now", None)
     return write
 
 

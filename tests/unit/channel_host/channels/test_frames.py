@@ -102,19 +102,20 @@ def test_readers_of_the_same_items_share_one_message_until_all_of_them_have_it()
 def test_a_long_message_has_the_stored_runs_as_parts() -> None:
     slices, stored = delivered([300_000, 18_000])
     delivery = SharedDeliveries().encode(slices, b"", without_payloads=False, readers=1)
-    assert delivery.has_long_parts
+    assert delivery.message(takes_parts=True) is delivery.parts
     assert {id(one.slice.run.body) for one in slices} <= {id(part) for part in delivery.parts}
     runs = raw_run_pb2.RawSubscribeResponse.FromString(b"".join(delivery.parts)).runs
     assert [run.run for run in runs] == stored
+    joined = b"".join(delivery.parts)
+    assert delivery.message(takes_parts=False) == joined
 
 
 @pytest.mark.parametrize("lengths", [[20_000], [500] * 200])
 def test_a_message_that_is_short_or_has_short_parts_is_joined(lengths: list[int]) -> None:
     slices, _ = delivered(lengths)
     delivery = SharedDeliveries().encode(slices, b"", without_payloads=False, readers=1)
-    assert not delivery.has_long_parts
     parts, length_bytes = delivery.parts, delivery.length_bytes
-    assert delivery.encoded == b"".join(parts)
+    assert delivery.message(takes_parts=True) == b"".join(parts)
     assert [len(part) for part in delivery.parts] == [length_bytes]  # memory has no run beside the message
 
 

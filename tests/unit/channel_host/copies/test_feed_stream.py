@@ -26,7 +26,7 @@ from stampede_rt_channel_host.copies.feed_stream import FeedStream
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelFeed, FedItem
 from stampede_rt_channel_host.core.replication import KnownReplica
 from stampede_rt_runtime import pacing
-from tests.support.channel_host.held_transport import HeldStream, held_stream
+from tests.support.channel_host.held_transport import HeldStream, HeldTransport, held_stream
 from tests.support.channel_host.rig import OpenedChannel, running_host
 
 REPLICA = b"r" * 16
@@ -163,6 +163,15 @@ async def test_the_items_that_come_while_the_replica_lacks_one_go_out_together()
         count = len(one.feed.written())
         [part] = parts_in((await one.feed.until_written(count + 1))[count:])
         assert (part.fields.state.first_seq, part.fields.state.next_seq) == (2, 4)
+
+
+async def test_a_feed_writes_the_stored_bytes_of_a_long_item_without_a_copy(monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[bytes] = []
+    async with fed() as one:
+        monkeypatch.setattr(HeldTransport, "writelines", lambda _, parts: written.extend(parts))
+        one.put(bytes(100_000))
+        [stored] = one.hosted.core.accepted_from(0)
+        assert any(part is stored.run.body for part in written)
 
 
 async def test_the_feed_of_a_proxy_looks_once_for_each_item(monkeypatch: pytest.MonkeyPatch) -> None:

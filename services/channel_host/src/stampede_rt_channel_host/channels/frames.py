@@ -97,6 +97,10 @@ def get_error(call_id: int, error: error_pb2.Error) -> Iterator[EncodedMessage]:
     yield EncodedMessage(b"".join((head, _GET_ERROR, encode_varint(len(encoded)), encoded)), 0, True)
 
 
+Sendable = bytes | Sequence[bytes]
+"""An encoded message, or its parts."""
+
+
 @dataclass(slots=True)
 class Delivery:
     """One message of a subscription, its payload bytes, and the bytes that it costs the reader's credit.
@@ -121,10 +125,10 @@ class Delivery:
             self.parts = (b"".join(self.parts),)
         return self.parts[0]
 
-    @property
-    def has_long_parts(self) -> bool:
-        """Whether it takes less time to send the parts than to join them."""
-        return self.length_bytes > max(JOINED_BYTES_MAX, PART_BYTES_MIN * len(self.parts))
+    def message(self, *, takes_parts: bool) -> Sendable:
+        """The message for a transport: in parts if the transport takes parts, and a join would take more time."""
+        is_long = self.length_bytes > max(JOINED_BYTES_MAX, PART_BYTES_MIN * len(self.parts))
+        return self.parts if takes_parts and is_long else self.encoded
 
 
 _Key = tuple[tuple[DeliveredSlice, ...], bytes, bool]  # runs compare by identity

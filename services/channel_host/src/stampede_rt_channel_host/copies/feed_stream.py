@@ -16,6 +16,7 @@ from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.fed_copies import FedCopies, FedCopy
+from stampede_rt_channel_host.channels.frames import Sendable
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.replication import Replication
 from stampede_rt_channel_host.channels.requests import parse
@@ -304,7 +305,7 @@ class FeedStream:
                 "the channel again"
             )
 
-    def _next_message(self, hosted: HostedChannel, part: FeedPart | None, handoff: pb.FeedHandoff | None) -> bytes:
+    def _next_message(self, hosted: HostedChannel, part: FeedPart | None, handoff: pb.FeedHandoff | None) -> Sendable:
         """The message that is due; empty if there is none."""
         if part is not None:
             return self._encoded(hosted, part, handoff)
@@ -312,7 +313,7 @@ class FeedStream:
             return self._bare(hosted, handoff)
         return b""
 
-    async def _hand_off(self, encoded: bytes) -> None:
+    async def _hand_off(self, encoded: Sendable) -> None:
         """Write the message that hands the channel over."""
         await self._writer.write(encoded)
 
@@ -339,15 +340,14 @@ class FeedStream:
         write(self._encoded(hosted, part))
         return part.next_seq == self._source.next_seq
 
-    def _free_write(self) -> Callable[[bytes], None] | None:
+    def _free_write(self) -> Callable[[Sendable], None] | None:
         """Writes in this turn. None if a replica lacks earlier parts, or the next part has to wait."""
         has_all = self._replication is None or self._held_next_seq >= self._feed.next_seq
         return self._writer.at_once if has_all else None
 
-    def _encoded(self, hosted: HostedChannel, part: FeedPart, handoff: pb.FeedHandoff | None = None) -> bytes:
+    def _encoded(self, hosted: HostedChannel, part: FeedPart, handoff: pb.FeedHandoff | None = None) -> Sendable:
         """The message with a part, which is written now."""
         opened, self._opened = self._opened, None
         about = self._responses.of(hosted, self._source, part, opened, handoff)
         delivery = hosted.deliveries.encode_once(part.slices, about)
-        self._writer.spend(delivery.charge_bytes)
-        return delivery.encoded
+        return self._writer.message(delivery)

@@ -6,10 +6,10 @@ import asyncio
 from collections.abc import Callable
 
 from stampede_rt.errors import Overloaded
-from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
+from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX, Delivery, Sendable
 from stampede_rt_channel_host.channels.subscriptions.credit import Credit
 from stampede_rt_runtime.access.control import current_work
-from stampede_rt_runtime.rpc import Context, write_now
+from stampede_rt_runtime.rpc import Context, takes_parts, write_now
 
 WRITE_SECONDS_MAX = 10.0  # the stream of a copy ends if the copy takes nothing for this time during a write
 
@@ -29,7 +29,7 @@ class FeedWriter:
         return max(0, min(self._credit.left, MESSAGE_BYTES_MAX))
 
     @property
-    def at_once(self) -> Callable[[bytes], None] | None:
+    def at_once(self) -> Callable[[Sendable], None] | None:
         """Writes a message in this turn of the event loop. None if the next part of the feed has to wait."""
         may_write = self._credit.left > 0 and not self._work.must_wait
         return write_now(self._context) if may_write else None
@@ -39,12 +39,17 @@ class FeedWriter:
         self._credit.spend(charge_bytes)
         self._work.spend_write()
 
+    def message(self, delivery: Delivery) -> Sendable:
+        """The message of a delivery, which is written now."""
+        self.spend(delivery.charge_bytes)
+        return delivery.message(takes_parts=takes_parts(self._context))
+
     async def turn(self) -> None:
         """Wait for the turn of the copy's host, if it has used more than its share of the event loop's time."""
         if self._work.must_wait:
             await self._work.turn()
 
-    async def write(self, message: bytes) -> None:
+    async def write(self, message: Sendable) -> None:
         """Write a message. Raises Overloaded if the copy takes nothing for WRITE_SECONDS_MAX."""
         try:
             async with asyncio.timeout(WRITE_SECONDS_MAX):

@@ -193,7 +193,7 @@ class Subscription(ChangeObserver):
             delivery = self._delivery_of(part, cursor, now, without_payloads=without_payloads)
             del part  # so that a joined message does not keep its runs in memory while it is written
             self._work.spend_write()
-            await self._write(delivery.parts if self._takes_parts and delivery.has_long_parts else delivery.encoded)
+            await self._write(delivery.message(takes_parts=self._takes_parts))
             self._hosted.count_delivered(items, delivery.payload_bytes)
         elif part.more:
             await asyncio.sleep(0)
