@@ -31,9 +31,10 @@ def may_be_here(session: Session, state: ChannelState) -> bool:
 
 
 def end_of_call_s(session: Session, timeout_s: float | None) -> float:
-    """Return the time at which a call that may wait for a host must end, by `monotonic_s`. None: it has no end.
+    """Return the time at which a call that may wait for a host must end, by `monotonic_s`.
 
-    A call that interrupts the host on its own thread, as `__del__` may, must not wait at all: the host would wait, too.
+    `timeout_s` None: the call may wait without a limit. A call on the host's thread that interrupts the host, as
+    `__del__` may, must not wait at all: the host would wait, too.
     """
     if session.here is not None and session.here.is_interrupted:
         return monotonic_s()
@@ -78,7 +79,8 @@ def put_here(
 ) -> channel_pb.PutAck | None:
     """Put one item. Returns its ack. Raises TooOld, InFuture, ChannelFull, NotArchived.
 
-    `wait`: the longest wait for the disk. If it is longer than one request may wait, the call over the wire waits on.
+    `wait`: the longest wait for the disk. If it is longer than one request may wait, the call over the wire continues
+    the wait.
     """
     here = session.here
     binding = None if here is None else _binding_here(session, state, here)

@@ -125,7 +125,7 @@ class Steps:
 
     @property
     def is_interrupted(self) -> bool:
-        """Whether the calling code interrupts a step on its own thread."""
+        """Whether the calling code interrupts a step that runs on the same thread."""
         # An exception of a signal handler may end a step before it resets `_runner`. So the lock decides as well.
         return self._runner == threading.get_ident() and self._mutex._is_owned()  # type: ignore[attr-defined]
 

@@ -28,11 +28,14 @@ from stampede_rt_channel_host.channels.multicast.group_socket import MulticastGr
 from stampede_rt_channel_host.core.channel import AllCursor, DeliveredSlice
 
 ITEMS_BYTES = 8192
-"""About the bytes of one message with several items. A message is lost with one of its datagrams, so it is short."""
-BEAT_S_MIN = 0.02  # after the last item; then readers know that it was the last item. Grows up to BEAT_S_MAX
+"""The approximate size of a message with several items.
+
+Messages are short, because the loss of one datagram loses its whole message.
+"""
+BEAT_S_MIN = 0.02  # the silence before the first beat, which tells readers the last seq. Grows up to BEAT_S_MAX
 LATE_S_MAX = 1.0
 """A multicast that is behind its channel for longer leaves items out. Otherwise its lag would have no limit."""
-KEY_SECONDS_MIN = 10.0  # a reader that has left can open datagrams at most this long
+KEY_SECONDS_MIN = 10.0  # the least time between two keys. So a reader that has left can decrypt for this time at most
 KEY_NUMBERS_MAX = 2**16 - 1
 
 
@@ -86,7 +89,7 @@ class ChannelMulticast:
         self.readers += 1
 
     def leave(self) -> None:
-        """Note that a reader has left. It must not open later datagrams, so the key changes soon."""
+        """Note that a reader has left. It must not decrypt later datagrams, so the key changes soon."""
         self.readers -= 1
         self._owes_key = True
 
