@@ -50,7 +50,7 @@ class QueueReplicaKeeper(KeeperTasks):
         """
         while True:  # paced by the sleep
             await asyncio.sleep(UNHEARD_SECONDS)
-            for copy in self._queues.copies.unheard(UNHEARD_SECONDS):
+            for copy in self._queues.copies.with_silent_owner(UNHEARD_SECONDS):
                 queue_id = copy.record.queue_id
                 try:
                     source = await self._directory.source_of(queue_id, self._identity.host_id)

@@ -111,7 +111,7 @@ class QueueCopies:
         copy.record, copy.owner_epoch, copy.heard_nanos = record, record.epoch, time.monotonic_ns()
         copy.charge.set(copy.core.footprint_bytes + copy.journal.size_bytes)
 
-    def unheard(self, seconds: float) -> list[QueueCopy]:
+    def with_silent_owner(self, seconds: float) -> list[QueueCopy]:
         """The copies whose owners were silent for this time."""
         latest = time.monotonic_ns() - int(seconds * 1e9)
         return [copy for copy in self if copy.heard_nanos < latest]

@@ -66,7 +66,7 @@ class Leader(LoneNode):
         (1, (1, 1, 1), None, 1),
     ],
 )
-def test_a_new_member_must_know_the_clusters_present_level_and_a_proposed_one(
+def test_a_new_member_must_know_the_clusters_present_level_and_a_proposed_next_level(
     level: int, members_know: tuple[int, int, int], newcomer: int | None, needed: int | None
 ) -> None:
     own, b, c = members_know
