@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.values.model import Policy, Reason
-from stampede_rt.values.timeline import Bound, Interval, Match
+from stampede_rt.values.timeline import NOW, OLDEST, Bound, Interval, Match
 from stampede_rt_channel_host.archive.disk_use import DiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
@@ -19,7 +19,15 @@ from stampede_rt_channel_host.channels.archive_status import archive_status
 from stampede_rt_channel_host.channels.opened_archives import OpenedChannelArchive
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.recording import Recording
-from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, Offer, Query, run_to_end
+from stampede_rt_channel_host.core.channel import (
+    ITEM_OVERHEAD_BYTES,
+    ChannelCore,
+    Offer,
+    Query,
+    ReadAnswer,
+    run_to_end,
+)
+from stampede_rt_channel_host.core.group import Horizon, VisibleChannel
 from tests.support.waiting import until
 from tests.unit.channel_host.archive.test_host_archive_writes import SlowDisk, archive_in, refuse
 
@@ -45,23 +53,42 @@ class RecordedChannel:
         end_seq = self.channel.next_seq
         assert await self.recording.recorder.stored(end_seq - 1, end_seq, 60) == ""
 
+    async def read_in_group(self, cut: int | None, *, newest_first: bool = False) -> tuple[list[int], Reason | None]:
+        """As `read` of all items, through a group with this cut."""
+        interval, horizon = Interval(Bound(None, 1), Bound(None, CLOCK)), Horizon(cut, lambda: "held back by nobody")
+        query = Query(interval=interval, match=Match.START, newest_first=newest_first)
+        if self.recording.reaches_in_group(query, horizon, CLOCK):
+            view = await self.recording.read_in_group(
+                query, horizon, None, PieceScheduler(), lambda: CLOCK, waits=False
+            )
+            return seqs_of(view.answer), view.answer.reason
+        answer = VisibleChannel(self.channel).read(query, horizon, CLOCK)
+        return seqs_of(answer), answer.reason
+
     async def read(
         self, *, start: int = 1, end: int = CLOCK, newest_first: bool = False
     ) -> tuple[list[int], Reason | None]:
         """The seqs of the items, and the reason: from memory if that is enough, as the host decides it."""
-        interval = Interval(Bound(None, start), Bound(None, end))
+        return await self.answer(Interval(Bound(None, start), Bound(None, end)), newest_first=newest_first)
+
+    async def answer(self, interval: Interval, *, newest_first: bool = False) -> tuple[list[int], Reason | None]:
+        """As `read`."""
         query = Query(interval=interval, match=Match.START, newest_first=newest_first)
         if self.recording.reaches(query, CLOCK):
             read = await self.recording.read(query, None, PieceScheduler(), lambda: CLOCK)
             answer = read.answer()
         else:
             answer = self.channel.read(query, CLOCK)
-        return sorted(part.first_seq + at for part in answer.slices for at in range(part.items)), answer.reason
+        return seqs_of(answer), answer.reason
 
     def counts(self) -> tuple[int, int]:
         """The items that wait for the disk, and the items that the archive will never have, as callers see them."""
         status = run_to_end(archive_status(self.recording.recorder, self.archive))
         return status.waiting, status.unarchived
+
+
+def seqs_of(answer: ReadAnswer) -> list[int]:
+    return sorted(part.first_seq + at for part in answer.slices for at in range(part.items))
 
 
 def put(channel: ChannelCore, at: int) -> None:
@@ -143,6 +170,20 @@ async def test_before_the_first_write_items_that_left_memory_before_the_recordin
         assert "lacks 4 items" in reason.detail
 
 
+async def test_a_read_from_the_oldest_item_waits_for_the_first_write_of_items_that_have_left_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with recorded_channel(tmp_path, monkeypatch) as one:
+        disk = SlowDisk(monkeypatch)
+        one.put(2)
+        assert await asyncio.to_thread(disk.reached.wait, 60)  # the write has the seqs 1 to 4
+        one.put(2)
+        reading = asyncio.create_task(one.answer(Interval(OLDEST, NOW)))
+        await asyncio.sleep(0)
+        disk.go_on.set()
+        assert await reading == ([*range(1, 9)], None)
+
+
 @pytest.mark.parametrize("has_segments", [False, True])
 async def test_a_read_waits_for_the_write_of_items_that_have_left_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_segments: bool
@@ -208,9 +249,12 @@ async def test_a_subscription_that_begins_among_lost_items_names_them(
         assert gaps == [(5, 10, "LOST")]
 
 
-@pytest.mark.parametrize("has_segments", [False, True])
+@pytest.mark.parametrize(
+    ("start", "has_segments", "first"),
+    [(Bound(None, 4), False, 4), (Bound(None, 4), True, 4), (OLDEST, False, 1), (OLDEST, True, 1)],
+)
 async def test_a_subscription_begins_with_items_that_have_left_memory_during_their_write(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_segments: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, start: Bound, has_segments: bool, first: int
 ) -> None:
     async with recorded_channel(tmp_path, monkeypatch) as one:
         if has_segments:
@@ -220,7 +264,7 @@ async def test_a_subscription_begins_with_items_that_have_left_memory_during_the
         one.put(2)  # memory holds no more, so the write has all of them
         assert await asyncio.to_thread(disk.reached.wait, 60)
         one.put(2)
-        where = one.recording.beginning({"start": Bound(None, 4)}, CLOCK)
+        where = one.recording.beginning({"start": start}, CLOCK)
         cursor = run_to_end(one.channel.subscribing_all(CLOCK, **where))
         feeding = asyncio.create_task(one.recording.since(cursor, LARGEST, lambda: CLOCK))
         await asyncio.sleep(0)
@@ -228,23 +272,7 @@ async def test_a_subscription_begins_with_items_that_have_left_memory_during_the
         batch = await feeding
         assert batch is not None
         assert batch.gap is None
-        assert batch.slices[0].slice.first_seq == 4
-
-
-async def test_a_slow_reader_of_a_group_waits_for_the_write_of_items_that_have_left_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with recorded_channel(tmp_path, monkeypatch) as one:
-        disk = SlowDisk(monkeypatch)
-        one.put(2)
-        assert await asyncio.to_thread(disk.reached.wait, 60)
-        one.put(2)
-        reading = asyncio.create_task(one.recording.items_from((1, 9), LARGEST, lambda: CLOCK))
-        await asyncio.sleep(0)
-        disk.go_on.set()
-        items, _, end = await reading
-        assert next(part.first_seq for part in items) == 1
-        assert end >= 5
+        assert batch.slices[0].slice.first_seq == first
 
 
 def test_a_write_that_takes_a_run_saves_the_items_of_the_run_that_have_left_memory(tmp_path: Path) -> None:

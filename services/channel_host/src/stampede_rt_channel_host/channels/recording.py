@@ -136,14 +136,14 @@ class Recording:
         """Whether a read may need items that only the archive has."""
         if self._unknown is not None and self._unknown.hides(self.recorder, query, now):
             return True
-        if not self._may_read:
+        if not self.may_read:
             return False
         held, _ = self._channel.look(now)
-        within = resolved_now(held, self._span, query, now)
+        within = resolved_now(held, self._expected_span, query, now)
         return within is not None and reaches(held, within.start)
 
     @property
-    def _may_read(self) -> bool:
+    def may_read(self) -> bool:
         """Whether the archive has items, or will have or lacks items that memory has lost."""
         return bool(self.recorder.segments or self.recorder.lost_items)
 
@@ -152,6 +152,14 @@ class Recording:
         """The times of the archived items. Before the first write the archive begins with the next seq to write."""
         recorder = self.recorder
         return recorder.span if recorder.segments else span_of((), recorder.archived_to)
+
+    @property
+    def _expected_span(self) -> ArchiveSpan:
+        """As `_span`, but before the first write with the times of the lost items that the write under way may save."""
+        span, backlog = self._span, self._channel.backlog
+        if span.oldest is not None or not backlog.at_risk or backlog.lost_times is None:
+            return span
+        return ArchiveSpan(*backlog.lost_times, is_cut=span.is_cut, begins_anew=span.begins_anew)
 
     @property
     def is_past_known(self) -> bool:
@@ -189,7 +197,7 @@ class Recording:
         held, _ = self._channel.look(now)
         if self._unknown is not None and self._unknown.hides(self.recorder, query, now, horizon):
             return True
-        return self._may_read and reaches_archive(held, self._span, query, horizon, now)
+        return self.may_read and reaches_archive(held, self._expected_span, query, horizon, now)
 
     async def read_in_group(
         self, query: Query, horizon: Horizon, within: ResolvedInterval | None, scheduler: PieceScheduler,
@@ -219,10 +227,10 @@ class Recording:
         recorder = self.recorder
         if start is not None:
             self.check_start(start, now)
-        if start is None or not (recorder.segments or recorder.lost_items):
+        if start is None or not self.may_read:
             return where
         held, _ = self._channel.look(now)
-        within = resolved_now(held, recorder.span, Query(interval=Interval(start, start)), now)
+        within = resolved_now(held, self._expected_span, Query(interval=Interval(start, start)), now)
         if within is None or held.newest_collected is None or within.start > held.newest_collected:
             return where
         low = (within.start, 0)

@@ -61,7 +61,7 @@ async def resolved_start(hosted: HostedChannel, channels: ChannelStore, horizon:
     recording = hosted.recording
     if recording is not None:
         recording.check_start(start, channels.now(), horizon)
-    if recording is None or not recording.recorder.segments:
+    if recording is None or not recording.may_read:
         return start
     query = Query(interval=Interval(start, start), limit=1)
     view = await recording.read_in_group(query, horizon, None, channels.scheduler, channels.now, waits=False)

@@ -199,11 +199,11 @@ class RecordedView:
 
 
 def reaches_archive(held: Holdings, span: ArchiveSpan, query: Query, horizon: Horizon, now: int) -> bool:
-    """Whether a read through a group may need items that only the archive has. `held`: the items in memory."""
+    """Whether a read through a group may need items that only the archive has or lacks. `held`: the items in memory."""
     cut = horizon.cut
     newest = None if cut is None else held.last_time_up_to(cut - 1)
     if cut is None or newest is None:
-        return span.oldest is not None
+        return span.oldest is not None or held.newest is None or held.newest_collected is not None
     clock = max(min(now, cut), newest)
     within = query.interval.resolve(now=clock, newest=newest, oldest=earliest(held.oldest, span.oldest))
     return within is not None and reaches(held, min(within.start, cut - 1))
