@@ -29,7 +29,7 @@ from stampede_rt_web.items import Direction, ItemPreviews, step
 from stampede_rt_web.overview import Overview
 
 STATIC = Path(__file__).parent / "static"
-FINDINGS_NANOS = 10_000_000_000  # pages that ask for the findings of `stampede doctor` more often get the same findings
+FINDINGS_NANOS = 10_000_000_000  # within this time all pages get the same findings of `stampede doctor`
 CONNECT_REST_SECONDS = 1.0  # the least time between a failed attempt to connect and the next one
 
 

@@ -140,7 +140,7 @@ class Connection(Mailboxes, RealClock, Reference):
     ) -> Channel:
         """Get or create a channel (paper, section 3.4 for the policies).
 
-        If the channel exists, the call compares only the arguments that you state with its policy. A contradiction
+        If the channel exists, the call compares its policy only with the arguments that you state. A contradiction
         raises ChannelExists. Defaults: max_age "10s" if you state no limit at all, max_bytes 256 MiB, on_full
         "drop_oldest", max_future "1s". `consumers`: an item may leave when this number of consumers has consumed it.
         `max_age_unconsumed` replaces max_age for items that a live consumer must still consume (see `Channel.consume`):

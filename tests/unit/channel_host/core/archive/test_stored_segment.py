@@ -31,7 +31,7 @@ def segments(draw: st.DrawFn) -> Segment:
 def test_the_name_of_an_object_names_its_segment(segment: Segment) -> None:
     name = object_name(segment)
     assert segment_named(name) == segment
-    assert len(name) < 255  # a store in a folder makes a file of it
+    assert len(name) < 255  # a store in a folder uses the name as a file name
 
 
 @given(st.text(max_size=40), segments())
