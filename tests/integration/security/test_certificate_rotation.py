@@ -141,7 +141,7 @@ def test_certificates_and_authority_are_replaced_under_load_without_a_failed_cal
     load = Load(cluster.address, caller)
     with load.running():
         load.go_on()
-        certificates.take_over()  # the services trust both authorities from here on
+        certificates.add_authority()  # the services trust both authorities from here on
         newcomer = copied(certificates.issue(Role.CLIENT, "newcomer"), tmp_path / "newcomer")
         for address in services:
             wait_until(lambda address=address: accepts(address, newcomer), f"{address} trusts the new authority")

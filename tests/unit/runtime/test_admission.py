@@ -175,7 +175,7 @@ async def test_new_connections_get_the_new_certificate_and_open_ones_continue(
         stub = health_pb2_grpc.HealthStub(channel)
         watch = stub.Watch(ask, timeout=20)
         assert (await watch.read()).status == health_pb2.HealthCheckResponse.SERVING
-        made.take_over()
+        made.add_authority()
         assert (await stub.Check(ask, timeout=5)).status == health_pb2.HealthCheckResponse.SERVING
         made.renew()
         made.forget_former()
@@ -196,7 +196,7 @@ async def test_a_channel_that_has_lost_its_connection_reconnects_with_the_new_ce
         channel = dial(server.address, secret=None, tls=caller)
         stub = health_pb2_grpc.HealthStub(channel)
         assert (await stub.Check(ask, timeout=5)).status == health_pb2.HealthCheckResponse.SERVING
-    made.take_over()
+    made.add_authority()
     made.renew()
     made.forget_former()
     async with serving(lambda _: None, listen=server.address, tls=own):

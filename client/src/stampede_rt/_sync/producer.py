@@ -55,7 +55,7 @@ class Producer(BoundToProcess):
         self._steps = Steps()  # guards the builder and the order of writes; the threads that bring acks do not wait
         self._news: deque[tuple[int, channel_pb.PutAck | StampedeError]] = deque()  # each with its stream's generation
         self._interrupting_bytes = 0  # the bytes of items that signal handlers put while they interrupted other puts
-        self._moved = Signal()  # is set when an ack has come, or when the stream has ended
+        self._changed = Signal()  # is set when an ack has come, or when the stream has ended
         self._stream: RunStream | None = None
         self._opened: list[RunStream] = []  # holds the latest stream, which `_give_up` cancels
         self._generation = 0  # the number of the stream; acks of an older stream do not count
@@ -223,7 +223,7 @@ class Producer(BoundToProcess):
     def _until(self, condition: Callable[[], bool], deadline_s: float) -> None:
         """Block until `condition` holds. Replace the stream if it fails meanwhile. Raises DeadlineExceeded."""
         while True:
-            self._moved.clear()
+            self._changed.clear()
             is_ready = self._holds(condition)
             left_s = deadline_s - clock.monotonic()
             if self._failure is not None and left_s > 0:
@@ -236,7 +236,7 @@ class Producer(BoundToProcess):
                         f"the host of channel {self._state.info.name!r} did not acknowledge {len(self._unacked)} runs "
                         "in time: it is overloaded, or the channel is full; give a longer timeout, or put less"
                     )
-                self._moved.wait(None if left_s == float("inf") else left_s)
+                self._changed.wait(None if left_s == float("inf") else left_s)
 
     def _holds(self, condition: Callable[[], bool]) -> bool:
         """Whether there is no failure and `condition` holds. No other thread counts an ack during this check."""
@@ -316,7 +316,7 @@ class Producer(BoundToProcess):
             _in_flight.discard(self)
         elif self._unacked.is_idle:
             self._send_filled()
-        self._moved.set()
+        self._changed.set()
 
     def _note(self, news: channel_pb.PutAck | StampedeError) -> None:
         if isinstance(news, StampedeError):

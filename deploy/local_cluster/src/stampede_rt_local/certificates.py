@@ -28,14 +28,14 @@ class ClusterCertificates:
         self._issued: dict[tuple[Role, str], TlsFiles] = {}
         folder.mkdir(mode=0o700, parents=True)
         self._trusted: list[bytes] = []
-        self._authority = self.take_over()
+        self._authority = self.add_authority()
 
     @property
     def ca(self) -> Path:
         """The file with the authorities that all parts trust."""
         return self.folder / "ca.pem"
 
-    def take_over(self) -> IssuedCertificate:
+    def add_authority(self) -> IssuedCertificate:
         """Use a new authority from now on. All parts still trust the former ones."""
         self._authority = make_authority(self._cluster, now=datetime.now(UTC), lifetime=LIFETIME)
         self._trust([*self._trusted, self._authority.certificate])
