@@ -66,7 +66,7 @@ class Group(Reference):
     """A set of channels that readers see up to one common cut (paper, section 3.3).
 
     Handles of one group are equal. Any process may have any number of them. A group is a sequence of descriptors:
-    `group[channel]` shows that channel as the group shows it, and a loop over the group visits every member.
+    `group[channel]` shows the items of that channel before the cut, and a loop over the group visits every member.
     """
 
     def __init__(self, members: GroupMembers) -> None:

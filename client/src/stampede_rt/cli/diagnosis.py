@@ -51,7 +51,8 @@ def _state(one: Observation) -> tuple[str, str]:
     if not one.knows_supernodes:
         return "no supernode", one.failure
     if not one.is_member:
-        return "no member", "the supernodes do not list it: it was removed, or never joined; name only members"
+        advice = "it was removed, or never joined; state only members in --supernodes and --member"
+        return "no member", f"the supernodes do not list it: {advice}"
     if one.refused_because:
         return refusal(one.refused_because)
     if one.failure and one.kind == CALLER:
