@@ -60,3 +60,22 @@ def test_the_end_of_the_events_finishes_the_files_that_are_under_way(cluster: Lo
     assert process.returncode == 1
     assert "channel ends/crash was deleted" in told
     assert (tmp_path / "crash-000001.mcap").read_bytes().endswith(b"MCAP0\r\n")
+
+
+def test_the_past_of_a_file_counts_back_from_the_time_of_its_event(cluster: LocalCluster, tmp_path: Path) -> None:
+    with st.connect(cluster.address) as rt:
+        data, events = rt.channel("past/data", max_age="1h"), rt.channel("past/crash", max_age="1h")
+        at = st.now() - 60_000_000_000
+        for offset in (-1_000_000_001, -1_000_000_000, 1):
+            data.put(b"before", time=at + offset)
+        words = ["past/data", "--on", "past/crash", "--since", "1s", "--for", "0s", "-o", tmp_path / "crash.mcap"]
+        with started(recording(cluster, *words), stderr=subprocess.PIPE) as process:
+            assert process.stderr is not None
+            process.stderr.readline()
+            events.put(b"crash", time=at)
+            assert process.stdout is not None
+            assert process.stdout.readline(), "the summary of the file"
+            process.send_signal(signal.SIGTERM)
+            process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert seqs_of(read(tmp_path / "crash-000001.mcap")[0], "past/data") == [2, 3]

@@ -27,19 +27,19 @@ LOOKS_MAX = 16  # the most gets that look for the end of the losses of a channel
 class ChannelRecording:
     """Records one channel, in the background, from the making of this object until `finish`.
 
-    `since_nanos`: how far before now the recording begins; None: now. `later`: the channel appeared while the recording
+    `begin`: where the recording begins; None: with the next item. `later`: the channel appeared while the recording
     of other channels ran, so its recording begins with its oldest item.
     """
 
     def __init__(
-        self, session: Session, state: ChannelState, sink: RecordingSink, since_nanos: int | None, *, later: bool
+        self, session: Session, state: ChannelState, sink: RecordingSink, begin: Bound | None, *, later: bool
     ) -> None:
         self.name = state.info.name
         self._session = session
         self._state = state
         self._channel = Channel(session, state)
         self._sink = sink
-        self._since_nanos = since_nanos
+        self._begin = begin
         self._later = later
         policy = {key: value for key, value in asdict(state.info.policy).items() if value is not None}
         self._metadata = ((POLICY_KEY, json.dumps(policy)),)
@@ -97,8 +97,8 @@ class ChannelRecording:
         start = self._start_anew() if anew else None
         if anew and not self.tallies:
             looked = await self._look_at_oldest()
-        elif self._since_nanos is not None and not anew:
-            start, looked = await self._look(self._since_nanos)
+        elif self._begin is not None and not anew:
+            start, looked = await self._look(self._begin)
         name = f"the recording of channel {self.name!r}"
         self._stream = stream = RecordingStream.of(self._session, self._state, start, name, held=True)
         await stream.begin_reading()
@@ -135,9 +135,9 @@ class ChannelRecording:
         self.tallies.append(ChannelTally(self.name, incarnation, live_seq))
         return self.tallies[-1]
 
-    async def _look(self, since_nanos: int) -> tuple[Bound, list[RecordingGap]]:
+    async def _look(self, begin: Bound) -> tuple[Bound, list[RecordingGap]]:
         """Return the instant at which the recording begins, and a gap if the channel no longer holds it all."""
-        found = await self._found_from(NOW - f"{since_nanos} ns")
+        found = await self._found_from(begin)
         if found.interval is None:
             return OLDEST, []
         self._first = found[0] if found else None

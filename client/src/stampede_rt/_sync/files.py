@@ -11,7 +11,16 @@ from stampede_rt._sync.moves import Moves
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.transports.concurrency_sync import begin_if_blocking
 from stampede_rt.values.policy import duration_of
-from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, DurationLike, InstantLike, parse_instant
+from stampede_rt.values.timeline import (
+    MAX_INSTANT,
+    MIN_INSTANT,
+    NOW,
+    OLDEST,
+    Bound,
+    DurationLike,
+    InstantLike,
+    parse_instant,
+)
 
 if TYPE_CHECKING:
     from stampede_rt._sync.player import Player
@@ -49,18 +58,32 @@ class Files(Moves):
         channels has begun; with asyncio, the handle for that. Raises FileError if the file cannot be made, or if
         `mcap` is not installed; InvalidArgument.
         """
+        since_nanos = None if since == OLDEST_ITEM else duration_of("since", since, least=0)
+        begin = OLDEST if since == OLDEST_ITEM else None if since_nanos is None else NOW - f"{since_nanos} ns"
+        return self._record_from(begin, channels, path, for_=for_, compression=compression, overwrite=overwrite)
+
+    def _record_from(
+        self,
+        begin: Bound | None,
+        channels: str | Reader | Sequence[str | Reader],
+        path: str | os.PathLike[str],
+        *,
+        for_: DurationLike | None,
+        compression: str,
+        overwrite: bool,
+    ) -> Recorder:
+        """As `record`, from a bound on, or, with None, with the items that the hosts accept from now on."""
         from stampede_rt._sync.recorder import Recorder, parse_globs  # they load mcap
         from stampede_rt.files.writing import FileWriter
 
         self._session.check()
-        since_nanos = None if since == OLDEST_ITEM else duration_of("since", since, least=0)
         for_nanos = duration_of("for_", for_, least=0)
         globs = parse_globs(channels)
         if not isinstance(overwrite, bool):
             raise InvalidArgument(f"overwrite is {overwrite!r}; write True or False")
         writer = FileWriter(path, compression=compression, overwrite=overwrite)
         for_s = None if for_nanos is None else for_nanos / 1e9
-        recorder = Recorder(self._session, self, globs, writer, since_nanos, for_s, whole=since == OLDEST_ITEM)
+        recorder = Recorder(self._session, self, globs, writer, begin, for_s)
         begin_if_blocking(recorder._begun)
         return recorder
 

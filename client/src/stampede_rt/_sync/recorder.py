@@ -25,6 +25,7 @@ from stampede_rt.handles import BoundToProcess
 from stampede_rt.transports.concurrency_sync import BackgroundStart, BackgroundTask, Signal, run_concurrently
 from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt.values.recording import RecordingSummary
+from stampede_rt.values.timeline import OLDEST, Bound
 from stampede_rt.version import VERSION
 
 if TYPE_CHECKING:
@@ -51,18 +52,15 @@ class Recorder(BackgroundStart, BoundToProcess):
         discovery: Discovery,
         globs: Sequence[str],
         writer: FileWriter,
-        since_nanos: int | None,
+        begin: Bound | None,
         for_s: float | None,
-        *,
-        whole: bool,
     ) -> None:
         self._session = session
         self._discovery = discovery
         self._globs = tuple(globs)
         self._sink = RecordingSink(writer)
-        self._since_nanos = since_nanos
+        self._begin_at = begin
         self._for_s = for_s
-        self._whole = whole  # whether to record each channel from its oldest item on
         self._drain_s = DRAIN_S
         self._channels: dict[bytes, ChannelRecording] = {}
         self._matched: set[str] = set()
@@ -206,7 +204,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         else:
             state = self._session.state_of(info, Policy(), False)
             self._channels[info.channel_id] = ChannelRecording(
-                self._session, state, self._sink, self._since_nanos, later=later or self._whole
+                self._session, state, self._sink, self._begin_at, later=later or self._begin_at == OLDEST
             )
             return
         if len(self._absent) < CHANNELS_MAX:

@@ -20,11 +20,12 @@ from stampede_rt.errors import FileError, IncarnationLost, InvalidArgument, Stam
 from stampede_rt.escaping import escaped
 from stampede_rt.values.policy import duration_of
 from stampede_rt.values.recording import RecordedCounts, RecordingGap, RecordingSummary
-from stampede_rt.values.timeline import format_duration, parse_duration
+from stampede_rt.values.timeline import NOW, OLDEST, Bound, format_duration, parse_duration
 
 if TYPE_CHECKING:
     from stampede_rt import Connection
     from stampede_rt._sync.recorder import Recorder
+    from stampede_rt.values.model import Item
 
 AT_ONCE_MAX = 4  # recordings of `--on` at the same time
 STOP_DRAIN_S = 1.0  # how long the command waits, after Ctrl-C, for items that the hosts had accepted before Ctrl-C
@@ -38,7 +39,9 @@ def add_verbs(subparsers: Any) -> None:
     record.add_argument("channels", nargs="+", metavar="CHANNEL", help="a name, or a glob such as 'rig/*'")
     record.add_argument("-o", "--file", required=True, metavar="FILE", help="the file to write, such as crash.mcap")
     record.add_argument(
-        "--since", metavar="DURATION", help='begin that far in the past, such as "30s", or "oldest"; default: now'
+        "--since",
+        metavar="DURATION",
+        help='begin that far in the past, or before the item of --on, such as "30s", or "oldest"; default: now',
     )
     record.add_argument("--for", dest="for_", metavar="DURATION", help="end after that time; default: at Ctrl-C")
     record.add_argument(
@@ -59,7 +62,7 @@ def run_record(arguments: argparse.Namespace) -> int:
     with connected(arguments) as rt:
         if arguments.on is not None:
             return _EventRecordings(rt, arguments).run()
-        recorder = _begun(rt, arguments, Path(arguments.file))
+        recorder = _begun(rt, arguments, Path(arguments.file), _begin_of(arguments.since, NOW))
         interruption.ends(lambda: recorder.hurry(STOP_DRAIN_S), STOP_S)
         with recorder:
             _tell(recorder, arguments)
@@ -68,15 +71,20 @@ def run_record(arguments: argparse.Namespace) -> int:
     return _ended(summary, arguments)
 
 
-def _begun(rt: Connection, arguments: argparse.Namespace, path: Path) -> Recorder:
-    return rt.record(
+def _begun(rt: Connection, arguments: argparse.Namespace, path: Path, begin: Bound | None) -> Recorder:
+    return rt._record_from(
+        begin,
         arguments.channels,
         path,
-        since=arguments.since,
         for_=arguments.for_,
         compression=arguments.compression,
         overwrite=arguments.overwrite,
     )
+
+
+def _begin_of(since: str | None, event: Bound) -> Bound | None:
+    """Return where a recording begins. `event`: the instant from which `--since` counts."""
+    return None if since is None else OLDEST if since == "oldest" else event - since
 
 
 def recording_progress(recorder: Recorder, for_: str | None) -> Callable[[], Progress]:
@@ -196,7 +204,7 @@ class _EventRecordings:
             try:
                 for item in events:
                     self._since = item.time + 1
-                    self._begin(item.seq)
+                    self._begin(item)
             except IncarnationLost as error:
                 self._miss(f"events may be missing: {error}")
         if events.dropped:
@@ -222,7 +230,8 @@ class _EventRecordings:
         self._paths.add(path)
         return path
 
-    def _begin(self, seq: int) -> None:
+    def _begin(self, event: Item) -> None:
+        seq, begin = event.seq, _begin_of(self._arguments.since, Bound(None, event.time))
         with self._mutex:
             if self._stopping:
                 return
@@ -230,7 +239,7 @@ class _EventRecordings:
                 self._miss(f"event #{seq} has no file: {AT_ONCE_MAX} recordings are under way")
                 return
             try:
-                recorder = _begun(self._rt, self._arguments, self._path_of(seq))
+                recorder = _begun(self._rt, self._arguments, self._path_of(seq), begin)
             except StampedeError as error:
                 self._miss(f"event #{seq} has no file: {error}")
                 return

@@ -394,7 +394,7 @@ complete -c stampede -n '_shtab_stampede_using; and test $_shtab_stampede_npos -
 complete -c stampede -n '_shtab_stampede_using record' -s h -l help -d 'show this help message and exit'
 complete -c stampede -n '_shtab_stampede_using record' -l url -x -d 'front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580'
 complete -c stampede -n '_shtab_stampede_using record' -s o -l file -xka "(__fish_complete_path (commandline -ct))" -d 'the file to write, such as crash.mcap'
-complete -c stampede -n '_shtab_stampede_using record' -l since -x -d 'begin that far in the past, such as "30s", or "oldest"; default: now'
+complete -c stampede -n '_shtab_stampede_using record' -l since -x -d 'begin that far in the past, or before the item of --on, such as "30s", or "oldest"; default: now'
 complete -c stampede -n '_shtab_stampede_using record' -l for -x -d 'end after that time; default: at Ctrl-C'
 complete -c stampede -n '_shtab_stampede_using record' -l on -x -d 'write a file for each item of this channel; FILE gets the item'"'"'s seq'
 complete -c stampede -n '_shtab_stampede_using record' -l compression -xka "zstd lz4 none" -d 'default zstd'

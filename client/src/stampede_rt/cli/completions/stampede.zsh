@@ -1302,7 +1302,7 @@ _shtab_stampede_record_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--file}"[the file to write, such as crash.mcap]:FILE:_files"
-  "--since[begin that far in the past, such as \"30s\", or \"oldest\"\; default\: now]:DURATION:"
+  "--since[begin that far in the past, or before the item of --on, such as \"30s\", or \"oldest\"\; default\: now]:DURATION:"
   "--for[end after that time\; default\: at Ctrl-C]:DURATION:"
   "--on[write a file for each item of this channel\; FILE gets the item\'s seq]:CHANNEL:"
   "--compression[default zstd]:compression:(zstd lz4 none)"
