@@ -163,7 +163,7 @@ def test_a_put_that_interrupts_the_host_of_its_process_never_waits_for_room(monk
     """In an earlier version, `__del__` on the thread of the host waited for acks that this thread had to bring."""
     place = Place()
     producer = producer_at(place)
-    monkeypatch.setattr(producer._moved, "wait", pytest.fail)
+    monkeypatch.setattr(producer._changed, "wait", pytest.fail)
     place.here = SimpleNamespace(is_interrupted=True, target="elsewhere")
     with suppress(st.DeadlineExceeded):
         for _ in range(2000):
