@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import foxglove
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from tests.support.files.recordings import MS, START
@@ -22,11 +22,14 @@ def foxglove_file(path: Path) -> Path:
     return path
 
 
-def rosbag(folder: Path, plugin: StoragePlugin) -> Path:
-    """100 messages of `rosbags`."""
+def rosbag(folder: Path, plugin: StoragePlugin, *, packed: bool = False) -> Path:
+    """100 messages of `rosbags`. `packed`: each message is compressed by itself."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     text = store.types["std_msgs/msg/String"]
-    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+    bag = Writer(folder, version=9, storage_plugin=plugin)
+    if packed:
+        bag.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with bag as writer:
         chatter = writer.add_connection("/chatter", text.__msgtype__, typestore=store)
         for number in range(100):
             data = store.serialize_cdr(text(data=f"n{number}"), text.__msgtype__)

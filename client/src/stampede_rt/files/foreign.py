@@ -15,7 +15,7 @@ from stampede_rt.errors import FileError
 from stampede_rt.files.entries import FileEntry, Topic
 from stampede_rt.files.framing import MAGIC
 from stampede_rt.files.reading import Event
-from stampede_rt.files.sources import Chosen, FileSource, McapSource, SourceTopic
+from stampede_rt.files.sources import Chosen, FileSource, McapSource, SourceTopic, check_unpacked
 
 CDR = "application/x-ros-cdr"
 XDF_BYTES_MAX = 1024**3
@@ -125,8 +125,11 @@ class RosbagSource:
         try:
             for connection, time, data in self._reader.messages(connections) if connections else ():
                 if start <= time < end:
-                    due = max(due, time)
-                    yield due, self._entry(connection, time, bytes(data))
+                    due, entry = max(due, time), self._entry(connection, time, bytes(data))
+                    check_unpacked(self.path, entry)
+                    yield due, entry
+        except FileError:
+            raise
         except Exception as error:
             raise _unreadable(Path(self.path), error) from error
 

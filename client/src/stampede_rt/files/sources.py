@@ -17,6 +17,7 @@ from stampede_rt.files.reading import ChunkContent, Event, FileIndex, FileReader
 
 CACHE_BYTES = 64 * 1024 * 1024  # the most bytes of decoded chunks
 TOPICS_NAMED = 5  # the most topics that an error names
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 Chosen = Callable[[str], bool]
 
 
@@ -40,6 +41,18 @@ def none_chosen(source: FileSource) -> str:
     names = ", ".join(repr(one.name) for one in topics[:TOPICS_NAMED]) or "no topics"
     more = f" and {len(topics) - TOPICS_NAMED} more" if len(topics) > TOPICS_NAMED else ""
     return f"the file {source.path!r} has none of the chosen topics; it has {names}{more}"
+
+
+def check_unpacked(path: str, entry: FileEntry) -> None:
+    """Check that a message is not compressed by itself. Raises FileError.
+
+    Rosbag2 can compress each message in CDR. Only `metadata.yaml` says so. A message in CDR cannot begin in this way.
+    """
+    if entry.topic.encoding == "cdr" and entry.seq is None and entry.data.startswith(_ZSTD_MAGIC):
+        raise FileError(
+            f"the file {path!r} has compressed messages of a rosbag2; name the folder of the bag, whose metadata.yaml "
+            "says so"
+        )
 
 
 class FileSource(Protocol):
@@ -185,7 +198,9 @@ class McapSource:
             for event in found.get(name, ()):
                 window.add(event)
                 for one in kept:
-                    due = max(due, one.time) if isinstance(one, FileEntry) else due
+                    if isinstance(one, FileEntry):
+                        check_unpacked(self.path, one)
+                        due = max(due, one.time)
                     yield due, number, one
                 kept.clear()
         window.finish()

@@ -30,6 +30,15 @@ def played(path: Path, start: int = MIN_INSTANT, end: int = MAX_INSTANT) -> list
     return [(one.topic.name, one.seq) if isinstance(one, FileEntry) else one for one in events]
 
 
+def payloads_of(path: Path) -> list[bytes]:
+    source = source_of(path)
+    try:
+        events = [event for _, event in source.events(lambda _: True, MIN_INSTANT, MAX_INSTANT)]
+    finally:
+        source.close()
+    return [bytes(one.data) for one in events if isinstance(one, FileEntry)]
+
+
 def test_channels_that_were_recorded_one_after_the_other_are_played_side_by_side(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", [*entries("cam", range(1, 101)), *entries("imu", range(1, 101))])
     expected = [(name, seq) for seq in range(1, 101) for name in ("cam", "imu")]
@@ -153,6 +162,16 @@ def test_a_rosbag_is_a_source_by_its_folder_and_by_its_file(tmp_path: Path, plug
         (START + number * MS, {"schema": "std_msgs/msg/String"}, "application/x-ros-cdr") for number in (5, 6)
     ]
     assert len(played(next(one for one in folder.iterdir() if one.suffix in (".db3", ".mcap")))) == 100
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+def test_the_compressed_messages_of_a_rosbag_are_played_from_its_folder_and_refused_from_its_file(
+    tmp_path: Path, plugin: StoragePlugin
+) -> None:
+    plain, packed = (rosbag(tmp_path / name, plugin, packed=name == "packed") for name in ("plain", "packed"))
+    assert payloads_of(packed) == payloads_of(plain)
+    with pytest.raises(FileError, match="compressed messages of a rosbag2; name the folder"):
+        played(next(one for one in packed.iterdir() if one.suffix in (".db3", ".mcap")))
 
 
 @pytest.mark.parametrize("plugin", list(StoragePlugin))
