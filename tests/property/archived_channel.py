@@ -114,7 +114,7 @@ class ArchivedChannel:
 
     def _append_block(self, head: BlockHead, parts: list[bytes]) -> None:
         if not self.segments or len(self._blocks[self.segments[-1].number]) >= self._per_segment:
-            number = len(self.segments)
+            number = self.segments[-1].number + 1 if self.segments else 0
             self._blocks[number], self._files[number] = [], b""
             self.segments.append(Segment(number, 0, 0, head.first_seq, head.first_seq, None, None, 0))
             if self._advance is not None:
@@ -177,7 +177,8 @@ class ArchivedChannel:
             self._find_late(step, limit_bytes)
         elif not step.is_read:
             view = self.view(step.query, Horizon(step.target, lambda: "the step"))
-            step.take_page(view.answer, continues=view.continues, lacks=view.lacks)
+            kept = min(one.first_seq for one in (*self.segments, *self.channel.accepted_from(0)))
+            step.take_page(view.answer, continues=view.continues, lacks=view.lacks, kept_from=kept)
         batch = step.batch(limit_bytes)
         if step.is_over and batch.is_empty:
             self.step = None

@@ -92,3 +92,26 @@ def test_a_group_subscription_over_an_archive_equals_one_over_memory(seed: int) 
 def test_the_scenarios_had_steps_that_came_from_the_archive() -> None:
     if archived_steps:  # only if the steps ran in this process
         assert archived_steps["steps"] > SCENARIOS // 3
+
+
+@pytest.mark.parametrize("seed", range(SCENARIOS))
+def test_a_group_subscription_counts_the_items_that_the_limits_of_the_archive_remove(seed: int) -> None:
+    draw = random.Random(seed)
+    small = ArchivedChannel(Policy(max_items=draw.randrange(1, 5)), runs_per_block=2, blocks_per_segment=2)
+    place = VisibleAllCursor(small.channel, Horizon(0, lambda: ""), 0, archived=True)
+    found, now, limit = 0, 0, draw.choice([1, 100, 10**6])
+    for _ in range(draw.randrange(1, 6)):
+        for _ in range(draw.randrange(1, 30)):
+            now += 1
+            small.put(Offer(times=[now], durations=None, lengths=[3]), now)
+            small.archive()
+        small.drop_segments(draw.randrange(4))
+        cut = Horizon(now + 1 - draw.choice([0, 0, 3]), lambda: "")
+        for _ in range(draw.choice([1, 3, 10**6])):
+            batch = small.take_in_group(place, cut, limit)
+            found += sum(one.slice.items for one in batch.slices)
+            if batch.is_empty and not batch.more:
+                break
+    while not (batch := small.take_in_group(place, Horizon(now + 1, lambda: ""), limit)).is_empty or batch.more:
+        found += sum(one.slice.items for one in batch.slices)
+    assert found + place.dropped == now

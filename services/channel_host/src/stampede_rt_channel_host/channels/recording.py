@@ -162,6 +162,13 @@ class Recording:
         return ArchiveSpan(*backlog.lost_times, is_cut=span.is_cut, begins_anew=span.begins_anew)
 
     @property
+    def kept_from(self) -> int:
+        """Neither the archive nor memory has an item with a lower seq."""
+        segments, held = self.recorder.segments, next(iter(self._channel.accepted_from(0)), None)
+        archived_from = segments[0].first_seq if segments else self.recorder.archived_to
+        return archived_from if held is None else min(archived_from, held.first_seq)
+
+    @property
     def is_past_known(self) -> bool:
         """Whether the host knows which items the archive has."""
         return self._unknown is None

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 
 from stampede_rt.values.model import Reason
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt.values.timeline import MIN_INSTANT, Bound, Interval, Match
 from stampede_rt_channel_host.core.channel import (
     DeliveredSlice,
@@ -26,6 +27,7 @@ from stampede_rt_channel_host.core.channel.subscribing import Range
 from stampede_rt_channel_host.core.group.loss_counter import split_at
 
 _LOST = Reason("LOST", "the archive lacks items that the group would have shown: they were never archived, or damaged")
+_REMOVED = Reason("COLLECTED", "the limits of the archive removed items before the group had shown them to this reader")
 
 
 class RecordedStep:
@@ -34,17 +36,26 @@ class RecordedStep:
     It brings the items between the two cuts, with seqs below `seq_end`, in the order (time, seq). Before these it
     brings the late items: items before `cut` with seqs from `next_seq` on. Order of use: while `late` is a range, load
     these seqs and call `take_late`. Then, while `is_read` is False, read `query` and call `take_page`. After each call
-    take `batch` until it is empty. `dropped` counts the items that the archive lacks.
+    take `batch` until it is empty. `dropped` counts the items that the archive lacks, or that its limits have removed.
+    The reader has got no item with the seq `got_to` or a later one; 0: it has got no item yet, and began in the past.
     """
 
     def __init__(
-        self, cut: int | None, target: int, next_seq: int, seq_end: int, *, done_below: ItemKey = FIRST_KEY
+        self,
+        cut: int | None,
+        target: int,
+        next_seq: int,
+        seq_end: int,
+        *,
+        got_to: int,
+        done_below: ItemKey = FIRST_KEY,
     ) -> None:
         """`done_below`: the reader has the items of this step below this key."""
-        self.target, self.seq_end = target, seq_end
+        self.target, self.seq_end, self.got_to = target, seq_end, got_to
         self.late: Range | None = (next_seq, seq_end) if next_seq < seq_end else None
         self.is_read = cut is not None and cut >= target
-        self.dropped = 0
+        self.dropped = self._removed = 0
+        self._late_end = 1  # the seq after the latest late item
         self._begin = cut
         self._after = Position(done_below[0], done_below[1] - 1) if done_below > (cut or FIRST_KEY[0], 0) else None
         self._waiting: deque[DeliveredSlice] = deque()
@@ -70,10 +81,12 @@ class RecordedStep:
             following = next_time(part.last_time)
             hidden = following is not None and following >= self.target
             self._waiting.append(DeliveredSlice(part, None if hidden else following))
+            self._late_end = max(self._late_end, part.end_seq)
         self.late = (end, self.late[1]) if end < self.late[1] else None
 
-    def take_page(self, answer: ReadAnswer, *, continues: bool, lacks: int) -> None:
+    def take_page(self, answer: ReadAnswer, *, continues: bool, lacks: int, kept_from: int) -> None:
         """Take a page. `continues`: another page follows. `lacks`: how many items of this page the archive lacks.
+        `kept_from`: neither the archive nor memory has an item with a lower seq.
 
         If another page follows, and this page has items of several times, the step ends before the last of these times.
         So the reader gets a cursor before the next page.
@@ -82,14 +95,24 @@ class RecordedStep:
         self.is_read = not continues
         if continues and answer.slices[-1].last_time > answer.slices[0].first_time:
             self.target, self.is_read = answer.slices[-1].last_time, True
-        for at, part in enumerate(answer.slices):
-            kept = _with_seqs(split_at(part, (self.target, 0))[0], 0, self.seq_end)
+        shown = [_with_seqs(split_at(part, (self.target, 0))[0], 0, self.seq_end) for part in answer.slices]
+        self._count_removed(shown, min(kept_from, self.seq_end))
+        for at, kept in enumerate(shown):
             if kept.items:
                 following = _next_time(answer.slices[at:], kept.last_time, kept.hi)
                 self._waiting.append(DeliveredSlice(kept, answer.next_time if following is None else following))
         if answer.slices:
             last = answer.slices[-1]
             self._after = Position(last.last_time, last.end_seq - 1)
+
+    def _count_removed(self, slices: Sequence[Slice], kept_from: int) -> None:
+        """Count the items that were removed before the reader got them. All their seqs are less than `kept_from`."""
+        if self.got_to:
+            given = sum(_with_seqs(one, self.got_to, kept_from).items for one in slices)
+            removed = max(0, given_between(self.got_to, kept_from) - given)
+            self.dropped, self._removed = self.dropped + removed, self._removed + removed
+            self.got_to = max(self.got_to, kept_from)
+        self.got_to = max(self.got_to, *(one.end_seq for one in slices if one.items), 0)
 
     def batch(self, limit_bytes: int) -> SubscriptionBatch:
         """The next taken items, of about `limit_bytes`. If it is empty, take more, or the step is over."""
@@ -114,8 +137,15 @@ class RecordedStep:
     @property
     def gap(self) -> Gap | None:
         """The items that the step did not bring."""
-        last = max(1, self.seq_end - 1)
-        return Gap(first_seq=1, last_seq=last, items=self.dropped, reason=_LOST) if self.dropped else None
+        if not self.dropped:
+            return None
+        reason = _LOST if self.dropped > self._removed else _REMOVED
+        return Gap(first_seq=1, last_seq=max(1, self.seq_end - 1), items=self.dropped, reason=reason)
+
+    @property
+    def end_got_to(self) -> int:
+        """`got_to` at the end of the step, with the late items."""
+        return max(self.got_to, self._late_end)
 
 
 def _with_seqs(part: Slice, first: int, end: int) -> Slice:

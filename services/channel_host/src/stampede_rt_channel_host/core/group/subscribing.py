@@ -73,6 +73,7 @@ class VisibleAllCursor:
             low = VisibleQueryReader(channel, horizon, now).resolve_bound(start, now)
             cut = cut if low is None else min(cut, low + start_exclusive)
         self._follower = CutFollower(channel, cut, now, next_seq=next_seq, archived=archived)
+        self._got_to = self._follower.next_seq if start is None else 0  # see `RecordedStep`
 
     def unheld_step(self, horizon: Horizon, now: int) -> RecordedStep | None:
         """The next step, or the rest of the present one, if memory does not have all of it; otherwise None.
@@ -85,16 +86,18 @@ class VisibleAllCursor:
         if not follower.under_way:
             if follower.is_held(now):
                 return None
-            return RecordedStep(follower.cut, horizon.cut, follower.next_seq, self._channel.next_seq)
+            end = self._channel.next_seq
+            return RecordedStep(follower.cut, horizon.cut, follower.next_seq, end, got_to=self._got_to)
         rest = follower.unheld_rest(now)
         if rest is None:
             return None
         key, target, seq_end = rest
-        return RecordedStep(follower.cut, target, seq_end, seq_end, done_below=key)
+        return RecordedStep(follower.cut, target, seq_end, seq_end, got_to=self._got_to, done_below=key)
 
     def skip_to(self, step: RecordedStep, now: int) -> None:
         """Note that the reader has all items of this step."""
         self.dropped += step.dropped
+        self._got_to = step.end_got_to
         self._follower = CutFollower(self._channel, step.target, now, next_seq=step.seq_end, archived=True)
 
     @property
@@ -132,6 +135,7 @@ class VisibleAllCursor:
             slices = step.late + step.slices
             if slices:
                 self.delivered += sum(one.slice.items for one in slices)
+                self._got_to = max(self._got_to, *(one.slice.end_seq for one in slices))
                 return SubscriptionBatch(slices=slices)
             if not step.is_last:
                 return SubscriptionBatch(more=True)
