@@ -177,13 +177,16 @@ class ArchivedChannel:
             self._find_late(step, limit_bytes)
         elif not step.is_read:
             view = self.view(step.query, Horizon(step.target, lambda: "the step"))
-            kept = min(one.first_seq for one in (*self.segments, *self.channel.accepted_from(0)))
-            step.take_page(view.answer, continues=view.continues, lacks=view.lacks, kept_from=kept)
+            step.take_page(view.answer, continues=view.continues, lacks=view.lacks, kept_from=self.kept_from())
         batch = step.batch(limit_bytes)
         if step.is_over and batch.is_empty:
             self.step = None
             place.skip_to(step, self.now)
         return replace(batch, more=True)
+
+    def kept_from(self) -> int:
+        """The lowest seq of an item."""
+        return min(one.first_seq for one in (*self.segments, *self.channel.accepted_from(0)))
 
     def _find_late(self, step: RecordedStep, limit_bytes: int) -> None:
         assert step.late is not None

@@ -52,7 +52,7 @@ class Pair:
         )  # fmt: skip
         small = {name: one.channel for name, one in self.small.items()}
         tracks = {name: RecordedTrack(small[name], name, is_ascending=partners is None) for name in (OTHER, THIRD)}
-        own = RecordedOwnTrack(small[OWN], OWN)
+        own = RecordedOwnTrack(small[OWN], OWN, self.small[OWN].kept_from)
         self.archived = Matcher(small[OWN], tracks, self.tolerance, self.now, after, next_seq, partners, recorded=own)
 
     def put(self, name: bytes, time: int) -> None:
@@ -140,7 +140,7 @@ def test_a_track_holds_few_keys_for_any_tolerance_if_matches_need_not_be_unique(
     monkeypatch.setattr(recorded_track, "KEYS_MAX", 60)
     own, other = recorded(range(0, 400, step)), recorded(range(400))
     tracks = {OTHER: RecordedTrack(other.channel, OTHER, is_ascending=True)}
-    recorded_own = RecordedOwnTrack(own.channel, OWN)
+    recorded_own = RecordedOwnTrack(own.channel, OWN, own.kept_from)
     matcher = Matcher(own.channel, tracks, 1000, 500, Position(-1), recorded=recorded_own)
     found: list[FoundMatch] = []
     while len(found) < len(range(0, 400, step)):
@@ -165,3 +165,31 @@ def test_a_match_accepts_a_page_of_many_tiny_items(monkeypatch: pytest.MonkeyPat
             other.load(missing.reads())
     assert near is not None
     assert near.time == 100
+
+
+@pytest.mark.parametrize("seed", range(SCENARIOS))
+def test_matches_count_the_items_that_the_limits_of_the_archive_remove(seed: int) -> None:
+    draw = random.Random(seed)
+    own = ArchivedChannel(Policy(max_items=draw.randrange(1, 5)), runs_per_block=2, blocks_per_segment=2)
+    own.put(Offer(times=[0], durations=None, lengths=[3]), 0)
+    track = RecordedOwnTrack(own.channel, OWN, own.kept_from)
+    matcher = Matcher(own.channel, {}, 0, 0, None, None, None, recorded=track)  # begins after the first item
+    found, now = 0, 0
+
+    def take(most: int) -> int:
+        try:
+            return len(matcher.take(lambda member, instant: True, now, most))
+        except ItemsNotLoaded as missing:
+            own.load(missing.reads())
+            return len(matcher.take(lambda member, instant: True, now, most))
+
+    for _ in range(draw.randrange(1, 6)):
+        for _ in range(draw.randrange(1, 30)):
+            now += 1
+            own.put(Offer(times=[now], durations=None, lengths=[3]), now)
+            own.archive()
+        own.drop_segments(draw.randrange(4))
+        found += sum(take(3) for _ in range(draw.choice([0, 1, 3])))
+    while more := take(1000):
+        found += more
+    assert found + matcher.dropped == now

@@ -246,8 +246,9 @@ class MatchStream:
 def _matcher(hosted: HostedChannel, request: pb.SubscribeMatchesOpen, now: int) -> Matcher:
     after = request.after
     partners = {one.channel_id: (one.position.time_unix_nano, one.position.seq) for one in after.partners}
-    if hosted.recording is not None and request.HasField("after") and not after.next_seq:
-        hosted.recording.check_start(Bound(None, after.after.time_unix_nano), now)
+    recording, channel_id = hosted.recording, hosted.record.channel_id
+    if recording is not None and request.HasField("after") and not after.next_seq:
+        recording.check_start(Bound(None, after.after.time_unix_nano), now)
     return Matcher(
         hosted.channel,
         {},
@@ -256,7 +257,9 @@ def _matcher(hosted: HostedChannel, request: pb.SubscribeMatchesOpen, now: int) 
         after=position_of(after.after) if request.HasField("after") else None,
         next_seq=after.next_seq or None,
         partners=partners if request.unique else None,
-        recorded=None if hosted.recording is None else RecordedOwnTrack(hosted.channel, hosted.record.channel_id),
+        recorded=None
+        if recording is None
+        else RecordedOwnTrack(hosted.channel, channel_id, lambda: recording.kept_from),
     )
 
 

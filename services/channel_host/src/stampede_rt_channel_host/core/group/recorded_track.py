@@ -7,12 +7,13 @@ again.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 
 from stampede_rt.errors import Overloaded
 from stampede_rt.matching.key_track import nearer
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt.values.timeline import MAX_INSTANT, Bound, Interval, Match, clamp, parse_interval
 from stampede_rt_channel_host.core.archive import ArchivedRead
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Position, Query, Slice
@@ -149,11 +150,15 @@ class RecordedTrack:
 class RecordedOwnTrack(RecordedTrack):
     """The items of the matched channel, if it is recorded. Holds one page of archived items.
 
-    `lacked` counts the items that the archive lacks between the read ones.
+    `lacked` counts the items that the archive lacks between the read ones, and those that its limits have removed. Of
+    the removed items it counts the seqs after the last decided item, so out of order the number may be a little wrong.
     """
 
-    def __init__(self, channel: ChannelCore, channel_id: bytes) -> None:
+    def __init__(self, channel: ChannelCore, channel_id: bytes, kept_from: Callable[[], int]) -> None:
+        """`kept_from` returns a seq: neither the archive nor memory has an item with a lower seq."""
         super().__init__(channel, channel_id)
+        self._kept_from = kept_from
+        self._counted_to = 0  # the removed items with a lower seq are counted
         self.lacked = 0
         self._page = ChannelIndex()
         self._begin, self._page_end = LAST_KEY, FIRST_KEY  # the page has all items between these keys
@@ -189,6 +194,8 @@ class RecordedOwnTrack(RecordedTrack):
         read = yield replace(_up_to(low[0], floor), after=after)
         answer, self._page = read.answer(), ChannelIndex()
         self.lacked += read.lacks
+        if low[1]:  # otherwise no item is decided yet
+            self._count_removed(max(low[1], self._counted_to), self._kept_from(), answer.slices)
         runs = {part.run.first_seq: part.run for part in answer.slices if split_at(part, floor)[0].items}
         for first_seq in sorted(runs):
             self._page.insert(runs[first_seq])
@@ -199,6 +206,12 @@ class RecordedOwnTrack(RecordedTrack):
             last = answer.slices[-1]
             if (last.last_time, last.end_seq) < floor:
                 self._page_end, self._following = (last.last_time, last.end_seq), answer.next_time
+
+    def _count_removed(self, first: int, end: int, slices: Iterable[Slice]) -> None:
+        """Count the seqs from `first` up to `end`, exclusive, that are not among the slices."""
+        given = sum(max(0, min(one.end_seq, end) - max(one.first_seq, first)) for one in slices)
+        self.lacked += max(0, given_between(first, end) - given)
+        self._counted_to = max(self._counted_to, end)
 
 
 def _between(start: int, end: int) -> Query:
