@@ -17,7 +17,14 @@ from stampede_rt_channel_host.channels import move_under_way
 from stampede_rt_channel_host.channels.copy_state import CopyState
 from stampede_rt_channel_host.channels.new_channels import NewCopy
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
-from stampede_rt_channel_host.copies import copy_feed, feed_stream, incoming_moves, move_slots, outgoing_moves
+from stampede_rt_channel_host.copies import (
+    copy_feed,
+    feed_stream,
+    feed_writer,
+    incoming_moves,
+    move_slots,
+    outgoing_moves,
+)
 from stampede_rt_channel_host.core.channel import Losses, run_to_end
 from stampede_rt_channel_host.metrics import catalog
 from stampede_rt_channel_host.metrics.channel_metrics import ChannelMetrics
@@ -277,7 +284,7 @@ async def test_a_copy_that_ends_its_side_while_its_feed_waits_for_a_turn_ends_th
 ) -> None:
     """In an earlier version, the feed forgot the end, and waited for the next item."""
     work = WorkOfABusyCaller()
-    monkeypatch.setattr(feed_stream, "current_work", lambda: work)
+    monkeypatch.setattr(feed_writer, "current_work", lambda: work)
     scenario = Scenario()
     await scenario.source.store.bind(scenario.world.channel_id, 1)
     link = Link(scenario.world, scenario.source)
