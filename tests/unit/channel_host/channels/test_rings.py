@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import math
 import mmap
 import os
 import threading
@@ -286,7 +287,7 @@ async def test_a_ring_that_grew_for_one_large_item_becomes_small_again() -> None
     assert host.hosted.ring is not None
     assert host.hosted.ring.fit.data_bytes == 16 * MIB
     host.put(*(b"%d" % number for number in range(100)))
-    now_s = asyncio.get_running_loop().time()
+    now_s = math.ceil(asyncio.get_running_loop().time())  # whole seconds, so that no sum is rounded
     for periods in (1, 1.5, 2, 2.5):
         host.rings.review(now_s + periods * REVIEW_SECONDS)
         assert host.hosted.ring is not None, "the large item came in the last two periods"
