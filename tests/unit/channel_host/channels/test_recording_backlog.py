@@ -114,6 +114,18 @@ async def recorded_channel(
     await archive.close([recording.recorder])
 
 
+async def put_during_a_write(one: RecordedChannel, monkeypatch: pytest.MonkeyPatch, later_runs: int = 2) -> SlowDisk:
+    """Put two runs, and `later_runs` more while the write of these two waits for the returned disk.
+
+    Memory holds only the last four items.
+    """
+    disk = SlowDisk(monkeypatch)
+    one.put(2)
+    assert await asyncio.to_thread(disk.reached.wait, 60)
+    one.put(later_runs)
+    return disk
+
+
 async def test_while_the_disk_fails_reads_name_the_items_that_memory_has_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -174,10 +186,7 @@ async def test_a_read_from_the_oldest_item_waits_for_the_first_write_of_items_th
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with recorded_channel(tmp_path, monkeypatch) as one:
-        disk = SlowDisk(monkeypatch)
-        one.put(2)
-        assert await asyncio.to_thread(disk.reached.wait, 60)  # the write has the seqs 1 to 4
-        one.put(2)
+        disk = await put_during_a_write(one, monkeypatch)
         reading = asyncio.create_task(one.answer(Interval(OLDEST, NOW)))
         await asyncio.sleep(0)
         disk.go_on.set()
@@ -192,10 +201,7 @@ async def test_a_read_waits_for_the_write_of_items_that_have_left_memory(
         if has_segments:
             one.put()
             await one.write()
-        disk = SlowDisk(monkeypatch)
-        one.put(2)  # memory holds no more, so the write has all of them
-        assert await asyncio.to_thread(disk.reached.wait, 60)
-        one.put(2)
+        disk = await put_during_a_write(one, monkeypatch)
         reading = asyncio.create_task(one.read())
         await asyncio.sleep(0)
         disk.go_on.set()
@@ -207,10 +213,8 @@ async def test_a_subscription_waits_for_the_write_of_items_that_have_left_memory
 ) -> None:
     async with recorded_channel(tmp_path, monkeypatch) as one:
         cursor = one.channel.subscribe_all(CLOCK)
-        disk = SlowDisk(monkeypatch)
-        one.put(2)
-        assert await asyncio.to_thread(disk.reached.wait, 60)  # the write has the seqs 1 to 4
-        one.put(5)  # memory holds the seqs 11 to 14; the next write cannot have the seqs 5 to 10
+        # the write has the seqs 1 to 4; memory holds 11 to 14; the next write cannot have 5 to 10
+        disk = await put_during_a_write(one, monkeypatch, later_runs=5)
         feeding = asyncio.create_task(one.recording.since(cursor, LARGEST, lambda: CLOCK))
         await asyncio.sleep(0)
         disk.go_on.set()
@@ -260,10 +264,7 @@ async def test_a_subscription_begins_with_items_that_have_left_memory_during_the
         if has_segments:
             one.put()
             await one.write()
-        disk = SlowDisk(monkeypatch)
-        one.put(2)  # memory holds no more, so the write has all of them
-        assert await asyncio.to_thread(disk.reached.wait, 60)
-        one.put(2)
+        disk = await put_during_a_write(one, monkeypatch)
         where = one.recording.beginning({"start": start}, CLOCK)
         cursor = run_to_end(one.channel.subscribing_all(CLOCK, **where))
         feeding = asyncio.create_task(one.recording.since(cursor, LARGEST, lambda: CLOCK))

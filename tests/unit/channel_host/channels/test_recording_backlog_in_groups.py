@@ -15,8 +15,14 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.core.group import Horizon
 from stampede_rt_channel_host.groups.recorded_subscriptions import resolved_start
 from tests.support.waiting import until
-from tests.unit.channel_host.archive.test_host_archive_writes import SlowDisk, refuse
-from tests.unit.channel_host.channels.test_recording_backlog import CLOCK, LARGEST, RecordedChannel, recorded_channel
+from tests.unit.channel_host.archive.test_host_archive_writes import refuse
+from tests.unit.channel_host.channels.test_recording_backlog import (
+    CLOCK,
+    LARGEST,
+    RecordedChannel,
+    put_during_a_write,
+    recorded_channel,
+)
 
 
 class Shell:
@@ -50,10 +56,7 @@ async def test_a_read_through_a_group_waits_for_the_first_write_of_items_that_ha
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: int
 ) -> None:
     async with recorded_channel(tmp_path, monkeypatch) as one:
-        disk = SlowDisk(monkeypatch)
-        one.put(2)
-        assert await asyncio.to_thread(disk.reached.wait, 60)  # the write has the seqs 1 to 4
-        one.put(2)
+        disk = await put_during_a_write(one, monkeypatch)
         reading = asyncio.create_task(one.read_in_group(cut))
         await asyncio.sleep(0)
         disk.go_on.set()
@@ -66,10 +69,7 @@ async def test_a_subscription_through_a_group_begins_with_the_items_of_the_first
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with recorded_channel(tmp_path, monkeypatch) as one:
-        disk, shell = SlowDisk(monkeypatch), Shell(one)
-        one.put(2)
-        assert await asyncio.to_thread(disk.reached.wait, 60)  # the write has the seqs 1 to 4
-        one.put(2)
+        disk, shell = await put_during_a_write(one, monkeypatch), Shell(one)
         horizon = Horizon(CLOCK, lambda: "")
         hosted, channels = cast("HostedChannel", shell), cast("ChannelStore", shell)
         beginning = asyncio.create_task(resolved_start(hosted, channels, horizon, OLDEST))
@@ -82,10 +82,7 @@ async def test_a_slow_reader_of_a_group_waits_for_the_write_of_items_that_have_l
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with recorded_channel(tmp_path, monkeypatch) as one:
-        disk = SlowDisk(monkeypatch)
-        one.put(2)
-        assert await asyncio.to_thread(disk.reached.wait, 60)
-        one.put(2)
+        disk = await put_during_a_write(one, monkeypatch)
         reading = asyncio.create_task(one.recording.items_from((1, 9), LARGEST, lambda: CLOCK))
         await asyncio.sleep(0)
         disk.go_on.set()

@@ -140,6 +140,14 @@ def is_alone(message: FedResponse | FedItem) -> bool:
     return isinstance(message, FedItem)
 
 
+async def check_next_run(source: Source, proxy: Proxy) -> None:
+    """Check that the next run goes to the proxy alone, and that the proxy then has everything."""
+    message = await source.after_put()
+    assert is_alone(message)
+    await proxy.take(message)
+    assert proxy.equals_its_source()
+
+
 async def test_a_run_goes_to_a_proxy_alone_in_the_turn_after_its_put(monkeypatch: pytest.MonkeyPatch) -> None:
     async with fed_proxy() as source, proxy_of(source) as proxy:
         monkeypatch.setattr(FeedStream, "_next_message", None)  # the task of the feed has nothing to do
@@ -212,10 +220,7 @@ async def test_other_facts_go_to_a_proxy_in_the_general_form() -> None:
         assert isinstance(sign, FedResponse)
         assert sign.fields.state.heard_nanos == 2, "the proxy waits for a sign of life"
         await proxy.take(sign)
-        message = await source.after_put()
-        assert is_alone(message)
-        await proxy.take(message)
-        assert proxy.equals_its_source()
+        await check_next_run(source, proxy)
 
 
 async def test_a_proxy_without_credit_gets_nothing_and_then_misses_the_collected_items() -> None:
@@ -235,10 +240,7 @@ async def test_a_proxy_without_credit_gets_nothing_and_then_misses_the_collected
         await proxy.take(*await source.messages())
         assert proxy.equals_its_source()
         assert proxy.channel.missed == 2
-        message = await source.after_put()
-        assert is_alone(message)
-        await proxy.take(message)
-        assert proxy.equals_its_source()
+        await check_next_run(source, proxy)
 
 
 async def test_a_proxy_whose_socket_is_full_gets_the_runs_later() -> None:
@@ -251,10 +253,7 @@ async def test_a_proxy_whose_socket_is_full_gets_the_runs_later() -> None:
         source.feed.connection.resume_writing()
         await proxy.take(*await source.messages())
         assert proxy.equals_its_source()
-        message = await source.after_put()
-        assert is_alone(message)
-        await proxy.take(message)
-        assert proxy.equals_its_source()
+        await check_next_run(source, proxy)
 
 
 async def test_a_proxy_continues_after_a_cut() -> None:
@@ -268,10 +267,7 @@ async def test_a_proxy_continues_after_a_cut() -> None:
         assert not any(map(is_alone, opened))
         await proxy.take(*opened)
         assert proxy.equals_its_source()
-        message = await source.after_put()
-        assert is_alone(message)
-        await proxy.take(message)
-        assert proxy.equals_its_source()
+        await check_next_run(source, proxy)
 
 
 async def test_a_proxy_refuses_a_run_if_it_lacks_earlier_ones() -> None:
