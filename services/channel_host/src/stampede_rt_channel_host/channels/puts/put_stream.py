@@ -168,7 +168,7 @@ class PutStream:
             return []
         try:
             hosted = self._store.find(self._channel_id, self._epoch)
-        except StampedeError:  # each ack tells it
+        except StampedeError:  # the ack of each run tells the error
             return []
         if hosted.replication is None or hosted.puts.may_wait:
             return []
