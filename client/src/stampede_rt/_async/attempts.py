@@ -8,12 +8,12 @@ from collections.abc import Awaitable, Callable
 from typing import Protocol, TypeVar
 
 from stampede_rt.cluster.binding import Binding
+from stampede_rt.cluster.directory_call import is_cut_short
 from stampede_rt.errors import DeadlineExceeded, Overloaded, StampedeError
 from stampede_rt.pacing.retry import OPEN_STREAMS_S, Backoff
 from stampede_rt.transports.concurrency_async import sleep
 
 TRY_S_MIN = 0.1  # the least time of a try, also at the very end, so that a near host can answer
-SHORT_TRY_S = 1.0  # a supernode that must answer sooner may find no majority in time, although there is one
 
 Result = TypeVar("Result")
 
@@ -61,7 +61,7 @@ async def attempt(
     try after OPEN_STREAMS_S: often only the caller itself can close a stream.
     Raises the error of the last try. If that try had too little time, and an earlier try has also failed, raises the
     error of the earlier try, because it says more. A try had too little time if its error is DeadlineExceeded, or if it
-    began in the last SHORT_TRY_S and a supernode found no majority.
+    began in the last second and a supernode found no majority.
     """
     locator.check()
     deadline_s = time.monotonic() + timeout_s
@@ -87,7 +87,7 @@ async def attempt(
             if stale or (error.reason == "MOVED" and not followed):
                 followed = True
                 continue
-            cut_short = slow or (error.reason == "NO_QUORUM" and deadline_s - began_s < SHORT_TRY_S)
+            cut_short = slow or is_cut_short(error, deadline_s - began_s)
             failure = failure if cut_short and failure is not None else error
             delay_s = backoff.next_delay_s(time.monotonic(), random.random())
             if delay_s is None:

@@ -16,6 +16,7 @@ from stampede_rt.version import PROTOCOL_VERSION
 
 SUPERNODES_MAX = 64
 FRONTEND_TIMEOUT_S_MIN = 0.1
+SHORT_TRY_S = 1.0  # a supernode that must answer sooner may find no majority in time, although there is one
 
 
 class Attempt(NamedTuple):
@@ -38,6 +39,7 @@ class DirectoryCall:
         self._waiting: deque[str] = deque()  # supernodes that this round has not asked yet
         self._tried: set[str] = set()  # supernodes that this round has asked
         self._attempt_s_max = 0.0
+        self._timeouts_s: dict[str, float] = {}  # by target, of its latest attempt
 
     def begin_round(self, targets: Sequence[str], attempt_s_max: float) -> None:
         """Begin a round that asks the supernodes at `targets` in their order, each for at most `attempt_s_max`."""
@@ -50,16 +52,20 @@ class DirectoryCall:
             target = self._waiting.popleft()
             if target not in self._tried:
                 self._tried.add(target)
-                return Attempt(target, min(left_s, self._attempt_s_max))
+                self._timeouts_s[target] = min(left_s, self._attempt_s_max)
+                return Attempt(target, self._timeouts_s[target])
         return None
 
     def failed(self, target: str, error: StampedeError) -> None:
         """Note that the supernode at `target` did not serve the call. If it named a leader, the leader is next.
 
-        Raises `error` if the call would fail at every supernode.
+        An earlier failure of the same supernode stays if the latest attempt had too little time. The earlier failure
+        says more. Raises `error` if the call would fail at every supernode.
         """
         if not may_pass(error):
             raise error
+        if target in self._failures and is_cut_short(error, self._timeouts_s.get(target, SHORT_TRY_S)):
+            return
         self._failures.pop(target, None)
         self._failures[target] = error
         hint = leader_hint(error)
@@ -80,6 +86,11 @@ class DirectoryCall:
 def may_pass(error: StampedeError) -> bool:
     """Whether the same call may succeed later, or at another supernode."""
     return error.retryable or isinstance(error, DeadlineExceeded)
+
+
+def is_cut_short(error: StampedeError, timeout_s: float) -> bool:
+    """Whether an attempt of at most `timeout_s` seconds failed with `error` because it had too little time."""
+    return timeout_s < SHORT_TRY_S and (isinstance(error, DeadlineExceeded) or error.reason == "NO_QUORUM")
 
 
 def leader_hint(error: StampedeError) -> str:

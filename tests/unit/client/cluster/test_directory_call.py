@@ -82,6 +82,22 @@ def test_a_missing_majority_is_inferred_from_the_failures_of_all_rounds() -> Non
     assert "1 of 3 supernodes answer" in failure.message
 
 
+@pytest.mark.parametrize(
+    ("now_s", "told"), [(9.5, "its host is away"), (5.0, "no majority")], ids=["too little time", "enough time"]
+)
+def test_an_attempt_with_too_little_time_does_not_hide_the_failure_of_an_earlier_attempt(
+    now_s: float, told: str
+) -> None:
+    call = DirectoryCall(deadline_s=10.0)
+    for began_s, error in [
+        (0.0, Unavailable("its host is away", reason="NO_HOST")),
+        (now_s, Unavailable("no majority", reason="NO_QUORUM")),
+    ]:
+        call.begin_round(["a"], float("inf"))
+        asked(call, {"a": error}, began_s)
+    assert call.failure(["a"]).message == told
+
+
 def test_without_a_supernode_the_error_names_the_service_to_start() -> None:
     assert "start a front-end and supernodes" in DirectoryCall(deadline_s=1.0).failure([]).message
 
