@@ -22,15 +22,15 @@ from stampede_rt.security.tls_contexts import client_context
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_runtime import roles
 from stampede_rt_runtime.identity import Role
-from stampede_rt_runtime.rpc import answer_at_once, errors_as_status, takes_parts
+from stampede_rt_runtime.rpc import answer_in_same_turn, errors_as_status, takes_parts
 from stampede_rt_runtime.server import ServiceServer, serving
 from stampede_rt_runtime.sockets.stream_socket import StreamSocket
 from stampede_rt_runtime.tls import load_tls
 from tests.support.raw_stream import SECURED
 
 SERVICE = "test.Streams"
-ECHO, HOLD, READ_LATER, REFUSE, FAIL, FLOOD, AT_ONCE = (
-    f"/{SERVICE}/{name}" for name in ("Echo", "Hold", "ReadLater", "Refuse", "Fail", "Flood", "AtOnce")
+ECHO, HOLD, READ_LATER, REFUSE, FAIL, FLOOD, SAME_TURN = (
+    f"/{SERVICE}/{name}" for name in ("Echo", "Hold", "ReadLater", "Refuse", "Fail", "Flood", "SameTurn")
 )
 
 
@@ -46,7 +46,7 @@ class Streams:
     def add_to(self, server: Any) -> None:
         methods = {
             "Echo": self.echo, "Hold": self.hold, "ReadLater": self.read_later, "Refuse": self.refuse,
-            "Fail": self.fail, "Flood": self.flood, "AtOnce": self.at_once,
+            "Fail": self.fail, "Flood": self.flood, "SameTurn": self.same_turn,
         }  # fmt: skip
         handlers: dict[str, Any] = {
             name: grpc.stream_stream_rpc_method_handler(method) for name, method in methods.items()
@@ -60,17 +60,17 @@ class Streams:
             is_long = len(message) > 100_000 and takes_parts(context)
             await context.write((message[:10], b"", message[10:]) if is_long else message)
 
-    async def at_once(self, _requests: Any, context: Any) -> None:
-        """Answer short messages immediately, the others later, and fail at "defect"."""
+    async def same_turn(self, _requests: Any, context: Any) -> None:
+        """Answer short messages in the turn in which they come, the others later, and fail at "defect"."""
 
         def take(message: bytes, write: Callable[[bytes], None]) -> bool:
             if message == b"defect":
                 raise ValueError("a defect")
             if len(message) <= 5:
-                write(b"at once: " + message)
+                write(b"same turn: " + message)
             return len(message) <= 5
 
-        answer_at_once(context, take)
+        answer_in_same_turn(context, take)
         await self.echo(_requests, context)
 
     async def hold(self, _requests: Any, context: Any) -> None:

@@ -167,7 +167,7 @@ class SocketStream(Call, HostStream):
             return None
         return lambda message: self._put(self._encode(message))
 
-    def answer_at_once(self, take: Callable[[Any], bool]) -> None:
+    def answer_in_same_turn(self, take: Callable[[Any], bool]) -> None:
         pass
 
 

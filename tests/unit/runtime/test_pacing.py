@@ -290,7 +290,7 @@ async def test_streams_that_yield_their_responses_continue_and_end_a_few_in_each
 
 
 async def test_messages_are_answered_immediately_for_a_bounded_time_in_each_turn() -> None:
-    now, turns, step = 0, TurnCounter(), pacing.AT_ONCE_NANOS // 4
+    now, turns, step = 0, TurnCounter(), pacing.SAME_TURN_NANOS // 4
     budget = SameTurnBudget(lambda: now)
 
     def answer() -> None:
@@ -314,22 +314,22 @@ async def test_a_loop_with_pauses_answers_every_message_immediately() -> None:
     budget = SameTurnBudget(lambda: now)
     for _ in range(100):
         assert budget.is_left()
-        now += pacing.AT_ONCE_NANOS // 2  # the answer
-        budget.spend(pacing.AT_ONCE_NANOS // 2)
-        now += pacing.AT_ONCE_NANOS // 2  # the pause
+        now += pacing.SAME_TURN_NANOS // 2  # the answer
+        budget.spend(pacing.SAME_TURN_NANOS // 2)
+        now += pacing.SAME_TURN_NANOS // 2  # the pause
 
 
 async def test_a_caller_beyond_its_share_is_not_answered_immediately_and_answers_count_for_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Socket:
-        def answer_at_once(self, take: Callable[..., bool]) -> None:
+        def answer_in_same_turn(self, take: Callable[..., bool]) -> None:
             self.take = take
 
     spent: list[int] = []
     monkeypatch.setattr(CallerWork, "spend", lambda _work, nanos: spent.append(nanos))
     socket: Any = Socket()
-    PacedContext(socket, TurnGate(), TurnGate(), ONE, SameTurnBudget()).answer_at_once(lambda message, write: True)
+    PacedContext(socket, TurnGate(), TurnGate(), ONE, SameTurnBudget()).answer_in_same_turn(lambda message, write: True)
     assert socket.take(b"x", print)
     assert len(spent) == 1
     monkeypatch.setattr(CallerWork, "must_wait", property(lambda _work: True))

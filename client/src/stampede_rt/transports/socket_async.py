@@ -44,7 +44,7 @@ class SocketCall(asyncio.BufferedProtocol):
         # the end of the stream; no response comes after it
         self._error: SocketError | asyncio.CancelledError | None = None
         self._is_over = self._is_full = self._is_paused = False
-        self.at_once: Callable[[Any], bool] | None = None
+        self.take_in_same_turn: Callable[[Any], bool] | None = None
         """Gets a response for which the user waits, in the turn of the event loop in which the response comes.
 
         Returns False if it has not taken the response. The user gets that response, and any error of this function.
@@ -105,12 +105,12 @@ class SocketCall(asyncio.BufferedProtocol):
             _wake(self._news)
 
     def _answer(self, body: bytes | memoryview) -> bool:
-        """Let `at_once` take a response if the user waits for one."""
+        """Let `take_in_same_turn` take a response if the user waits for one."""
         news = self._news
-        if self.at_once is None or self._came or news is None or news.done():
+        if self.take_in_same_turn is None or self._came or news is None or news.done():
             return False
         try:
-            return self.at_once(self._decoded(body))
+            return self.take_in_same_turn(self._decoded(body))
         except Exception as defect:  # noqa: BLE001  # the user gets it, as if the user had read the response
             news.set_exception(defect)
             self._news = news = None  # the error references this frame, which must not reference the future
@@ -215,7 +215,7 @@ class SocketCall(asyncio.BufferedProtocol):
         """
         if self._is_over:
             return
-        self._is_over, self._error, self.at_once = True, error, None
+        self._is_over, self._error, self.take_in_same_turn = True, error, None
         if self._watch is not None:
             self._watch.cancel()
         if self._transport is not None:

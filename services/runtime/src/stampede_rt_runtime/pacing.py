@@ -29,7 +29,7 @@ from stampede_rt_runtime.stream_headers import send_headers
 
 STREAMS_PER_TURN = 4
 """The steps of this number of streams take up to 0.5 ms. With 16, each step would take 0.3 us less (decision 0123)."""
-AT_ONCE_NANOS = 1_000_000
+SAME_TURN_NANOS = 1_000_000
 
 
 class TurnGate:
@@ -77,7 +77,7 @@ class TurnGate:
 class SameTurnBudget:
     """Limits the time for which messages are answered in the turn of the event loop in which they come.
 
-    Beyond AT_ONCE_NANOS in one turn, messages go to their streams. The gates let a few streams run in each turn. Each
+    Beyond SAME_TURN_NANOS in one turn, messages go to their streams. The gates let a few streams run in each turn. Each
     pause between two answers reduces the used time by its length. So a loop with little to do uses up no budget.
     """
 
@@ -88,7 +88,7 @@ class SameTurnBudget:
 
     def is_left(self) -> bool:
         """Whether the next message may be answered now. If not, the next turn of the loop has the whole budget."""
-        if self._used_nanos - (self._now() - self._ended_at) < AT_ONCE_NANOS:
+        if self._used_nanos - (self._now() - self._ended_at) < SAME_TURN_NANOS:
             return True
         if not self._begins_anew:
             self._begins_anew = True
@@ -114,11 +114,11 @@ class PacedContext:
         reads: TurnGate,
         writes: TurnGate,
         caller: Account | None = None,
-        at_once: SameTurnBudget | None = None,
+        same_turn: SameTurnBudget | None = None,
     ) -> None:
-        """`caller`: None for one without quotas. `at_once`: None if all messages go to the stream."""
+        """`caller`: None for one without quotas. `same_turn`: None if all messages go to the stream."""
         self._context = context
-        self._at_once = at_once
+        self._same_turn = same_turn
         self._has_headers = False
         self._reads = reads
         self._writes = writes
@@ -148,16 +148,16 @@ class PacedContext:
         write: Callable[[bytes], None] | None = getattr(self._context, "write_now", None)
         return write
 
-    def answer_at_once(self, take: Callable[[bytes | memoryview, Callable[[bytes], None]], bool]) -> None:
+    def answer_in_same_turn(self, take: Callable[[bytes | memoryview, Callable[[bytes], None]], bool]) -> None:
         """See `SocketContext`. Streams over gRPC cannot do this.
 
         `take` gets a message only if the caller need not wait for its turn. The work of `take` counts for the caller.
         """
-        answer = getattr(self._context, "answer_at_once", None)
-        if answer is not None and self._at_once is not None:
-            answer(partial(self._take_at_once, self._at_once, take))
+        answer = getattr(self._context, "answer_in_same_turn", None)
+        if answer is not None and self._same_turn is not None:
+            answer(partial(self._take_in_same_turn, self._same_turn, take))
 
-    def _take_at_once(
+    def _take_in_same_turn(
         self,
         budget: SameTurnBudget,
         take: Callable[[bytes | memoryview, Callable[[bytes], None]], bool],
@@ -188,7 +188,7 @@ class PacingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
 
     def __init__(self) -> None:
         self._reads, self._writes, self._ends = TurnGate(), TurnGate(), TurnGate()
-        self._at_once = SameTurnBudget()
+        self._same_turn = SameTurnBudget()
 
     async def intercept_service(
         self,
@@ -208,7 +208,7 @@ class PacingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
     def _paced(self, behavior: Callable[..., Any]) -> Callable[..., Any]:
         async def call(request: Any, context: Context) -> Any:
             caller = current_account()
-            paced = PacedContext(context, self._reads, self._writes, caller, self._at_once)
+            paced = PacedContext(context, self._reads, self._writes, caller, self._same_turn)
             serving: asyncio.Task[Any] = asyncio.create_task(charged(caller, behavior(request, paced)))
             try:
                 await asyncio.wait({serving})

@@ -22,13 +22,13 @@ Context: TypeAlias = "grpc.aio.ServicerContext[Any, Any]"
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
-def answer_at_once(context: Context, take: Callable[[bytes | memoryview, Callable[[bytes], None]], bool]) -> None:
+def answer_in_same_turn(context: Context, take: Callable[[bytes | memoryview, Callable[[bytes], None]], bool]) -> None:
     """Let `take` answer messages in the turn of the event loop in which they come, if the transport can do so.
 
     `take` gets an encoded message for which the method waits in `context.read`, and a function that writes a message.
     It returns False if it has not taken the message, which `read` then returns.
     """
-    answer = getattr(context, "answer_at_once", None)
+    answer = getattr(context, "answer_in_same_turn", None)
     if answer is not None:
         answer(take)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from stampede_rt.errors import Unavailable
-from stampede_rt_channel_host.channels.owned_replicas import WRITES_AT_ONCE_MAX, OwnedReplicas
+from stampede_rt_channel_host.channels.owned_replicas import SAME_TURN_WRITES_MAX, OwnedReplicas
 from stampede_rt_channel_host.core.replication import KnownReplica, ReplicasInSync
 
 REPLICA, START, NEXT = b"r" * 16, 5, 6
@@ -109,7 +109,7 @@ async def test_a_wait_that_begins_after_the_host_has_given_the_thing_up_ends_imm
 
 def test_only_a_few_callers_get_their_answers_in_the_turn_of_a_report() -> None:
     replicas, looks = Replicas(), list[bool]()
-    for number in range(WRITES_AT_ONCE_MAX + 5):
-        replicas.watch(lambda at_once, _=number: looks.append(at_once))  # type: ignore[misc]
+    for number in range(SAME_TURN_WRITES_MAX + 5):
+        replicas.watch(lambda in_this_turn, _=number: looks.append(in_this_turn))  # type: ignore[misc]
     replicas.report(REPLICA, replicas.feed, NEXT)
-    assert looks == [True] * WRITES_AT_ONCE_MAX + [False] * 5
+    assert looks == [True] * SAME_TURN_WRITES_MAX + [False] * 5

@@ -57,7 +57,7 @@ async def begun_copy(one: Fed) -> AsyncIterator[tuple[CopyFeed, Any, list[tuple[
         call: Any = SimpleNamespace(write_now=write)
         await copied._take(read_response(one.feed.written()[0]))
         [first] = parts_in(one.put())
-        assert copied._take_at_once(call, first)
+        assert copied._take_in_same_turn(call, first)
         one.report()
         yield copied, call, sent
 
@@ -113,13 +113,13 @@ async def test_a_replica_answers_an_item_before_it_stores_it() -> None:
         for seq in (2, 3):
             [item] = items_in(one.put())
             one.answer()
-            assert copied._take_at_once(call, item)
+            assert copied._take_in_same_turn(call, item)
             assert sent[-1] == (seq + 1, seq), "the answer comes before the storing"
             assert held.channel.next_seq == seq + 1
         assert held.channel.counters(0).accepted == one.hosted.core.counters(0).accepted
         assert held.channel.owner_facts.window.producers[7].recorded == 3
         with pytest.raises(InvalidArgument, match="has the item with seq 3, and the copy is at 4"):
-            copied._take_at_once(call, item)
+            copied._take_in_same_turn(call, item)
 
 
 async def test_a_replica_refuses_an_item_without_a_producer() -> None:
@@ -127,7 +127,7 @@ async def test_a_replica_refuses_an_item_without_a_producer() -> None:
         [fed_item] = items_in(one.put())
         count = len(sent)
         with pytest.raises(InvalidArgument, match="an item without a producer"):
-            copied._take_at_once(call, fed_item._replace(item=fed_item.item._replace(producer_id=0)))
+            copied._take_in_same_turn(call, fed_item._replace(item=fed_item.item._replace(producer_id=0)))
         assert len(sent) == count
 
 
@@ -159,7 +159,7 @@ async def test_a_replica_answers_a_run_before_it_stores_it() -> None:
             times = [newest + offset for offset in offsets] or None
             [item] = items_in(one.put(b"a", b"bc", b"", times=times))
             one.answer()
-            assert copied._take_at_once(call, item)
+            assert copied._take_in_same_turn(call, item)
             assert sent[-1] == (seq + 3, seq), "the answer comes before the storing"
             assert held.channel.next_seq == seq + 3
             assert copied._granted - granted == 3 + 3 * ITEM_OVERHEAD_BYTES
@@ -178,7 +178,7 @@ async def test_a_replica_refuses_a_run_that_disagrees_with_its_items(field: str)
         count = len(sent)
         wrong = fed_item.item._replace(**{field: getattr(fed_item.item, field) + 1})
         with pytest.raises(InvalidArgument, match="disagrees with its items"):
-            copied._take_at_once(call, fed_item._replace(item=wrong))
+            copied._take_in_same_turn(call, fed_item._replace(item=wrong))
         assert len(sent) == count
 
 

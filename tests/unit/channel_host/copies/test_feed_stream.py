@@ -36,7 +36,7 @@ WINDOW_BYTES = 2**20
 @pytest.fixture(autouse=True)
 def unlimited_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy machine one answer may take longer than the budget."""
-    monkeypatch.setattr(pacing, "AT_ONCE_NANOS", 2**62)
+    monkeypatch.setattr(pacing, "SAME_TURN_NANOS", 2**62)
 
 
 class Fed:
@@ -218,7 +218,7 @@ async def test_an_error_while_a_part_is_sent_ends_the_feed_and_not_the_put(monke
 
 async def test_a_replica_without_credit_gets_nothing_in_the_turn_of_the_put() -> None:
     async with fed() as one:
-        one.feed.connection.at_once = None  # so that the stream takes no request meanwhile
+        one.feed.connection.take_in_same_turn = None  # so that the stream takes no request meanwhile
         stream = one.hosted.replication
         assert stream is not None
         [feed] = stream._feeds.values()
@@ -234,10 +234,10 @@ async def test_a_replica_answers_a_part_in_the_turn_in_which_it_comes() -> None:
         sent: list[pb.FeedRequest] = []
         call: Any = SimpleNamespace(write_now=sent.append)
         [opened] = parts_in(one.feed.written()[:1])
-        assert not copied._take_at_once(call, opened), "the task begins the copy"
+        assert not copied._take_in_same_turn(call, opened), "the task begins the copy"
         await copied._take(opened)
         [part] = parts_in(one.put())
-        assert copied._take_at_once(call, part)
+        assert copied._take_in_same_turn(call, part)
         assert [one.held_next_seq for one in sent] == [2]
         held = copied._held()
         assert held is not None
@@ -256,7 +256,7 @@ async def test_a_replica_grants_credit_in_large_steps_with_its_answers_to_puts()
         await copied._take(parts_in(one.feed.written()[:1])[0])
         for _ in range(7):
             [part] = parts_in(one.put())
-            assert copied._take_at_once(call, part)
+            assert copied._take_in_same_turn(call, part)
             one.report()
             await pauses()
         assert [request.credit_bytes for request in sent if request.credit_bytes] == [3 * charge_bytes] * 2
@@ -276,13 +276,13 @@ async def test_a_replica_reports_no_part_that_it_cannot_store() -> None:
         part.fields.state.first_seq += 1
         part.fields.state.next_seq += 1
         with pytest.raises(InvalidArgument, match="the feed continues at seq 2"):
-            copied._take_at_once(call, part)
+            copied._take_in_same_turn(call, part)
         part.fields.state.first_seq -= 1
         part.fields.state.next_seq -= 1
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(held, "make_room", _refuse)
             with pytest.raises(Overloaded):
-                copied._take_at_once(call, part)
+                copied._take_in_same_turn(call, part)
         assert sent == []
 
 
@@ -304,5 +304,5 @@ async def test_a_replica_leaves_other_parts_to_its_tasks(state: str) -> None:
         elif state == "a request under way":
             await copied._turn.acquire()
         copied._news.clear()
-        assert copied._take_at_once(call, part) == (state == "a full socket")
+        assert copied._take_in_same_turn(call, part) == (state == "a full socket")
         assert copied._news.is_set() == (state == "a full socket"), "the task that writes sends the answer later"

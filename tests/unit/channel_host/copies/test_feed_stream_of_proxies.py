@@ -101,12 +101,12 @@ class Proxy:
 
     async def take(self, *messages: FedResponse | FedItem) -> list[bool]:
         """Take messages. Returns which of them it took in the turn in which they came."""
-        at_once = []
+        in_same_turn = []
         for message in messages:
-            at_once.append(self.feed._take_at_once(self.call, message))
-            if not at_once[-1]:
+            in_same_turn.append(self.feed._take_in_same_turn(self.call, message))
+            if not in_same_turn[-1]:
                 await self.feed._take(message)
-        return at_once
+        return in_same_turn
 
     @property
     def channel(self) -> Any:
@@ -281,10 +281,10 @@ async def test_a_proxy_refuses_a_run_if_it_lacks_earlier_ones() -> None:
 async def test_a_proxy_grants_credit_again_after_a_part_of_its_window() -> None:
     async with fed_proxy() as source, proxy_of(source, window_bytes=GRANTS * 3 * CHARGE_BYTES) as proxy:
         proxy.feed._granted, proxy.feed._owes_request = 0, False
-        at_once = []
+        in_same_turn = []
         for _ in range(4):
-            at_once += await proxy.take(await source.after_put())
-        assert at_once == [True, True, True, False], "the task that reads sends the request"
+            in_same_turn += await proxy.take(await source.after_put())
+        assert in_same_turn == [True, True, True, False], "the task that reads sends the request"
         assert proxy.feed._owes_request
         assert proxy.feed._next_request().credit_bytes == 4 * CHARGE_BYTES
 

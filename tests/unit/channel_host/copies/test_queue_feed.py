@@ -140,7 +140,7 @@ async def test_damaged_bytes_end_the_feed_with_an_error_after_which_the_keeper_t
         await feed.run(channel)
 
 
-class AtOnceStream(HostStream):
+class SameTurnStream(HostStream):
     """A stream over a socket to the replica. It keeps the requests. The test gives the answers."""
 
     def __init__(self) -> None:
@@ -152,7 +152,7 @@ class AtOnceStream(HostStream):
     def write_now(self) -> Callable[[Any], None]:
         return self.sent.append
 
-    def answer_at_once(self, take: Callable[[Any], bool]) -> None:
+    def answer_in_same_turn(self, take: Callable[[Any], bool]) -> None:
         self.take = take
 
     async def read(self) -> object:
@@ -168,7 +168,7 @@ class AtOnceStream(HostStream):
             await asyncio.sleep(0)
 
 
-class AtOnceRig:
+class SameTurnRig:
     """A feed over a socket, whose journal has small steps."""
 
     def __init__(self) -> None:
@@ -178,7 +178,7 @@ class AtOnceRig:
         replication: Any = SimpleNamespace(journal=journal, report=lambda host, feed, step: self.reports.append(step))
         hosted: Any = SimpleNamespace(record=SimpleNamespace(message=b""))
         self.feed = QueueFeedStream(hosted, replication, lambda: 0, b"o" * 16, b"h" * 16, "localhost:1")
-        self.call = AtOnceStream()
+        self.call = SameTurnStream()
         self.tasks = [
             asyncio.ensure_future(one) for one in (self.feed._send_steps(self.call), self.feed._read(self.call))
         ]
@@ -206,7 +206,7 @@ def small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("small_steps")
 async def test_a_step_goes_out_in_the_turn_in_which_the_queue_makes_it() -> None:
-    rig = AtOnceRig()
+    rig = SameTurnRig()
     await rig.call.begin(1)
     assert rig.add_step() == 1
     assert rig.add_step() == 0, "the replica has not reported the last step"
@@ -222,7 +222,7 @@ async def test_a_step_goes_out_in_the_turn_in_which_the_queue_makes_it() -> None
 
 @pytest.mark.usefixtures("small_steps")
 async def test_an_error_while_a_step_is_sent_ends_the_feed_and_not_the_call(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = AtOnceRig()
+    rig = SameTurnRig()
     await rig.call.begin(1)
 
     def fail(*_: object, **__: object) -> Any:
@@ -239,7 +239,7 @@ async def test_an_error_while_a_step_is_sent_ends_the_feed_and_not_the_call(monk
 async def test_the_feed_of_a_silent_replica_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(queue_feed, "ANSWER_SECONDS_MAX", 0.05)
     monkeypatch.setattr(queue_feed, "REQUEST_SECONDS", 0.01)
-    rig = AtOnceRig()
+    rig = SameTurnRig()
     with pytest.raises(TimeoutError):
         await asyncio.wait_for(rig.tasks[0], LIMIT_S)
     await rig.end()

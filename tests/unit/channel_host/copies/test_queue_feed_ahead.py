@@ -27,7 +27,7 @@ from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.core.replication import KnownReplica
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_copies import QueueCopies
-from tests.unit.channel_host.copies.test_queue_feed import AtOnceStream
+from tests.unit.channel_host.copies.test_queue_feed import SameTurnStream
 
 REPLICA, OWNER = b"r" * 16, b"o" * 16
 LIMIT_S = 20
@@ -65,7 +65,7 @@ class Replica:
         return copy.core
 
     def take(self, request: Any) -> bool:
-        return self.feeds._take_at_once(self.feed, encode_request(request), self._write)
+        return self.feeds._take_in_same_turn(self.feed, encode_request(request), self._write)
 
     def _write(self, raw: bytes) -> None:
         self.answers.append((read_answer(raw), self.seqs))
@@ -79,7 +79,7 @@ class Both:
         assert self.hosted.replication is not None
         self.replication = self.hosted.replication
         self.replication.know([KnownReplica(REPLICA, 1, True)])
-        self.call = AtOnceStream()
+        self.call = SameTurnStream()
         self.feed = QueueFeedStream(self.hosted, self.replication, lambda: 0, OWNER, REPLICA, "replica:1")
         self.replica = Replica(self.feed.next_step)
         self._takes_puts = takes_puts
@@ -207,7 +207,7 @@ async def test_an_error_while_a_put_is_sent_ends_the_feed_and_not_the_call(monke
         def fail(self: object) -> Any:
             raise RuntimeError("no socket")
 
-        monkeypatch.setattr(AtOnceStream, "write_now", property(fail))
+        monkeypatch.setattr(SameTurnStream, "write_now", property(fail))
         assert both.put() is None
         with pytest.raises(RuntimeError, match="no socket"):
             await asyncio.wait_for(both.tasks[0], LIMIT_S)

@@ -9,7 +9,7 @@ import pytest
 
 from stampede_rt.errors import InvalidArgument, StaleBinding
 from stampede_rt.v1 import migration_service_pb2 as pb
-from stampede_rt_channel_host.copies.queue_feed_servicer import STEPS_AT_ONCE_MAX, _Feed
+from stampede_rt_channel_host.copies.queue_feed_servicer import SAME_TURN_STEPS_MAX, _Feed
 from stampede_rt_channel_host.copies.queue_steps import step_parts, whole_parts
 from stampede_rt_channel_host.core.queue import QueueStep
 from tests.support.channel_host.queue_cores import Core
@@ -64,7 +64,7 @@ def test_a_feed_takes_only_steps_in_the_turn_of_their_arrival() -> None:
     assert feed.take_steps(pb.FeedQueueRequest(), answers.append)
     assert answers == [pb.FeedQueueResponse(takes_changes=True, takes_puts=True)]
     assert not feed.take_steps(pb.FeedQueueRequest(begins_anew=True), answers.append)
-    too_many = pb.FeedQueueRequest(parts=[pb.FedQueuePart()] * (STEPS_AT_ONCE_MAX + 1))
+    too_many = pb.FeedQueueRequest(parts=[pb.FedQueuePart()] * (SAME_TURN_STEPS_MAX + 1))
     assert not feed.take_steps(too_many, answers.append)
     feed._parts.begin_anew()
     assert not feed.take_steps(pb.FeedQueueRequest(), answers.append)

@@ -208,7 +208,7 @@ async def test_a_response_is_taken_in_the_turn_in_which_it_comes_if_the_user_wai
             taken.append(response)
             return response != b"last"
 
-        call.at_once = take
+        call.take_in_same_turn = take
         far.socket.sendall(frame_of(FrameKind.MESSAGE, b"early"))
         await until(lambda: bool(call._came))
         assert await anext(call) == b"early", "no caller waited for the message when it came"
@@ -217,13 +217,13 @@ async def test_a_response_is_taken_in_the_turn_in_which_it_comes_if_the_user_wai
         for message in (b"one", b"last"):
             far.socket.sendall(frame_of(FrameKind.MESSAGE, message))
             assert await asyncio.to_thread(far.message) == b"answer to " + message
-        assert await asyncio.wait_for(reading, 20) == b"last", "`at_once` has not taken the last message"
+        assert await asyncio.wait_for(reading, 20) == b"last", "`take_in_same_turn` has not taken the last message"
         assert taken == [b"one", b"last"]
 
 
 async def test_responses_that_come_together_go_to_the_user() -> None:
     async with opened() as (call, far):
-        call.at_once = lambda _: True
+        call.take_in_same_turn = lambda _: True
         reading = asyncio.ensure_future(anext(call))
         await asyncio.sleep(0)
         far.socket.sendall(frame_of(FrameKind.MESSAGE, b"a") + frame_of(FrameKind.MESSAGE, b"b"))
@@ -236,7 +236,7 @@ async def test_the_user_gets_the_error_of_a_response_that_is_taken_in_the_turn_o
         def fail(_: bytes) -> bool:
             raise InvalidArgument("no such item")
 
-        call.at_once = fail
+        call.take_in_same_turn = fail
         reading = asyncio.ensure_future(anext(call))
         await asyncio.sleep(0)
         far.socket.sendall(frame_of(FrameKind.MESSAGE, b"a"))

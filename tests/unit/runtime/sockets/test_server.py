@@ -25,7 +25,6 @@ from stampede_rt_runtime.sockets.frame_buffers import FrameBuffers
 from stampede_rt_runtime.sockets.openings import unread_by_peer
 from tests.support.raw_stream import RawStream, raw_stream
 from tests.support.socket_port import (
-    AT_ONCE,
     ECHO,
     FAIL,
     FLOOD,
@@ -33,6 +32,7 @@ from tests.support.socket_port import (
     LOCAL,
     READ_LATER,
     REFUSE,
+    SAME_TURN,
     TCP,
     Open,
     Streams,
@@ -99,16 +99,16 @@ async def test_an_error_reaches_the_caller_with_its_code_and_details(port: Open)
 
 async def test_a_method_may_answer_messages_as_they_arrive_and_reads_the_unanswered_ones(port: Open) -> None:
     async with port() as one, raw_stream(one.target) as stream:
-        await stream.begin(AT_ONCE)
+        await stream.begin(SAME_TURN)
         for message in (b"short", b"longer", b"x", bytes(100_000)):
             await stream.send(FrameKind.MESSAGE, message)
-            assert await stream.message() in (message, b"at once: " + message)
+            assert await stream.message() in (message, b"same turn: " + message)
         await stream.send_bytes(frame_of(FrameKind.MESSAGE, b"a") + frame_of(FrameKind.MESSAGE, b"b"))
         assert [await stream.message(), await stream.message()] == [b"a", b"b"], (
             "two messages that come together go to the method"
         )
         await stream.send(FrameKind.MESSAGE, b"short")
-        assert await stream.message() == b"at once: short"
+        assert await stream.message() == b"same turn: short"
         await stream.send(FrameKind.END)
         assert (await stream.status()).code == 0
 
@@ -117,7 +117,7 @@ async def test_a_defect_while_a_message_is_answered_on_arrival_ends_the_stream_w
     port: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with port() as one, raw_stream(one.target) as stream:
-        await stream.begin(AT_ONCE)
+        await stream.begin(SAME_TURN)
         await stream.send(FrameKind.MESSAGE, b"x")
         await stream.message()
         await stream.send(FrameKind.MESSAGE, b"defect")

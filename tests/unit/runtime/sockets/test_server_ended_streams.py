@@ -16,13 +16,13 @@ from stampede_rt.wire.stream_frames import FrameKind
 from stampede_rt_runtime.sockets import server
 from tests.support.raw_stream import RawStream, raw_stream
 from tests.support.socket_port import (
-    AT_ONCE,
     ECHO,
     FAIL,
     FLOOD,
     HOLD,
     READ_LATER,
     REFUSE,
+    SAME_TURN,
     Open,
     Port,
     port_fixture,
@@ -52,8 +52,8 @@ async def defect(one: Port, stream: RawStream) -> None:
     assert (await stream.status()).code
 
 
-async def defect_at_once(one: Port, stream: RawStream) -> None:
-    await stream.begin(AT_ONCE)
+async def defect_in_same_turn(one: Port, stream: RawStream) -> None:
+    await stream.begin(SAME_TURN)
     kind = FrameKind.MESSAGE
     while kind == FrameKind.MESSAGE:  # the method echoes a message that came before it waited for one
         await stream.send(FrameKind.MESSAGE, b"defect")
@@ -85,7 +85,7 @@ async def invalid_frame(one: Port, stream: RawStream) -> None:
 
 
 ENDS = [
-    regular_end, refusal, defect, defect_at_once, caller_that_reads_nothing_and_goes, caller_that_goes,
+    regular_end, refusal, defect, defect_in_same_turn, caller_that_reads_nothing_and_goes, caller_that_goes,
     caller_that_goes_with_unread_messages, invalid_frame,
 ]  # fmt: skip
 

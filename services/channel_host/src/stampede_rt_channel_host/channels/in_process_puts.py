@@ -132,7 +132,7 @@ class InProcessPutStream:
         if now and not self.is_over:
             self._on_acks(pb.PutResponse(acks=now))
 
-    def _on_due(self, _at_once: bool) -> None:
+    def _on_due(self, _in_this_turn: bool) -> None:
         """Report the acks that have become due, and go on with the runs that have waited for room."""
         acks = self._held.take(HELD_ACKS_MAX)
         if acks and not self.is_over:

@@ -13,7 +13,7 @@ from stampede_rt_channel_host.core.replication import KnownReplica, ReplicaChang
 READY_SECONDS_MAX = 3.0
 """The longest wait of a caller that binds a channel, and of a replica that has to begin anew."""
 
-WRITES_AT_ONCE_MAX = 16
+SAME_TURN_WRITES_MAX = 16
 """The most callers that get their answers in the turn of the event loop in which a replica reports. The others get
 them from their tasks."""
 
@@ -200,4 +200,4 @@ class OwnedReplicas(ABC, Generic[Feed]):
             changed, self._changed = self._changed, asyncio.Event()
             changed.set()
         for at, look in enumerate([*self._watchers]):
-            look(at < WRITES_AT_ONCE_MAX)
+            look(at < SAME_TURN_WRITES_MAX)

@@ -181,16 +181,16 @@ class CopyFeed:
             if self._owes_request:
                 await self._answer(call.write)
             if isinstance(call, HostStream):
-                call.answer_at_once(partial(self._take_at_once, call))
+                call.answer_in_same_turn(partial(self._take_in_same_turn, call))
         raise Unavailable(f"the source at {source.target} has ended the feed")
 
-    def _take_at_once(self, call: Any, response: FedResponse | FedItem) -> bool:
+    def _take_in_same_turn(self, call: Any, response: FedResponse | FedItem) -> bool:
         """Take a short part, and answer it, in the turn of the event loop in which it comes: puts wait for the answer.
 
         Returns False for any other message.
         """
         if isinstance(response, FedItem):
-            return self._take_item_at_once(call, response)
+            return self._take_item_in_same_turn(call, response)
         if response.fields.HasField("opened") or len(response.runs) > RUNS_PER_TURN or self._turn.locked():
             return False
         self._heard_s = asyncio.get_running_loop().time()
@@ -205,7 +205,7 @@ class CopyFeed:
             self._news.set()
         return True
 
-    def _take_item_at_once(self, call: Any, fed: FedItem) -> bool:
+    def _take_item_in_same_turn(self, call: Any, fed: FedItem) -> bool:
         write = None if self._turn.locked() else call.write_now
         if write is None or not self._state.caught_up or self._granted >= self._grant_bytes:
             return False

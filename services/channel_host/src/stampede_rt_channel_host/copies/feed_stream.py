@@ -33,7 +33,7 @@ from stampede_rt_channel_host.copies.messages import opened_to, place_of
 from stampede_rt_channel_host.copies.outgoing_moves import OutgoingMove, OutgoingMoves
 from stampede_rt_channel_host.core.channel import ChannelCore, ChannelFeed, FeedPart, LagWatch, NewItem
 from stampede_rt_channel_host.core.group import CutFloor
-from stampede_rt_runtime.rpc import Context, answer_at_once
+from stampede_rt_runtime.rpc import Context, answer_in_same_turn
 
 SILENT_SECONDS_MAX = 4.0  # the destination of a move sends several requests a second
 
@@ -55,7 +55,7 @@ class FeedStream:
         self._writer = FeedWriter(context, self._credit)
         self._heard_s = time.monotonic()  # when this host got the last request
         self._held_next_seq = 0  # the copy has reported the items before this seq
-        self._send_at_once: Callable[[], bool] | None = None  # while the feed waits for a change, and has no move
+        self._send_in_this_turn: Callable[[], bool] | None = None  # while the feed waits for a change, and has no move
         self._is_scheduled = False  # whether the event loop sends the next part to a proxy in its next turn
         self._ahead: AheadItemSender | None = None  # if the copy takes items before the channel stores them
         self._takes_newest = False  # whether the copy is a proxy that takes a single run in fixed places
@@ -78,7 +78,7 @@ class FeedStream:
         """
         if self._ahead is not None and self._ahead.stored(self._source.next_seq):
             return  # the items that the channel has collected meanwhile leave the replica with the next part
-        if self._replication is not None or self._send_at_once is None:
+        if self._replication is not None or self._send_in_this_turn is None:
             self._send_or_wake()
         elif not self._is_scheduled:
             self._is_scheduled = True
@@ -90,7 +90,7 @@ class FeedStream:
         """
         self._is_scheduled = False
         try:
-            is_sent = self._send_at_once is not None and self._send_at_once()
+            is_sent = self._send_in_this_turn is not None and self._send_in_this_turn()
         except Exception as error:  # noqa: BLE001 - the task of the feed raises it
             self._fail(error)
             return
@@ -102,7 +102,7 @@ class FeedStream:
 
         Then the copy works while this host stores the run. Raises nothing, as `_send_or_wake`.
         """
-        ahead = None if self._send_at_once is None or self._news.is_set() else self._ahead
+        ahead = None if self._send_in_this_turn is None or self._news.is_set() else self._ahead
         try:
             write = None if ahead is None else self._free_write()
             if ahead is not None and write is not None and ahead.send(item, write):
@@ -119,7 +119,7 @@ class FeedStream:
 
     def _fail(self, error: Exception) -> None:
         """Let the task of the feed raise the error."""
-        self._failure, self._send_at_once = error, None
+        self._failure, self._send_in_this_turn = error, None
         self._news.set()
 
     def end(self, error: StampedeError) -> None:
@@ -156,7 +156,7 @@ class FeedStream:
             self._observe(hosted, opening)
             self._take(request, hosted, copy)
             if self._move is None:  # the stream would keep this object beyond the end of a move
-                answer_at_once(self._context, partial(self._take_at_once, hosted, copy))
+                answer_in_same_turn(self._context, partial(self._take_in_same_turn, hosted, copy))
             reading = self._stream.spawn(self._read(hosted, copy))
             try:
                 await self._serve(hosted)
@@ -208,13 +208,13 @@ class FeedStream:
 
     async def _read(self, hosted: HostedChannel, copy: FedCopy) -> None:
         async for raw in requests_of(self._context.read):
-            if not self._take_at_once(hosted, copy, raw):
+            if not self._take_in_same_turn(hosted, copy, raw):
                 raise InvalidArgument("the stream is open already; leave `open` out after the first request")
             if self._is_released:
                 return  # the next request may begin another move
         self._credit.end()
 
-    def _take_at_once(
+    def _take_in_same_turn(
         self, hosted: HostedChannel, copy: FedCopy, raw: bytes | memoryview, _write: object = None
     ) -> bool:
         """Take a request, if possible in the turn of the event loop in which it comes, because puts wait for it.
@@ -285,11 +285,11 @@ class FeedStream:
 
     async def _wait_for_news(self, hosted: HostedChannel) -> None:
         if self._move is None:
-            self._send_at_once = partial(self._send_now, hosted)
+            self._send_in_this_turn = partial(self._send_now, hosted)
             try:
                 await self._news.wait()
             finally:
-                self._send_at_once = None
+                self._send_in_this_turn = None
             if self._failure is not None:
                 raise self._failure
             return
@@ -343,7 +343,7 @@ class FeedStream:
     def _free_write(self) -> Callable[[Sendable], None] | None:
         """Writes in this turn. None if a replica lacks earlier parts, or the next part has to wait."""
         has_all = self._replication is None or self._held_next_seq >= self._feed.next_seq
-        return self._writer.at_once if has_all else None
+        return self._writer.write_now if has_all else None
 
     def _encoded(self, hosted: HostedChannel, part: FeedPart, handoff: pb.FeedHandoff | None = None) -> Sendable:
         """The message with a part, which is written now."""

@@ -29,7 +29,7 @@ class FeedWriter:
         return max(0, min(self._credit.left, MESSAGE_BYTES_MAX))
 
     @property
-    def at_once(self) -> Callable[[Sendable], None] | None:
+    def write_now(self) -> Callable[[Sendable], None] | None:
         """Writes a message in this turn of the event loop. None if the next part of the feed has to wait."""
         may_write = self._credit.left > 0 and not self._work.must_wait
         return write_now(self._context) if may_write else None

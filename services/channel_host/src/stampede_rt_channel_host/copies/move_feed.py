@@ -79,7 +79,7 @@ class MoveFeed(CopyFeed):
         request.ready = False  # so that the source sends no readers here before this host is the owner
         return request
 
-    def _take_at_once(self, call: Any, response: FedResponse | FedItem) -> bool:
+    def _take_in_same_turn(self, call: Any, response: FedResponse | FedItem) -> bool:
         """Leave all messages to `_take`: puts wait for an answer of this feed only if this host is a replica."""
         return False
 

@@ -31,7 +31,7 @@ METHOD = "/stampede_rt.v1.MigrationService/FeedQueue"
 REQUEST_SECONDS = 0.2  # a replica that is silent for a second is out of sync
 ANSWER_SECONDS_MAX = 3.0
 WRITE_SECONDS_MAX = 10.0
-AT_ONCE_BYTES_MAX = 2**18  # a larger step is left to the task of the feed
+SAME_TURN_BYTES_MAX = 2**18  # a larger step is left to the task of the feed
 
 
 class QueueFeedStream:
@@ -51,7 +51,7 @@ class QueueFeedStream:
         self._sent_record = b""
         self._held_step = 0  # the replica has reported the steps before this one
         self._heard_s = 0.0  # loop time of the last answer of the replica
-        self._call_at_once: HostStream | None = None  # while the feed waits for a step
+        self._waiting_call: HostStream | None = None  # while the feed waits for a step
         self._failure: Exception | None = None  # an error outside of the feed's tasks, which ends the feed
         self._ahead: AheadPlace | None = None  # if the replica takes puts before the queue stores them
         self.next_step = replication.journal.next_step
@@ -65,7 +65,7 @@ class QueueFeedStream:
         if self._ahead is not None and self._ahead.stored(self._replication.journal.next_step):
             return
         try:
-            is_sent = self._call_at_once is not None and self._send_now(self._call_at_once)
+            is_sent = self._waiting_call is not None and self._send_now(self._waiting_call)
         except Exception as error:  # noqa: BLE001 - the task of the feed raises it
             self._fail(error)
             return
@@ -79,7 +79,7 @@ class QueueFeedStream:
         """
         ahead = None if len(put.body) > PART_BYTES or self._owes_record else self._ahead
         try:
-            write = None if self._call_at_once is None else self._free_write(self._call_at_once)
+            write = None if self._waiting_call is None else self._free_write(self._waiting_call)
             if ahead is not None and write is not None and put.number == self.next_step:
                 ahead.sent(put.number + 1)
                 self.next_step = put.number + 1
@@ -96,7 +96,7 @@ class QueueFeedStream:
 
     def _fail(self, error: Exception) -> None:
         """Let a task of the feed raise the error."""
-        self._failure, self._call_at_once = error, None
+        self._failure, self._waiting_call = error, None
         self._news.set()
 
     async def run(self, channel: grpc.aio.Channel) -> None:
@@ -201,21 +201,21 @@ class QueueFeedStream:
 
     async def _is_silent(self, call: Any) -> bool:
         """Wait for a step that is not sent immediately, for REQUEST_SECONDS at most. Returns whether none came."""
-        self._call_at_once = call if isinstance(call, HostStream) else None
+        self._waiting_call = call if isinstance(call, HostStream) else None
         try:
             async with asyncio.timeout(REQUEST_SECONDS):
                 await self._news.wait()
         except TimeoutError:
             return True
         finally:
-            self._call_at_once = None
+            self._waiting_call = None
         return False
 
     def _send_now(self, call: HostStream) -> bool:
         """Send the new step if the replica has all earlier ones, and the transport takes it immediately."""
         write = self._free_write(call)
         steps = None if write is None else self._replication.journal.steps_from(self.next_step, PART_BYTES)
-        if write is None or not steps or len(steps) > 1 or steps[0].size_bytes > AT_ONCE_BYTES_MAX:
+        if write is None or not steps or len(steps) > 1 or steps[0].size_bytes > SAME_TURN_BYTES_MAX:
             return False
         write(self._request(parts=step_parts(steps[0], self._now())))
         self.next_step = steps[0].number + 1
@@ -233,9 +233,9 @@ class QueueFeedStream:
         while True:  # until an error ends the stream, or the caller cancels it
             self._take(self._next_step_of(await call.read()))  # `_send_steps` notices a silent replica
             if isinstance(call, HostStream):
-                call.answer_at_once(self._take_at_once)
+                call.answer_in_same_turn(self._take_in_same_turn)
 
-    def _take_at_once(self, response: object) -> bool:
+    def _take_in_same_turn(self, response: object) -> bool:
         """Take an answer in the turn of the event loop in which it comes, because callers wait for it."""
         self._take(self._next_step_of(response))
         return True

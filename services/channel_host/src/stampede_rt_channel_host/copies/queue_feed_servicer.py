@@ -19,10 +19,10 @@ from stampede_rt_channel_host.core.queue import AheadPut, QueueStep
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.queue_store import QueueStore
-from stampede_rt_runtime.rpc import Context, answer_at_once
+from stampede_rt_runtime.rpc import Context, answer_in_same_turn
 
-AT_ONCE_BYTES_MAX = 2**18  # a longer request, or one with more steps, is left to the task that reads the feed
-STEPS_AT_ONCE_MAX = 16
+SAME_TURN_BYTES_MAX = 2**18  # a longer request, or one with more steps, is left to the task that reads the feed
+SAME_TURN_STEPS_MAX = 16
 
 
 class QueueFeeds:
@@ -48,7 +48,7 @@ class QueueFeeds:
         record = recorded_queue(first.queue)
         await self._check(record, first.owner_host_id)
         feed = self._latest[record.queue_id] = _Feed(self._queues, record)
-        answer_at_once(context, partial(self._take_at_once, feed))
+        answer_in_same_turn(context, partial(self._take_in_same_turn, feed))
         try:
             await context.write(feed.place())
             while isinstance(request := await context.read(), pb.FeedQueueRequest):
@@ -59,9 +59,9 @@ class QueueFeeds:
             if self._latest.get(record.queue_id) is feed:
                 del self._latest[record.queue_id]
 
-    def _take_at_once(self, feed: _Feed, raw: bytes | memoryview, write: Callable[[bytes], None]) -> bool:
+    def _take_in_same_turn(self, feed: _Feed, raw: bytes | memoryview, write: Callable[[bytes], None]) -> bool:
         """Repeat a few steps in the turn of the event loop in which they come, because callers of the owner wait."""
-        if len(raw) > AT_ONCE_BYTES_MAX:
+        if len(raw) > SAME_TURN_BYTES_MAX:
             return False
         self._check_latest(feed)
         if raw and raw[0] == PUT_TAG:
@@ -155,7 +155,7 @@ class _Feed:
         Calls `answer` with the place after the request, as soon as nothing can fail: callers of the owner wait for it.
         Does not wait.
         """
-        if request.begins_anew or self._parts.is_whole or len(request.parts) > STEPS_AT_ONCE_MAX:
+        if request.begins_anew or self._parts.is_whole or len(request.parts) > SAME_TURN_STEPS_MAX:
             return False
         # no whole queue is on its way
         steps = [one for one in self._arrivals(request) if not isinstance(one, WholeQueue)]

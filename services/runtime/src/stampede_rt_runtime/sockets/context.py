@@ -11,7 +11,7 @@ from grpc.aio import EOF, AbortError
 from stampede_rt.status import DETAILS_KEY
 from stampede_rt.v1 import rpc_status_pb2
 from stampede_rt_runtime.quotas.working import SOCKET_COSTS
-from stampede_rt_runtime.sockets.stream_socket import AtOnce, StreamSocket
+from stampede_rt_runtime.sockets.stream_socket import StreamSocket, TakeInSameTurn
 
 Metadata = tuple[tuple[str, str | bytes], ...]
 OK = b""
@@ -56,9 +56,9 @@ class SocketContext:
         """
         await self._connection.write(message if self._encode is None else self._encode(message))
 
-    def answer_at_once(self, take: AtOnce) -> None:
+    def answer_in_same_turn(self, take: TakeInSameTurn) -> None:
         """From now on pass each encoded message for which `read` waits to `take` first. `take` must not wait."""
-        self._connection.at_once = take
+        self._connection.take_in_same_turn = take
 
     @property
     def write_now(self) -> Callable[[bytes], None] | None:

@@ -167,10 +167,10 @@ class HostStream(OpeningCall):
         super().__init__(opening)
         self._on_answer: Callable[[], None] | None = on_answer
 
-    def answer_at_once(self, take: Callable[[Any], bool]) -> None:
+    def answer_in_same_turn(self, take: Callable[[Any], bool]) -> None:
         """See `SocketCall`. Does nothing over gRPC. Call it after the first response."""
         if isinstance(self._call, SocketCall):
-            self._call.at_once = take
+            self._call.take_in_same_turn = take
 
     @property
     def write_now(self) -> Callable[[Any], None] | None:

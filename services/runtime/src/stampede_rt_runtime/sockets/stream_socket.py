@@ -32,7 +32,7 @@ LOCAL_PEER = "unix:"
 ALIVE = frame_of(FrameKind.ALIVE)
 
 Write = Callable[[bytes], None]
-AtOnce = Callable[[bytes | memoryview, Write], bool]
+TakeInSameTurn = Callable[[bytes | memoryview, Write], bool]
 """Takes a message and writes the response in the same turn of the event loop. Returns False if it has not taken it.
 
 It must keep no view of the message: another message overwrites it.
@@ -54,7 +54,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         self.is_opened = False
         self.is_over = False
         """Whether the status was written."""
-        self.at_once: AtOnce | None = None
+        self.take_in_same_turn: TakeInSameTurn | None = None
         """Gets each message for which `read` waits. If it does not take the message, `read` returns the message."""
         self._owner, self._limits, self._hangups, self._buffers = owner, limits, hangups, buffers
         self._transport: Any = None
@@ -160,7 +160,7 @@ class StreamSocket(asyncio.BufferedProtocol):
     def connection_lost(self, error: Exception | None) -> None:
         """Note that the peer has gone, or that the connection was closed here."""
         self._is_lost = self._has_ended = True
-        self.at_once = None  # it refers to the method, and the method refers to this connection
+        self.take_in_same_turn = None  # it refers to the method, and the method refers to this connection
         self._hangups.forget(self.socket)
         self._drop_frame()
         if self._deadline is not None:
@@ -299,15 +299,15 @@ class StreamSocket(asyncio.BufferedProtocol):
         return self._is_lost or self._transport.is_closing()
 
     def _answer(self, kind: int, body: bytes | memoryview) -> bool:
-        """Let `at_once` take a message if the method waits for one, and the peer takes the written bytes.
+        """Let `take_in_same_turn` take a message if the method waits for one, and the peer takes the written bytes.
 
         So most requests with short work need no other turn of the loop, and no switch of tasks.
         """
         came = self._came
-        if self.at_once is None or kind != FrameKind.MESSAGE or came is None or came.done() or self._is_full:
+        if self.take_in_same_turn is None or kind != FrameKind.MESSAGE or came is None or came.done() or self._is_full:
             return False
         try:
-            return self.at_once(body, self._write_message)
+            return self.take_in_same_turn(body, self._write_message)
         except Exception as defect:  # noqa: BLE001  # the method ends with it, as if it had read the message
             came.set_exception(defect)
             self._came = came = None  # the error refers to this frame

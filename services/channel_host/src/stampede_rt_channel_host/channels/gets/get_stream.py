@@ -39,7 +39,7 @@ from stampede_rt_channel_host.core.channel import (
 from stampede_rt_runtime.access.control import current_account, current_work, request_rights
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.quotas.limits import Quota
-from stampede_rt_runtime.rpc import Context, answer_at_once
+from stampede_rt_runtime.rpc import Context, answer_in_same_turn
 
 CALLS_MAX = 1024  # calls under way on one stream
 POLLS_PER_PIECE = 4
@@ -72,7 +72,7 @@ class GetStream:
 
         Raises InvalidArgument if a request cannot be decoded.
         """
-        answer_at_once(self._context, self._take_at_once)
+        answer_in_same_turn(self._context, self._take_in_same_turn)
         try:
             while (raw := await self._context.read()) is not EOF:
                 check_length(raw)  # before the wait for the turn, because many large requests would stay in memory
@@ -92,7 +92,7 @@ class GetStream:
             self._rights.close()
             self._store.scheduler.begin(self._cancelling())
 
-    def _take_at_once(self, raw: bytes | memoryview, write: Callable[[bytes], None]) -> bool:
+    def _take_in_same_turn(self, raw: bytes | memoryview, write: Callable[[bytes], None]) -> bool:
         """Perform a get that does not wait, and write its answer, or its first message. Returns False for other
         requests.
         """
@@ -105,7 +105,7 @@ class GetStream:
         if call.plan is None or call.plan.wait_nanos or call.plan.group is not None:
             return False
         self._take(call)
-        self._outbox.flush_at_once(write)
+        self._outbox.flush_now(write)
         return True
 
     def _cancelling(self) -> Pieces[None]:

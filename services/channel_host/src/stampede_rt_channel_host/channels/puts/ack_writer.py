@@ -99,18 +99,18 @@ class AckWriter:
         self._room.set()
         return acks
 
-    def _on_due(self, at_once: bool) -> None:
-        """Write the acks that have become due. If `at_once` is False, the task writes them. The task also awaits
+    def _on_due(self, in_this_turn: bool) -> None:
+        """Write the acks that have become due. If `in_this_turn` is False, the task writes them. The task also awaits
         unfinished writes.
         """
-        if at_once and not self._is_writing:
+        if in_this_turn and not self._is_writing:
             self._work.spend_write()
             begun = StartedCoroutine(self._context.write(self._encode(self._take())))
             if begun.is_done:
                 self.wake()
             else:
                 self._begun, self._is_writing = begun, True
-        if not at_once or self._begun is not None or self._is_closed:
+        if not in_this_turn or self._begun is not None or self._is_closed:
             self._news.set()
 
     async def _run(self) -> None:

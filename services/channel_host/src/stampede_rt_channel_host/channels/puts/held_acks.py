@@ -227,9 +227,9 @@ class HeldAcks:
             self._unwatch()
             self._unwatch = None
 
-    def _look(self, at_once: bool) -> None:
+    def _look(self, in_this_turn: bool) -> None:
         if self.is_due:
-            self._on_due(at_once)
+            self._on_due(in_this_turn)
 
 
 def _ignore(_: bool) -> None:

@@ -35,10 +35,10 @@ from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscriptions.reader_drops import UNNAMED
 from stampede_rt_runtime.access.control import current_account, current_work, own_name, request_rights, shown_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
-from stampede_rt_runtime.rpc import Context, answer_at_once
+from stampede_rt_runtime.rpc import Context, answer_in_same_turn
 
 REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
-RUNS_AT_ONCE_MAX = 16  # the most that one turn answers; producers join at most this many in a request
+SAME_TURN_RUNS_MAX = 16  # the most that one turn answers; producers join at most this many in a request
 _FRAMING_BYTES_MAX = 4096  # the fields of such a request, without the runs
 
 
@@ -92,7 +92,7 @@ class PutStream:
         Raises InvalidArgument for an invalid request.
         """
         self._acks = AckWriter(self._context, _encoded, self._stream.spawn)
-        answer_at_once(self._context, self._take_at_once)
+        answer_in_same_turn(self._context, self._take_in_same_turn)
         try:
             while (received := self._read_request(*await self._requests.next())) is not None:
                 await self._take(received)
@@ -113,7 +113,7 @@ class PutStream:
         is_single = bool(request.channel_id) and len(request.puts) == 1
         return _ReceivedRequest(request.puts, received_s, too_much, is_single)
 
-    def _take_at_once(self, raw: bytes | memoryview, write: Callable[[bytes], None]) -> bool:
+    def _take_in_same_turn(self, raw: bytes | memoryview, write: Callable[[bytes], None]) -> bool:
         """Judge the few runs of a request, which surely need not wait for room, and write their acks as soon as they
         are due.
 
@@ -127,7 +127,7 @@ class PutStream:
             names = bool(request.channel_id)
             channel_id, epoch = (request.channel_id, request.epoch) if names else (self._channel_id, self._epoch)
             hosted = self._store.find(channel_id, epoch)
-            if hosted.puts.may_wait or not 1 <= len(request.puts) <= RUNS_AT_ONCE_MAX:
+            if hosted.puts.may_wait or not 1 <= len(request.puts) <= SAME_TURN_RUNS_MAX:
                 return False
         except StampedeError:  # the loop that reads the requests raises the same error
             return False
@@ -164,7 +164,7 @@ class PutStream:
 
     def _judge_replicated(self, received: _ReceivedRequest) -> list[pb.PutAck | HeldAck]:
         """The acks of the runs, if they go to replicas together. Otherwise judges no run."""
-        if received.too_much or not 1 < len(received.puts) <= RUNS_AT_ONCE_MAX:
+        if received.too_much or not 1 < len(received.puts) <= SAME_TURN_RUNS_MAX:
             return []
         try:
             hosted = self._store.find(self._channel_id, self._epoch)

@@ -27,7 +27,7 @@ PRODUCER = 7
 @pytest.fixture(autouse=True)
 def unlimited_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Remove the time budget of a turn: on a busy machine one answer may take longer."""
-    monkeypatch.setattr(pacing, "AT_ONCE_NANOS", 2**62)
+    monkeypatch.setattr(pacing, "SAME_TURN_NANOS", 2**62)
 
 
 @asynccontextmanager
@@ -73,13 +73,15 @@ async def test_a_put_of_one_long_message_is_acked_in_the_turn_in_which_its_last_
         assert (await channel.get()).payloads == payloads
 
 
-@pytest.mark.parametrize(("runs", "is_at_once"), [(16, True), (17, False)])
-async def test_a_request_of_a_few_runs_is_acked_in_the_turn_in_which_it_arrives(runs: int, is_at_once: bool) -> None:
+@pytest.mark.parametrize(("runs", "is_in_same_turn"), [(16, True), (17, False)])
+async def test_a_request_of_a_few_runs_is_acked_in_the_turn_in_which_it_arrives(
+    runs: int, is_in_same_turn: bool
+) -> None:
     async with stream_of("Put") as (stream, channel):
         head, run = put_head(channel.channel_id, channel.epoch, PRODUCER), run_parts((bytes(3000),), times=None)
         request = head + b"".join(put_request(b"", number, run, 10**9) for number in range(1, runs + 1))
         found = acks_in(stream.send(request))
-        assert bool(found) == is_at_once
+        assert bool(found) == is_in_same_turn
         while len(found) < runs:
             found = acks_in(await stream.until_written(1))
         assert [ack.first_seq for ack in found] == [*range(1, runs + 1)]
@@ -185,10 +187,10 @@ async def test_messages_beyond_the_budget_of_a_turn_are_answered_later_and_the_n
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async with stream_of("Put") as (stream, channel):
-        monkeypatch.setattr(pacing, "AT_ONCE_NANOS", -(2**62))
+        monkeypatch.setattr(pacing, "SAME_TURN_NANOS", -(2**62))
         assert stream.send(put_of(channel, 1)) == []
         assert acks_in(await stream.until_written(1))[0].first_seq == 1
-        monkeypatch.setattr(pacing, "AT_ONCE_NANOS", 2**62)
+        monkeypatch.setattr(pacing, "SAME_TURN_NANOS", 2**62)
         assert acks_in(stream.send(put_of(channel, 2)))[0].first_seq == 2
 
 
@@ -199,7 +201,7 @@ async def test_a_half_close_after_a_put_ends_the_stream_after_the_ack() -> None:
         assert (acks_in([ack])[0].first_seq, status) == (1, b"")
 
 
-@pytest.mark.parametrize("runs", [3, 20], ids=["at once", "by the task of the stream"])
+@pytest.mark.parametrize("runs", [3, 20], ids=["in the same turn", "by the task of the stream"])
 async def test_no_run_of_a_producer_overtakes_a_refused_run_that_the_producer_sends_again(runs: int) -> None:
     async with stream_of("Put") as (stream, channel):
         puts = channel.rig.host.store.find(channel.channel_id, channel.epoch).puts
