@@ -86,7 +86,7 @@ kill-uploads: setup  ## kill -9 at each of the 34 steps in which a segment moves
 	STAMPEDE_EVERY_STEP=1 $(RUN)/pytest -q tests/robustness/archives/test_killed_movers.py tests/robustness/archives/test_killed_stops.py
 
 simulate: setup  ## take-overs and moves under random faults, 2000 seeds for channels and 2000 for queues: about an hour; SEEDS=100 for fewer
-	$(RUN)/python -m tests.robustness.takeovers --at-once $${AT_ONCE:-2} --seeds $${SEEDS:-2000} --first $${FIRST:-0}
+	$(RUN)/python -m tests.robustness.takeovers --processes $${PROCESSES:-2} --seeds $${SEEDS:-2000} --first $${FIRST:-0}
 
 cycles: setup  ## open and close subscriptions, connections, channels and proxies 10,000 times each: no process may grow; CYCLES=1000 for fewer
 	$(RUN)/python -m tests.robustness.cycles --cycles $${CYCLES:-10000}

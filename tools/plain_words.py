@@ -1,8 +1,8 @@
 """Prove that docstrings, comments and names of tests have no clause without its noun, such as "What was collected".
 
 The explanation of an argument needs its noun, too, as in "`epoch`: the epoch of the channel". The rule is under "Plain
-prose" in CONTRIBUTING. A docstring may be a question ("Who leads?"). The check also refuses the words of AT_ONCE,
-which may mean "immediately" or "at the same time". A program cannot check the other rules.
+prose" in CONTRIBUTING. A docstring may be a question ("Who leads?"). In texts and names the check also refuses the
+words of TWO_MEANINGS. A program cannot check the other rules.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PHRASES = re.compile(r"\b([Ww]hoever|by the book)\b|(`: of)\b")
 # The first words of a comment: a comment at the end of a line, or the first line of other comments.
 COMMENT_WORDS = re.compile(r"(?:^|  )(?:#:?|//) ([Ww]hat|[Ww]ho|[Ww]hoever|[Ww]hatever|[Ww]hose|[Tt]hose|[Oo]f)\b")
 PROTO_WORDS = re.compile(r"^// (Which|It|They)\b")
-AT_ONCE = re.compile(r"\b[Aa]t once\b|^test_(?:\w*_)?at_once(?:_|$)")
+TWO_MEANINGS = re.compile(r"(?<![a-z])at[ _]?once(?![a-z])", re.IGNORECASE)  # "immediately", or "at the same time"
 TEST_NAMES = re.compile(
     r"test_(what|whatever|who|whose|why|that|those_who|there|(?:one|all|nothing)_(?:that|who|of|else|but))_"
     r"|test_\w*_(whoever|whatever|whom|what|those)(?:_|$)"
@@ -31,23 +31,26 @@ TEST_NAMES = re.compile(
 
 def complaints(path: str, source: str) -> Iterator[str]:
     """Yield a line for each docstring, name of a test and comment that breaks the rule."""
-    yield from complaints_about_comments(path, source)
+    yield from complaints_about_lines(path, source)
     for node in _statements(ast.parse(source)):
-        text, line = _text_of(node), getattr(node, "lineno", 1)
         if found := _headless_words(node):
+            line = getattr(node, "lineno", 1)
             yield f'{path}:{line}: name the noun instead of "{found}", see "Plain prose" in CONTRIBUTING.md'
-        if AT_ONCE.search(text):
-            yield f'{path}:{line}: say "immediately" or "at the same time" instead of "at once"'
 
 
-def complaints_about_comments(path: str, source: str) -> Iterator[str]:
-    """Yield a line for each comment that breaks the rule. In .proto files no comment may begin with "It", either."""
+def complaints_about_lines(path: str, source: str) -> Iterator[str]:
+    """Yield a line for each comment that breaks the rule, and for each line with words of two meanings.
+
+    In .proto files no comment may begin with "It", either.
+    """
     former = ""
     for number, line in enumerate(map(str.strip, source.splitlines()), 1):
         continues = line.startswith(("#", "//")) and former.startswith(("#", "//"))
         found = COMMENT_WORDS.search(line) or (path.endswith(".proto") and PROTO_WORDS.match(line))
         if found and not continues:
             yield f'{path}:{number}: name the noun instead of "{found[1]}", see "Plain prose" in CONTRIBUTING.md'
+        if words := TWO_MEANINGS.search(line):
+            yield f'{path}:{number}: say "immediately" or "at the same time" instead of "{words[0]}"'
         former = line
 
 
@@ -58,16 +61,6 @@ def _statements(parent: ast.AST) -> Iterator[ast.AST]:
         for node in below if isinstance(below, list) else ():
             yield node
             yield from _statements(node)
-
-
-def _text_of(node: ast.AST) -> str:
-    """Return a docstring or the name of a function; empty for other statements."""
-    match node:
-        case ast.Expr(value=ast.Constant(value=str(text))):
-            return text
-        case ast.FunctionDef(name=text) | ast.AsyncFunctionDef(name=text):
-            return text
-    return ""
 
 
 def _headless_words(node: ast.AST) -> str | None:
@@ -93,7 +86,7 @@ def main() -> int:
     """Print the docstrings, names and comments that break the rule. Returns the exit status."""
     found = [line for path in modules() for line in complaints(str(path.relative_to(ROOT)), path.read_text())]
     for path in sorted((ROOT / "proto").rglob("*.proto")):
-        found += complaints_about_comments(str(path.relative_to(ROOT)), path.read_text())
+        found += complaints_about_lines(str(path.relative_to(ROOT)), path.read_text())
     for line in found:
         print(line)
     return 1 if found else 0

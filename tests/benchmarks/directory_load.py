@@ -160,7 +160,7 @@ async def fan_out(cluster: Cluster, stub: Stub, clients: int) -> list[Row]:
 async def reconnect(cluster: Cluster, clients: int) -> list[Row]:
     """All clients together, several times: each opens a connection, and makes one confirmed lookup."""
     with ProcessPoolExecutor(CLIENT_PROCESSES, multiprocessing.get_context("spawn")) as processes:
-        runs = [await come_at_once(cluster, clients, processes) for _ in range(RECONNECTIONS + 1)]
+        runs = [await come_at_the_same_time(cluster, clients, processes) for _ in range(RECONNECTIONS + 1)]
     took, of_supernodes, of_clients = zip(*runs[1:], strict=True)  # without the first run, which imports the modules
     halves = [statistics.median(run) for run in took]
     return [
@@ -171,7 +171,7 @@ async def reconnect(cluster: Cluster, clients: int) -> list[Row]:
     ]
 
 
-async def come_at_once(
+async def come_at_the_same_time(
     cluster: Cluster, clients: int, processes: ProcessPoolExecutor
 ) -> tuple[list[float], float, float]:
     """How long each client had to wait, and the CPU time of the supernodes and of the clients meanwhile."""

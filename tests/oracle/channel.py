@@ -207,7 +207,7 @@ class OracleChannel:
         below_advance = self.advanced_to is not None and item.time < self.advanced_to
         if below_advance or any(item.time < time for time in self.collected_times):
             return "TOO_OLD"
-        return "TOO_OLD" if self._would_go_at_once(item, clock) else None
+        return "TOO_OLD" if self._would_go_immediately(item, clock) else None
 
     def _as_if_put(self, item: Item) -> OracleChannel:
         trial = copy.copy(self)
@@ -217,7 +217,7 @@ class OracleChannel:
         trial._insert(item)
         return trial
 
-    def _would_go_at_once(self, item: Item, clock: int) -> bool:
+    def _would_go_immediately(self, item: Item, clock: int) -> bool:
         """Whether age, count or bytes would collect the item as soon as it was accepted. Consumption does not count."""
         trial = self._as_if_put(item)
         trial.grow_old(clock)

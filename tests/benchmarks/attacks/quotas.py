@@ -20,7 +20,7 @@ from tests.benchmarks.attacks.memory import MIB, NAME, stub
 
 CONNECTIONS, STREAMS_OF_ONE = 5, 1000
 GET_STREAMS, GETS_OF_ONE = 30, 1000
-PUT_STREAMS, PUTS_AT_ONCE = 64, 16
+PUT_STREAMS, PUTS_PER_REQUEST = 64, 16
 CALLERS = 64
 FAR_NANOS = 3600 * 10**9
 
@@ -71,11 +71,11 @@ async def _put_again_and_again(attacked: AttackedCluster, known: dict[str, Any])
     method = attacked.channel(attacked.host).stream_stream("/stampede_rt.v1.ChannelService/Put")
     call: Any = method(metadata=attacked.metadata)
     put = raw_run_pb2.RawPutRun(run=encode_run([b"x" * 100], times=None))
-    request = raw_run_pb2.RawPutRequest(**known, puts=[put] * PUTS_AT_ONCE).SerializeToString()
+    request = raw_run_pb2.RawPutRequest(**known, puts=[put] * PUTS_PER_REQUEST).SerializeToString()
     while True:
         await call.write(request)
         acked = 0
-        while acked < PUTS_AT_ONCE:
+        while acked < PUTS_PER_REQUEST:
             acked += len(pb.PutResponse.FromString(await call.read()).acks)
 
 

@@ -248,8 +248,8 @@ async def test_a_put_without_a_timeout_fails_immediately_and_a_later_one_waits(r
         pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"y", number=2)])
     )
     await channel.until(lambda status: status.waiting_puts == 1)
-    (at_once,) = await channel.put(run_of(b"z", wait_nanos=0))
-    assert [one.error.reason for one in at_once.rejections] == [error_pb2.ERROR_REASON_CHANNEL_FULL]
+    (refused,) = await channel.put(run_of(b"z", wait_nanos=0))
+    assert [one.error.reason for one in refused.rejections] == [error_pb2.ERROR_REASON_CHANNEL_FULL]
     waiting.cancel()
     await channel.until(lambda status: status.waiting_puts == 0)
     assert (await channel.status()).counters.accepted == 1

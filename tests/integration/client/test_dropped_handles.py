@@ -198,7 +198,7 @@ async def test_a_put_is_not_delayed_by_a_put_with_a_longer_timeout(cluster: Loca
         with pytest.raises(st.ChannelFull):
             await full.put(b"hasty", timeout=0.1)
         with pytest.raises(st.ChannelFull):
-            await full.put(b"at once", timeout=0)
+            await full.put(b"without a timeout", timeout=0)
         assert len(rt._session.put_streams._streams) == 2  # puts with equal time limits share one stream
         await full.configure(max_items=5)
         async with asyncio.timeout(LIMIT_S):

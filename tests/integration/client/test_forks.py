@@ -30,7 +30,7 @@ def told_by(call: Callable[[], Any]) -> str:
     return "nothing"
 
 
-def told_at_once_by(call: Callable[[], Awaitable[Any]]) -> str:
+def told_immediately_by(call: Callable[[], Awaitable[Any]]) -> str:
     """The class of the error that an awaited call raises before it waits for anything."""
 
     def step() -> None:
@@ -150,11 +150,11 @@ async def test_each_call_in_a_forked_child_of_an_asyncio_program_fails_immediate
                 steps = {f"{name}.next": one.__anext__ for name, one in streams.items()}
                 steps |= {f"{name}.enter": one.__aenter__ for name, one in streams.items()}
                 steps |= {"connect": lambda: aio.connect(cluster.address).__aenter__()}
-                told = {name: told_at_once_by(call) for name, call in (entry_points(rt, made) | steps).items()}
+                told = {name: told_immediately_by(call) for name, call in (entry_points(rt, made) | steps).items()}
                 told |= {name: told_by(call) for name, call in new.items()}
                 for one in streams.values():
                     one.close()
-                told["aclose"] = told_at_once_by(rt.aclose)
+                told["aclose"] = told_immediately_by(rt.aclose)
                 return told
 
             told = in_a_forked_child(in_child)

@@ -32,7 +32,7 @@ from stampede_rt_runtime.server import serving
 FAILURES = 4
 
 
-class EverythingAtOnce(
+class AllServices(
     FrontendServiceServicer,
     directory_service_pb2_grpc.DirectoryServiceServicer,
     gatekeeper_service_pb2_grpc.GatekeeperServiceServicer,
@@ -97,8 +97,8 @@ class EverythingAtOnce(
 
 
 @asynccontextmanager
-async def everything_at_once() -> AsyncIterator[EverythingAtOnce]:
-    servicer = EverythingAtOnce()
+async def running_all_services() -> AsyncIterator[AllServices]:
+    servicer = AllServices()
 
     def register(server: grpc.aio.Server) -> None:
         add_FrontendServiceServicer_to_server(servicer, server)
@@ -133,13 +133,13 @@ async def configure_in_thread(address: str) -> None:
 
 @pytest.mark.parametrize("update", [configure, delete, configure_in_thread])
 async def test_a_client_repeats_an_update_with_its_id_and_its_age(update: Callable[[str], Awaitable[None]]) -> None:
-    async with everything_at_once() as servicer:
+    async with running_all_services() as servicer:
         await update(servicer.address)
         servicer.was_asked_again_for_the_same()
 
 
 async def test_a_host_passes_on_how_old_its_callers_request_is() -> None:
-    async with everything_at_once() as servicer:
+    async with running_all_services() as servicer:
         supernodes = Supernodes((servicer.address,), lambda target: dial(target, secret=None), peer_name="h1")
         try:
             request = directory_pb.DeleteChannelRequest(request_id=b"r" * 16, channel_id=b"c" * 16)
@@ -161,7 +161,7 @@ async def test_the_age_of_an_update_includes_the_time_that_the_machine_slept(
         slept_s += 60.0
 
     monkeypatch.setattr(time, "clock_gettime", lambda clock: boottime(clock) + slept_s)
-    async with everything_at_once() as servicer:
+    async with running_all_services() as servicer:
         servicer.on_failure = sleep_for_a_minute
         await update(servicer.address)
         assert servicer.seen[-1][1] >= FAILURES * 60 * 10**9

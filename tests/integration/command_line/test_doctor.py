@@ -144,7 +144,7 @@ def test_puts_that_a_full_host_refuses_are_counted_logged_and_reported(cluster: 
         assert (code, f"{sum(refused)} puts refused" in row(said, "host small")) == (1, True)
         assert re.search(r"refused puts as Overloaded, the last one \S+ m?s ago; it holds \S+ KiB of 1.0 MiB", said)
         told = [line for line in small.last_lines if "puts are refused" in line]
-        assert 1 <= len(told) < sum(refused), "the host logs the first refusal at once, and then one line for many"
+        assert 1 <= len(told) < sum(refused), "the host logs the first refusal immediately, and then one line for many"
         assert "last_for=big" in told[0] or "big-jobs" in told[0]
     finally:
         small.stop()

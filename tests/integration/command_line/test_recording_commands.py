@@ -158,7 +158,7 @@ def _is_finished(path: Path) -> bool:
 def test_an_event_above_the_limit_is_named_and_the_status_is_3(
     rt: st.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(record, "AT_ONCE_MAX", 1)
+    monkeypatch.setattr(record, "PARALLEL_RECORDINGS_MAX", 1)
     events, said = rt.channel("limit/events"), []
     words = ["record", "limit/*", "--on", "limit/events", "--for", "1h", "-o", str(tmp_path / "a.mcap")]
     recordings = record._EventRecordings(rt, parser_of("record").parse_args(words))

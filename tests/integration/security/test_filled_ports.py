@@ -30,7 +30,7 @@ from tests.support.supernode.processes import (
     resolve,
 )
 
-AT_ONCE = 64
+PARALLEL_WATCHES = 64
 
 
 @contextlib.asynccontextmanager
@@ -79,12 +79,12 @@ async def filled(one: Supernode) -> AsyncIterator[list[Any]]:
 
     async def replace_ended() -> None:
         """Open watches in place of the watches that a busy machine has ended."""
-        for _ in range(AT_ONCE):
+        for _ in range(PARALLEL_WATCHES):
             await watch()
 
     try:
-        for _ in range(few_streams.LIMITS.streams_max // AT_ONCE):
-            await asyncio.gather(*(watch() for _ in range(AT_ONCE)))
+        for _ in range(few_streams.LIMITS.streams_max // PARALLEL_WATCHES):
+            await asyncio.gather(*(watch() for _ in range(PARALLEL_WATCHES)))
         with pytest.raises(grpc.aio.AioRpcError) as refused:
             await replace_ended()
         watches[:] = [one for one in watches if not one.done()]

@@ -22,7 +22,7 @@ from tests.support.command_line.hostile_text import HOSTILE, hostile_message
 from tests.support.operator import operating
 from tests.support.waiting import wait_until
 
-READY_SECONDS, CALL_SECONDS, CALLS_AT_ONCE = 40.0, 2.0, 32
+READY_SECONDS, CALL_SECONDS, PARALLEL_CALLS = 40.0, 2.0, 32
 REQUESTS = (
     b"GET / HTTP/1.1\r\nHost: evil\xe2\x80\xae\x9b31m.example\r\n\r\n",
     b"GET /\x1b]0;title\x07 HTTP/1.1\r\nHost: localhost\r\n\r\n",
@@ -54,7 +54,7 @@ def ask_everything(cluster: LocalCluster) -> None:
     with operating(cluster) as operator:
         operator.add("cam", "put", "video/*", "--kind", "channel")
         credentials = (cluster.secret.text, operator.token("cam"), "wrong" * 8)
-        with contextlib.ExitStack() as stack, ThreadPoolExecutor(CALLS_AT_ONCE) as pool:
+        with contextlib.ExitStack() as stack, ThreadPoolExecutor(PARALLEL_CALLS) as pool:
             for port, processes in ports.items():
                 channel = stack.enter_context(grpc.insecure_channel(processes[0].address))
                 for secret in credentials:

@@ -36,8 +36,8 @@ class PathReads(PathAndOracle):
         """A get that is answered immediately, or, with `waits_s`, at the end of its time."""
         reader = self.reader()
         book = OracleGet(query)
-        at_once = None if waits_s else reader.read(query, reader.resolve(query))
-        expected = at_once or book.poll(reader) or book.give_up(reader)
+        immediate = None if waits_s else reader.read(query, reader.resolve(query))
+        expected = immediate or book.poll(reader) or book.give_up(reader)
         found: st.Items = self.surface.do(self._call(query, payloads, waits_s))
         self._agree(found, expected, query, payloads)
         return found

@@ -15,7 +15,7 @@ from tests.integration.proxies.readers import eventually
 
 Cycle = Callable[[], None]
 _numbers = itertools.count()
-PROXIES_AT_ONCE = 50  # a host learns of removed copies only every 2 s, so a cycle waits once for many proxies
+PROXIES_PER_CYCLE = 50  # a host learns of removed copies only every 2 s, so a cycle waits once for many proxies
 
 
 def subscribing(transport: Any) -> Callable[[LocalCluster], AbstractContextManager[Cycle]]:
@@ -115,7 +115,7 @@ def opening(cluster: LocalCluster) -> Iterator[Cycle]:
 def proxying(cluster: LocalCluster) -> Iterator[Cycle]:
     """Add and remove a proxy of each of 50 channels, and wait until all have ended."""
     with st.connect(cluster.address, transport="grpc") as rt:
-        channels = [filled(rt) for _ in range(PROXIES_AT_ONCE)]
+        channels = [filled(rt) for _ in range(PROXIES_PER_CYCLE)]
         names = {channel.name for channel in channels}
 
         def cycle() -> None:
@@ -138,5 +138,5 @@ KINDS: dict[str, Callable[[LocalCluster], AbstractContextManager[Cycle]]] = {
     "make channel and queue": opening,
     "add proxy": proxying,
 }
-OPENED_AT_ONCE = {"add proxy": PROXIES_AT_ONCE}
+OPENED_PER_CYCLE = {"add proxy": PROXIES_PER_CYCLE}
 """The number of things that one cycle opens and closes, if it is more than one."""

@@ -15,7 +15,7 @@ import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from tests.robustness.cycles.counted_service import SNAPSHOT_EVERY_ENTRIES
 from tests.robustness.cycles.counting import FOLDER_VARIABLE, HeldResources, held_by, held_here, settled
-from tests.robustness.cycles.cycling import KINDS, OPENED_AT_ONCE, Cycle
+from tests.robustness.cycles.cycling import KINDS, OPENED_PER_CYCLE, Cycle
 from tests.support.cluster import running_cluster
 
 ROOT = Path(__file__).parents[3]
@@ -69,12 +69,12 @@ def run(cluster: LocalCluster, folder: Path, kind: str, warm_up: int, cycles: in
     `warm_up` and `cycles` count the opened things. Some kinds open several things in one cycle.
     """
     with KINDS[kind](cluster) as cycle:
-        at_once = OPENED_AT_ONCE.get(kind, 1)
-        for _ in range(0, warm_up, at_once):
+        opened = OPENED_PER_CYCLE.get(kind, 1)
+        for _ in range(0, warm_up, opened):
             cycle()
         _free_cancelled_calls(cycle)
         before, begun_s = held_by_all(cluster, folder), time.monotonic()
-        for _ in range(0, cycles, at_once):
+        for _ in range(0, cycles, opened):
             cycle()
         report = Report(kind, cycles, time.monotonic() - begun_s, before)
 

@@ -25,7 +25,7 @@ from tests.support.supernode.list_machine import PromiseBroken
 pytestmark = pytest.mark.timeout(600)
 
 SEEDS_IN_SUITE, BLOCKS = 16, 4
-TWO_LEADERS_AT_ONCE = (3, 18)
+SEEDS_WITH_TWO_LEADERS = (3, 18)
 
 
 @pytest.mark.parametrize("block", range(BLOCKS))
@@ -51,8 +51,8 @@ def test_a_seed_gives_the_same_run_in_every_process() -> None:
 
     In an earlier version, such an order decided which of two leaders took the first random number.
     """
-    first, second = (digests_of(*TWO_LEADERS_AT_ONCE, hash_seed=seed) for seed in (0, 5))
-    assert len(first) == len(TWO_LEADERS_AT_ONCE)
+    first, second = (digests_of(*SEEDS_WITH_TWO_LEADERS, hash_seed=seed) for seed in (0, 5))
+    assert len(first) == len(SEEDS_WITH_TWO_LEADERS)
     assert first == second
 
 

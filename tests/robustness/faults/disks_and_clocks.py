@@ -179,7 +179,7 @@ def _answers(one: PlacedProcess) -> str:
         if one.tls is None:
             connection.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0)))
         try:
-            return "served" if connection.recv(9) else "closed at once"
+            return "served" if connection.recv(9) else "closed immediately"
         except TimeoutError:  # a service with certificates waits for the caller's hello
             return "served" if one.tls is not None else "not answered"
 

@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from tests.robustness.mutants.planted import MUTANTS
 from tests.robustness.mutants.planting import NO_VERDICT, Verdict, judge, run_detector
 
-AT_ONCE = 2
+PARALLEL_PROCESSES = 2
 
 
 def main() -> int:
@@ -25,7 +25,7 @@ def main() -> int:
         parser.error(f"no such mutants: {', '.join(sorted(unknown))}")
     chosen = [one for one in MUTANTS if one.name in names or not names]
     print("| mutant | must be noticed by | noticed | seconds |\n| --- | --- | --- | --- |")
-    with ThreadPoolExecutor(AT_ONCE) as pool:
+    with ThreadPoolExecutor(PARALLEL_PROCESSES) as pool:
         verdicts = [_shown(one) for one in pool.map(judge, chosen)]
         detectors = sorted({one.noticed_by for one in chosen})
         quiet = [_shown_without(*one) for one in pool.map(_run_without, detectors)]

@@ -227,7 +227,7 @@ MUTANTS = (
         name="one_outcome_for_all_moves_of_an_entry",
         file=f"{HOST}/copies/gathered_moves.py",
         edits=(("committed.get(one.channel_id) or", "committed.get(moves[-1].channel_id) or"),),
-        noticed_by="tests/robustness/moves/test_several_at_once.py",
+        noticed_by="tests/robustness/moves/test_moves_at_the_same_time.py",
     ),
     Mutant(
         name="puts_before_the_fallbacks_of_several_moves_are_released",
@@ -238,7 +238,7 @@ MUTANTS = (
                 "        hosted.end_move()\n        await self._remove_fallback(hosted)",
             ),
         ),
-        noticed_by="tests/robustness/moves/test_several_at_once.py",
+        noticed_by="tests/robustness/moves/test_moves_at_the_same_time.py",
     ),
     Mutant(
         name="a_refused_move_of_a_drain_counts_as_moved",

@@ -21,7 +21,7 @@ from tests.robustness.real_cluster.cluster import Cluster, request_id
 
 ATTEMPT_SECONDS, CALL_SECONDS = 1.5, 8.0
 FINAL_REASONS = frozenset(("CHANNEL_NOT_FOUND", "WRONG_EPOCH"))
-NAMES_AT_ONCE, NAMES_CHANGE_SECONDS = 6, 4.0
+NAMES_IN_USE, NAMES_CHANGE_SECONDS = 6, 4.0
 
 
 class TwoOwners(AssertionError):
@@ -80,7 +80,7 @@ class Caller:
         """Call until cancelled."""
         while True:
             age = int((time.monotonic() - began) / NAMES_CHANGE_SECONDS)
-            await self.once(f"robust/{age}-{self._random_source.randrange(NAMES_AT_ONCE)}")
+            await self.once(f"robust/{age}-{self._random_source.randrange(NAMES_IN_USE)}")
             await asyncio.sleep(self._random_source.uniform(0, 2 * pause_s))
 
     async def once(self, name: str) -> None:

@@ -16,7 +16,7 @@ from tests.robustness.real_cluster.cluster import Cluster
 
 CLIENT = "traffic"
 TRANSPORTS = ("best", "grpc", "tcp")
-NAMES_AT_ONCE, NAMES_CHANGE_SECONDS = 3, 10.0
+NAMES_IN_USE, NAMES_CHANGE_SECONDS = 3, 10.0
 PAUSE_SECONDS = 0.05
 KEPT_SECONDS = "1h"  # longer than any campaign, so that retention collects nothing
 ITEMS_MAX = 1_000_000
@@ -61,7 +61,7 @@ class Traffic:
         """Put and read until cancelled. Channels come and go, and a few are in use at a time."""
         while True:
             age = int((time.monotonic() - began) / NAMES_CHANGE_SECONDS)
-            await self.once(f"robust-data/{age}-{self._random_source.randrange(NAMES_AT_ONCE)}")
+            await self.once(f"robust-data/{age}-{self._random_source.randrange(NAMES_IN_USE)}")
             await asyncio.sleep(self._random_source.uniform(0, 2 * PAUSE_SECONDS))
 
     async def once(self, name: str) -> None:
@@ -87,7 +87,7 @@ class Traffic:
 
     def in_use(self) -> list[aio.Channel]:
         """The channels that the workers and the faults have opened last."""
-        return [*self._handles.values()][-2 * NAMES_AT_ONCE :]
+        return [*self._handles.values()][-2 * NAMES_IN_USE :]
 
     async def put(self, channel: aio.Channel) -> st.Item:
         """Put an item that no other caller puts. Raises StampedeError."""

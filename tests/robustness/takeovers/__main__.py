@@ -37,11 +37,11 @@ def main() -> int:
     parser.add_argument("--of", choices=[*SIMULATORS], help="play only these; default: all")
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--at-once", type=int, default=1, help="the number of processes")
+    parser.add_argument("--processes", type=int, default=1, help="the number of processes")
     wanted = parser.parse_args()
     chosen = [wanted.of] if wanted.of else [*SIMULATORS]
     seeds = range(wanted.first, wanted.first + wanted.seeds)
-    with ProcessPoolExecutor(wanted.at_once) as pool:
+    with ProcessPoolExecutor(wanted.processes) as pool:
         failed = [_report(kind, pool.map(partial(_play, kind), seeds, chunksize=5)) for kind in chosen]
     return 1 if any(failed) else 0
 

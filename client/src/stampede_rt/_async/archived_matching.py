@@ -32,7 +32,7 @@ ReadAsOf = Callable[[ReadQuery, int], Awaitable[Items]]
 KEYS_MAX = 2**18
 """The most keys of items that wait for a match, of all members together: about 35 MB."""
 KEYS_PER_PAGE = 2**13
-ITEMS_AT_ONCE = 16
+ITEMS_PER_READ = 16
 """The most items of one instant that one read fetches for the next matches."""
 _NEWEST = ReadQuery(ALL_TIME, match=Match.START, limit=1, newest_first=True, payloads=False)
 
@@ -107,7 +107,7 @@ class ArchivedMember:
             time, seq = key
             before = Item(time, None, None, seq - 1, b"", {}, "", 0, 0)
             window = parse_interval(time, time)
-            query = ReadQuery(window, match=Match.START, limit=ITEMS_AT_ONCE, after=before, payloads=payloads)
+            query = ReadQuery(window, match=Match.START, limit=ITEMS_PER_READ, after=before, payloads=payloads)
             self._fetched = {(one.time, one.seq): one for one in await self.read_as_of(query, as_of)}
         return self._fetched.get(key)
 

@@ -22,7 +22,7 @@ from stampede_rt.handles import BoundToProcess
 from stampede_rt.transports.concurrency_sync import BackgroundStart, BackgroundTask, Signal, in_thread
 from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap, ReplaySummary
 
-EVENTS_AT_ONCE = 64  # the events that one step reads from the file
+EVENTS_PER_STEP = 64  # the events that one step reads from the file
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -287,4 +287,4 @@ class Player(BackgroundStart, BoundToProcess):
 
 
 def _some(events: Iterator[tuple[int, Event]]) -> list[tuple[int, Event]]:
-    return list(islice(events, EVENTS_AT_ONCE))
+    return list(islice(events, EVENTS_PER_STEP))

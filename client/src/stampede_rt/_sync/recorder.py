@@ -35,7 +35,7 @@ CHANNELS_MAX = 1000  # the most channels of one recording; each may keep 1 MiB i
 GLOBS_MAX = 64
 DRAIN_S = 5.0  # how long the end of a recording waits for items that the host has accepted before the end
 BEGIN_S = 7.0  # together with DRAIN_S this is longer than a call takes, so the recording learns why a call failed
-FINISHED_AT_ONCE = 32  # the channels whose recordings end in parallel
+FINISHED_IN_PARALLEL = 32  # the channels whose recordings end in parallel
 _log = logging.getLogger("stampede_rt")
 
 
@@ -225,8 +225,8 @@ class Recorder(BackgroundStart, BoundToProcess):
         self._ending = True
         self._end_watches()
         recordings = list(self._channels.values())
-        for first in range(0, len(recordings), FINISHED_AT_ONCE):
-            part = recordings[first : first + FINISHED_AT_ONCE]
+        for first in range(0, len(recordings), FINISHED_IN_PARALLEL):
+            part = recordings[first : first + FINISHED_IN_PARALLEL]
             run_concurrently([partial(one.finish, self._drain_s) for one in part])
         self._write_clocks("end")
         summary = self._summary(recordings)

@@ -31,7 +31,7 @@ from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.wire.records import policy_from_spec
 
 TIMEOUT_S = 5.0  # for one request; a front-end may need 2 s of it to find a healthy supernode
-ASKED_AT_ONCE_MAX = 16  # parts that the command asks in parallel
+ASKED_IN_PARALLEL_MAX = 16  # parts that the command asks in parallel
 PATIENT_NANOS_MAX = 10**9  # if the first round trip takes longer, the command sends no second request
 PAGES_MAX = 10_000  # the pages of one list
 
@@ -41,13 +41,13 @@ class Examination:
 
     def __init__(self, endpoints: EndpointPool) -> None:
         self._endpoints = endpoints
-        self._pool = ThreadPoolExecutor(ASKED_AT_ONCE_MAX)
+        self._pool = ThreadPoolExecutor(ASKED_IN_PARALLEL_MAX)
 
     def look(self, frontends: Sequence[str], members: Sequence[str]) -> tuple[list[Observation], list[Inventory]]:
         """Ask the front-ends, the supernodes at `members`, and all parts that they name.
 
         Returns an observation of each part, and the inventories of channels and queues. Each request blocks for at most
-        TIMEOUT_S. At most ASKED_AT_ONCE_MAX requests are under way at the same time.
+        TIMEOUT_S. At most ASKED_IN_PARALLEL_MAX requests are under way at the same time.
         """
         with self._pool:
             bound = self._ask(map(frontend_part, frontends))

@@ -172,7 +172,7 @@ def _close(events: SimpleQueue[Any], limit_s: float) -> NoReturn:
 
 
 @contextmanager
-def ended_at_once() -> Iterator[None]:
+def ended_immediately() -> Iterator[None]:
     """Let Ctrl-C end the process immediately while a service loads. The service then installs its own handlers."""
     if threading.current_thread() is not threading.main_thread():
         yield

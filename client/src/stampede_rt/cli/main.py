@@ -10,7 +10,7 @@ import os
 import sys
 
 from stampede_rt.cli.exit_statuses import INTERRUPTED
-from stampede_rt.cli.interrupts import ended_at_once, run_interruptibly
+from stampede_rt.cli.interrupts import ended_immediately, run_interruptibly
 
 # These verbs install their own signal handlers, which Python allows only on the main thread.
 ON_THE_MAIN_THREAD = ("dev", "frontend", "supernode", "host", "web", "certs", "demo", "bench")
@@ -38,7 +38,7 @@ def main(argv: list[str] | None = None) -> int:
 
     try:
         if words and words[0] in ON_THE_MAIN_THREAD:
-            with ended_at_once():
+            with ended_immediately():
                 return work()
         return run_interruptibly(work)
     except KeyboardInterrupt:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from stampede_rt._sync.recorder import Recorder
     from stampede_rt.values.model import Item
 
-AT_ONCE_MAX = 4  # recordings of `--on` at the same time
+PARALLEL_RECORDINGS_MAX = 4  # recordings of `--on` at the same time
 STOP_DRAIN_S = 1.0  # how long the command waits, after Ctrl-C, for items that the hosts had accepted before Ctrl-C
 STOP_S = 15.0  # how long the command waits, after Ctrl-C, until the file is finished
 GAPS_SHOWN = 20  # the most gaps of each channel that the command prints
@@ -169,7 +169,7 @@ def gap_text(gap: RecordingGap) -> str:
 
 
 class _EventRecordings:
-    """Begins a recording for each item of a channel, at most AT_ONCE_MAX at the same time."""
+    """Begins a recording for each item of a channel, at most PARALLEL_RECORDINGS_MAX at the same time."""
 
     def __init__(self, rt: Connection, arguments: argparse.Namespace) -> None:
         self._rt = rt
@@ -235,8 +235,8 @@ class _EventRecordings:
         with self._mutex:
             if self._stopping:
                 return
-            if len(self._running) >= AT_ONCE_MAX:
-                self._miss(f"event #{seq} has no file: {AT_ONCE_MAX} recordings are under way")
+            if len(self._running) >= PARALLEL_RECORDINGS_MAX:
+                self._miss(f"event #{seq} has no file: {PARALLEL_RECORDINGS_MAX} recordings are under way")
                 return
             try:
                 recorder = _begun(self._rt, self._arguments, self._path_of(seq), begin)

@@ -18,8 +18,8 @@ from stampede_rt.files.sources import FileSource, none_chosen
 from stampede_rt.files.writing import opened_new, replaced, write_fault
 from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap
 
-ROWS_AT_ONCE = 4096
-BYTES_AT_ONCE = 8 * 1024 * 1024  # the payload bytes that one write of a table gathers
+ROWS_PER_WRITE = 4096
+BYTES_PER_WRITE = 8 * 1024 * 1024  # the payload bytes that one write of a table gathers
 FORMATS = ("csv", "parquet")
 HEADS = ("time", "duration", "seq", "attributes")
 
@@ -204,7 +204,7 @@ def _parts(entries: Iterator[FileEntry]) -> Iterator[list[FileEntry]]:
     for entry in entries:
         part.append(entry)
         length_bytes += len(entry.data)
-        if len(part) >= ROWS_AT_ONCE or length_bytes >= BYTES_AT_ONCE:
+        if len(part) >= ROWS_PER_WRITE or length_bytes >= BYTES_PER_WRITE:
             yield part
             part, length_bytes = [], 0
     if part:

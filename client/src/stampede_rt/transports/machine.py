@@ -37,6 +37,6 @@ def is_of_this_user(connected: socket.socket) -> bool:
     return bool(_PEER_CREDENTIALS.unpack(raw)[1] == os.geteuid())
 
 
-def send_more_at_once(connected: socket.socket) -> None:
+def enlarge_send_buffer(connected: socket.socket) -> None:
     """Let the system take a message of 300 KB from this Unix socket in one call. By default it takes 214 KiB."""
     connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)

@@ -7,7 +7,7 @@ import socket
 from collections.abc import Awaitable, Callable, Iterable
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.transports.machine import is_of_this_user, send_more_at_once
+from stampede_rt.transports.machine import enlarge_send_buffer, is_of_this_user
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX
 from stampede_rt.transports.socket_routes import LOCAL_PREFIX, SocketRoute
 from stampede_rt.transports.tcp_route import HEAD_START_S, REACH_S_MAX, SocketConnection, TcpArrival, TcpRoute, prepare
@@ -50,7 +50,7 @@ async def _connected(target: str) -> socket.socket:
     made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         made.setblocking(False)
-        send_more_at_once(made)
+        enlarge_send_buffer(made)
         await asyncio.get_running_loop().sock_connect(made, target.removeprefix(LOCAL_PREFIX))
         if not is_of_this_user(made):
             raise PermissionError("the socket belongs to another user")

@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from time import monotonic
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.transports.machine import is_of_this_user, send_more_at_once
+from stampede_rt.transports.machine import enlarge_send_buffer, is_of_this_user
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX
 from stampede_rt.transports.socket_routes import LOCAL_PREFIX, SocketRoute
 from stampede_rt.transports.tcp_route import HEAD_START_S, REACH_S_MAX, SocketConnection, TcpArrival, TcpRoute, prepare
@@ -47,7 +47,7 @@ def _connected(target: str) -> socket.socket:
     made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         made.settimeout(CONNECT_S_MAX)
-        send_more_at_once(made)
+        enlarge_send_buffer(made)
         made.connect(target.removeprefix(LOCAL_PREFIX))
         if not is_of_this_user(made):
             raise PermissionError("the socket belongs to another user")

@@ -51,7 +51,7 @@ stat::average_exec_per_sec:     250
     run = GuidedRun.of(output)
     assert run == GuidedRun(inputs=500, per_second=250, covered_first=17, covered=108)
     assert run.is_guided
-    assert not GuidedRun.of("a process that ended at once").is_guided
+    assert not GuidedRun.of("a process that ended immediately").is_guided
 
 
 def test_each_target_names_the_module_that_the_guided_process_imports() -> None:

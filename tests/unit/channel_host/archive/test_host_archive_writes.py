@@ -221,7 +221,7 @@ def test_a_write_begins_as_soon_as_enough_bytes_wait_unless_the_disk_fails(
         monkeypatch.setattr("stampede_rt_channel_host.archive.host_archive.WRITE_AFTER_SECONDS", 10**6)
         recorder, put = recorded(archive, tmp_path / "c")
         run_bytes = recorder.files.run_bytes_max + 2
-        monkeypatch.setattr("stampede_rt_channel_host.archive.recorder.BYTES_AT_ONCE", 3 * run_bytes)
+        monkeypatch.setattr("stampede_rt_channel_host.archive.recorder.WRITE_FROM_BYTES", 3 * run_bytes)
         if is_full:
             recorder.note_end("no space left on device")
         written = []

@@ -6,9 +6,9 @@ import asyncio
 
 from stampede_rt_channel_host.copies.drain_room import (
     MOVES_AT_FIRST,
-    MOVES_AT_ONCE,
     MOVES_PER_DESTINATION,
-    QUEUES_AT_ONCE,
+    PARALLEL_MOVES,
+    PARALLEL_QUEUE_MOVES,
     DrainRoom,
 )
 
@@ -30,7 +30,7 @@ class Moves:
         await self.turns()
 
     async def turns(self) -> None:
-        for _ in range(2 * MOVES_AT_ONCE):
+        for _ in range(2 * PARALLEL_MOVES):
             await asyncio.sleep(0)
 
 
@@ -51,7 +51,7 @@ async def test_the_number_of_moves_to_all_hosts_is_limited_and_every_move_is_ser
     for host in range(3):
         moves.room.answered(bytes([host]))
     await moves.turns()
-    assert len(moves.under_way) == MOVES_AT_ONCE < 3 * MOVES_PER_DESTINATION
+    assert len(moves.under_way) == PARALLEL_MOVES < 3 * MOVES_PER_DESTINATION
     moves.end.set()
     await asyncio.gather(*moves.tasks)
     assert len(moves.under_way) == 90
@@ -62,6 +62,6 @@ async def test_waiting_moves_of_queues_do_not_hold_up_moves_of_channels() -> Non
     await moves.begun(*[b"h"] * 50, is_queue=True)
     moves.room.answered(b"h")
     await moves.turns()
-    assert len(moves.under_way) == QUEUES_AT_ONCE
+    assert len(moves.under_way) == PARALLEL_QUEUE_MOVES
     await moves.begun(*[b"h"] * 50)
     assert len(moves.under_way) == MOVES_PER_DESTINATION

@@ -178,7 +178,7 @@ def test_a_second_ctrl_c_ends_the_cleanup_immediately() -> None:
 
 def test_a_service_that_is_still_loaded_ends_immediately() -> None:
     program = """
-    with interrupts.ended_at_once():
+    with interrupts.ended_immediately():
         ctrl_c()
         threading.Event().wait()
     """

@@ -174,7 +174,7 @@ def test_the_command_says_how_many_more_gaps_there_are(tmp_path: Path, capsys: p
 def test_an_export_that_fails_leaves_no_part_of_a_table_and_the_former_table_stays(
     tmp_path: Path, form: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(exporting, "ROWS_AT_ONCE", 1)
+    monkeypatch.setattr(exporting, "ROWS_PER_WRITE", 1)
     path, output = file_of(tmp_path / "a.mcap", [b"1", b"2"], JSON), tmp_path / f"a.{form}"
     output.write_bytes(b"the former table")
     source, read = McapSource(path), []

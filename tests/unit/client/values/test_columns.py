@@ -145,11 +145,11 @@ def test_threads_that_access_the_same_items_get_equal_objects() -> None:
             begin.wait()
             results.append([found[at].payload for at in range(250)])
 
-        def all_at_once(found: ItemColumns = found, begin: Barrier = begin, results: list[Any] = results) -> None:
+        def in_one_iteration(found: ItemColumns = found, begin: Barrier = begin, results: list[Any] = results) -> None:
             begin.wait()
             results.append([item.payload for item in found])
 
-        threads = [Thread(target=one) for one in (one_by_one, all_at_once, one_by_one)]
+        threads = [Thread(target=one) for one in (one_by_one, in_one_iteration, one_by_one)]
         for thread in threads:
             thread.start()
         for thread in threads:

@@ -228,8 +228,8 @@ async def test_connections_are_accepted_a_few_at_a_time(local: Open, monkeypatch
             await stream.begin(HOLD)
             await asyncio.wait_for(one.streams.held.acquire(), 20)
     steps = [after - before for before, after in pairwise([0, *counts])]
-    assert max(steps) == accepting.ACCEPTED_AT_ONCE
-    assert pauses_s == [accepting.PAUSE_SECONDS] * (20 // accepting.ACCEPTED_AT_ONCE)
+    assert max(steps) == accepting.ACCEPTED_PER_TURN
+    assert pauses_s == [accepting.PAUSE_SECONDS] * (20 // accepting.ACCEPTED_PER_TURN)
 
 
 async def test_a_server_without_a_free_file_accepts_again_later(local: Open, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -190,7 +190,7 @@ async def test_the_loop_takes_a_few_steps_of_handshakes_and_then_pauses(monkeypa
         steps.add("10.0.0.3", lambda number=number: taken.append(number))  # type: ignore[misc]
     await asyncio.sleep(0)
     await asyncio.sleep(0)
-    assert taken == list(range(tls_stream.STEPS_AT_ONCE))
+    assert taken == list(range(tls_stream.STEPS_PER_TURN))
 
 
 async def test_many_handshakes_of_one_machine_delay_the_handshake_of_another_by_one_step() -> None:

@@ -11,8 +11,8 @@ from stampede_rt_supernode.core.cluster.commands import MarkTime, RaiseFeatureLe
 from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
 from stampede_rt_supernode.core.commands import RefusedOperation, Result
 from stampede_rt_supernode.core.kept_answers import (
-    FORGOTTEN_AT_ONCE,
     FORGOTTEN_BY_MARK,
+    FORGOTTEN_PER_COMMAND,
     MARK_NANOS,
     MARKS_KEPT,
     REPEAT_NANOS_MAX,
@@ -106,7 +106,7 @@ def test_each_command_drops_a_bounded_number_of_old_answers() -> None:
     for number in range(3):
         done(log, 10**6 + number)
         held.append(len(log.directory.kept_answers))
-    assert [before - after for before, after in itertools.pairwise(held)] == [FORGOTTEN_AT_ONCE - 1] * 3
+    assert [before - after for before, after in itertools.pairwise(held)] == [FORGOTTEN_PER_COMMAND - 1] * 3
 
 
 def test_a_command_that_two_time_marks_have_overtaken_is_refused_without_effect() -> None:

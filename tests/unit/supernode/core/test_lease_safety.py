@@ -73,7 +73,7 @@ class LeaseMachine(RuleBasedStateMachine):
         self.acknowledged(self.now - delay * SECOND)
 
     @rule(delay=delays)
-    def renew_at_once(self, delay: int) -> None:
+    def renew_immediately(self, delay: int) -> None:
         self.receive_renewal(self.leader, delay)
         if self.confirming:
             self.confirm_renewal(len(self.confirming) - 1)
@@ -93,11 +93,11 @@ class LeaseMachine(RuleBasedStateMachine):
         if leads and host is not None and host.alive and table.renew(host, received):
             self.acknowledged(sent)
 
-    @rule(at_once=st.booleans())
-    def elect_the_other(self, at_once: bool) -> None:
+    @rule(takes_over=st.booleans())
+    def elect_the_other(self, takes_over: bool) -> None:
         """The other supernode begins to lead. The former leader does not learn of it here."""
         self.leader, self.tenure = 1 - self.leader, self.tenure + 1
-        if at_once:
+        if takes_over:
             self.take_over()
 
     @rule()

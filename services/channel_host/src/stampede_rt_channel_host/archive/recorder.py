@@ -27,7 +27,7 @@ from stampede_rt_channel_host.core.archive import (
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
 
 RUNS_PER_WRITE = 2048  # it takes about 2 ms to gather this many runs
-BYTES_PER_WRITE, BYTES_AT_ONCE = 16 * 2**20, 4 * 2**20  # the most in a write; the waiting bytes that begin a write
+BYTES_PER_WRITE, WRITE_FROM_BYTES = 16 * 2**20, 4 * 2**20  # the most in a write; the waiting bytes that begin a write
 SLICES_PER_NOTE = 2048  # a look at this many takes about 1 ms
 GAPS_KEPT = 64
 ADVANCES_MAX = 4096  # if so many wait for the archive, a new one replaces the latest of them
@@ -157,9 +157,9 @@ class ChannelRecorder:
 
     @property
     def fills_a_write(self) -> bool:
-        """Whether to write now: BYTES_AT_ONCE wait, or a fourth of a limit (`is_a_fourth`). False while writes fail."""
+        """Whether WRITE_FROM_BYTES wait, or a fourth of a limit (`is_a_fourth`). False while writes fail."""
         is_much = self._channel.limits.is_a_fourth(self._puts.bytes, self.backlog_items)
-        return (is_much or self._puts.bytes >= BYTES_AT_ONCE) and not self.failure
+        return (is_much or self._puts.bytes >= WRITE_FROM_BYTES) and not self.failure
 
     @property
     def backlog_items(self) -> int:

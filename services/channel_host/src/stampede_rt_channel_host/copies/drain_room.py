@@ -11,18 +11,18 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, nullcontext
 
-MOVES_AT_ONCE = 28  # a host may have 32 moves under way; callers may use the other 4
+PARALLEL_MOVES = 28  # a host may have 32 moves under way; callers may use the other 4
 MOVES_PER_DESTINATION = 24
 MOVES_AT_FIRST = 2  # the limit for a destination that has not taken over anything yet, because it may be frozen
-QUEUES_AT_ONCE = 6  # a host may move 8 queues at the same time; calls of a queue wait while the host copies the queue
+PARALLEL_QUEUE_MOVES = 6  # a host may move 8 queues at the same time; calls of a queue wait while its host copies it
 
 
 class DrainRoom:
     """Limits the moves under way. The move that has waited longest for one destination begins first."""
 
     def __init__(self) -> None:
-        self._all = asyncio.Semaphore(MOVES_AT_ONCE)
-        self._queues = asyncio.Semaphore(QUEUES_AT_ONCE)
+        self._all = asyncio.Semaphore(PARALLEL_MOVES)
+        self._queues = asyncio.Semaphore(PARALLEL_QUEUE_MOVES)
         self._to: dict[bytes, asyncio.Semaphore] = {}  # by destination
         self._answering: set[bytes] = set()
 

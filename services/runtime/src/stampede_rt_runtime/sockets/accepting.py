@@ -13,9 +13,9 @@ from collections.abc import Callable
 
 logger = logging.getLogger(__name__)
 
-ACCEPTED_AT_ONCE = 4
+ACCEPTED_PER_TURN = 4
 PAUSE_SECONDS = 0.001
-"""The time until the next connections are accepted, if ACCEPTED_AT_ONCE have come. Other work can run in that time."""
+"""The time until the next connections are accepted, if ACCEPTED_PER_TURN have come. Other work can run in that time."""
 RETRY_SECONDS = 1.0  # after a failure, such as that no file descriptor is left
 
 
@@ -42,7 +42,7 @@ class Acceptor:
             self._listening.close()
 
     def _accept_some(self) -> None:
-        for _ in range(ACCEPTED_AT_ONCE):
+        for _ in range(ACCEPTED_PER_TURN):
             try:
                 accepted, _ = self._listening.accept()
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):

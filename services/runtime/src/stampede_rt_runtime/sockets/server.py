@@ -19,7 +19,7 @@ from grpc.aio import AbortError
 from stampede_rt.cluster.cluster_ids import cluster_metadata
 from stampede_rt.errors import Overloaded, PermissionDenied, StampedeError, VersionMismatch
 from stampede_rt.status import encode_status
-from stampede_rt.transports.machine import is_of_this_user, send_more_at_once
+from stampede_rt.transports.machine import enlarge_send_buffer, is_of_this_user
 from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt.v1 import socket_stream_pb2 as pb
 from stampede_rt.wire.stream_frames import PROTOCOL_VERSION, FrameKind, frame_of
@@ -166,7 +166,7 @@ class SocketServer:
         error = None
         if not is_of_this_user(accepted):
             error = PermissionDenied("the socket belongs to another user of this machine")
-        send_more_at_once(accepted)
+        enlarge_send_buffer(accepted)
         self._accepted(accepted, error, self._connection())
 
     def _accepted_over_tcp(self, context: Callable[[], ssl.SSLContext] | None, accepted: socket.socket) -> None:

@@ -1,7 +1,7 @@
 """The TLS of an accepted connection, between its transport and the stream. It bounds the work of handshakes.
 
 A step of a handshake takes up to a millisecond, and any caller may begin a handshake. So the event loop takes
-STEPS_AT_ONCE of them, and then none for PAUSE_SECONDS. asyncio's own TLS would take all of them in one turn.
+STEPS_PER_TURN of them, and then none for PAUSE_SECONDS. asyncio's own TLS would take all of them in one turn.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 from stampede_rt.transports.tls_layer import TlsLayer
 from stampede_rt_runtime.sockets.stream_socket import StreamSocket
 
-STEPS_AT_ONCE = 2
+STEPS_PER_TURN = 2
 PAUSE_SECONDS = 0.003
 """A handshake has two steps at the host, so it serves about 300 handshakes a second, in a fourth of its time."""
 
@@ -38,7 +38,7 @@ class HandshakeSteps:
             asyncio.get_running_loop().call_soon(self._take_some)
 
     def _take_some(self) -> None:
-        for _ in range(STEPS_AT_ONCE):
+        for _ in range(STEPS_PER_TURN):
             if not self._lines:
                 break
             machine, line = self._lines.popitem(last=False)

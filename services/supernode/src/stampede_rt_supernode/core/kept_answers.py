@@ -31,7 +31,7 @@ BYTES_MAX = 64 << 20  # the most memory for answers
 CALLER_BYTES_MAX = BYTES_MAX // 2  # the most memory for the answers to one caller
 ANSWER_BYTES = 512  # the estimated memory for one answer
 MEMBER_BYTES = 64  # the estimated memory for each member, if the answer has a group, and for the name of a group
-FORGOTTEN_AT_ONCE = 64  # the most answers that each command forgets
+FORGOTTEN_PER_COMMAND = 64  # the most answers that each command forgets
 FORGOTTEN_BY_MARK = 4096  # the most answers that each mark forgets
 
 
@@ -150,7 +150,7 @@ class KeptAnswers:
         self.marks = (*self.marks, index)[-MARKS_KEPT:]
         self.forget_some(FORGOTTEN_BY_MARK)
 
-    def forget_some(self, answers_max: int = FORGOTTEN_AT_ONCE) -> None:
+    def forget_some(self, answers_max: int = FORGOTTEN_PER_COMMAND) -> None:
         """Forget a few of the answers that are too old.
 
         The directory calls this for each command, so that no call takes long.

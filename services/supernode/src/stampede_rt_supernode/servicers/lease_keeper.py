@@ -39,7 +39,7 @@ logger = logging.getLogger(__name__)
 
 TICK_SECONDS = 0.1
 PROPOSAL_SECONDS = 5.0  # how long a tick waits for the outcome of a command
-ENDINGS_AT_ONCE_MAX = 64  # the most commands under way that each end the lease of a host
+PARALLEL_ENDINGS_MAX = 64  # the most commands under way that each end the lease of a host
 PEERS_PER_ENTRY_MAX = 256  # the most leases of peers that one command ends
 
 T = TypeVar("T", HostRecord, PeerRecord)
@@ -170,8 +170,8 @@ class LeaseKeeper:
         now = self._clock.boottime_nanos()
         self._hosts.follow(self._replica.read(_live), now)
         due = self._hosts.due(now)
-        for start in range(0, len(due), ENDINGS_AT_ONCE_MAX):
-            await asyncio.gather(*(self._end(*lease) for lease in due[start : start + ENDINGS_AT_ONCE_MAX]))
+        for start in range(0, len(due), PARALLEL_ENDINGS_MAX):
+            await asyncio.gather(*(self._end(*lease) for lease in due[start : start + PARALLEL_ENDINGS_MAX]))
 
     async def _end(self, host_id: bytes, boot_incarnation: int, registered_index: int) -> None:
         operation = ExpireHost(

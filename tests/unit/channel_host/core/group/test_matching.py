@@ -258,7 +258,7 @@ def test_very_many_members_are_looked_at_some_at_a_time(unique: bool, monkeypatc
         looks += 1
         return nearest(*args, **named)
 
-    at_once = matcher().take(lambda channel_id, instant: True, NOW, 100)
+    in_one_call = matcher().take(lambda channel_id, instant: True, NOW, 100)
     monkeypatch.setattr(LocalTrack, "nearest", counting)
     made, found, most = matcher(), [], 0
     while True:
@@ -268,6 +268,6 @@ def test_very_many_members_are_looked_at_some_at_a_time(unique: bool, monkeypatc
         found += part
         if not part and not made.has_more:
             break
-    assert found == at_once
+    assert found == in_one_call
     assert len(found) == len(times) // 2
     assert most <= 128 + 2 * STEPS_MAX + 1

@@ -16,8 +16,8 @@ from stampede_rt_channel_host.archive.segment_folder import SegmentFolder
 from stampede_rt_channel_host.archive.stable_writes import sync_folder
 from stampede_rt_channel_host.core.archive.stored_segment import segment_named
 
-OPENED_AT_ONCE = 8
-DELETED_AT_ONCE = 100
+FOLDERS_PER_STEP = 8
+OBJECTS_PER_DELETION = 100
 EPOCH_MAX = 2**63
 _DELETED_FILE = "deleted"
 
@@ -93,7 +93,7 @@ class Leftovers:
     def open_next(self) -> list[MovingFiles]:
         """Open some of the folders, for their closed files to be moved. Blocks. Raises OSError."""
         opened: list[MovingFiles] = []
-        while self._found and len(opened) < OPENED_AT_ONCE:
+        while self._found and len(opened) < FOLDERS_PER_STEP:
             channel_id = self._found.pop()
             path = self._folder / channel_id.hex()
             if SegmentFolder(path).numbers() and not self.is_taken(channel_id):
@@ -128,7 +128,7 @@ class Leftovers:
             if segment_named(name) is None and stop_named(name) is None:  # the archive has not made this object
                 continue
             names.append(one.name)
-            if len(names) == DELETED_AT_ONCE:
+            if len(names) == OBJECTS_PER_DELETION:
                 break
         self._store.delete(names)
         if not names:

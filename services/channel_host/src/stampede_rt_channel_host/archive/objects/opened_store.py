@@ -24,7 +24,7 @@ from stampede_rt_channel_host.archive.objects.segment_store import FoundObject, 
 CONNECT_SECONDS_MAX = 5
 READ_SECONDS_MAX = 10  # for one request, and for its retries
 UPLOAD_SECONDS_MAX = 600
-LISTED_AT_ONCE = 1000
+OBJECTS_PER_PAGE = 1000
 _TEXT_MAX = 300
 # client_options replace these variables, which obstore reads
 _ALLOW_HTTP = {"s3": "AWS_ALLOW_HTTP", "gs": "GOOGLE_ALLOW_HTTP", "az": "AZURE_ALLOW_HTTP"}
@@ -96,7 +96,7 @@ class OpenedStore:
     def find(self, prefix: str) -> Iterator[FoundObject]:
         """See `SegmentStore`."""
         try:
-            for page in obstore.list(self._reading, prefix, chunk_size=LISTED_AT_ONCE):
+            for page in obstore.list(self._reading, prefix, chunk_size=OBJECTS_PER_PAGE):
                 yield from (FoundObject(one["path"], one["size"]) for one in page)
         except (exceptions.BaseError, OSError, ValueError) as error:
             raise self._failed(error) from None

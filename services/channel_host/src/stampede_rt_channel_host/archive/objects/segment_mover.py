@@ -25,10 +25,10 @@ Result = TypeVar("Result")
 
 LOOK_SECONDS_MIN, LOOK_SECONDS_MAX = 0.05, 5.0
 BACK_OFF_SECONDS_MIN, BACK_OFF_SECONDS_MAX = 1.0, 60.0
-DELETED_AT_ONCE = 100
+OBJECTS_PER_DELETION = 100
 UPLOAD_SECONDS_LEAST, UPLOAD_BYTES_PER_SECOND = 30.0, 10**5  # a slower upload has failed
 STOP_TEXT = b"Stampede RT: the owner of the channel stopped, and the archive has all of its items.\n"
-STOPS_AT_ONCE = 8  # objects that report clean stops
+STOPS_IN_PARALLEL = 8  # objects that report clean stops
 LOOKS_PER_DROP = 12  # after this many looks, outdated segments of idle channels leave the archive
 
 
@@ -271,7 +271,7 @@ class SegmentMover:
         recorder.on_listed(files.former_stop)
 
     async def _delete_outdated(self, files: MovingFiles) -> None:
-        names = files.stored.outdated[:DELETED_AT_ONCE]
+        names = files.stored.outdated[:OBJECTS_PER_DELETION]
         if names and not files.is_left:
             await self.in_thread(lambda: self.store.delete(names))
             del files.stored.outdated[: len(names)]
@@ -286,8 +286,8 @@ class SegmentMover:
         stops: dict[str, Callable[[], None]] = dict.fromkeys(served, _nothing)
         stops.update(await self.in_writer(self._leftovers.stops))
         left = [one for one in stops.items() if one[0] not in self._told]
-        for at in range(0, len(left), STOPS_AT_ONCE):
-            some = left[at : at + STOPS_AT_ONCE]
+        for at in range(0, len(left), STOPS_IN_PARALLEL):
+            some = left[at : at + STOPS_IN_PARALLEL]
             ends = await asyncio.gather(*(self._note_stop(*one) for one in some), return_exceptions=True)
             for failure in (one for one in ends if isinstance(one, BaseException)):
                 raise failure

@@ -10,14 +10,14 @@ from stampede_rt_supernode.core.access.quota_commands import QuotasRemoved, Quot
 from stampede_rt_supernode.core.access.transitions import change_access
 from stampede_rt_supernode.core.state import DirectoryState
 
-SETTINGS_AT_ONCE_MAX = 100
+SETTINGS_PER_REQUEST_MAX = 100
 
 
 def check_set_quotas(operation: SetQuotas) -> None:
     """Check the operation without the state. Raises InvalidArgument."""
-    if not 1 <= len(operation.settings) <= SETTINGS_AT_ONCE_MAX:
+    if not 1 <= len(operation.settings) <= SETTINGS_PER_REQUEST_MAX:
         raise InvalidArgument(
-            f"the request has {len(operation.settings)} settings of quotas; give 1 to {SETTINGS_AT_ONCE_MAX}"
+            f"the request has {len(operation.settings)} settings of quotas; give 1 to {SETTINGS_PER_REQUEST_MAX}"
         )
     for setting in operation.settings:
         check_setting(setting)

@@ -115,7 +115,7 @@ class LibrarySerializer:
         """Open the last received snapshot, or else the stored one, into the state machine. Returns its parts."""
         stored, self._received = self._received or self._log.snapshot, None
         assert stored is not None
-        snapshot = self._keeper.open_at_once(stored)
+        snapshot = self._keeper.open_immediately(stored)
         return None, snapshot.last, snapshot.previous, []
 
     def cancelTransmisstion(self, id_: Any) -> None:

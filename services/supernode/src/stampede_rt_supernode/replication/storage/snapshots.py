@@ -116,7 +116,7 @@ class SnapshotKeeper:
 
         self._taking = _SnapshotUnderWay(self._run_in_background(encode), previous, last, configuration)
 
-    def open_at_once(self, stored: StoredSnapshot) -> records.SnapshotContents:
+    def open_immediately(self, stored: StoredSnapshot) -> records.SnapshotContents:
         """Replace the state machine's state by a snapshot, whatever the log holds. Returns the snapshot's parts."""
         snapshot = records.decode_snapshot(stored.record)
         self._state_machine.prepare_restore(snapshot.state)()
