@@ -130,7 +130,7 @@ class ReplicatedPair(QueuePair):
                     assert contents(copy.core, self.clock) == self.seen[copy.journal.next_step][1]
 
     def _note_step(self) -> None:
-        if self.journal.note(self.clock):
+        if self.journal.note(self.clock, self.ahead[-1] if self.ahead else None):
             self.seen[self.journal.next_step] = self.clock, contents(self.core, self.clock)
 
     def feed(self, copy: Copy, back: int, bytes_max: int) -> None:

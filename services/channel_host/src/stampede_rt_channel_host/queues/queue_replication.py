@@ -74,7 +74,7 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
 
         If the step is not the put that was sent ahead, because of a defect, the replicas with that put begin anew.
         """
-        if self.journal.note(now):
+        if self.journal.note(now, self._ahead):
             if self._ahead is not None and not self.journal.has_made(self._ahead):
                 self.take_back()
             self._ahead = None

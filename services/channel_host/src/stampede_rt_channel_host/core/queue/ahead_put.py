@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.dedup import KeptRun
@@ -34,7 +33,7 @@ class AheadPut(NamedTuple):
         return QueueHandoff(
             next_seq=self.seq + 1,
             next_delivery_id=next_delivery_id,
-            tally=tally_after_put(tally, self.length),
+            tally=tally.after_put(self.length),
             runs=[QueuedRun(self.seq, (self.length,), 0, self.body)],
             held=(),
             items=[],
@@ -42,8 +41,3 @@ class AheadPut(NamedTuple):
             producers=[KeptRun(self.producer_id, self.first_number, outcome, self.owner)],
             message_ids=[],
         )
-
-
-def tally_after_put(tally: QueueTally, length: int) -> QueueTally:
-    """The tally after a queue has accepted one message of `length` payload bytes."""
-    return replace(tally, accepted=tally.accepted + 1, accepted_bytes=tally.accepted_bytes + length)

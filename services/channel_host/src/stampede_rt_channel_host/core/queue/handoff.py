@@ -8,7 +8,7 @@ streams the address of the new host. Durations replace instants, because two hos
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain, groupby
 from typing import NamedTuple
 
@@ -95,7 +95,7 @@ def export(
     return QueueHandoff(
         next_seq=queue_items.next_seq,
         next_delivery_id=queue_leases.next_delivery_id,
-        tally=replace(queue_items.tally),
+        tally=queue_items.tally.copied(),
         runs=[run_with_age(run, now) for run in _runs(queue_items)],
         held=_joined(chain(tracked, fresh)),
         items=[
@@ -111,7 +111,7 @@ def restore(
     state: QueueHandoff, queue_items: QueueItems, queue_leases: QueueLeases, enqueue_line: EnqueueLine, now: int
 ) -> None:
     """Fill an empty queue with `state`. The next `QueueCore.tick` ends the expired leases and delays."""
-    queue_items.tally = replace(state.tally)
+    queue_items.tally = state.tally.copied()
     queue_leases.next_delivery_id = state.next_delivery_id
     states = {one.seq: one for one in state.items}
     fresh_from = _fresh_from(state)

@@ -8,12 +8,11 @@ replicas in sync holds for both, because this rule compares numbers only.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
 from itertools import chain, islice
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_channel_host.core.queue.ahead_put import AheadPut, tally_after_put
+from stampede_rt_channel_host.core.queue.ahead_put import AheadPut
 from stampede_rt_channel_host.core.queue.changes import QueueChanges
 from stampede_rt_channel_host.core.queue.enqueue import Enqueue
 from stampede_rt_channel_host.core.queue.enqueue_line import EnqueueLine
@@ -28,7 +27,7 @@ from stampede_rt_channel_host.core.queue.handoff import (
     state_of,
 )
 from stampede_rt_channel_host.core.queue.items import TrackedItem
-from stampede_rt_channel_host.core.queue.queue_items import QueueItems
+from stampede_rt_channel_host.core.queue.queue_items import QueueItems, QueueTally
 from stampede_rt_channel_host.core.queue.queue_leases import QueueLeases
 
 JOURNAL_BYTES_MAX = 64 * 2**20
@@ -63,6 +62,29 @@ class QueueStep(NamedTuple):
         return any(item.ended is not None for item in self.changes.items)
 
 
+class _PutStep(NamedTuple):
+    """A step that is only a put. A QueueStep of it takes longer to make, and rarely does a replica need one.
+
+    `tally`, `next_delivery_id`: the values before the step.
+    """
+
+    put: AheadPut
+    time: int
+    tally: QueueTally
+    next_delivery_id: int
+
+    @property
+    def number(self) -> int:
+        return self.put.number
+
+    @property
+    def size_bytes(self) -> int:
+        return _STEP_BYTES + len(self.put.body) + _ENTRY_BYTES
+
+    def step(self) -> QueueStep:
+        return QueueStep(self.number, self.time, self.put.changes(self.tally, self.next_delivery_id), ())
+
+
 class QueueJournal:
     """The latest steps of a queue. At the owner, `note` makes the steps. At a copy, `apply` repeats the steps of the
     owner.
@@ -78,21 +100,28 @@ class QueueJournal:
         self._queue_leases = queue_leases
         self._enqueue_line = enqueue_line
         self.bytes_max = bytes_max
-        self._steps: deque[QueueStep] = deque()
+        self._steps: deque[tuple[QueueStep | _PutStep, int]] = deque()  # each with its size, which takes time to add up
         self._changes = queue_items.changes = QueueChanges()
-        self._tally = replace(queue_items.tally)
+        self._tally = queue_items.tally.copied()
         self._clock = 0
         self.takes_changes = True
         self.next_step = next_step
         self.size_bytes = 0
 
-    def note(self, now: int) -> bool:
-        """Make a step of all changes since the last step. Returns False if nothing has changed."""
+    def note(self, now: int, put: AheadPut | None = None) -> bool:
+        """Make a step of all changes since the last step. Returns False if nothing has changed.
+
+        `put`: the result of `next_put`, if the caller has sent it to a replica.
+        """
         self._clock = now = max(self._clock, now)
         if not self._changes and self._tally == self._queue_items.tally:
             return False
-        step = QueueStep(self.next_step, now, self._changed(now), tuple(self._changes.removed))
-        self._append(step)
+        if put is not None and self._is_only(put):
+            step = _PutStep(put, now, self._tally, self._queue_leases.next_delivery_id)
+            self._append(step, self._tally.after_put(put.length))
+        else:
+            changes = self._changed(now)
+            self._append(QueueStep(self.next_step, now, changes, tuple(self._changes.removed)), changes.tally)
         return True
 
     def next_put(self, run: Enqueue, seq: int, stamped_time: int | None, body: bytes) -> AheadPut | None:
@@ -100,21 +129,27 @@ class QueueJournal:
 
         The caller knows that the present call changes nothing else. `seq`, `stamped_time`, `body`: as for `SealRun`.
         """
-        if self._changes or self._queue_items.tally != tally_after_put(self._tally, run.lengths[0]):
+        if self._changes or self._queue_items.tally != self._tally.after_put(run.lengths[0]):
             return None
         return AheadPut(
             self.next_step, seq, run.producer_id, run.first_number, run.lengths[0], stamped_time, run.owner, body
         )
 
     def has_made(self, put: AheadPut) -> bool:
-        """Whether the last step is this put, and nothing else."""
-        if not self._steps or self._steps[-1].number != put.number:
+        """Whether the last step is this put, which `note` has got, and nothing else."""
+        last = self._steps[-1][0] if self._steps else None
+        return isinstance(last, _PutStep) and last.put is put
+
+    def _is_only(self, put: AheadPut) -> bool:
+        """Whether the queue has changed in nothing but this put since the last step."""
+        changes = self._changes
+        if put.number != self.next_step or len(changes.runs) != 1 or len(changes.producers) != 1:
             return False
-        changes, removed = self._steps[-1].changes, self._steps[-1].removed
-        has_run = [(run.first_seq, run.body) for run in changes.runs] == [(put.seq, put.body)]
-        numbers = [(kept.producer_id, kept.first_number) for kept in changes.producers]
-        is_rest_empty = not (removed or changes.items or changes.acknowledged or changes.message_ids)
-        return has_run and numbers == [(put.producer_id, put.first_number)] and is_rest_empty
+        if changes.removed or changes.items or changes.acknowledged or changes.message_ids:
+            return False
+        run, kept = changes.runs[0], changes.producers[0]
+        has_run = run.first_seq == put.seq and run.body == put.body
+        return has_run and (kept.producer_id, kept.first_number) == (put.producer_id, put.first_number)
 
     def _changed(self, now: int) -> QueueHandoff:
         changes = self._changes
@@ -122,7 +157,7 @@ class QueueJournal:
         return QueueHandoff(
             next_seq=self._queue_items.next_seq,
             next_delivery_id=self._queue_leases.next_delivery_id,
-            tally=replace(self._queue_items.tally),
+            tally=self._queue_items.tally.copied(),
             runs=[run_with_age(run, now) for run in changes.runs],
             held=(),
             items=[self._state_of(item, now) for item in items],
@@ -143,9 +178,9 @@ class QueueJournal:
         if not first <= number <= self.next_step:
             return None
         found: list[QueueStep] = []
-        for step in islice(self._steps, number - first, None):
-            found.append(step)
-            bytes_max -= step.size_bytes
+        for step, size_bytes in islice(self._steps, number - first, None):
+            found.append(step.step() if isinstance(step, _PutStep) else step)
+            bytes_max -= size_bytes
             if bytes_max <= 0:
                 break
         return found
@@ -193,7 +228,7 @@ class QueueJournal:
             else:
                 enter(self._queue_items, self._queue_leases, states[seq], now)
         self._note_rest(step.changes, now)
-        self._append(step._replace(time=now))
+        self._append(step._replace(time=now), step.changes.tally)
 
     def _add_runs(self, changes: QueueHandoff, now: int) -> None:
         for run in changes.runs:
@@ -210,7 +245,7 @@ class QueueJournal:
 
     def _note_rest(self, changes: QueueHandoff, now: int) -> None:
         """Take over the other facts of a step, which do not concern the state of messages."""
-        self._queue_items.tally = replace(changes.tally)
+        self._queue_items.tally = changes.tally.copied()
         self._queue_leases.next_delivery_id = changes.next_delivery_id
         for one in changes.acknowledged:
             self._queue_leases.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
@@ -219,14 +254,16 @@ class QueueJournal:
         for known in changes.message_ids:
             self._enqueue_line.message_ids.record(known.message_id, known.seq, now - known.time, known.owner)
 
-    def _append(self, step: QueueStep) -> None:
+    def _append(self, step: QueueStep | _PutStep, tally: QueueTally) -> None:
+        """Add a step. `tally`: the tally after it; nothing changes this object."""
         self._changes.clear()
-        self._tally = step.changes.tally  # nothing changes the tally of a step
+        self._tally = tally
         self.next_step = step.number + 1
-        self._steps.append(step)
-        self.size_bytes += step.size_bytes
+        size_bytes = step.size_bytes
+        self._steps.append((step, size_bytes))
+        self.size_bytes += size_bytes
         while self.size_bytes > self.bytes_max and len(self._steps) > 1:
-            self.size_bytes -= self._steps.popleft().size_bytes
+            self.size_bytes -= self._steps.popleft()[1]
 
     def stop(self) -> None:
         """Stop noting changes, because the queue no longer has replicas."""
@@ -236,5 +273,5 @@ class QueueJournal:
 
     def forget(self, next_step: int) -> None:
         """Forget the steps before `next_step`, because every replica has them."""
-        while self._steps and self._steps[0].number < next_step:
-            self.size_bytes -= self._steps.popleft().size_bytes
+        while self._steps and self._steps[0][0].number < next_step:
+            self.size_bytes -= self._steps.popleft()[1]
