@@ -7,13 +7,13 @@ from collections.abc import Callable
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.replication import Replication
-from stampede_rt_channel_host.copies.ahead_place import AheadPlace
 from stampede_rt_channel_host.copies.fed_items import encode_item
 from stampede_rt_channel_host.copies.feed_responses import FeedResponses
+from stampede_rt_channel_host.copies.sent_ahead import SentAhead
 from stampede_rt_channel_host.core.channel import ChannelFeed, NewItem
 
 
-class AheadItemSender(AheadPlace):
+class AheadItemSender(SentAhead):
     """Sends runs of one feed ahead."""
 
     def __init__(

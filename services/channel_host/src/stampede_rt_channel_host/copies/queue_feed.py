@@ -15,10 +15,10 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.cluster.records import queue_message
 from stampede_rt_channel_host.cluster.task_failures import first_failure
-from stampede_rt_channel_host.copies.ahead_place import AheadPlace
 from stampede_rt_channel_host.copies.queue_messages import PART_BYTES
 from stampede_rt_channel_host.copies.queue_puts import encode_request, read_answer
 from stampede_rt_channel_host.copies.queue_steps import STEPS_PER_REQUEST, step_parts, whole_parts
+from stampede_rt_channel_host.copies.sent_ahead import SentAhead
 from stampede_rt_channel_host.core.queue import JOURNAL_BYTES_MAX, AheadPut
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_replication import QueueReplication
@@ -53,7 +53,7 @@ class QueueFeedStream:
         self._heard_s = 0.0  # loop time of the last answer of the replica
         self._waiting_call: HostStream | None = None  # while the feed waits for a step
         self._failure: Exception | None = None  # an error outside of the feed's tasks, which ends the feed
-        self._ahead: AheadPlace | None = None  # if the replica takes puts before the queue stores them
+        self._ahead: SentAhead | None = None  # if the replica takes puts before the queue stores them
         self.next_step = replication.journal.next_step
 
     def wake(self) -> None:
@@ -148,7 +148,7 @@ class QueueFeedStream:
         replication = self._replication
         replication.journal.takes_changes &= place.takes_changes
         if place.takes_puts:
-            self._ahead = AheadPlace(self._host_id, replication.strays)
+            self._ahead = SentAhead(self._host_id, replication.strays)
         if self._continues(place):
             self.next_step = self._held_step = place.next_step
             replication.report(self._host_id, self, place.next_step)

@@ -1,11 +1,11 @@
-"""Notes what the owner has sent ahead to a replica: a run or a step that the owner itself has not stored yet."""
+"""Notes the run or step that the owner has sent ahead to a replica, and has not stored itself yet."""
 
 from __future__ import annotations
 
 from stampede_rt.errors import Unavailable
 
 
-class AheadPlace:
+class SentAhead:
     """The run of a channel, or the step of a queue, that one feed has sent ahead to its replica; at most one at a time.
 
     A place is a seq or the number of a step, as in `OwnedReplicas`.
@@ -15,7 +15,7 @@ class AheadPlace:
         """`host_id`: the host of the replica. `strays`: the set of this name in `OwnedReplicas`."""
         self._host_id = host_id
         self._strays = strays
-        self._unstored_next = 0  # the place after what is sent ahead; 0: nothing is sent ahead
+        self._unstored_next = 0  # the place after the run or step that is sent ahead; 0: there is none
 
     def sent(self, next_place: int) -> None:
         """Note that the feed sends a run or step ahead. `next_place`: the place after this run or step."""
@@ -30,7 +30,7 @@ class AheadPlace:
         return ahead == next_place
 
     def take_back(self) -> Unavailable | None:
-        """Note that a defect kept the owner from storing what the feed sent ahead, so the replica must begin anew.
+        """Note that a defect kept the owner from storing the run or step that was sent ahead, so the replica must begin anew.
 
         Returns the error that ends the feed; None: nothing was sent ahead.
         """
