@@ -15,7 +15,7 @@ from stampede_rt_channel_host.core.records import RecordedChannel, RecordedGroup
 from stampede_rt_channel_host.groups.exchange import TimesExchange
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.link import INTEREST_MAX
-from stampede_rt_channel_host.groups.peers import PeerHosts
+from stampede_rt_channel_host.groups.sharing_hosts import SharingHosts
 from stampede_rt_channel_host.groups.table import HostedGroups
 
 OWN, LEFT, RIGHT = b"o" * 16, b"l" * 16, b"r" * 16
@@ -68,7 +68,7 @@ class Groups:
         self.exchange.share(number.to_bytes(16))
 
     def wanted(self, host_id: bytes) -> set[int]:
-        return {int.from_bytes(one) for one in self.exchange.peers.wanted_of(host_id)}
+        return {int.from_bytes(one) for one in self.exchange.sharing_hosts.wanted_of(host_id)}
 
 
 def _told(number: int, *members: tuple[int, bytes], creator: str) -> ResolvedGroup:
@@ -91,10 +91,10 @@ def _told(number: int, *members: tuple[int, bytes], creator: str) -> ResolvedGro
 
 @pytest.fixture
 def groups(monkeypatch: pytest.MonkeyPatch) -> Groups:
-    async def keep(_: PeerHosts, _peer: object) -> None:
+    async def keep(_: SharingHosts, _other: object) -> None:
         await asyncio.Event().wait()
 
-    monkeypatch.setattr(PeerHosts, "_keep", keep)
+    monkeypatch.setattr(SharingHosts, "_keep", keep)
     return Groups()
 
 

@@ -21,7 +21,7 @@ from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_channel_host.groups import link as link_module
 from stampede_rt_channel_host.groups.link import ENTRIES_MAX, HostLink
-from stampede_rt_channel_host.groups.peers import _unwrapped
+from stampede_rt_channel_host.groups.sharing_hosts import _unwrapped
 
 ME, OTHER = b"this-host-has-16", b"another-host-id!"
 

@@ -30,7 +30,7 @@ class SentAhead:
         return ahead == next_place
 
     def take_back(self) -> Unavailable | None:
-        """Note that a defect kept the owner from storing the run or step that was sent ahead, so the replica must begin anew.
+        """Note that a defect kept the owner from storing the run or step, so the replica must begin anew.
 
         Returns the error that ends the feed; None: nothing was sent ahead.
         """

@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.link import HostLink
 from stampede_rt_channel_host.groups.messages import times_from_message, times_to_message
-from stampede_rt_channel_host.groups.peers import ChangedMembers, Dial, PeerHosts
+from stampede_rt_channel_host.groups.sharing_hosts import ChangedMembers, Dial, SharingHosts
 from stampede_rt_channel_host.groups.table import HostedGroups
 
 FLOORS_MAX = 10_000  # the most floors of groups that this host has still to look up
@@ -43,7 +43,7 @@ class TimesExchange:
         on_asked: Callable[[set[bytes]], None],
     ) -> None:
         self._to_look_at: Backlog[bytes] = Backlog(self._look_at, channels.scheduler.begin, GROUPS_PER_PIECE)
-        self.peers = PeerHosts(identity, self, dial, cluster_id, channels.lease_held)
+        self.sharing_hosts = SharingHosts(identity, self, dial, cluster_id, channels.lease_held)
         self._identity = identity
         self._channels = channels
         self._table = table
@@ -72,15 +72,17 @@ class TimesExchange:
         for host_id in former.keys() | members.keys():
             target = group.targets.get(host_id) if group is not None else None
             change = ChangedMembers(creator, group_id, former.get(host_id, ()), members.get(host_id, ()))
-            if not self.peers.share(host_id, target, change):
+            if not self.sharing_hosts.share(host_id, target, change):
                 self._names.pop(host_id, None)
 
     def look(self, group: HostedGroup) -> None:
         """Refresh the group. If all its hosts have reported their cuts now, confirm the group's cut first."""
-        group.unheard = {one for one in group.unheard if one not in self._fully_heard or not self.peers.is_linked(one)}
+        group.unheard = {
+            one for one in group.unheard if one not in self._fully_heard or not self.sharing_hosts.is_linked(one)
+        }
         if not group.unheard and not group.cut.is_confirmed:
             group.cut.confirm()
-            self.peers.report_floor(group.record.group_id)
+            self.sharing_hosts.report_floor(group.record.group_id)
         self._table.refresh(group)
 
     def take_floors(self, group_id: bytes) -> dict[bytes, CutFloor]:
@@ -115,7 +117,7 @@ class TimesExchange:
     def greeted(self, link: HostLink) -> None:
         """See `LinkHandler`."""
         self._fully_heard.discard(link.host_id)
-        self.peers.greeted(link)
+        self.sharing_hosts.greeted(link)
 
     def asked_for(self, channel_ids: set[bytes]) -> None:
         """See `LinkHandler`."""
@@ -130,7 +132,7 @@ class TimesExchange:
 
     def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
         """See `LinkHandler`. Accepts only times of channels that the other host owns, as the directory says."""
-        table, now, wanted = self._table, self._channels.now(), self.peers.wanted_of(host_id)
+        table, now, wanted = self._table, self._channels.now(), self.sharing_hosts.wanted_of(host_id)
         table.board.confirm(wanted, now)
         changed: set[bytes] = set()
         is_silent = True

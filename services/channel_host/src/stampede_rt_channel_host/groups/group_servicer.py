@@ -16,7 +16,7 @@ from stampede_rt_channel_host.cluster.cut_floors import floor_to_message
 from stampede_rt_channel_host.groups.cut_events import CutEvents
 from stampede_rt_channel_host.groups.group_status import group_status
 from stampede_rt_channel_host.groups.match_stream import MatchStream
-from stampede_rt_channel_host.groups.peers import Dial
+from stampede_rt_channel_host.groups.sharing_hosts import Dial
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_runtime.access.control import check_access, check_known
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
@@ -61,7 +61,7 @@ class GroupServicer:
     async def exchange_times(self, requests: AsyncIterator[pb.ExchangeTimesRequest], context: Context) -> None:
         """GroupService.ExchangeTimes: between hosts only."""
         async with self._streams.serve(context):
-            await self._groups.exchange.peers.accept(context)
+            await self._groups.exchange.sharing_hosts.accept(context)
 
     async def subscribe_cuts(self, requests: AsyncIterator[pb.SubscribeCutsRequest], context: Context) -> None:
         """GroupService.SubscribeCuts."""

@@ -87,10 +87,10 @@ class HostLink:
         self._interest: Collection[bytes] | None = None  # the argument of `want`, until it is sent
         self._news = asyncio.Event()
 
-    async def run(self, peer: bytes | None = None) -> None:
+    async def run(self, other_id: bytes | None = None) -> None:
         """Serve until the other side ends the stream or is silent too long.
 
-        `peer` is the id that the other host must have; None: it may be any host. Raises the error that broke the
+        `other_id` is the id that the other host must have; None: it may be any host. Raises the error that broke the
         stream. After both hellos this error comes in an exception group.
         """
         hello = pb.ExchangeHello(
@@ -100,7 +100,7 @@ class HostLink:
             protocol_version=PROTOCOL_VERSION,
         )
         await self._write(self._message(hello=hello))
-        self._greet(await self._next(), peer)
+        self._greet(await self._next(), other_id)
         self._handler.greeted(self)
         async with asyncio.TaskGroup() as sides:
             writing = sides.create_task(self._write_all())
@@ -126,7 +126,7 @@ class HostLink:
         self._floors[group_id] = None
         self._news.set()
 
-    def _greet(self, message: Any, peer: bytes | None) -> None:
+    def _greet(self, message: Any, other_id: bytes | None) -> None:
         hello = message.hello if message is not None and message.HasField("hello") else None
         if hello is None:
             raise InvalidArgument("the first message of an exchange has no hello; send it first, in its own message")
@@ -137,9 +137,9 @@ class HostLink:
             )
         if self._cluster_id and hello.cluster_id and hello.cluster_id != self._cluster_id:
             raise InvalidArgument(f"the hello is of cluster {hello.cluster_id}, and this is {self._cluster_id}")
-        if peer is not None and hello.host_id != peer:
+        if other_id is not None and hello.host_id != other_id:
             raise InvalidArgument(
-                f"host {hello.host_id.hex()} answers at the address of host {peer.hex()}; resolve that host again"
+                f"host {hello.host_id.hex()} answers at the address of host {other_id.hex()}; resolve that host again"
             )
         if len(hello.host_id) != ID_BYTES:
             raise InvalidArgument(f"the hello has a host_id of {len(hello.host_id)} bytes; ids have {ID_BYTES}")

@@ -26,10 +26,10 @@ from stampede_rt_channel_host.core.group import (
 )
 from stampede_rt_channel_host.groups.frames import matches
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup, other_incarnation
-from stampede_rt_channel_host.groups.peers import Dial
 from stampede_rt_channel_host.groups.reading import SETTLE_SECONDS_MAX, member_of
 from stampede_rt_channel_host.groups.recorded_matches import filled, load
 from stampede_rt_channel_host.groups.remote_member import RemoteMember
+from stampede_rt_channel_host.groups.sharing_hosts import Dial
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting import Waiter
 from stampede_rt_channel_host.groups.writing import EventWriter

@@ -16,7 +16,7 @@ from stampede_rt.values.timeline import MAX_INSTANT
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 from stampede_rt_channel_host.core.group import ChannelTimes, RemoteTrack
 from stampede_rt_channel_host.core.group.tracks import TRACK_ITEMS_MAX
-from stampede_rt_channel_host.groups.peers import Dial
+from stampede_rt_channel_host.groups.sharing_hosts import Dial
 
 logger = logging.getLogger(__name__)
 

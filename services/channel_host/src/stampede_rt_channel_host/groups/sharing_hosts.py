@@ -33,7 +33,7 @@ ASK_SECONDS_MAX = 2.0
 Dial = Callable[[str], grpc.aio.Channel]
 
 
-class PeerHost:
+class SharingHost:
     """Another host: where it listens, the channels that this host wants from it, and the groups that both share."""
 
     def __init__(self, host_id: bytes) -> None:
@@ -58,7 +58,7 @@ class ChangedMembers(NamedTuple):
     members: Collection[bytes]
 
 
-class PeerHosts:
+class SharingHosts:
     """Keeps a link to each host that shares a group with this one. `lease_held` says whether this host may serve.
 
     The links get the facts that they send from `handler`, and pass the facts that they receive to it.
@@ -73,7 +73,7 @@ class PeerHosts:
         self._dial = dial
         self._cluster_id = cluster_id
         self._lease_held = lease_held
-        self._peers: dict[bytes, PeerHost] = {}
+        self._hosts: dict[bytes, SharingHost] = {}
 
     def share(self, host_id: bytes, target: str | None, change: ChangedMembers) -> bool:
         """Note the members of a group that the host `host_id` owns now.
@@ -81,61 +81,61 @@ class PeerHosts:
         `target`: the address of that host; None: unchanged. Drops a host that shares no group with this one any more,
         and then returns False.
         """
-        peer = self._peers.get(host_id)
-        if peer is None:
-            peer = self._peers[host_id] = PeerHost(host_id)
-        changes, was_left_out = peer.wanted.changes, peer.wanted.left_out
-        peer.wanted.add(change.creator, change.members)
-        peer.wanted.remove(change.creator, change.former)
-        if not peer.wanted:
-            self._drop(peer)
+        other = self._hosts.get(host_id)
+        if other is None:
+            other = self._hosts[host_id] = SharingHost(host_id)
+        changes, was_left_out = other.wanted.changes, other.wanted.left_out
+        other.wanted.add(change.creator, change.members)
+        other.wanted.remove(change.creator, change.former)
+        if not other.wanted:
+            self._drop(other)
             return False
-        is_new = bool(change.members) and change.group_id not in peer.groups
-        (peer.groups.add if change.members else peer.groups.discard)(change.group_id)
-        peer.target = peer.target if target is None else target
-        if peer.link is not None and peer.wanted.changes != changes:
-            peer.link.want(peer.wanted.asked)
-        if peer.wanted.left_out and not was_left_out:
-            _warn_of_left_out(peer)
-        if is_new and peer.link is not None:
-            peer.link.report_floor(change.group_id)
-        if peer.task is None:
-            peer.task = asyncio.create_task(self._keep(peer), name=f"link to {host_id.hex()}")
-            peer.task.add_done_callback(_check)
+        is_new = bool(change.members) and change.group_id not in other.groups
+        (other.groups.add if change.members else other.groups.discard)(change.group_id)
+        other.target = other.target if target is None else target
+        if other.link is not None and other.wanted.changes != changes:
+            other.link.want(other.wanted.asked)
+        if other.wanted.left_out and not was_left_out:
+            _warn_of_left_out(other)
+        if is_new and other.link is not None:
+            other.link.report_floor(change.group_id)
+        if other.task is None:
+            other.task = asyncio.create_task(self._keep(other), name=f"link to {host_id.hex()}")
+            other.task.add_done_callback(_check)
         return True
 
     def is_linked(self, host_id: bytes) -> bool:
         """Whether a stream to the host is open."""
-        peer = self._peers.get(host_id)
-        return peer is not None and peer.link is not None
+        other = self._hosts.get(host_id)
+        return other is not None and other.link is not None
 
     def wanted_of(self, host_id: bytes) -> Set[bytes]:
         """The channels that this host wants to hear about from the host `host_id`, at most INTEREST_MAX."""
-        peer = self._peers.get(host_id)
-        return peer.wanted.asked if peer is not None else frozenset()
+        other = self._hosts.get(host_id)
+        return other.wanted.asked if other is not None else frozenset()
 
     def report_times(self, channel_id: bytes) -> None:
         """Send the times of a channel of this host to the other hosts that want to hear about the channel."""
-        for peer in self._peers.values():
-            if peer.link is not None:
-                peer.link.report_times(channel_id)
+        for other in self._hosts.values():
+            if other.link is not None:
+                other.link.report_times(channel_id)
 
     def report_floor(self, group_id: bytes) -> None:
         """Send this host's cut of a group to the other hosts that share the group."""
-        for peer in self._peers.values():
-            if peer.link is not None and group_id in peer.groups:
-                peer.link.report_floor(group_id)
+        for other in self._hosts.values():
+            if other.link is not None and group_id in other.groups:
+                other.link.report_floor(group_id)
 
     def greeted(self, link: HostLink) -> None:
         """Use a link from now on, because the other host has sent its id. The link replaces an older one to that host.
 
         The link first names the channels that this host wants to hear about, and sends the cuts of the shared groups.
         """
-        peer = self._peers.setdefault(link.host_id, PeerHost(link.host_id))
-        peer.link = link
-        peer.unlinked.clear()
-        link.want(peer.wanted.asked)
-        for group_id in sorted(peer.groups):
+        other = self._hosts.setdefault(link.host_id, SharingHost(link.host_id))
+        other.link = link
+        other.unlinked.clear()
+        link.want(other.wanted.asked)
+        for group_id in sorted(other.groups):
             link.report_floor(group_id)
 
     async def accept(self, context: Context) -> None:
@@ -158,84 +158,84 @@ class PeerHosts:
 
     async def aclose(self) -> None:
         """End the streams that this host opened, and open no more. Streams that other hosts opened stay."""
-        tasks = [peer.task for peer in self._peers.values() if peer.task is not None]
+        tasks = [other.task for other in self._hosts.values() if other.task is not None]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
 
-    def _drop(self, peer: PeerHost) -> None:
+    def _drop(self, other: SharingHost) -> None:
         """Drop the link to a host that no longer shares a group with this one.
 
         If the other host opened the stream, that host decides how long the stream stays. Until then this host remembers
         the link. Otherwise, if both shared a group again, this host would wait for a new stream, and the other host
         would not open one.
         """
-        peer.groups = set()
-        if peer.link is not None:
-            peer.link.want(())
-        if peer.task is not None:
-            peer.task.cancel()
-            peer.task = None
-        if peer.link is None:
-            del self._peers[peer.host_id]
+        other.groups = set()
+        if other.link is not None:
+            other.link.want(())
+        if other.task is not None:
+            other.task.cancel()
+            other.task = None
+        if other.link is None:
+            del self._hosts[other.host_id]
 
     def _unlink(self, link: HostLink) -> None:
-        peer = self._peers.get(link.host_id)
-        if peer is not None and peer.link is link:
-            peer.link = None
-            peer.unlinked.set()
-            if peer.task is None:  # the two hosts share no group
-                del self._peers[link.host_id]
+        other = self._hosts.get(link.host_id)
+        if other is not None and other.link is link:
+            other.link = None
+            other.unlinked.set()
+            if other.task is None:  # the two hosts share no group
+                del self._hosts[link.host_id]
 
-    async def _keep(self, peer: PeerHost) -> None:
+    async def _keep(self, other: SharingHost) -> None:
         """Keep a stream to the other host while both share a group: open the stream, or ask that host to open it."""
         pause_s = PAUSE_SECONDS_MIN
         while True:  # paced by the sleep; `_drop` cancels this task
-            if peer.link is None and peer.target and self._lease_held():
+            if other.link is None and other.target and self._lease_held():
                 try:
-                    opens = self._identity.host_id < peer.host_id
-                    await (self._open(peer) if opens else self._ask_for_link(peer))
+                    opens = self._identity.host_id < other.host_id
+                    await (self._open(other) if opens else self._ask_for_link(other))
                 except StampedeError as error:
                     logger.debug(
                         "no link to a host",
-                        extra={"event": "no_host_link", "host": peer.host_id.hex(), "why": str(error)},
+                        extra={"event": "no_host_link", "host": other.host_id.hex(), "why": str(error)},
                     )
-            if peer.link is not None:  # the other host has opened the stream
+            if other.link is not None:  # the other host has opened the stream
                 pause_s = PAUSE_SECONDS_MIN
-                await peer.unlinked.wait()
+                await other.unlinked.wait()
             await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
             pause_s = min(2 * pause_s, PAUSE_SECONDS_MAX)
 
-    async def _open(self, peer: PeerHost) -> None:
+    async def _open(self, other: SharingHost) -> None:
         """Open the stream and serve it until it breaks."""
-        channel = self._dial(peer.target)
+        channel = self._dial(other.target)
         link: HostLink | None = None
         try:
             call = group_service_pb2_grpc.GroupServiceStub(channel).ExchangeTimes()
             link = HostLink(
                 self._identity, self._cluster_id(), self._handler, pb.ExchangeTimesRequest, call.write, call.read
             )
-            await _unwrapped(link.run(peer.host_id))
+            await _unwrapped(link.run(other.host_id))
         except grpc.RpcError as error:
-            raise from_rpc_error(error, peer.target) from error
+            raise from_rpc_error(error, other.target) from error
         except asyncio.InvalidStateError as error:  # grpc raises this for a write after the end of the call
-            raise Unavailable(f"the stream to {peer.target} is broken") from error
+            raise Unavailable(f"the stream to {other.target} is broken") from error
         finally:
             if link is not None:
                 self._unlink(link)
             await channel.close(None)
 
-    async def _ask_for_link(self, peer: PeerHost) -> None:
+    async def _ask_for_link(self, other: SharingHost) -> None:
         """Call GetCut of a shared group, so that the other host learns of the group and opens the stream."""
-        group_id = min(peer.groups, default=None)
+        group_id = min(other.groups, default=None)
         if group_id is None:
             return
-        channel = self._dial(peer.target)
+        channel = self._dial(other.target)
         try:
             stub = group_service_pb2_grpc.GroupServiceStub(channel)
             await stub.GetCut(pb.GetCutRequest(group_id=group_id), timeout=ASK_SECONDS_MAX)
         except grpc.RpcError as error:
-            raise from_rpc_error(error, peer.target) from error
+            raise from_rpc_error(error, other.target) from error
         finally:
             await channel.close(None)
 
@@ -249,13 +249,13 @@ def _check(task: asyncio.Task[None]) -> None:
         )
 
 
-def _warn_of_left_out(peer: PeerHost) -> None:
+def _warn_of_left_out(other: SharingHost) -> None:
     extra = {
         "event": "group_too_large",
-        "host": peer.host_id.hex(),
-        "channels": len(peer.wanted.asked) + peer.wanted.left_out,
+        "host": other.host_id.hex(),
+        "channels": len(other.wanted.asked) + other.wanted.left_out,
         "most": INTEREST_MAX,
-        "created_by": peer.wanted.largest_creator,
+        "created_by": other.wanted.largest_creator,
     }
     logger.warning("groups have more channels of one host than one request can name", extra=extra)
 

@@ -22,7 +22,7 @@ from stampede_rt_channel_host.groups.exchange import TimesExchange
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup, began_anew
 from stampede_rt_channel_host.groups.own_channels import OwnChannel
-from stampede_rt_channel_host.groups.peers import Dial
+from stampede_rt_channel_host.groups.sharing_hosts import Dial
 from stampede_rt_channel_host.groups.table import HostedGroups
 
 logger = logging.getLogger(__name__)
@@ -130,7 +130,7 @@ class GroupStore:
         self._lookups.close()
         for own in self._table.own.values():
             own.stop_following()
-        await self.exchange.peers.aclose()
+        await self.exchange.sharing_hosts.aclose()
 
     def check_serving(self) -> None:
         """Raises StaleBinding if the host may not serve its channels at present."""
@@ -206,7 +206,7 @@ class GroupStore:
     def _misses_a_host(self, group: HostedGroup) -> bool:
         """Whether another host of the group is silent. That host may be gone, and its channels may have new owners."""
         others = {host_id for host_id in group.owners.values() if host_id != self._identity.host_id}
-        return bool(group.unheard) or not all(self.exchange.peers.is_linked(one) for one in others)
+        return bool(group.unheard) or not all(self.exchange.sharing_hosts.is_linked(one) for one in others)
 
     async def _look_up_again(self, group_id: bytes) -> None:
         try:
@@ -257,13 +257,13 @@ class GroupStore:
     def _adopt(self, group_id: bytes, resolved: ResolvedGroup) -> HostedGroup:
         group = self._table.groups.get(group_id)
         if group is None:
-            peers = self.exchange.peers
+            sharing_hosts = self.exchange.sharing_hosts
             group = HostedGroup(
                 resolved,
                 self._table.board,
                 self.channels.now,
-                on_moved=peers.report_floor,
-                on_idle=peers.report_times,
+                on_moved=sharing_hosts.report_floor,
+                on_idle=sharing_hosts.report_times,
                 begin=self.channels.scheduler.begin,
             )
             group.named_s = _now_s()
@@ -275,7 +275,7 @@ class GroupStore:
                 group.end(began_anew(resolved.group))
             if version != (resolved.group.spec_version, resolved.group.incarnation):
                 # the message has the version, so that the other hosts look up the group, too
-                self.exchange.peers.report_floor(group_id)
+                self.exchange.sharing_hosts.report_floor(group_id)
         for host_id, floor in self.exchange.take_floors(group_id).items():
             group.merge_floor(host_id, floor)
         if not group.cut.is_confirmed:
@@ -309,11 +309,11 @@ class GroupStore:
             hosted, self._table.board, self.channels.now, on_change=self._changed, on_end=self._ended
         )
         self._note_new_generation(channel_id)
-        self.exchange.peers.report_times(channel_id)
+        self.exchange.sharing_hosts.report_times(channel_id)
 
     def _changed(self, channel_id: bytes) -> None:
         """Report a change of a channel of this host."""
-        self.exchange.peers.report_times(channel_id)
+        self.exchange.sharing_hosts.report_times(channel_id)
         self._changed_groups.add(self._table.concerned_by(channel_id))
 
     def _ended(self, channel_id: bytes) -> None:
