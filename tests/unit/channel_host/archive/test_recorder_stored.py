@@ -166,7 +166,7 @@ def put_at(channel: ChannelCore, seq: int) -> None:
 def test_a_disk_that_fails_for_long_costs_no_memory_for_the_puts_that_memory_has_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stampede_rt_channel_host.archive.waiting_puts.PUTS_LEAST", 16)
+    monkeypatch.setattr("stampede_rt_channel_host.archive.waiting_puts.JOIN_FROM_PUTS", 16)
     channel, files = ChannelCore(Policy(max_bytes=300), incarnation=7), SegmentFiles(tmp_path / "c", {})
     files.open(1)
     recorder = ChannelRecorder(channel, files, ())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 
-PUTS_LEAST, BYTES_LEAST = 4096, 16 * 2**20
+JOIN_FROM_PUTS, JOIN_FROM_BYTES = 4096, 16 * 2**20
 """If more puts or bytes wait, the puts are joined whose items have left memory."""
 
 
@@ -19,7 +19,7 @@ class WaitingPuts:
         self._run_bytes_max = run_bytes_max
         self._ends: list[int] = []  # for each put the seq after its items
         self._sizes: list[int] = []  # and its bytes
-        self._puts_max, self._bytes_max = PUTS_LEAST, BYTES_LEAST
+        self._puts_max, self._bytes_max = JOIN_FROM_PUTS, JOIN_FROM_BYTES
 
     @property
     def end_seq(self) -> int | None:
@@ -48,8 +48,8 @@ class WaitingPuts:
             self.bytes = sum(self._sizes)
         del self._ends[: max(0, done - 1)]
         del self.instants[1:done]
-        self._puts_max = max(PUTS_LEAST, 2 * len(self._ends))
-        self._bytes_max = max(BYTES_LEAST, 2 * self.bytes)
+        self._puts_max = max(JOIN_FROM_PUTS, 2 * len(self._ends))
+        self._bytes_max = max(JOIN_FROM_BYTES, 2 * self.bytes)
 
     def accepted_at(self, seq: int) -> int:
         """When the host accepted the put of the item `seq`; 0 if no put waits."""
