@@ -25,7 +25,7 @@ from tests.support.supernode.three_directories import ThreeDirectories
 T = TypeVar("T")
 
 
-class Owners:
+class LivePeers:
     """The live peers, computed from requests and answers only: the oracle for the directory's peers."""
 
     def __init__(self) -> None:
@@ -73,7 +73,7 @@ class PeerMachine(ThreeDirectories):
 
     @initialize()
     def found(self) -> None:
-        self.owners = Owners()
+        self.live_peers = LivePeers()
         self.places: dict[bytes, tuple[int, int]] = {}
         self.queues_mirror: dict[bytes, QueueRecord] = {}
         self.peers_mirror: dict[bytes, PeerRecord] = {}
@@ -91,7 +91,7 @@ class PeerMachine(ThreeDirectories):
     def register_peer(self, data: st.DataObject, again: bool) -> None:
         operation, op_id = data.draw(registrations(self.directory, self.fresh_id())), self.fresh_id()
         result = self.apply(operation, op_id)
-        self.owners.register(operation, result)
+        self.live_peers.register(operation, result)
         if again and isinstance(result, PeerRegistered):
             assert self.apply(operation, op_id) == result, "a repeated request is answered and not performed"
 
@@ -99,7 +99,7 @@ class PeerMachine(ThreeDirectories):
     def end_peers(self, data: st.DataObject) -> None:
         operation = data.draw(endings(self.directory))
         before = dict(self.directory.tables.peers.by_id)
-        gone = self.owners.end(operation, self.directory.tenure)
+        gone = self.live_peers.end(operation, self.directory.tenure)
         result = self.apply(operation, self.fresh_id())
         if isinstance(result, PeersExpired):
             assert result.expired == len(gone)
@@ -114,7 +114,7 @@ class PeerMachine(ThreeDirectories):
     @invariant()
     def the_living_are_those_that_the_answers_told_of(self) -> None:
         tables = self.directory.tables
-        told = {one: (operation.name, operation.boot_incarnation) for one, operation in self.owners.living.items()}
+        told = {one: (operation.name, operation.boot_incarnation) for one, operation in self.live_peers.living.items()}
         assert {one.peer_id: (one.name, one.boot_incarnation) for one in tables.peers.live()} == told
         assert dict(tables.peers.ids) == {name: one for one, (name, _) in told.items() if name}
         assert len(tables.peers.ids) == sum(bool(name) for name, _ in told.values()), "a name has one live owner"
