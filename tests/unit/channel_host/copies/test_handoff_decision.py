@@ -47,8 +47,8 @@ def test_an_idle_channel_is_held_and_handed_over_immediately() -> None:
     source.put(2)
     source.now += IDLE_NANOS
     source.feed.take(source.now, MOST_BYTES)
-    assert source.handoff_decision.due(source.now) is not None
-    assert source.handoff_decision.due(source.now) is None, "the message is due only once"
+    assert source.handoff_decision.next_handoff(source.now) is not None
+    assert source.handoff_decision.next_handoff(source.now) is None, "the channel is handed over only once"
 
 
 def test_the_outcomes_that_the_hold_notes_are_in_the_copy_before_the_channel_is_handed_over() -> None:
@@ -57,9 +57,9 @@ def test_the_outcomes_that_the_hold_notes_are_in_the_copy_before_the_channel_is_
     source.put(3)
     source.now += IDLE_NANOS
     source.feed.take(source.now, MOST_BYTES)
-    assert source.handoff_decision.due(source.now) is None
+    assert source.handoff_decision.next_handoff(source.now) is None
     part = source.feed.take(source.now, MOST_BYTES)
     assert part is not None
     assert part.owner is not None
     assert [run.outcome.judged_items for run in part.owner.runs] == [2]
-    assert source.handoff_decision.due(source.now) is not None
+    assert source.handoff_decision.next_handoff(source.now) is not None

@@ -271,7 +271,7 @@ class FeedStream:
             part = self._feed.take(now, self._writer.limit_bytes)
             if self._feed.owner is not None:  # a proxy shows its readers its age instead
                 self._lag.check(hosted.record.name, self._source.next_seq - self._feed.next_seq, now)
-            handoff = None if self._handoff is None else self._handoff.due(now)
+            handoff = None if self._handoff is None else self._handoff.next_handoff(now)
             encoded = self._next_message(hosted, part, handoff)
             # a proxy that has all items needs no second look
             has_all = self._feed.owner is None and part is not None and part.next_seq == self._source.next_seq

@@ -22,10 +22,11 @@ class HandoffDecision:
         self._when_idle = when_idle
         self._is_over = False
 
-    def due(self, now: int) -> pb.FeedHandoff | None:
-        """The handoff for the next message; None: it comes later. It is due if all changes wait, the replicas in sync
-        have everything, and the copy has everything with this message. Holds an idle channel now if the destination
-        wants that.
+    def next_handoff(self, now: int) -> pb.FeedHandoff | None:
+        """The handoff for the next message; None: it comes later.
+
+        The next message has it if all changes wait, the replicas in sync have everything, and the copy has everything
+        with this message. Holds an idle channel now if the destination wants that.
 
         Raises Unavailable if too few replicas are in sync.
         """
