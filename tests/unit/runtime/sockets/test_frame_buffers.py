@@ -96,23 +96,23 @@ async def test_the_bytes_of_a_frame_that_never_ends_count_for_its_caller() -> No
 
 def test_later_frames_reuse_a_buffer_unless_a_view_of_it_still_exists() -> None:
     buffers = FrameBuffers()
-    buffer = buffers.buffer(1000)
+    buffer = buffers.take_buffer(1000)
     assert len(buffer) == 1000
     buffers.give_back(buffer)
-    assert buffers.buffer(900) is buffer
+    assert buffers.take_buffer(900) is buffer
     view = memoryview(buffer)[10:20]
     buffers.give_back(buffer)
-    assert buffers.buffer(900) is not buffer
+    assert buffers.take_buffer(900) is not buffer
     assert len(buffer) == 1000
     view.release()
-    assert buffers.buffer(1001) is not buffer
-    assert buffers.buffer(1000) is buffer
+    assert buffers.take_buffer(1001) is not buffer
+    assert buffers.take_buffer(1000) is buffer
 
 
 def test_only_a_few_of_the_longest_free_buffers_are_kept() -> None:
     buffers = FrameBuffers()
-    taken = [buffers.buffer(100 * (at % 7 + 1)) for at in range(7)]
+    taken = [buffers.take_buffer(100 * (at % 7 + 1)) for at in range(7)]
     for buffer in taken:
         buffers.give_back(buffer)
-    kept = {id(buffers.buffer(1)) for _ in range(BUFFERS_KEPT)}
+    kept = {id(buffers.take_buffer(1)) for _ in range(BUFFERS_KEPT)}
     assert kept == {id(buffer) for buffer in taken[-BUFFERS_KEPT:]}

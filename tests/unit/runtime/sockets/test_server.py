@@ -72,13 +72,13 @@ async def test_a_stream_reads_and_writes_and_ends(port: Open) -> None:
 
 
 async def test_later_frames_reuse_the_memory_of_a_long_frame(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    taken, original = list[bytearray](), FrameBuffers.buffer
+    taken, original = list[bytearray](), FrameBuffers.take_buffer
 
-    def buffer(self: FrameBuffers, frame_bytes: int) -> bytearray:
+    def take_buffer(self: FrameBuffers, frame_bytes: int) -> bytearray:
         taken.append(original(self, frame_bytes))
         return taken[-1]
 
-    monkeypatch.setattr(FrameBuffers, "buffer", buffer)
+    monkeypatch.setattr(FrameBuffers, "take_buffer", take_buffer)
     async with port() as one, raw_stream(one.target) as stream:
         await stream.begin(ECHO)
         for _ in range(3):

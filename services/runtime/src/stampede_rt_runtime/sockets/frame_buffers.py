@@ -59,15 +59,15 @@ class FrameBuffers:
         self._kept: list[bytearray] = []
         self._lines: WeakKeyDictionary[Account, _Line] = WeakKeyDictionary()
 
-    def buffer(self, frame_bytes: int) -> bytearray:
-        """A buffer for a long frame. It may be longer than the frame."""
+    def take_buffer(self, frame_bytes: int) -> bytearray:
+        """Take a buffer for a long frame. The buffer may be longer than the frame."""
         for at, one in enumerate(self._kept):
             if len(one) >= frame_bytes and not has_views(one):
                 return self._kept.pop(at)
         return bytearray(frame_bytes)
 
     def give_back(self, buffer: bytearray) -> None:
-        """Keep the buffer of a frame for later frames. The method `buffer` skips it while a view of it exists.
+        """Keep the buffer of a frame for later frames. The method `take_buffer` skips it while a view of it exists.
 
         asyncio and uvloop have a view of it until they have returned from the call that completed the frame.
         """

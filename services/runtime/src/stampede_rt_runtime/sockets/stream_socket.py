@@ -60,7 +60,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._transport: Any = None
         opening, message = FrameKind.OPENING, FrameKind.MESSAGE
         bytes_max = {opening: OPENING_BYTES_MAX, message: limits.socket_request_bytes_max, FrameKind.END: 0}
-        self._frames = FrameReader(bytes_max, new_buffer=buffers.buffer)
+        self._frames = FrameReader(bytes_max, new_buffer=buffers.take_buffer)
         self._loop = asyncio.get_running_loop()
         self._deadline: asyncio.TimerHandle | None = None
         self._messages: deque[bytes] = deque()
