@@ -1,4 +1,4 @@
-"""Prove that each name that a module of the tests imports from another module of the tests exists there.
+"""Check that each name that a module of the tests imports from another module of the tests exists there.
 
 mypy does not read the tests. Without this check, only a run of the suite finds a rename that misses one file.
 """

@@ -1,4 +1,4 @@
-"""Prove that docstrings, comments and names of tests have no clause without its noun, such as "What was collected".
+"""Check that docstrings, comments and names of tests have no clause without its noun, such as "What was collected".
 
 The explanation of an argument needs its noun, too, as in "`epoch`: the epoch of the channel". The rule is under "Plain
 prose" in CONTRIBUTING. A docstring may be a question ("Who leads?"). In texts and names the check also refuses the

@@ -1,4 +1,4 @@
-"""Prove that only one module uses the private names of PySyncObj.
+"""Check that only one module uses the private names of PySyncObj.
 
 Python mangles them: from outside, `__raftLog` of the class `SyncObj` is `_SyncObj__raftLog`. All other modules use the
 plain names that this one module gives.

@@ -1,4 +1,4 @@
-"""Prove that the unit tests mirror the sources, so that the name of a module leads to its tests.
+"""Check that the unit tests mirror the sources, so that the name of a module leads to its tests.
 
 The tests of `<package>/<folder>/<module>.py` are `tests/unit/<name of the package>/<folder>/test_<module>.py`.
 A topic may follow: `test_<module>_<topic>.py`. Tests of a whole folder have its name: `test_<folder>_<topic>.py`.

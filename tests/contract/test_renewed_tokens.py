@@ -117,8 +117,8 @@ class WaitingCalls:
         }.items():
             self.waiting[kind] = asyncio.ensure_future(wait)
 
-    async def bring(self, own: Any, **proof: Any) -> None:
-        """End each wait by an item, a message or a change, made over `own` and a connection with `proof`."""
+    async def bring(self, own: Any, **credential: Any) -> None:
+        """End each wait by an item, a message or a change, made over `own` and a connection with `credential`."""
         channel = await own.channel(self.name)
         for _ in range(2):  # the second item makes the first one visible in the group
             await channel.put(b"x")
@@ -126,7 +126,7 @@ class WaitingCalls:
         await own.channel(f"{self.name}/new")
         await (await own.channel(f"{self.name}/full")).configure(max_items=2)
         await own.send(self.peer.name, b"x")
-        other = await self.rig.connect(name=f"{self.name}/peer", **proof)
+        other = await self.rig.connect(name=f"{self.name}/peer", **credential)
         await other.mailbox.get(timeout=0)
 
     async def check(self) -> None:

@@ -24,7 +24,7 @@ class Observation:
     - `busy_permille`: the share of a core that a host used by its last report to the directory, in thousandths; None if
       the directory knows none.
     - `denials`: the number of calls that the part denied since its start, the last one `denied_ago_nanos` ago. The
-      reason was the caller's proof or role, or a rule of access.
+      reason was the caller's credential or role, or a rule of access.
     - `quota_refusals`: the number of calls that the part refused since its start because their callers were beyond a
       quota, the last one `quota_refused_ago_nanos` ago.
     - `limits_caller`: whether rules of access limit the caller, so that listings may leave out things.

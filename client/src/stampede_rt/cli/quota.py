@@ -27,7 +27,9 @@ DEFAULT = "(default)"  # the text for the subject of a default limit
 UNLIMITED = 2**62  # a limit of this number or more is no limit
 _UNITS = {"": 1, "B": 1, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
 _LIMIT = re.compile(r"(\d{1,19})\s*(B|KiB|MiB|GiB)?", re.ASCII)
-_WHO_HELP = 'a client\'s name, "@ADDRESS" for callers whose proof has no name, or a pattern such as "cam-*" or "@10.*"'
+_WHO_HELP = (
+    'a client\'s name, "@ADDRESS" for callers whose credential has no name, or a pattern such as "cam-*" or "@10.*"'
+)
 
 
 def add_verbs(subparsers: Any) -> None:

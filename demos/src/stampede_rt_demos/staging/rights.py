@@ -53,13 +53,13 @@ def hand_out(
         for role, theirs in rights.items():
             name = caller_name(role)
             version = max(_allow(supernodes, name, one) for one in (*theirs, Right(("register",), "peer", name)))
-            environments[role] = _proof(cluster, supernodes, name)
+            environments[role] = _credential(cluster, supernodes, name)
         if behind := supernodes.parts_behind(version, of_rules=True):
             raise DemoFailed(f"the rules of access are not in force at {', '.join(behind)}; run the demo again")
     return environments
 
 
-def _proof(cluster: LocalCluster, supernodes: Cluster, name: str) -> dict[str, str]:
+def _credential(cluster: LocalCluster, supernodes: Cluster, name: str) -> dict[str, str]:
     """Make a token or certificate for a role. Returns the variables that name its files."""
     if files := cluster.tls_files(name):
         paths = {"CA": files.ca, "CERTIFICATE": files.certificate, "KEY": files.key}

@@ -1,4 +1,4 @@
-"""Admits a call by the proof that its caller brings (a certificate, token or secret) and by the caller's roles."""
+"""Admits a call by the credential that its caller brings (a certificate, token or secret) and by the caller's roles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
 from stampede_rt.status import abort
 from stampede_rt_runtime.access.caller import Caller, CallerCertificate
 from stampede_rt_runtime.access.control import AccessControl
-from stampede_rt_runtime.access.proofs import AcceptedProofs, identify, of_certificate_alone
+from stampede_rt_runtime.access.credentials import AcceptedCredentials, identify, of_certificate_alone
 from stampede_rt_runtime.handlers import guarded
 from stampede_rt_runtime.identity import Identity, identity_among
 from stampede_rt_runtime.roles import is_closed_to_clients, why_refused
@@ -34,9 +34,9 @@ def caller_identity(context: Context) -> Identity | None:
 
 
 class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Refuses every call whose caller brings no accepted proof, or whose caller may not make the call."""
+    """Refuses every call whose caller brings no accepted credential, or whose caller may not make the call."""
 
-    def __init__(self, accepted: AcceptedProofs, control: AccessControl) -> None:
+    def __init__(self, accepted: AcceptedCredentials, control: AccessControl) -> None:
         self._accepted = accepted
         self._control = control
 
@@ -67,7 +67,7 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         return guarded(handler, admitted)
 
     def _unknown(self, method: str) -> Any:
-        """A handler for unknown methods. Only a caller with a proof learns that the method is unknown.
+        """A handler for unknown methods. Only a caller with a credential learns that the method is unknown.
 
         It is a stream-stream handler, because such a handler serves every kind of call on the wire. It answers before
         any request comes.

@@ -14,7 +14,7 @@ import grpc
 from stampede_rt.v1 import quota_use_service_pb2_grpc
 from stampede_rt_runtime.aborts import AbortInterceptor
 from stampede_rt_runtime.access.control import AccessControl
-from stampede_rt_runtime.access.proofs import AcceptedProofs
+from stampede_rt_runtime.access.credentials import AcceptedCredentials
 from stampede_rt_runtime.admission import AdmissionInterceptor
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.callers_cluster import ClusterInterceptor, JudgeCluster
@@ -66,7 +66,7 @@ class ServiceServer:
         self.access = AccessControl()  # the service gives it the directory's rules by `tell` or `draw_from`
         self.refused_calls = RefusedCalls()
         self.slots = Slots(limits)
-        accepted = AcceptedProofs(
+        accepted = AcceptedCredentials(
             secrets=secret.accepted if secret else (),
             client_secrets=client_secret.accepted if client_secret else (),
             cluster=tls.identity.cluster if tls else "",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from stampede_rt.errors import InvalidArgument, PermissionDenied
 from stampede_rt.v1 import access_pb2
 from stampede_rt_runtime.access.caller import Caller, CallerKind
+from stampede_rt_runtime.access.credentials import AcceptedCredentials, identify
 from stampede_rt_runtime.access.messages import rule_from, rule_message
-from stampede_rt_runtime.access.proofs import AcceptedProofs, identify
 from stampede_rt_runtime.access.rules import AccessKind, AccessRules, AccessVerb, check_rule
 from stampede_rt_runtime.access.tokens import TokenClaims, make_token, public_key, read_token
 from stampede_rt_runtime.identity import Role
@@ -34,10 +34,10 @@ def client_token(source: ByteSource) -> None:
     assert read == claims, f"a forged token is believed: {forged!r}"
 
 
-def proof(source: ByteSource) -> None:
+def credential(source: ByteSource) -> None:
     """Check that no header without a secret admits its caller."""
     brought = source.choice((None, hostile_values.blob(source), b"Bearer " + hostile_values.blob(source)))
-    caller = identify(AcceptedProofs(secrets=("the secret of the cluster",)), brought, None)
+    caller = identify(AcceptedCredentials(secrets=("the secret of the cluster",)), brought, None)
     raise AssertionError(f"{caller} was accepted with {brought!r}")
 
 
@@ -58,6 +58,6 @@ def rule(source: ByteSource) -> None:
 
 TARGETS = (
     Target("client_token", client_token, (PermissionDenied,)),
-    Target("proof", proof, (PermissionDenied,)),
+    Target("credential", credential, (PermissionDenied,)),
     Target("rule", rule, (InvalidArgument,)),
 )

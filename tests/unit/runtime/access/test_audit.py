@@ -48,7 +48,7 @@ def test_repeated_denials_of_one_caller_make_one_line_a_second_with_their_number
     assert log.denials == 1002
 
 
-def test_a_caller_without_a_proof_is_named_by_its_machine_not_by_each_of_its_ports(
+def test_a_caller_without_a_credential_is_named_by_its_machine_not_by_each_of_its_ports(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     log = AuditLog(Clock())

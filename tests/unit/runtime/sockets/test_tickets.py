@@ -33,19 +33,19 @@ def test_each_certificate_has_one_ticket_that_proves_it() -> None:
     assert second
     assert first != second
     assert one.issue(shown(1)) == first
-    assert one.proof_of(first) == {key: tuple(shown(1)[key]) for key in ("x509_pem_cert", "peer_uri")}
+    assert one.certificate_of(first) == {key: tuple(shown(1)[key]) for key in ("x509_pem_cert", "peer_uri")}
 
 
 def test_a_connection_without_a_certificate_gets_an_empty_ticket_which_proves_nothing() -> None:
     one = Issuer().tickets
     assert one.issue({"transport_security_type": [b"insecure"]}) == b""
-    assert one.proof_of(b"") == one.proof_of(b"made up") == {}
+    assert one.certificate_of(b"") == one.certificate_of(b"made up") == {}
 
 
 def test_a_ticket_of_another_process_proves_nothing() -> None:
     ticket = Issuer().tickets.issue(shown(1))
     assert ticket is not None
-    assert Issuer().tickets.proof_of(ticket) == {}
+    assert Issuer().tickets.certificate_of(ticket) == {}
 
 
 def test_new_certificates_above_the_limit_get_no_ticket_until_old_tickets_have_ended(
@@ -60,4 +60,4 @@ def test_new_certificates_above_the_limit_get_no_ticket_until_old_tickets_have_e
     assert one.tickets.issue(shown(4))
     assert first is not None
     assert second is not None
-    assert (one.tickets.proof_of(first), bool(one.tickets.proof_of(second))) == ({}, True)
+    assert (one.tickets.certificate_of(first), bool(one.tickets.certificate_of(second))) == ({}, True)

@@ -1268,7 +1268,7 @@ _shtab_stampede_quota_set_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  ":a client\'s name, \"\@ADDRESS\" for callers whose proof has no name, or a pattern such as \"cam-\*\" or \"\@10.\*\":"
+  ":a client\'s name, \"\@ADDRESS\" for callers whose credential has no name, or a pattern such as \"cam-\*\" or \"\@10.\*\":"
   "(*):streams, subscriptions, waiting-calls, bytes-in-flight, channels, queues, groups, peers, changes-per-second, bytes-held, bytes-archived, cpu-percent\; a number, bytes also with KiB, MiB, GiB\; or \`unlimited\`:"
 )
 

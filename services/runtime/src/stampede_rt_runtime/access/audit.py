@@ -34,7 +34,7 @@ class AuditLog:
         return None if self._denied_s is None else round((self._clock_s() - self._denied_s) * 1e9)
 
     def denied(self, caller: Caller | None, address: str, verb: str, name: str) -> None:
-        """Log a denial. `caller` None: it brought no accepted proof. `verb`: an access verb, or the method's name."""
+        """Log a denial. `caller`: None if no credential is accepted. `verb`: an access verb, or a method's name."""
         self.denials += 1
         self._denied_s = self._clock_s()
         left_out = self._turn(address.rpartition(":")[0] if caller is None else caller.name)

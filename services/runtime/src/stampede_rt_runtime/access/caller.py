@@ -1,4 +1,4 @@
-"""The caller of a call: its proof, its name and its roles. Pure."""
+"""The caller of a call: its credential, its name and its roles. Pure."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from stampede_rt_runtime.identity import SERVICES, Identity, Role
 
 
 class CallerKind(StrEnum):
-    """The kind of proof of the caller's identity."""
+    """The kind of credential that proves who the caller is."""
 
     CERTIFICATE = "certificate"
     TOKEN = "token"
     CLIENT_SECRET = "client secret"
     CLUSTER_SECRET = "cluster secret"
-    NOBODY = "nobody"  # the service asks for no proof
+    NOBODY = "nobody"  # the service asks for no credential
 
 
 ALL_ROLES = frozenset(Role)
@@ -34,7 +34,7 @@ class Caller:
 
     `serial` identifies the certificate or token among others of the same name; empty: there is none. `ends_unix_nano`:
     the end of its validity; 0: it has no end. `connection`: the certificate that opened the connection, if a token came
-    with it; the caller is valid only as long as both proofs are valid.
+    with it; the caller is valid only as long as both credentials are valid.
     """
 
     kind: CallerKind
@@ -55,29 +55,29 @@ class Caller:
         return not self.roles & UNJUDGED
 
     @property
-    def proofs(self) -> Iterator[Caller]:
-        """The caller by each of its proofs: this proof, and the connection's certificate."""
+    def by_each_credential(self) -> Iterator[Caller]:
+        """The caller by each of its credentials: this credential, and the connection's certificate."""
         yield self
         if self.connection is not None:
             yield self.connection
 
     def revoked_among(self, serials: Set[str]) -> Caller | None:
-        """The caller by the first proof whose serial number is among `serials`; None: there is none."""
-        return next((one for one in self.proofs if one.serial in serials), None)
+        """The caller by the first credential whose serial number is among `serials`; None: there is none."""
+        return next((one for one in self.by_each_credential if one.serial in serials), None)
 
     def ended_by(self, now_unix_nano: int) -> Caller | None:
-        """The caller by the first proof whose validity has ended; None: there is none."""
-        return next((one for one in self.proofs if 0 < one.ends_unix_nano <= now_unix_nano), None)
+        """The caller by the first credential whose validity has ended; None: there is none."""
+        return next((one for one in self.by_each_credential if 0 < one.ends_unix_nano <= now_unix_nano), None)
 
     @property
     def first_end_unix_nano(self) -> int:
-        """The end of the proof that ends first; 0: no proof has an end."""
-        return min((one.ends_unix_nano for one in self.proofs if one.ends_unix_nano), default=0)
+        """The end of the credential that ends first; 0: no credential has an end."""
+        return min((one.ends_unix_nano for one in self.by_each_credential if one.ends_unix_nano), default=0)
 
     @property
     def may_end(self) -> bool:
-        """Whether a proof of the caller may be revoked, or has an end."""
-        return any(one.serial or one.ends_unix_nano for one in self.proofs)
+        """Whether a credential of the caller may be revoked, or has an end."""
+        return any(one.serial or one.ends_unix_nano for one in self.by_each_credential)
 
 
 ANYONE = Caller(kind=CallerKind.NOBODY, roles=ALL_ROLES, name="@anyone")

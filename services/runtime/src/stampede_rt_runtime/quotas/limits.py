@@ -54,9 +54,9 @@ IN_DIRECTORY = frozenset({Quota.CHANNELS, Quota.QUEUES, Quota.GROUPS, Quota.PEER
 COUNTED_BY_CREATOR = IN_DIRECTORY | {Quota.BYTES_HELD, Quota.BYTES_ARCHIVED}
 """These quotas count the things that a caller has created, wherever it calls from.
 
-Callers without a name of their own count together, by the kind of their proof.
+Callers without a name of their own count together, by the kind of their credential.
 """
-# The names of callers whose proof has no name of its own. COUNTED_BY_CREATOR have no default limit for them.
+# The names of callers whose credential has no name of its own. COUNTED_BY_CREATOR have no default limit for them.
 SHARED_NAMES = frozenset({"@clients", "@cluster", "@anyone"})
 
 

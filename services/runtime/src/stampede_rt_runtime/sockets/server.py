@@ -279,8 +279,8 @@ class SocketServer:
         connection, metadata = stream.connection, _metadata(opening)
         try:
             handler = await self._find(_CallDetails(opening.method, metadata))
-            proof = self.tickets.proof_of(opening.ticket) if connection.is_local else connection.proof
-            context = SocketContext(connection, metadata, connection.peer, proof, handler)
+            certificate = self.tickets.certificate_of(opening.ticket) if connection.is_local else connection.certificate
+            context = SocketContext(connection, metadata, connection.peer, certificate, handler)
             await handler.stream_stream(context, context)
             connection.end(OK)
         except AbortError:

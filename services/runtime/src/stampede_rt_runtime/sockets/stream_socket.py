@@ -20,7 +20,7 @@ from stampede_rt_runtime.sockets.frame_buffers import SHORT_BYTES, FrameBuffers,
 from stampede_rt_runtime.sockets.hangups import HangupWatcher
 from stampede_rt_runtime.sockets.openings import opening_in, unfinished, unread_by_peer
 from stampede_rt_runtime.sockets.socket_owner import SocketOwner
-from stampede_rt_runtime.sockets.tickets import Proof
+from stampede_rt_runtime.sockets.tickets import CertificateFacts
 
 FRAME_SECONDS_MAX = 11.0  # from the first byte of a frame to its last one, while the service reads
 STALL_SECONDS_MAX = 30.0  # the longest time for which a peer may take no bytes from the service
@@ -49,7 +49,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         """`peer`: the other side, as gRPC names it."""
         self.socket: Any = None
         self.peer, self.is_local, self.machine = peer, peer == LOCAL_PEER, machine_of(peer)
-        self.proof: Proof = {}
+        self.certificate: CertificateFacts = {}
         """The certificate of the connection; nothing without TLS."""
         self.is_opened = False
         self.is_over = False

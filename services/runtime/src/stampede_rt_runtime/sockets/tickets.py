@@ -18,7 +18,7 @@ _KEPT = (_CERTIFICATE, "peer_uri")
 
 AuthContext = Mapping[str, Iterable[bytes]]
 """The properties of a TLS connection, as `grpc.ServicerContext.auth_context` has them."""
-Proof = Mapping[str, Sequence[bytes]]
+CertificateFacts = Mapping[str, Sequence[bytes]]
 """The properties that identify the certificate."""
 
 
@@ -36,7 +36,7 @@ class SocketTickets:
         self._end_of = end_of or _end_of
         self._time_unix_nano = time_unix_nano
         self._tickets: dict[bytes, bytes] = {}  # by certificate, in the order of issue
-        self._proofs: dict[bytes, tuple[Proof, int]] = {}  # by ticket, with the end of the certificate
+        self._certificates: dict[bytes, tuple[CertificateFacts, int]] = {}  # by ticket, with the end of the certificate
 
     def issue(self, auth: AuthContext) -> bytes | None:
         """The ticket for the certificate of a connection; empty if it has no certificate. None: there are too many."""
@@ -47,19 +47,19 @@ class SocketTickets:
         if len(self._tickets) >= TICKETS_MAX:
             return None
         ticket = self._tickets[certificate] = secrets.token_bytes(TICKET_BYTES)
-        self._proofs[ticket] = {key: tuple(auth[key]) for key in _KEPT if key in auth}, self._end_of(certificate)
+        self._certificates[ticket] = {key: tuple(auth[key]) for key in _KEPT if key in auth}, self._end_of(certificate)
         return ticket
 
-    def proof_of(self, ticket: bytes) -> Proof:
-        """The proof of the caller with this ticket; nothing for a ticket that this service has not issued."""
-        found = self._proofs.get(ticket)
+    def certificate_of(self, ticket: bytes) -> CertificateFacts:
+        """The certificate of the caller with this ticket; nothing for a ticket that this service has not issued."""
+        found = self._certificates.get(ticket)
         return {} if found is None else found[0]
 
     def _forget_ended(self) -> None:
         """Forget the tickets that were issued first, up to one whose certificate has not ended."""
         now = self._time_unix_nano()
-        while self._tickets and self._proofs[next(iter(self._tickets.values()))][1] <= now:
-            del self._proofs[self._tickets.pop(next(iter(self._tickets)))]
+        while self._tickets and self._certificates[next(iter(self._tickets.values()))][1] <= now:
+            del self._certificates[self._tickets.pop(next(iter(self._tickets)))]
 
 
 def _end_of(certificate: bytes) -> int:

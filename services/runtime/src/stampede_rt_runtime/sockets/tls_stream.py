@@ -159,7 +159,7 @@ class TlsStream(asyncio.BufferedProtocol):
         self._transport.resume_reading()
         if self._is_secured and self._deadline is not None:
             self._deadline.cancel()
-            self._stream.proof = self._tls.peer_certificate()
+            self._stream.certificate = self._tls.peer_certificate()
             self._stream.connection_made(self)
             self._open_some()
 

@@ -1,9 +1,9 @@
 """Join tokens: any supernode can make and check them, and no supernode stores them before their use. Pure.
 
-A token contains the time at which it ends, the id of the request that made it, the id of the cluster's log, and a proof
-(HMAC, RFC 2104) for one supernode id and one address. The newcomer needs the id of the log for its first hello. The
-first leader makes the random key of the proofs. The supernodes keep the key in the directory, and send it to no caller.
-The log makes sure that a token lets in only one member.
+A token contains the time at which it ends, the id of the request that made it, the id of the cluster's log, and a
+signature (HMAC, RFC 2104) for one supernode id and one address. The newcomer needs the id of the log for its first
+hello. The first leader makes the random key of the signatures. The supernodes keep the key in the directory, and send
+it to no caller. The log makes sure that a token lets in only one member.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from stampede_rt_supernode.replication import Member
 VALID_NANOS_DEFAULT = 3600 * 10**9
 VALID_NANOS_MAX = 24 * 3600 * 10**9
 KEY_BYTES = 32
-# The parts before the proof: this prefix with the version of the form, the end, the request id, and the id of the log.
+# The parts before the signature: this prefix with the version of the form, the end, the request id, the id of the log.
 _PREFIX = "sj3"
 _PARTS = 4
 
@@ -31,16 +31,17 @@ class JoinTokens:
     def make(self, request_id: bytes, newcomer: Member, *, valid_until_unix_nano: int, log_cluster_id: str) -> str:
         """The token for a request. Equal arguments give equal tokens."""
         body = f"{_PREFIX}.{valid_until_unix_nano:x}.{request_id.hex()}.{log_cluster_id.encode().hex()}"
-        return f"{body}.{self._proof(body, newcomer)}"
+        return f"{body}.{self._signature(body, newcomer)}"
 
     def check(self, token: str, newcomer: Member, *, now_unix_nano: int) -> str:
         """Check a token, and return its hash: the ticket by which the log knows it.
 
         Raises PermissionDenied with reason UNAUTHENTICATED.
         """
-        body, _, proof = token.rpartition(".")
+        body, _, signature = token.rpartition(".")
         parts = body.split(".")
-        if not hmac.compare_digest(proof.encode(), self._proof(body, newcomer).encode()) or len(parts) != _PARTS:
+        is_signed = hmac.compare_digest(signature.encode(), self._signature(body, newcomer).encode())
+        if not is_signed or len(parts) != _PARTS:
             raise _refused(
                 f"the join token is not one of this cluster for {newcomer.member_id} at {newcomer.address}; make one "
                 "with `stampede supernode add`, which prints the whole command"
@@ -49,13 +50,13 @@ class JoinTokens:
             raise _refused("the join token has ended; make another one with `stampede supernode add`")
         return hashlib.sha256(token.encode()).hexdigest()
 
-    def _proof(self, body: str, newcomer: Member) -> str:
+    def _signature(self, body: str, newcomer: Member) -> str:
         signed_text = f"stampede-rt join token\n{body}\n{newcomer.member_id}\n{newcomer.address}"
         return hmac.new(self._join_key, signed_text.encode(), hashlib.sha256).hexdigest()
 
 
 def log_cluster_of(token: str) -> str:
-    """The id of the log in a token. Checks no proof. Raises InvalidArgument if the text is not a token."""
+    """The id of the log in a token. Checks no signature. Raises InvalidArgument if the text is not a token."""
     parts = token.split(".")
     try:
         if parts[0] != _PREFIX or len(parts) != _PARTS + 1:

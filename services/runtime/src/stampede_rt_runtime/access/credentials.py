@@ -1,4 +1,4 @@
-"""Derives the caller from the proofs that a call brings. Pure."""
+"""Derives the caller from the credentials that a call brings. Pure."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _SEARCHED_FILES = (
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class AcceptedProofs:
-    """The proofs that a service accepts. A service that accepts no proof asks for none.
+class AcceptedCredentials:
+    """The credentials that a service accepts. A service that accepts no credential asks for none.
 
     `cluster`: the cluster of the service's own certificate; empty if callers need no certificates. `read_token`:
     returns the caller of a token, or None for a text that is not a token; raises PermissionDenied or Unavailable.
@@ -30,7 +30,9 @@ class AcceptedProofs:
     read_token: Callable[[str], Caller | None] = lambda text: None
 
 
-def identify(accepted: AcceptedProofs, authorization: bytes | None, certificate: CallerCertificate | None) -> Caller:
+def identify(
+    accepted: AcceptedCredentials, authorization: bytes | None, certificate: CallerCertificate | None
+) -> Caller:
     """The caller who sent this `authorization` metadata and this certificate.
 
     Raises PermissionDenied, and the errors of `read_token`.
@@ -45,7 +47,7 @@ def identify(accepted: AcceptedProofs, authorization: bytes | None, certificate:
     return certified or secret or ANYONE
 
 
-def of_certificate_alone(accepted: AcceptedProofs, certificate: CallerCertificate | None) -> Caller:
+def of_certificate_alone(accepted: AcceptedCredentials, certificate: CallerCertificate | None) -> Caller:
     """The caller of a method that needs no secret: the owner of the certificate, if the service has certificates."""
     return _certified(accepted, certificate) if accepted.cluster else ANYONE
 
@@ -57,7 +59,7 @@ def _brought(authorization: bytes | None) -> bytes | None:
     return authorization[len(SCHEME) :] if authorization.startswith(SCHEME) else b""
 
 
-def _certified(accepted: AcceptedProofs, certificate: CallerCertificate | None) -> Caller:
+def _certified(accepted: AcceptedCredentials, certificate: CallerCertificate | None) -> Caller:
     if certificate is None:
         raise PermissionDenied(
             "the caller's certificate does not name exactly one role of a cluster (one URI "
@@ -72,7 +74,7 @@ def _certified(accepted: AcceptedProofs, certificate: CallerCertificate | None) 
     return by_certificate(certificate)
 
 
-def _token(accepted: AcceptedProofs, brought: bytes | None) -> Caller | None:
+def _token(accepted: AcceptedCredentials, brought: bytes | None) -> Caller | None:
     if brought is None:
         return None
     try:
@@ -81,7 +83,7 @@ def _token(accepted: AcceptedProofs, brought: bytes | None) -> Caller | None:
         return None
 
 
-def _by_secret(accepted: AcceptedProofs, brought: bytes | None) -> Caller:
+def _by_secret(accepted: AcceptedCredentials, brought: bytes | None) -> Caller:
     if brought is None:
         raise _refused(
             "the call brought no secret",

@@ -1,4 +1,4 @@
-"""The proofs of a call decide which caller it has."""
+"""The credentials of a call decide which caller it has."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 
 from stampede_rt.errors import PermissionDenied
 from stampede_rt_runtime.access.caller import ALL_ROLES, ANYONE, Caller, CallerCertificate, CallerKind
-from stampede_rt_runtime.access.proofs import AcceptedProofs, identify
+from stampede_rt_runtime.access.credentials import AcceptedCredentials, identify
 from stampede_rt_runtime.identity import Identity, Role
 
 TOKEN = Caller(kind=CallerKind.TOKEN, roles=frozenset({Role.CLIENT}), name="cam", serial="1")
@@ -18,10 +18,10 @@ def read_token(text: str) -> Caller | None:
     return TOKEN if text == "token" else None
 
 
-OPEN = AcceptedProofs(read_token=read_token)
-ONE = AcceptedProofs(secrets=("s",), read_token=read_token)
-TWO = AcceptedProofs(secrets=("s", "s-new"), client_secrets=("c", "c-new"), read_token=read_token)
-CERTIFIED = AcceptedProofs(cluster="lab", read_token=read_token)
+OPEN = AcceptedCredentials(read_token=read_token)
+ONE = AcceptedCredentials(secrets=("s",), read_token=read_token)
+TWO = AcceptedCredentials(secrets=("s", "s-new"), client_secrets=("c", "c-new"), read_token=read_token)
+CERTIFIED = AcceptedCredentials(cluster="lab", read_token=read_token)
 HOST = CallerCertificate(Identity("lab", Role.HOST, "h1"))
 
 
@@ -41,8 +41,12 @@ HOST = CallerCertificate(Identity("lab", Role.HOST, "h1"))
         (CERTIFIED, b"Bearer token", HOST, "cam", {Role.CLIENT}),
     ],
 )
-def test_each_proof_gives_a_name_and_roles(
-    accepted: AcceptedProofs, brought: bytes | None, certificate: CallerCertificate | None, name: str, roles: set[Role]
+def test_each_credential_gives_a_name_and_roles(
+    accepted: AcceptedCredentials,
+    brought: bytes | None,
+    certificate: CallerCertificate | None,
+    name: str,
+    roles: set[Role],
 ) -> None:
     caller = identify(accepted, brought, certificate)
     assert (caller.name, caller.roles) == (name, roles)
@@ -62,8 +66,8 @@ def test_each_proof_gives_a_name_and_roles(
         (CERTIFIED, None, CallerCertificate(Identity("other", Role.HOST, "h1")), "this service is of cluster lab"),
     ],
 )
-def test_a_malformed_proof_is_refused_with_the_reason(
-    accepted: AcceptedProofs, brought: bytes | None, certificate: CallerCertificate | None, told: str
+def test_a_malformed_credential_is_refused_with_the_reason(
+    accepted: AcceptedCredentials, brought: bytes | None, certificate: CallerCertificate | None, told: str
 ) -> None:
     with pytest.raises(PermissionDenied, match=told):
         identify(accepted, brought, certificate)
