@@ -15,7 +15,10 @@ NPY = "application/x-npy"
 DEPTH_MAX = 8  # the levels of nested objects that become columns; deeper objects become JSON text
 COLUMNS_MAX = 1000
 INT_MAX = 2**63 - 1
-BOOL, INT, FLOAT, TEXT, INTS, FLOATS = "bool", "int", "float", "text", "ints", "floats"
+EXACT_MAX = 2**53  # a float has each whole number up to here exactly
+BOOL, INT, LONG, FLOAT, TEXT = "bool", "int", "long", "float", "text"
+INTS, LONGS, FLOATS = "ints", "longs", "floats"
+_JOINED = {FLOAT: {INT, FLOAT}, LONG: {INT, LONG}, FLOATS: {INTS, FLOATS}, LONGS: {INTS, LONGS}}
 Cell = Any
 Row = dict[str, Cell]
 
@@ -25,7 +28,7 @@ def cells_of(payload: bytes, content_type: str) -> Row:
     media = content_type.partition(";")[0].strip().lower()
     try:
         if media == JSON:
-            return _row_of(json.loads(payload))
+            return _row_of(json.loads(payload, object_pairs_hook=_object_of))
         if media == NPY:
             return _array_cells(payload)
     except (ValueError, RecursionError, TypeError, SyntaxError) as error:
@@ -34,6 +37,13 @@ def cells_of(payload: bytes, content_type: str) -> Row:
         f"it has the content type {content_type or 'none'!r}; tables take {JSON} and {NPY}; export it as MCAP, or "
         "choose other channels"
     )
+
+
+def _object_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise FileError("an object in it has the same key twice; export it as MCAP")
+    return found
 
 
 def _row_of(value: Any) -> Row:
@@ -80,13 +90,14 @@ def kind_of(cell: Cell) -> str | None:
     if isinstance(cell, bool):
         return BOOL
     if isinstance(cell, int):
-        return INT if abs(cell) <= INT_MAX else TEXT
+        return INT if abs(cell) <= EXACT_MAX else LONG if abs(cell) <= INT_MAX else TEXT
     if isinstance(cell, float):
         return FLOAT
     if isinstance(cell, list) and all(type(one) in (int, float) for one in cell):
+        most = max((abs(one) for one in cell if type(one) is int), default=0)
         if any(type(one) is float for one in cell):
-            return FLOATS
-        return INTS if all(abs(one) <= INT_MAX for one in cell) else TEXT
+            return FLOATS if most <= EXACT_MAX else TEXT
+        return INTS if most <= EXACT_MAX else LONGS if most <= INT_MAX else TEXT
     return TEXT
 
 
@@ -97,7 +108,7 @@ def joined_kind(first: str | None, second: str | None) -> str | None:
     if first is None:
         return second
     both = {first, second}
-    return FLOAT if both == {INT, FLOAT} else FLOATS if both == {INTS, FLOATS} else TEXT
+    return next((joined for joined, kinds in _JOINED.items() if both == kinds), TEXT)
 
 
 def as_kind(cell: Cell, kind: str) -> Cell:
@@ -105,10 +116,15 @@ def as_kind(cell: Cell, kind: str) -> Cell:
     if cell is None:
         return None
     if kind == TEXT:
-        return _encodable(cell if isinstance(cell, str) else json.dumps(cell, ensure_ascii=False, default=str))
+        return _encodable(cell if isinstance(cell, str) else json.dumps(cell, ensure_ascii=False, default=_plain))
     if kind == FLOAT:
         return float(cell)
     return [float(one) for one in cell] if kind == FLOATS else cell
+
+
+def _plain(value: Any) -> Any:
+    """Return a value that JSON does not have as lists or text. The text of an array of numpy may lack numbers."""
+    return value.tolist() if hasattr(value, "ndim") and value.ndim else str(value)
 
 
 class Columns:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -191,3 +192,48 @@ def test_an_export_that_fails_leaves_no_part_of_a_table_and_the_former_table_sta
     source.close()
     assert output.read_bytes() == b"the former table"
     assert sorted(one.name for one in tmp_path.iterdir()) == sorted(["a.mcap", output.name])
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+@pytest.mark.parametrize(
+    ("payloads", "values"),
+    [
+        ([b"1764451234123456789", b"0.5"], ["1764451234123456789", "0.5"]),
+        ([b"[1764451234123456789]", b"[0.5]"], ["[1764451234123456789]", "[0.5]"]),
+        ([b"[1764451234123456789, 0.5]"], ["[1764451234123456789, 0.5]"]),
+        ([b"1764451234123456789", b"7", b"0.5"], ["1764451234123456789", "7", "0.5"]),
+    ],
+)
+def test_a_table_rounds_no_whole_number(tmp_path: Path, form: str, payloads: list[bytes], values: list[str]) -> None:
+    output = tmp_path / f"a.{form}"
+    export(file_of(tmp_path / "a.mcap", payloads, JSON), output, form)
+    if form == "parquet":
+        assert parquet_table(output).column("value").to_pylist() == values
+    else:
+        with output.open(newline="") as file:
+            assert [one["value"] for one in csv.DictReader(file)] == values
+
+
+def test_whole_numbers_that_a_float_cannot_have_stay_numbers_among_themselves(tmp_path: Path) -> None:
+    payloads = [b'{"a":9007199254740993,"b":[9007199254740993]}', b'{"a":1,"b":[2]}']
+    export(file_of(tmp_path / "a.mcap", payloads, JSON), tmp_path / "a.parquet", "parquet")
+    table = parquet_table(tmp_path / "a.parquet")
+    assert table.column("value.a").to_pylist() == [2**53 + 1, 1]
+    assert table.column("value.b").to_pylist() == [[2**53 + 1], [2]]
+
+
+def test_an_object_with_a_repeated_key_is_refused(tmp_path: Path) -> None:
+    path = file_of(tmp_path / "a.mcap", [b'{"a":{"b":1,"b":2}}'], JSON)
+    with pytest.raises(FileError, match=r"channel 'imu', item 1 at .*: an object in it has the same key twice"):
+        export(path, tmp_path / "a.csv", "csv")
+
+
+def test_an_array_in_an_array_keeps_all_its_numbers(tmp_path: Path) -> None:
+    inner = np.linspace(0, 1, 2000)
+    array = np.zeros(1, dtype=[("scan", "f8", (2000,))])
+    array["scan"] = inner
+    export(file_of(tmp_path / "a.mcap", [npy(array)], NPY), tmp_path / "a.csv", "csv")
+    csv.field_size_limit(10**6)
+    with (tmp_path / "a.csv").open(newline="") as file:
+        [row] = csv.DictReader(file)
+    assert json.loads(row["value"]) == [[inner.tolist()]]
