@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypedDict
 
 from mcap.records import Attachment, Metadata
 
@@ -220,7 +221,8 @@ def cut(
 ) -> RecordingSummary:
     """Copy the items of the chosen channels with a time from `start` on and before `end`. Raises FileError.
 
-    Reads the whole file. Refuses a damaged file: recover it first.
+    Copies all metadata and attachments, too, except the summary. Reads the whole file. Refuses a damaged file: recover
+    it first.
     """
     check_other(path, output)
     with FileReader(path) as reader, replacing(output, overwrite=overwrite) as writer:
@@ -232,22 +234,38 @@ def cut(
 
         chosen_part = IntervalFilter(start, end, chosen, take)
         for part in intact_contents(reader):
-            for event in part.events():
-                chosen_part.add(event)
+            if isinstance(part, ChunkContent):
+                for event in part.events():
+                    chosen_part.add(event)
+            else:
+                write(part)
         chosen_part.finish()
-        summary = tally.summary(os.fspath(output), damaged=losses_of([reader]))
+        summary = tally.summary(os.fspath(output), **losses_of([reader]))
         finish_with(writer, summary)
     return summary
 
 
-def losses_of(readers: Iterable[FileReader]) -> tuple[str, ...]:
-    """Return `RecordingSummary.damaged` of a file that is made of these files. Raises FileError."""
-    found = dict.fromkeys(text for one in readers if (told := one.summary()) for text in told.damaged)
-    return tuple(found)[:LOSSES_MAX]
+class UnnamedLosses(TypedDict):
+    """The losses of files that no gap names (see `RecordingSummary`)."""
+
+    absent: tuple[str, ...]
+    damaged: tuple[str, ...]
 
 
-def intact_contents(reader: FileReader) -> Iterator[ChunkContent]:
-    """Yield the chunks of a file. Raises FileError at the first damage, and if the end of the file is missing."""
+def losses_of(readers: Iterable[FileReader]) -> UnnamedLosses:
+    """Return the losses of a file that is made of these files. Raises FileError."""
+    told = [summary for one in readers if (summary := one.summary())]
+    absent = dict.fromkeys(text for summary in told for text in summary.absent)
+    damaged = dict.fromkeys(text for summary in told for text in summary.damaged)
+    return UnnamedLosses(absent=tuple(absent)[:LOSSES_MAX], damaged=tuple(damaged)[:LOSSES_MAX])
+
+
+def intact_contents(reader: FileReader) -> Iterator[ChunkContent | Attachment | Metadata]:
+    """Yield the chunks, attachments and metadata of a file.
+
+    Raises FileError at the first damage, at a message whose topic the file does not name, and if the end of the file is
+    missing.
+    """
     if reader.index is None and not reader.states_no_index:
         raise FileError(
             f"the end of the file {reader.path!r} is missing or damaged, so it may lack items; `stampede file recover` "
@@ -260,4 +278,5 @@ def intact_contents(reader: FileReader) -> Iterator[ChunkContent]:
                 "`stampede file recover` saves the readable part"
             )
         if isinstance(part, ChunkContent):
-            yield part
+            reader.check_named(part)
+        yield part

@@ -20,6 +20,7 @@ FACTS_VERSION = 1
 INCARNATION_KEY = "stampede.incarnation"  # in the metadata of a topic
 POLICY_KEY = "stampede.policy"
 TIME_MAX = 2**64 - 1  # the greatest time in MCAP, in nanoseconds
+_CONTENT_TYPES = {"json": "application/json", "protobuf": "application/x-protobuf", "": ""}
 _ENCODINGS = {"application/json": "json", "application/x-protobuf": "", "": "application/octet-stream"}
 
 
@@ -79,6 +80,14 @@ class FileAdvance(NamedTuple):
 def encoding_of(content_type: str) -> str:
     """Return the message encoding of MCAP for a content type."""
     return _ENCODINGS.get(content_type, content_type)
+
+
+def content_type_of_encoding(encoding: str) -> str:
+    """Return the content type for a message encoding of MCAP."""
+    known = _CONTENT_TYPES.get(encoding)
+    if known is not None:
+        return known
+    return encoding if "/" in encoding else f"application/x-{encoding}"
 
 
 def item_entry(topic: Topic, item: Item) -> FileEntry:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from stampede_rt.errors import FileError
-from stampede_rt.files.cells import BOOL, FLOAT, FLOATS, INT, INTS, Columns, cells_of
+from stampede_rt.files.cells import BOOL, FLOAT, FLOATS, INT, INTS, LONG, LONGS, Columns, cells_of
 from stampede_rt.files.entries import FileEntry
 from stampede_rt.files.names import channel_name
 from stampede_rt.files.sources import FileSource, none_chosen
@@ -28,7 +28,7 @@ HEADS = ("time", "duration", "seq", "attributes")
 class ExportSummary:
     """The rows of each table by its file, and the first 1000 gaps of the exported channels.
 
-    `damaged` says which items the source may lack besides the gaps.
+    `damaged` says which items or channels the source may lack besides the gaps.
     """
 
     rows: Mapping[str, int]
@@ -84,8 +84,8 @@ class ParquetTable:
         except ImportError as error:
             raise FileError("Parquet needs pyarrow; run: pip install 'stampede-rt[parquet]'") from error
         types = {
-            BOOL: pa.bool_(), INT: pa.int64(), FLOAT: pa.float64(), INTS: pa.list_(pa.int64()),
-            FLOATS: pa.list_(pa.float64()),
+            BOOL: pa.bool_(), INT: pa.int64(), LONG: pa.int64(), FLOAT: pa.float64(), INTS: pa.list_(pa.int64()),
+            LONGS: pa.list_(pa.int64()), FLOATS: pa.list_(pa.float64()),
         }  # fmt: skip
         of_heads = (pa.timestamp("ns", "UTC"), pa.int64(), pa.uint64(), pa.map_(pa.string(), pa.string()))
         heads = zip(HEADS, of_heads, strict=True)

@@ -23,7 +23,7 @@ try:
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import McapError
     from mcap.opcode import Opcode
-    from mcap.records import Chunk, DataEnd, McapRecord
+    from mcap.records import Chunk, DataEnd, McapRecord, Message
     from mcap.stream_reader import breakup_chunk
 except ImportError as missing:
     raise FileError(
@@ -38,6 +38,7 @@ CHUNK_RECORDS_MAX = 2**20
 and each record takes hundreds of bytes of memory.
 """
 _FRAME = struct.Struct("<BQ")
+_MESSAGE_HEAD_BYTES = 22
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _KNOWN_OPCODES = range(0x01, 0x10)
 _PRIVATE_OPCODES = range(0x80, 0x100)  # the opcodes of other programs; every reader skips them
@@ -218,6 +219,19 @@ class RecordFile:
             return kind.read(ReadDataStream(BytesIO(self.body(frame))))
         except DECODE_ERRORS as error:
             raise self._damaged(frame, error) from error
+
+    def message(self, frame: RecordFrame) -> Message:
+        """Decode a message that is in no chunk. Raises FileError."""
+        body, number = self.body(frame), int.from_bytes
+        if len(body) < _MESSAGE_HEAD_BYTES:
+            raise FileError(f"the message at byte {frame.offset} of {self.path!r} is too short")
+        return Message(
+            channel_id=number(body[:2], "little"),
+            sequence=number(body[2:6], "little"),
+            log_time=number(body[6:14], "little"),
+            publish_time=number(body[14:_MESSAGE_HEAD_BYTES], "little"),
+            data=body[_MESSAGE_HEAD_BYTES:],
+        )
 
     def chunk_records(self, frame: RecordFrame) -> list[McapRecord]:
         """Decode a chunk into its records. Raises FileError if its checksum, its compression or a record is wrong."""

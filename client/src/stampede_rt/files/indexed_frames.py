@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from mcap.opcode import Opcode
 
@@ -33,6 +33,22 @@ def indexed_frames(records: RecordFile, ends: Mapping[int, int]) -> Iterator[Rec
             break
         else:
             return
+
+
+def has_records_beside(records: RecordFile, indexed: Iterable[tuple[int, int]], end: int) -> bool:
+    """Whether there are messages or chunks before the byte `end` that the index does not name.
+
+    `indexed`: for each chunk of the index its first byte, and the first byte after its indexes of messages. Reads only
+    the heads of the records between the chunks.
+    """
+    offset = len(MAGIC)
+    for start, following in [*sorted(indexed), (end, end)]:
+        while offset < start and (frame := records.frame_at(offset)) is not None:
+            if frame.opcode in (Opcode.MESSAGE, Opcode.CHUNK):
+                return True
+            offset = frame.end
+        offset = following
+    return False
 
 
 def _end_of_damage(frame: RecordFrame, start: int, end: int) -> int | None:

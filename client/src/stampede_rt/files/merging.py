@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import heapq
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 
+from mcap.records import Attachment, Metadata
+
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.files.editing import check_other, finish_with, intact_contents, losses_of, writer_of
-from stampede_rt.files.entries import FileEntry
+from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.files.file_tally import FileTally
-from stampede_rt.files.reading import Event, FileReader
+from stampede_rt.files.reading import ChunkContent, Event, FileReader
 from stampede_rt.files.seq_order import SeqOrder
 from stampede_rt.files.seq_ranges import SeqRanges
 from stampede_rt.files.writing import replacing
@@ -28,7 +31,7 @@ def merge(
     """Write the items of several files to one, each item once. An item of one file fills the gap of another.
 
     The items of a channel are written in the order of their seqs, also late items, as long as at most 64 MiB of items
-    must wait for earlier ones.
+    must wait for earlier ones. Metadata and attachments come once, too.
 
     Raises FileError, also if a file is damaged; InvalidArgument.
     """
@@ -40,19 +43,23 @@ def merge(
     with ExitStack() as stack:
         readers = [stack.enter_context(FileReader(path)) for path in paths]
         writer = stack.enter_context(replacing(output, overwrite=overwrite))
-        tally, write = FileTally(), writer_of(writer)
-        seen: Ranges = {}
+        tally, write, merged = FileTally(), writer_of(writer), _Merged(held)
 
         def take(event: Event) -> None:
-            tally.add(event)
-            write(event)
+            if merged.is_new(event):
+                tally.add(event)
+                write(event)
 
         order = SeqOrder(held, take)
-        for _, _, event in heapq.merge(*map(_by_time, range(len(readers)), readers), key=lambda one: one[:2]):
-            for kept in _merged(event, seen, held):
+        for _, _, part in heapq.merge(*map(_by_time, range(len(readers)), readers), key=lambda one: one[:2]):
+            if isinstance(part, Attachment | Metadata):
+                if merged.is_new_record(part):
+                    write(part)
+                continue
+            for kept in merged.new_parts(part):
                 order.add(kept)
         order.finish()
-        summary = tally.summary(os.fspath(output), damaged=losses_of(readers))
+        summary = tally.summary(os.fspath(output), **losses_of(readers))
         finish_with(writer, summary)
     return summary
 
@@ -63,37 +70,74 @@ def _seqs_of(paths: Sequence[str | os.PathLike[str]]) -> Ranges:
     for path in paths:
         with FileReader(path) as reader:
             for part in intact_contents(reader):
-                for entry in part.entries:
+                for entry in part.entries if isinstance(part, ChunkContent) else ():
                     if entry.seq is not None and entry.topic.incarnation is not None:
                         held.setdefault((entry.topic.name, entry.topic.incarnation), SeqRanges()).add(entry.seq)
     return held
 
 
-def _by_time(number: int, reader: FileReader) -> Iterator[tuple[int, int, Event]]:
+def _by_time(number: int, reader: FileReader) -> Iterator[tuple[int, int, Event | Attachment | Metadata]]:
     """Yield each event as (time, number of the file, event). The time is the latest so far, so it never falls."""
     latest = -(2**63)
     for part in intact_contents(reader):
+        if not isinstance(part, ChunkContent):
+            yield latest, number, part
+            continue
         for event in part.events():
             if isinstance(event, FileEntry):
                 latest = max(latest, event.time)
             yield latest, number, event
 
 
-def _merged(event: Event, seen: Ranges, held: Ranges) -> Iterator[Event]:
-    """Yield the new part of one event: nothing for a repeated item, and for a gap the part that no file has."""
-    if isinstance(event, FileEntry):
-        foreign = event.seq is None or event.topic.incarnation is None
-        key = (event.topic.name, event.topic.incarnation or 0)
-        if foreign or seen.setdefault(key, SeqRanges()).add(event.seq or 0):
+class _Merged:
+    """Finds what the events of the files add to the events before them. `held` has the seqs of all files together."""
+
+    def __init__(self, held: Ranges) -> None:
+        self._held = held
+        self._items: Ranges = {}
+        self._gaps: Ranges = {}
+        self._open_gaps: set[RecordingGap] = set()  # the gaps of which a bound is not known
+        self._advances: dict[tuple[str, int], int] = {}
+        self._records: set[bytes] = set()
+
+    def new_parts(self, event: Event) -> Iterator[Event]:
+        """Yield the new part of an event: nothing for a repeated item, and for a gap the part that no file has."""
+        if isinstance(event, FileEntry):
+            foreign = event.seq is None or event.topic.incarnation is None
+            key = (event.topic.name, event.topic.incarnation or 0)
+            if foreign or self._items.setdefault(key, SeqRanges()).add(event.seq or 0):
+                yield event
+        elif isinstance(event, RecordingGap):
+            key = (event.channel, event.incarnation)
+            held, told = self._held.get(key, SeqRanges()), self._gaps.setdefault(key, SeqRanges())
+            yield from _remaining(event, held, told)
+        else:
             yield event
-    elif isinstance(event, RecordingGap):
-        key = (event.channel, event.incarnation)
-        told = seen.setdefault(
-            (event.channel, -1 - event.incarnation), SeqRanges()
-        )  # the gaps already written; the negative number keeps them apart from seen items
-        yield from _remaining(event, held.get(key, SeqRanges()), told)
-    else:
-        yield event
+
+    def is_new(self, event: Event) -> bool:
+        """Whether the output lacks an event, which comes in the order of the output.
+
+        An advance adds nothing if it is not later than the advance before it.
+        """
+        if isinstance(event, FileAdvance):
+            key = (event.channel, event.incarnation)
+            former = self._advances.get(key)
+            self._advances[key] = event.time if former is None else max(former, event.time)
+            return former is None or event.time > former
+        if isinstance(event, RecordingGap) and (event.first_seq is None or event.last_seq is None):
+            known = event in self._open_gaps
+            self._open_gaps.add(event)
+            return not known
+        return True
+
+    def is_new_record(self, record: Attachment | Metadata) -> bool:
+        """Whether the output lacks an attachment or metadata."""
+        content = record.data if isinstance(record, Attachment) else b""
+        text = repr(replace(record, data=b"") if isinstance(record, Attachment) else record)
+        digest = hashlib.sha256(text.encode() + hashlib.sha256(content).digest()).digest()
+        known = digest in self._records
+        self._records.add(digest)
+        return not known
 
 
 def _remaining(gap: RecordingGap, held: SeqRanges, told: SeqRanges) -> Iterator[RecordingGap]:
@@ -103,12 +147,13 @@ def _remaining(gap: RecordingGap, held: SeqRanges, told: SeqRanges) -> Iterator[
     if first is None or last is None:
         yield gap
         return
-    whole = gap.items == last - first + 1
-    for begin, end in held.missing(first, last):
-        for start, stop in told.missing(begin, end):
-            told.add_range(start, stop)
-            items = stop - start + 1 if whole else min(gap.items or 0, stop - start + 1)
-            yield RecordingGap(
-                channel=gap.channel, incarnation=gap.incarnation, reason=gap.reason, detail=gap.detail,
-                first_seq=start, last_seq=stop, items=items, start=gap.start, end=gap.end,
-            )  # fmt: skip
+    parts = [part for begin, end in held.missing(first, last) for part in told.missing(begin, end)]
+    for begin, end in parts:
+        told.add_range(begin, end)
+    if parts and gap.items != last - first + 1:  # nobody knows which of these seqs an item had
+        most = sum(end - begin + 1 for begin, end in parts)
+        items = None if gap.items is None else min(gap.items, most)
+        yield replace(gap, first_seq=parts[0][0], last_seq=parts[-1][1], items=items)
+        return
+    for begin, end in parts:
+        yield replace(gap, first_seq=begin, last_seq=end, items=end - begin + 1)

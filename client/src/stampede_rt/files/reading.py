@@ -32,16 +32,16 @@ from stampede_rt.files.entries import (
     ReadFacts,
     Schema,
     Topic,
+    content_type_of_encoding,
 )
 from stampede_rt.files.framing import MAGIC, Damage, RecordFile, RecordFrame
-from stampede_rt.files.indexed_frames import indexed_frames
+from stampede_rt.files.indexed_frames import has_records_beside, indexed_frames
 from stampede_rt.files.named_by_facts import UnnamedMessages, facts_topic, is_facts, topics_of
 from stampede_rt.files.summaries import SUMMARY_NAME, summary_of
 from stampede_rt.values.recording import RecordingGap, RecordingSummary, incarnation_of
 
 CLOCKS_NAME = "stampede.clocks"
 _FOOTER_BYTES, _DATA_END_BYTES = 9 + 20 + len(MAGIC), 9 + 4
-_CONTENT_TYPES = {"json": "application/json", "protobuf": "application/x-protobuf", "": ""}
 Event = FileEntry | RecordingGap | FileAdvance
 
 
@@ -171,7 +171,27 @@ class FileReader:
         frame = self._records.frame_at(offset)
         if frame is None or frame.opcode != Opcode.CHUNK or not self._records.fits(frame):
             raise FileError(f"the index of {self.path!r} names a chunk at byte {offset}, and there is none")
-        return self._content(frame, self._records.chunk_records(frame))
+        content = self._content(frame, self._records.chunk_records(frame))
+        self.check_named(content)
+        return content
+
+    def check_named(self, content: ChunkContent) -> None:
+        """Check that the file names the topic of each message in a chunk. Raises FileError."""
+        if content.unknown:
+            raise FileError(
+                f"{content.unknown} messages at byte {content.offset} of {self.path!r} are of topics that the file "
+                "does not name; `stampede file recover` saves the other messages"
+            )
+
+    def indexes_all(self) -> bool:
+        """Whether the index names all chunks, and no message is outside of chunks. False without an index."""
+        if self.index is None:
+            return False
+        indexed = (
+            (one.chunk_start_offset, one.chunk_start_offset + one.chunk_length + one.message_index_length)
+            for one in self.index.chunks
+        )
+        return not has_records_beside(self._records, indexed, self._data_end)
 
     def metadata(self, name: str) -> dict[str, str] | None:
         """Return the last metadata record of that name that the index names; None if there is none."""
@@ -193,10 +213,7 @@ class FileReader:
             self._has_chunks = True
             return self._content(frame, self._records.chunk_records(frame))
         if frame.opcode == Opcode.MESSAGE:
-            body = self._records.body(frame)
-            if len(body) < 22:
-                raise FileError(f"the message at byte {frame.offset} of {self.path!r} is too short")
-            content = self._content(frame, [_message(body)])
+            content = self._content(frame, [self._records.message(frame)])
             if content.bare and self._has_chunks:
                 raise FileError(f"the message at byte {frame.offset} of {self.path!r} is in no chunk")
             return content
@@ -308,17 +325,6 @@ class FileReader:
             index.metadata.append(self._records.record(frame, MetadataIndex))
 
 
-def _message(body: bytes) -> Message:
-    number = int.from_bytes
-    return Message(
-        channel_id=number(body[:2], "little"),
-        sequence=number(body[2:6], "little"),
-        log_time=number(body[6:14], "little"),
-        publish_time=number(body[14:22], "little"),
-        data=body[22:],
-    )
-
-
 def _topic(channel: Channel, schemas: dict[int, Schema]) -> Topic:
     metadata = dict(channel.metadata)
     text = metadata.pop(INCARNATION_KEY, "")
@@ -342,11 +348,3 @@ def _entry(topic: Topic, message: Message, facts: ReadFacts) -> FileEntry:
         topic, message.log_time, message.publish_time, message.sequence, message.data, found.seq, time, found.duration,
         found.attributes, found.content_type,
     )  # fmt: skip
-
-
-def content_type_of_encoding(encoding: str) -> str:
-    """Return the content type for a message encoding of MCAP."""
-    known = _CONTENT_TYPES.get(encoding)
-    if known is not None:
-        return known
-    return encoding if "/" in encoding else f"application/x-{encoding}"

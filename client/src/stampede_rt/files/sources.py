@@ -14,6 +14,7 @@ from stampede_rt.errors import FileError
 from stampede_rt.files.entries import FACTS_TOPIC, POLICY_KEY, FileEntry
 from stampede_rt.files.interval_filter import IntervalFilter
 from stampede_rt.files.reading import ChunkContent, Event, FileIndex, FileReader
+from stampede_rt.values.timeline import MIN_INSTANT
 
 CACHE_BYTES = 64 * 1024 * 1024  # the most bytes of decoded chunks
 TOPICS_NAMED = 5  # the most topics that an error names
@@ -56,13 +57,14 @@ def check_unpacked(path: str, entry: FileEntry) -> None:
 
 
 class FileSource(Protocol):
-    """A file from which a program puts items. `events` yields each event with a time, and these times never fall.
-
-    `damaged` says which items the file may lack, besides the gaps that `events` yields.
-    """
+    """A file from which a program puts items. `events` yields each event with a time, and these times never fall."""
 
     path: str
-    damaged: Sequence[str]
+
+    @property
+    def damaged(self) -> Sequence[str]:
+        """The items or channels that the file may lack, besides the gaps that `events` yields."""
+        ...
 
     def topics(self, chosen: Chosen) -> Sequence[SourceTopic]:
         """The chosen topics that have messages, by name."""
@@ -85,7 +87,7 @@ class McapSource:
         self._reader = FileReader(path)
         self.path = self._reader.path
         index = self._reader.index
-        if index is None or not index.chunks:
+        if index is None or not index.chunks or not _names_messages(index) or not self._reader.indexes_all():
             self._reader.__exit__()
             raise _unplayable(self.path, index, self._reader.states_no_index)
         self.damaged = _damaged(self._reader)
@@ -121,21 +123,26 @@ class McapSource:
         last chunks of the topic, until no other chunk can change the result.
         """
         best: int | None = None
-        for least, place in sorted((self._chunk_bound(place, sign), place) for place in places):
+        for least, bound, place in sorted((*self._chunk_bounds(place, sign), place) for place in places):
             if best is not None and best <= least:
                 break
             try:
-                events = self._decoded(place).get(name, ()) if self._is_shared(place, name) else ()
+                events = self._decoded(place).get(name, ()) if not bound or self._is_shared(place, name) else ()
             except FileError:  # `events` raises it if this topic is chosen
                 events = ()
-            found = min((sign * one.time for one in events if isinstance(one, FileEntry)), default=least)
+            found = min((sign * one.time for one in events if isinstance(one, FileEntry)), default=bound)
             best = found if best is None else min(best, found)
         assert best is not None, "the topic has chunks"
         return best
 
-    def _chunk_bound(self, place: int, sign: int) -> int:
+    def _chunk_bounds(self, place: int, sign: int) -> tuple[int, int]:
+        """Return the least possible result for a chunk, and the result of the index.
+
+        In the index the time of an item before 1970 is 0.
+        """
         chunk = self._chunks[place]
-        return chunk.message_start_time if sign > 0 else -chunk.message_end_time
+        bound = chunk.message_start_time if sign > 0 else -chunk.message_end_time
+        return MIN_INSTANT if sign > 0 and not bound else bound, bound
 
     def _is_shared(self, place: int, name: str) -> bool:
         """Whether a chunk has messages of other topics, too."""
@@ -230,6 +237,15 @@ class McapSource:
         return found
 
 
+def _names_messages(index: FileIndex) -> bool:
+    """Whether the index says which topics have messages in each chunk."""
+    return all(
+        index.topics.keys() >= one.message_index_offsets.keys()
+        and (one.message_index_offsets or not one.message_end_time)  # a chunk without messages has no times
+        for one in index.chunks
+    )
+
+
 def _unplayable(path: str, index: FileIndex | None, states_no_index: bool) -> FileError:
     if index is not None and index.statistics is not None and not index.statistics.message_count:
         return FileError(f"the file {path!r} cannot be played: it has no items")
@@ -239,8 +255,8 @@ def _unplayable(path: str, index: FileIndex | None, states_no_index: bool) -> Fi
             "`stampede file recover` saves the readable part"
         )
     return FileError(
-        f"the file {path!r} cannot be played: it has no index of chunks; `stampede file merge` writes a file with an "
-        "index"
+        f"the file {path!r} cannot be played: it has no index of all its messages; `stampede file merge` writes a file "
+        "with such an index"
     )
 
 
@@ -249,7 +265,7 @@ def _damaged(reader: FileReader) -> Sequence[str]:
         told = reader.summary()
     except FileError as error:
         return (error.message,)
-    return () if told is None else told.damaged
+    return () if told is None else (*told.absent, *told.damaged)
 
 
 def _by_topic(content: ChunkContent) -> dict[str, list[Event]]:

@@ -151,7 +151,8 @@ class ReplaySummary:
     - `items` counts the accepted items by channel, `refused` the items that the hosts have refused; `first_refusal` is
       the error text of the first one.
     - `gaps` has the first 1000 gaps of the played part of the file. The first item after each gap got the attribute
-      `stampede.gap`. `damaged` says which items the file may lack besides these gaps (see `RecordingSummary`).
+      `stampede.gap`. `damaged` says which items or channels the file may lack besides these gaps: `absent` and
+      `damaged` of its `RecordingSummary`.
     - `advances` counts the advances, and `rounds` how many times the file was played to its end.
     - `collected` counts by channel the items that the limits of the channel have collected since the beginning of an
       import, or of a replay without pauses. It leaves out recorded channels, whose archive has the items. It is empty
