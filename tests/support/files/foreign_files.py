@@ -50,13 +50,19 @@ def bag_of_topics(folder: Path, plugin: StoragePlugin, times: Mapping[str, Seque
 
 
 def xdf_file(
-    path: Path, samples: Sequence[tuple[float, Sequence[float]]], markers: Sequence[tuple[float, str]]
+    path: Path,
+    samples: Sequence[tuple[float, Sequence[float]]],
+    markers: Sequence[tuple[float, str]],
+    names: Sequence[str] = ("EEG", "Marks"),
+    again: tuple[float, Sequence[float]] | None = None,
 ) -> Path:
     """An XDF file with a stream of numbers and a stream of markers. No package of the registries writes XDF."""
     streams = {
-        1: ("EEG", "double64", [(stamp, struct.pack(f"<{len(row)}d", *row)) for stamp, row in samples]),
-        2: ("Marks", "string", [(stamp, _varlen(text.encode()) + text.encode()) for stamp, text in markers]),
+        1: (names[0], "double64", [(stamp, struct.pack(f"<{len(row)}d", *row)) for stamp, row in samples]),
+        2: (names[1], "string", [(stamp, _varlen(text.encode()) + text.encode()) for stamp, text in markers]),
     }
+    if again is not None:  # a third stream, with the name of the second one
+        streams[3] = (names[1], "double64", [(again[0], struct.pack(f"<{len(again[1])}d", *again[1]))])
     content = b"XDF:" + _chunk(1, b'<?xml version="1.0"?><info><version>1.0</version></info>')
     for number, (name, kind, rows) in streams.items():
         count = len(samples[0][1]) if kind == "double64" else 1
@@ -65,6 +71,9 @@ def xdf_file(
         content += _chunk(2, struct.pack("<I", number) + b'<?xml version="1.0"?>' + head.encode())
         body = b"".join(b"\x08" + struct.pack("<d", stamp) + data for stamp, data in rows)
         content += _chunk(3, struct.pack("<I", number) + b"\x04" + struct.pack("<I", len(rows)) + body)
+    for number, (_, _, rows) in streams.items():
+        foot = f'<?xml version="1.0"?><info><sample_count>{len(rows)}</sample_count></info>'
+        content += _chunk(6, struct.pack("<I", number) + foot.encode())
     path.write_bytes(content)
     return path
 

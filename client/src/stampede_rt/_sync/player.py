@@ -21,6 +21,7 @@ from stampede_rt.files.sources import FileSource, SourceTopic, none_chosen
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.transports.concurrency_sync import BackgroundStart, BackgroundTask, Signal, in_thread
 from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap, ReplaySummary
+from stampede_rt.values.timeline import MAX_INSTANT
 
 EVENTS_PER_STEP = 64  # the events that one step reads from the file
 
@@ -172,8 +173,12 @@ class Player(BackgroundStart, BoundToProcess):
 
     def _plan(self, topics: Sequence[SourceTopic], now: int) -> Schedule:
         start = max(self._request.start, min(one.start for one in topics))
-        end = min(self._request.end - 1, max(one.end for one in topics))
+        end = max(self._last_time(one) for one in topics)
         return Schedule.plan(start, max(start, end), self._request.speed, self._request.shift, now)
+
+    def _last_time(self, topic: SourceTopic) -> int:
+        """The last time of a topic that is played. Files of other programs may have times after MAX_INSTANT."""
+        return topic.end if self._request.end == MAX_INSTANT else min(topic.end, self._request.end - 1)
 
     def _open(self, topics: Sequence[SourceTopic], schedule: Schedule) -> None:
         """Open a channel for each topic with items to put, and check that none of them would refuse the items.
@@ -210,7 +215,7 @@ class Player(BackgroundStart, BoundToProcess):
         """Play a topic into a channel, unless the channel would refuse items. Raises InvalidArgument."""
         self._channels[topic.name] = channel
         first = topic.start if first is None else first
-        channel.check(first, max(first, min(topic.end, self._request.end - 1)), schedule)
+        channel.check(first, max(first, self._last_time(topic)), schedule)
 
     def _targets(self, topics: Sequence[SourceTopic]) -> list[tuple[str, SourceTopic]]:
         """The names of the channels for the topics. Raises InvalidArgument if two topics would become one channel."""

@@ -7,6 +7,7 @@ import json
 import logging
 import math
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -61,10 +62,22 @@ def _unreadable(path: Path, error: BaseException) -> FileError:
     )
 
 
+def _check_whole_database(path: Path) -> None:
+    """Check that all messages are in the files of SQLite, and none in a journal beside them. Raises FileError.
+
+    The reader of rosbags does not read journals. SQLite leaves one behind if the recorder was killed.
+    """
+    for file in sorted(path.glob("*.db3")) if path.is_dir() else [path]:
+        for journal in (file.with_name(file.name + end) for end in ("-wal", "-journal")):
+            if journal.is_file() and journal.stat().st_size:
+                raise FileError(
+                    f"the bag {os.fspath(path)!r} has messages in {journal.name!r}, because its recorder was killed or "
+                    f"still runs; end the recorder, and let SQLite take them over: sqlite3 {file.name} 'VACUUM'"
+                )
+
+
 class RosbagSource:
     """A rosbag2, without ROS. Its messages stay in CDR; the attribute `schema` has the message type."""
-
-    damaged: Sequence[str] = ()
 
     def __init__(self, path: Path) -> None:
         """Open the bag. Raises FileError."""
@@ -73,12 +86,19 @@ class RosbagSource:
         except ImportError as error:
             raise _missing("rosbags") from error
         self.path = os.fspath(path)
+        _check_whole_database(path)
         try:
             self._reader = Reader(path)
             self._reader.open()
         except Exception as error:
             raise _unreadable(path, error) from error
         self._topics: dict[str, Topic] = {}
+        self._missing: dict[str, str] = {}
+
+    @property
+    def damaged(self) -> Sequence[str]:
+        """The topics of which the bag has fewer messages than its metadata says; known after their `events`."""
+        return [*self._missing.values()]
 
     def close(self) -> None:
         """Close the bag."""
@@ -121,9 +141,10 @@ class RosbagSource:
     def events(self, chosen: Chosen, start: int, end: int) -> Iterator[tuple[int, Event]]:
         """Yield the messages in the order of the bag. Raises FileError."""
         connections = [one for one in self._reader.connections if chosen(one.topic)]
-        due = start
+        due, counts = start, Counter[str]()
         try:
             for connection, time, data in self._reader.messages(connections) if connections else ():
+                counts[connection.topic] += 1
                 if start <= time < end:
                     due, entry = max(due, time), self._entry(connection, time, bytes(data))
                     check_unpacked(self.path, entry)
@@ -132,6 +153,11 @@ class RosbagSource:
             raise
         except Exception as error:
             raise _unreadable(Path(self.path), error) from error
+        stated = Counter[str]()
+        for connection in connections:
+            stated[connection.topic] += connection.msgcount
+        for topic, missing in (stated - counts).items():
+            self._missing[topic] = f"{missing} of the {stated[topic]} messages of topic {topic!r}"
 
     def _entry(self, connection: Any, time: int, data: bytes) -> FileEntry:
         topic = self._topics.setdefault(connection.topic, Topic(connection.topic, "cdr"))
@@ -145,8 +171,6 @@ class XdfSource:
     epoch. Values that JSON has no number for become null.
     """
 
-    damaged: Sequence[str] = ()
-
     def __init__(self, path: Path) -> None:
         """Read the file. Raises FileError."""
         try:
@@ -157,6 +181,9 @@ class XdfSource:
         if path.stat().st_size > XDF_BYTES_MAX:
             raise FileError(f"the file {self.path!r} is larger than 1 GiB, and XDF is read as a whole; split it first")
         self._streams = self._load(pyxdf.load_xdf)
+        self.damaged: Sequence[str] = [
+            text for name, stream in self._streams.items() if (text := _unfinished(name, stream))
+        ]
 
     def _load(self, load: Callable[[str], Any]) -> dict[str, Any]:
         with _Complaints("pyxdf") as complaints:
@@ -217,8 +244,26 @@ def _names_of(streams: Sequence[Any]) -> list[str]:
     names: list[str] = []
     for stream in streams:
         name = str(stream["info"]["name"][0] or "unnamed")
-        names.append(name if name not in names else f"{name}-{stream['info']['stream_id']}")
+        while name in names:
+            name = f"{name}-{stream['info']['stream_id']}"
+        names.append(name)
     return names
+
+
+def _unfinished(name: str, stream: Any) -> str:
+    """Return the samples that a file lacks of a stream; empty: none. A recorder writes the number of samples last."""
+    footer = stream.get("footer")
+    if footer is None:
+        return (
+            f"perhaps the last samples of stream {name!r}: the file lacks the footer of the stream, so its recorder "
+            "was killed, or the file was cut off"
+        )
+    try:
+        stated = int(footer["info"]["sample_count"][0])
+    except (KeyError, TypeError, ValueError, IndexError):
+        return ""
+    missing = stated - len(stream["time_stamps"])
+    return f"{missing} of the {stated} samples of stream {name!r}" if missing > 0 else ""
 
 
 def _nanos(seconds: float) -> int:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from stampede_rt.files.entries import FileAdvance, FileEntry
+from stampede_rt.files.entries import TIME_MAX, FileAdvance, FileEntry
 from stampede_rt.files.reading import Event
 from stampede_rt.values.recording import RecordingGap
+from stampede_rt.values.timeline import MAX_INSTANT
 
 
 class IntervalFilter:
@@ -18,7 +19,9 @@ class IntervalFilter:
     """
 
     def __init__(self, start: int, end: int, chosen: Callable[[str], bool], take: Callable[[Any], object]) -> None:
-        self._start, self._end, self._chosen, self._take = start, end, chosen, take
+        """`end`: exclusive; MAX_INSTANT: no end, because files of other programs may have later times."""
+        self._start, self._end = start, end if end < MAX_INSTANT else TIME_MAX + 1
+        self._chosen, self._take = chosen, take
         self._before: dict[tuple[str, int | None], int] = {}  # the time of a channel's last item
         self._waiting: dict[tuple[str, int | None], list[RecordingGap | FileAdvance]] = {}
 

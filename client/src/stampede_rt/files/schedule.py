@@ -43,14 +43,20 @@ class Schedule:
 
         A replay that is shorter than the recording puts its last item with the time of the clock, and its first item
         with a time in the past. A longer replay puts its first item with the time of the clock.
+        Raises InvalidArgument if no channel can have such a time.
         """
-        if shift is None:
-            return cls(start, end, speed, now, 0)
-        if shift != SHIFT_NOW:
-            return cls(start, end, speed, now, int(shift))
         length = end - start
-        takes = 0 if speed == 0 else round(length / speed)
-        return cls(start, end, speed, now, now - start - max(0, length - takes))
+        moved = 0 if shift is None else shift
+        if shift == SHIFT_NOW:
+            takes = 0 if speed == 0 else round(length / speed)
+            moved = now - start - max(0, length - takes)
+        first, last = start + int(moved), end + int(moved)
+        if first < MIN_INSTANT or last > MAX_INSTANT:
+            raise InvalidArgument(
+                f"the items would get times from {first} to {last} ns since 1970, and channels take "
+                f"times from {MIN_INSTANT} to {MAX_INSTANT}; choose another shift, or another part of the file"
+            )
+        return cls(start, end, speed, now, int(moved))
 
     def due_nanos(self, time: int) -> int:
         """Return how long after the beginning an item of that time is put."""
@@ -65,7 +71,7 @@ class Schedule:
 
     def shifted(self, time: int) -> int:
         """Return the time with which an item is put."""
-        return min(max(time + self.shift, MIN_INSTANT), MAX_INSTANT)
+        return min(max(time + self.shift, MIN_INSTANT), MAX_INSTANT)  # an advance may be later than all items
 
 
 def parse_shift(shift: object) -> int | str | None:

@@ -31,7 +31,13 @@ def test_a_shift_keeps_the_distances_between_items() -> None:
 def test_without_a_shift_times_are_unchanged_and_a_shift_adds_its_duration() -> None:
     assert Schedule.plan(0, 1, 1, None, NOW).shifted(7) == 7
     assert Schedule.plan(0, 1, 1, parse_shift("-1s"), NOW).shifted(7) == 7 - SECOND
-    assert Schedule.plan(0, 1, 1, parse_shift("292y") if False else 2**63 - 1, NOW).shifted(7) == 2**63 - 1
+    assert Schedule.plan(0, 1, 1, 2**63 - 2, NOW).shifted(7) == 2**63 - 1  # an advance after the last item
+
+
+@pytest.mark.parametrize(("end", "shift"), [(2**64 - 1, None), (2**64 - 1, "now"), (1, 2**63 - 1), (1, -(2**63) - 1)])
+def test_a_shift_to_times_that_no_channel_can_have_is_refused(end: int, shift: int | str | None) -> None:
+    with pytest.raises(InvalidArgument, match="the items would get times from"):
+        Schedule.plan(0, end, 0, shift, NOW)
 
 
 @pytest.mark.parametrize("speed", [-1, True, "2", float("nan"), float("inf"), 1e9])
