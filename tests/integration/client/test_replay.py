@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import threading
 from collections.abc import Iterator
@@ -58,6 +59,14 @@ def test_a_replay_has_the_items_advances_and_gaps_of_the_file(rt: st.Connection,
     advance = channel.stats().advance
     assert advance is not None
     assert advance - shift == START + 20 * MS
+
+
+def test_an_item_after_several_gaps_names_each_of_them(rt: st.Connection, tmp_path: Path) -> None:
+    gaps = [gap("cam", 2, 4), dataclasses.replace(gap("cam", 5, 9), items=None)]
+    path = write(tmp_path / "a.mcap", [*entries("cam", [1]), *gaps, *entries("cam", [10])])
+    rt.import_file(path, "gaps/", shift="now").wait()
+    found = rt.channel("gaps/cam", create=False).get(st.OLDEST, st.NOW)
+    assert [one.attributes for one in found] == [{}, {"stampede.gap": "3 items COLLECTED, ? items COLLECTED"}]
 
 
 async def test_the_asyncio_client_replays_like_the_blocking_client(cluster: LocalCluster, drive: Path) -> None:

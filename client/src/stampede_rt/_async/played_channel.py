@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from stampede_rt._async.channel import Channel
@@ -17,6 +18,7 @@ from stampede_rt.values.statistics import ChannelStats
 from stampede_rt.values.timeline import format_duration, format_instant
 
 GAP_ATTRIBUTE = "stampede.gap"
+GAPS_MARKED_MAX = 16  # the most gaps in the attribute of one item
 PUT_TIMEOUT_S = 60.0
 
 
@@ -27,7 +29,7 @@ class PlayedChannel:
         self.name = channel.name
         self._channel = channel
         self._producer: Producer = channel.producer()
-        self._gap: RecordingGap | None = None  # the next item gets it as an attribute
+        self._gaps: list[RecordingGap] = []  # the next item gets them as an attribute
         self.advances = self._refused_here = self._collected_before = 0
         self.first_refusal = ""
 
@@ -83,9 +85,9 @@ class PlayedChannel:
     async def put(self, entry: FileEntry, time: int) -> None:
         """Put an item. The first one after a gap gets the attribute `stampede.gap`. Raises Unavailable."""
         attributes = dict(entry.attributes)
-        if self._gap is not None:
-            items = "?" if self._gap.items is None else self._gap.items
-            attributes[GAP_ATTRIBUTE], self._gap = f"{items} items {self._gap.reason}", None
+        if self._gaps:
+            attributes[GAP_ATTRIBUTE] = gap_attribute(self._gaps)
+            self._gaps.clear()
         try:
             await self._producer.put(
                 entry.data,
@@ -100,7 +102,8 @@ class PlayedChannel:
 
     def note_gap(self, gap: RecordingGap) -> None:
         """Mark the next item, to say that items before it are missing."""
-        self._gap = gap
+        if len(self._gaps) < GAPS_MARKED_MAX:
+            self._gaps.append(gap)
 
     async def advance(self, time: int) -> None:
         """Advance the channel, after all items before."""
@@ -141,3 +144,8 @@ class PlayedChannel:
 def _collected(stats: ChannelStats) -> int:
     """The items that the limits have collected; 0 for a recorded channel, whose archive has them."""
     return 0 if stats.policy.is_recorded else sum(stats.collected.values()) - stats.collected["consumption"]
+
+
+def gap_attribute(gaps: Sequence[RecordingGap]) -> str:
+    """Return the value of the attribute `stampede.gap` for the gaps between two items."""
+    return ", ".join(f"{'?' if one.items is None else one.items} items {one.reason}" for one in gaps)
