@@ -32,8 +32,8 @@ class Lease:
 
 
 @dataclass
-class Item:
-    """A message. `returned` has the number of deliveries of each copy that came back."""
+class Message:
+    """One message. `returned`: for each copy that came back, the number of its deliveries."""
 
     seq: int
     length: int
@@ -91,7 +91,7 @@ class OracleQueue:
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
         self.now = 0
-        self.items: list[Item] = []
+        self.messages: list[Message] = []
         self.next_seq = self.next_delivery = 1
         self.line: list[Run] = []
         self.takers: list[Taker] = []
@@ -157,12 +157,12 @@ class OracleQueue:
         self.tick(now)
         self.drain(taker)
         for delivery_id in taker.unsent:
-            for item in list(self.items):
-                for lease in [one for one in item.leases if one.id == delivery_id]:
-                    item.leases.remove(lease)
-                    item.returned += [lease.number - 1] if lease.number > 1 else []
+            for message in list(self.messages):
+                for lease in [one for one in message.leases if one.id == delivery_id]:
+                    message.leases.remove(lease)
+                    message.returned += [lease.number - 1] if lease.number > 1 else []
                     self.counts["delivered"] -= 1
-                    self._leave_if_exhausted(item)
+                    self._leave_if_exhausted(message)
         taker.unsent = []
         self._follow_up()
 
@@ -190,11 +190,11 @@ class OracleQueue:
         if found is None:
             by, when = self.acked.get(delivery_id, (0, 0))
             return None if by == taker_id and when > self.now - REMEMBERED else "LEASE_EXPIRED"
-        item, lease = found
-        item.leases.remove(lease)
-        item.done.append(taker_id)
+        message, lease = found
+        message.leases.remove(lease)
+        message.done.append(taker_id)
         self.acked[delivery_id] = (taker_id, self.now)
-        self._use_up(item)
+        self._use_up(message)
         return None
 
     def _give_back(self, taker_id: int, delivery_id: int, delay: int, *, counted: bool) -> str | None:
@@ -210,10 +210,10 @@ class OracleQueue:
         found = self._leased(taker_id, delivery_id)
         if found is None:
             return "LEASE_EXPIRED"
-        item, lease = found
+        message, lease = found
         self.counts["terminated"] += 1
-        item.last = (lease.number, taker_id, "terminated")
-        self._give_up(item)
+        message.last = (lease.number, taker_id, "terminated")
+        self._give_up(message)
         return None
 
     def _extend(self, taker_id: int, delivery_id: int, lease: int) -> str | None:
@@ -227,34 +227,38 @@ class OracleQueue:
         self.tick(now)
         if seq in self.dead_letter_seqs:
             self.dead_letter_seqs.remove(seq)
-            self.items = [item for item in self.items if item.seq != seq]
+            self.messages = [message for message in self.messages if message.seq != seq]
             self.counts["dead_lettered"] += 1
             self._follow_up()
 
     def configure(self, setup: Setup, now: int) -> None:
         self.tick(now)
         self.setup = setup
-        for item in list(self.items):
-            if item.leaving and not setup.dead_letters:
-                self.dead_letter_seqs.remove(item.seq)
-                self._expel(item)
-            elif not self._use_up(item):
-                self._leave_if_exhausted(item)
+        for message in list(self.messages):
+            if message.leaving and not setup.dead_letters:
+                self.dead_letter_seqs.remove(message.seq)
+                self._expel(message)
+            elif not self._use_up(message):
+                self._leave_if_exhausted(message)
         self._follow_up()
 
     def tick(self, now: int) -> None:
         self.now = now
         self.ids = [known for known in self.ids if known[2] > now - REMEMBERED]
-        ended = [(lease.ends, lease.id) for item in self.items for lease in item.leases if lease.ends <= now]
+        ended = [(lease.ends, lease.id) for message in self.messages for lease in message.leases if lease.ends <= now]
         for _, delivery_id in sorted(ended):
-            for item in list(self.items):
-                for lease in [one for one in item.leases if one.id == delivery_id]:
+            for message in list(self.messages):
+                for lease in [one for one in message.leases if one.id == delivery_id]:
                     self.counts["leases_expired"] += 1
                     self._fall_silent(lease)
-                    self._in_vain(item, lease, "lease_expired", 0)
-        released = [item for item in self.items if item.held_back_until is not None and item.held_back_until <= now]
-        for item in released:
-            item.held_back_until = None
+                    self._in_vain(message, lease, "lease_expired", 0)
+        released = [
+            message
+            for message in self.messages
+            if message.held_back_until is not None and message.held_back_until <= now
+        ]
+        for message in released:
+            message.held_back_until = None
         over = [run for run in self.line if run.gives_up_at is not None and run.gives_up_at <= now]
         for run in sorted(over, key=lambda one: (one.gives_up_at or 0, self.line.index(one))):
             self.line.remove(run)
@@ -275,15 +279,15 @@ class OracleQueue:
 
     def pending(self) -> list[tuple[int, int, int, int, int, int]]:
         found = [
-            (lease.id, item.seq, lease.taker.taker_id, lease.number, lease.began, lease.ends)
-            for item in self.items
-            for lease in item.leases
+            (lease.id, message.seq, lease.taker.taker_id, lease.number, lease.began, lease.ends)
+            for message in self.messages
+            for lease in message.leases
         ]
         return sorted(found)
 
     def next_deadline(self) -> int | None:
-        due = [lease.ends for item in self.items for lease in item.leases]
-        due += [item.held_back_until for item in self.items if item.held_back_until is not None]
+        due = [lease.ends for message in self.messages for lease in message.leases]
+        due += [message.held_back_until for message in self.messages if message.held_back_until is not None]
         due += [when + REMEMBERED for _, _, when in self.ids]
         due += [run.gives_up_at for run in self.line if run.gives_up_at is not None]
         return min(due, default=None)
@@ -291,9 +295,9 @@ class OracleQueue:
     def counters(self) -> dict[str, int]:
         return {
             **self.counts,
-            "held": len(self.items),
-            "leased": sum(bool(item.leases) for item in self.items),
-            "held_bytes": sum(item.length for item in self.items),
+            "held": len(self.messages),
+            "leased": sum(bool(message.leases) for message in self.messages),
+            "held_bytes": sum(message.length for message in self.messages),
         }
 
     def _follow_up(self) -> None:
@@ -341,10 +345,10 @@ class OracleQueue:
                 self._refuse(run, "ITEM_TOO_LARGE")
                 continue
             while setup.on_full == "drop_oldest" and not self._has_room(length):
-                free = [item for item in self.items if not item.leases and not item.leaving]
+                free = [message for message in self.messages if not message.leases and not message.leaving]
                 if not free:
                     break
-                self.items.remove(free[0])
+                self.messages.remove(free[0])
                 self.counts["dropped"] += 1
             if self._has_room(length):
                 self._accept(run, length)
@@ -358,8 +362,8 @@ class OracleQueue:
         return True
 
     def _has_room(self, length: int) -> bool:
-        charged = sum(item.length + OVERHEAD_BYTES for item in self.items) + length + OVERHEAD_BYTES
-        if self.setup.max_items is not None and len(self.items) >= self.setup.max_items:
+        charged = sum(message.length + OVERHEAD_BYTES for message in self.messages) + length + OVERHEAD_BYTES
+        if self.setup.max_items is not None and len(self.messages) >= self.setup.max_items:
             return False
         return charged <= self.setup.max_bytes
 
@@ -367,7 +371,7 @@ class OracleQueue:
         if run.first_seq is None:
             run.first_seq, run.stamp = self.next_seq, self.now
         run.seqs.append((run.left[0], self.next_seq))
-        self.items.append(Item(self.next_seq, length, self.now))
+        self.messages.append(Message(self.next_seq, length, self.now))
         self.next_seq += 1
         self.counts["accepted"] += 1
         self.counts["accepted_bytes"] += length
@@ -395,53 +399,53 @@ class OracleQueue:
             judged = (run.first_seq, run.stamp, tuple(run.seqs), tuple(run.refused), tuple(run.left))
             self.answered.append((run.producer_id, run.first_number, end, self.now, judged))
 
-    def _leased(self, taker_id: int, delivery_id: int) -> tuple[Item, Lease] | None:
-        for item in self.items:
-            for lease in item.leases:
+    def _leased(self, taker_id: int, delivery_id: int) -> tuple[Message, Lease] | None:
+        for message in self.messages:
+            for lease in message.leases:
                 if lease.id == delivery_id and lease.taker.taker_id == taker_id:
                     lease.taker.heard = self.now
-                    return item, lease
+                    return message, lease
         return None
 
-    def _in_vain(self, item: Item, lease: Lease, how: str, delay: int) -> None:
-        item.leases.remove(lease)
-        item.returned += [lease.number] if lease.number else []
+    def _in_vain(self, message: Message, lease: Lease, how: str, delay: int) -> None:
+        message.leases.remove(lease)
+        message.returned += [lease.number] if lease.number else []
         if how:
-            item.last = (lease.number, lease.taker.taker_id, how)
-        if not self._leave_if_exhausted(item) and delay:
-            item.held_back_until = max(self.now + delay, item.held_back_until or 0)
+            message.last = (lease.number, lease.taker.taker_id, how)
+        if not self._leave_if_exhausted(message) and delay:
+            message.held_back_until = max(self.now + delay, message.held_back_until or 0)
 
-    def _leave_if_exhausted(self, item: Item) -> bool:
+    def _leave_if_exhausted(self, message: Message) -> bool:
         most = self.setup.max_deliveries
-        exhausted = most is not None and max(item.returned, default=0) >= most
-        if exhausted and not item.leaving:
-            self._give_up(item)
+        exhausted = most is not None and max(message.returned, default=0) >= most
+        if exhausted and not message.leaving:
+            self._give_up(message)
         return exhausted
 
-    def _give_up(self, item: Item) -> None:
-        item.leases.clear()
+    def _give_up(self, message: Message) -> None:
+        message.leases.clear()
         if self.setup.dead_letters:
-            item.leaving, item.held_back_until = True, None
-            self.dead_letter_seqs.append(item.seq)
+            message.leaving, message.held_back_until = True, None
+            self.dead_letter_seqs.append(message.seq)
         else:
-            self._expel(item)
+            self._expel(message)
 
-    def _expel(self, item: Item) -> None:
-        self.items.remove(item)
+    def _expel(self, message: Message) -> None:
+        self.messages.remove(message)
         self.counts["expelled"] += 1
 
-    def _use_up(self, item: Item) -> bool:
-        enough = len(item.done) >= self.setup.copies
+    def _use_up(self, message: Message) -> bool:
+        enough = len(message.done) >= self.setup.copies
         if enough:
-            self.items.remove(item)
+            self.messages.remove(message)
             self.counts["consumed"] += 1
-            if item.leaving:
-                self.dead_letter_seqs.remove(item.seq)
+            if message.leaving:
+                self.dead_letter_seqs.remove(message.seq)
         return enough
 
-    def _free(self, item: Item) -> bool:
-        copies = self.setup.copies - len(item.leases) - len(item.done)
-        return copies > 0 and item.held_back_until is None and not item.leaving
+    def _free(self, message: Message) -> bool:
+        copies = self.setup.copies - len(message.leases) - len(message.done)
+        return copies > 0 and message.held_back_until is None and not message.leaving
 
     def _deal(self) -> None:
         line = list(self.takers)
@@ -453,15 +457,16 @@ class OracleQueue:
         """Deliver to one taker its equal share of the available messages, the oldest first. Leave out messages that the
         taker had before.
         """
-        free = [item for item in self.items if self._free(item)]
+        free = [message for message in self.messages if self._free(message)]
         share = min(-(-len(free) * self.setup.copies // takers), taker.credit)
         mine = [
-            item
-            for item in free
-            if taker.taker_id not in item.done and all(lease.taker.taker_id != taker.taker_id for lease in item.leases)
+            message
+            for message in free
+            if taker.taker_id not in message.done
+            and all(lease.taker.taker_id != taker.taker_id for lease in message.leases)
         ]
         ends = self.now + (taker.lease or self.setup.lease)
-        given = [self._lease(item, taker, ends) for item in mine[:share]]
+        given = [self._lease(message, taker, ends) for message in mine[:share]]
         if not given:
             return False
         taker.credit -= len(given)
@@ -469,11 +474,11 @@ class OracleQueue:
         self.dealt.append((taker, given, ends))
         return True
 
-    def _lease(self, item: Item, taker: Taker, ends: int) -> tuple[int, int, int]:
-        before = max(item.returned, default=0)
+    def _lease(self, message: Message, taker: Taker, ends: int) -> tuple[int, int, int]:
+        before = max(message.returned, default=0)
         if before:
-            item.returned.remove(before)
-        item.leases.append(Lease(self.next_delivery, taker, self.now, ends, before + 1))
+            message.returned.remove(before)
+        message.leases.append(Lease(self.next_delivery, taker, self.now, ends, before + 1))
         self.next_delivery += 1
         self.counts["delivered"] += 1
-        return item.seq, self.next_delivery - 1, before + 1
+        return message.seq, self.next_delivery - 1, before + 1

@@ -211,17 +211,17 @@ class QueuePair:
         self.waiting = [pair for pair in self.waiting if pair[0] not in mine]
 
     def _check_views(self) -> None:
-        core, items = self.core, self.oracle.items
+        core, messages = self.core, self.oracle.messages
         assert core.waiting_takers == len(self.oracle.takers)
         assert core.waiting_enqueues == len(self.oracle.line)
         assert core.next_deadline() == self.oracle.next_deadline()
         assert [(one.seq, _how(one.last)) for one in core.dead_letters(10**6)] == [
-            (seq, item.last) for seq in self.oracle.dead_letter_seqs for item in items if item.seq == seq
+            (seq, one.last) for seq in self.oracle.dead_letter_seqs for one in messages if one.seq == seq
         ]
         self._check_pending()
-        assert core.oldest_accepted_at == (items[0].accepted_at if items else None)
+        assert core.oldest_accepted_at == (messages[0].accepted_at if messages else None)
         charged = sum(run.lengths[position] for run in self.oracle.line for position in range(len(run.lengths)))
-        assert core.footprint_bytes >= charged + 64 * len(items)
+        assert core.footprint_bytes >= charged + 64 * len(messages)
 
     def _check_pending(self) -> None:
         """Compare the list of pending messages, page by page."""

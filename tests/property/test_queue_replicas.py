@@ -43,9 +43,9 @@ EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "500"))
 def contents(core: QueueCore, clock: int) -> list[bytes]:
     """Everything that the queue holds and knows at `clock`, without a call that changes it."""
     state = handoff.export(core._queue_items, core._queue_leases, core._enqueue_line, clock)
-    items = [*sorted(state.items, key=lambda one: one.seq)]
+    messages = [*sorted(state.items, key=lambda one: one.seq)]
     acknowledged = [*sorted(state.acknowledged)]
-    state = replace(state, items=items, acknowledged=acknowledged)
+    state = replace(state, items=messages, acknowledged=acknowledged)
     return [part.SerializeToString(deterministic=True) for part in parts_of(state)]
 
 

@@ -39,7 +39,7 @@ async def test_a_full_queue_that_drops_its_oldest_messages_counts_them(rig: Rig)
     assert adds_up(await queue.stats()).dropped == 3
 
 
-async def test_a_queue_whose_items_are_all_leased_drops_none_and_is_full(rig: Rig) -> None:
+async def test_a_queue_whose_messages_are_all_leased_drops_none_and_is_full(rig: Rig) -> None:
     queue = await rig.queue(max_items=1, on_full="drop_oldest")
     await queue.put(b"1")
     message = await queue.get(timeout=10)
@@ -62,7 +62,7 @@ async def test_a_lowered_max_deliveries_applies_immediately(rig: Rig) -> None:
     assert (await until(queue, lambda stats: not stats.held)).delivered == 3
 
 
-async def test_an_item_delivered_too_often_goes_to_the_dead_letter_queue(rig: Rig) -> None:
+async def test_a_message_delivered_too_often_goes_to_the_dead_letter_queue(rig: Rig) -> None:
     dead = await rig.queue()
     queue = await rig.queue(max_deliveries=2, dead_letter=dead.name)
     same = await rig.queue(queue.name, dead_letter=dead)

@@ -40,7 +40,7 @@ async def test_a_message_in_the_queue_is_taken_without_waiting(rig: Rig) -> None
     assert (message.payload, message.deliveries) == (b"x", 1)
 
 
-async def test_a_get_waits_for_an_item(rig: Rig) -> None:
+async def test_a_get_waits_for_a_message(rig: Rig) -> None:
     queue = await rig.queue()
     get = asyncio.ensure_future(queue.get())
     await until(queue, lambda stats: stats.waiting_gets == 1)
@@ -144,8 +144,8 @@ async def test_prefetched_messages_go_back_when_the_handle_is_closed(rig: Rig) -
     assert (await queue.get(timeout=10)).payload == b"1"
 
 
-def _has_leased(items: int, stats: st.QueueStats) -> bool:
-    return stats.leased == items
+def _has_leased(messages: int, stats: st.QueueStats) -> bool:
+    return stats.leased == messages
 
 
 async def test_a_message_that_no_caller_received_does_not_count_as_delivered(rig: Rig) -> None:

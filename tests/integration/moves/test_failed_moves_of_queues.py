@@ -66,14 +66,14 @@ async def payloads(queue: OpenedQueue) -> list[bytes]:
     """All messages that a new taker gets."""
     taker = queue.take(taker_id=9, credit=10)
     held = (await queue.status()).counters.held
-    found = [one.payload for one in await taker.items(held)]
+    found = [one.payload for one in await taker.deliveries(held)]
     taker.call.cancel()
     return found
 
 
 async def test_a_taker_whose_stream_ends_settles_at_the_new_host(pair: Pair) -> None:
     taker = pair.queue.take(taker_id=5, credit=1)
-    (first,) = await taker.items(1)
+    (first,) = await taker.deliveries(1)
     await pair.moves()
     assert await taker.ended() is grpc.StatusCode.FAILED_PRECONDITION
     (result,) = await pair.at_other().settle(ack(first), taker_id=5)

@@ -66,7 +66,7 @@ def test_no_message_is_lost_when_a_taker_is_killed(cluster: LocalCluster) -> Non
         assert (stats.consumed, stats.held) == (4, 0)
 
 
-def test_threads_that_share_a_handle_get_each_item_once(cluster: LocalCluster) -> None:
+def test_threads_that_share_a_handle_get_each_message_once(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt, rt.queue("work/shared", prefetch=8) as queue:
         found: list[bytes] = []
 

@@ -14,7 +14,7 @@ from stampede_rt_local.cluster import LocalCluster
 from tests.contract.queues.conftest import rig
 from tests.contract.queues.test_full_queues_and_dead_letters import (
     test_a_full_queue_makes_a_put_wait_or_refuses_it,
-    test_an_item_delivered_too_often_goes_to_the_dead_letter_queue,
+    test_a_message_delivered_too_often_goes_to_the_dead_letter_queue,
 )
 from tests.contract.queues.test_taking import (
     test_a_message_with_copies_is_delivered_to_that_many_takers,

@@ -109,7 +109,7 @@ class TakeCall:
             open=pb.TakeOpen(queue_id=queue.queue_id, epoch=believed, taker_id=taker_id, **fields), credit=credit
         )
         self.incarnation = 0
-        self._items: list[RigDelivery] = []
+        self._deliveries: list[RigDelivery] = []
         self.results: list[queue_pb2.SettlementResult] = []
         self.drained = False
 
@@ -131,17 +131,17 @@ class TakeCall:
         async with asyncio.timeout(WAIT_SECONDS_MAX):
             response = await self.call.read()
         assert response is not grpc.aio.EOF, "the stream goes on"
-        self._items += delivered_in(response)
+        self._deliveries += delivered_in(response)
         self.results += response.results
         self.drained = self.drained or response.drained
         return response
 
-    async def items(self, count: int) -> list[RigDelivery]:
-        """Return the next `count` messages."""
+    async def deliveries(self, count: int) -> list[RigDelivery]:
+        """Return the next `count` deliveries."""
         await self.send()
-        while len(self._items) < count:
+        while len(self._deliveries) < count:
             await self.read()
-        found, self._items = self._items[:count], self._items[count:]
+        found, self._deliveries = self._deliveries[:count], self._deliveries[count:]
         return found
 
     async def settled(self, *settlements: queue_pb2.Settlement) -> list[queue_pb2.SettlementResult]:

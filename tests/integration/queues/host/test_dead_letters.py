@@ -15,7 +15,7 @@ from tests.support.channel_host.queue_rig import (
 from tests.support.clock import ManualClock
 
 
-async def test_an_item_delivered_too_often_moves_to_the_dead_letter_queue_of_another_host() -> None:
+async def test_a_message_delivered_too_often_moves_to_the_dead_letter_queue_of_another_host() -> None:
     async with (
         queue_directory() as directory,
         host_of(directory) as rig,
@@ -26,43 +26,43 @@ async def test_an_item_delivered_too_often_moves_to_the_dead_letter_queue_of_ano
         await queue.put(b"poison", b"good", attributes={"k": "v"})
         taker = await queue.take(credit=1).open()
         for _ in range(2):
-            (item,) = await taker.items(1)
-            await taker.settled(nack(item))
+            (delivery,) = await taker.deliveries(1)
+            await taker.settled(nack(delivery))
             await taker.send(credit=1)
-        assert (await taker.items(1))[0].payload == b"good"
+        assert (await taker.deliveries(1))[0].payload == b"good"
         await queue.until(lambda status: status.counters.dead_lettered == 1)
-        (dead,) = await (await graveyard.take(credit=1).open()).items(1)
+        (dead,) = await (await graveyard.take(credit=1).open()).deliveries(1)
         assert (dead.payload, dead.run.run.content_type, dead.delivery) == (b"poison", "image/jpeg", 1)
         assert dict(dead.run.run.attributes) == {"k": "v"}
         counters = (await queue.status()).counters
         assert (counters.held, counters.expelled, counters.accepted) == (1, 0, 2)
 
 
-async def test_an_item_stays_until_the_dead_letter_queue_takes_it() -> None:
+async def test_a_message_stays_until_the_dead_letter_queue_takes_it() -> None:
     async with queue_directory() as directory, host_of(directory) as rig:
         graveyard = rig.open("dead", max_items=1, on_full=queue_pb2.QUEUE_ON_FULL_REJECT)
         queue = rig.open(max_deliveries=1, dead_letter_queue_id=graveyard.queue_id)
         await graveyard.put(b"in the way")
         await queue.put(b"poison")
         taker = await queue.take(credit=1).open()
-        await taker.settled(nack((await taker.items(1))[0]))
+        await taker.settled(nack((await taker.deliveries(1))[0]))
         await graveyard.until(lambda status: status.counters.rejected_full > 0)
         assert (await queue.status()).counters.held == 1
         clearing = await graveyard.take(credit=2).open()
-        await clearing.settled(ack((await clearing.items(1))[0]))
-        assert (await clearing.items(1))[0].payload == b"poison"
+        await clearing.settled(ack((await clearing.deliveries(1))[0]))
+        assert (await clearing.deliveries(1))[0].payload == b"poison"
         await queue.until(lambda status: status.counters.dead_lettered == 1)
 
 
-async def test_an_item_delivered_too_often_is_expelled_without_a_dead_letter_queue(rig: QueueRig) -> None:
+async def test_a_message_delivered_too_often_is_expelled_without_a_dead_letter_queue(rig: QueueRig) -> None:
     queue = rig.open(max_deliveries=1)
     await queue.put(b"poison")
     taker = await queue.take(credit=1).open()
-    await taker.settled(nack((await taker.items(1))[0]))
+    await taker.settled(nack((await taker.deliveries(1))[0]))
     assert (await queue.status()).counters.expelled == 1
 
 
-async def test_a_terminated_item_moves_to_the_dead_letter_queue_with_its_origin() -> None:
+async def test_a_terminated_message_moves_to_the_dead_letter_queue_with_its_origin() -> None:
     clock = ManualClock()
     async with queue_directory() as directory, host_of(directory, clock=clock) as rig:
         graveyard = rig.open("dead")
@@ -71,12 +71,12 @@ async def test_a_terminated_item_moves_to_the_dead_letter_queue_with_its_origin(
         await queue.put(b"good", b"poison")
         clock.advance(S)
         taker = await queue.take(taker_id=7, credit=2, taker_name="robot").open()
-        items = await taker.items(2)
-        (result,) = await taker.settled(term(items[1], "no image"))
+        deliveries = await taker.deliveries(2)
+        (result,) = await taker.settled(term(deliveries[1], "no image"))
         assert not result.HasField("error")
-        (again,) = await taker.settled(term(items[1], "no image"))
+        (again,) = await taker.settled(term(deliveries[1], "no image"))
         assert again.error.reason == error_pb2.ERROR_REASON_LEASE_EXPIRED
-        (dead,) = await (await graveyard.take(credit=1).open()).items(1)
+        (dead,) = await (await graveyard.take(credit=1).open()).deliveries(1)
         assert dead.payload == b"poison"
         assert dead.run.run.origin == item_pb2.DeadLetterOrigin(
             queue_id=queue.queue_id,

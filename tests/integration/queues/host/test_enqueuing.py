@@ -24,10 +24,10 @@ async def test_an_enqueue_on_a_full_queue_waits_until_a_taker_made_room(rig: Que
     waiting = asyncio.create_task(queue.put(b"b"))
     await queue.until(lambda status: status.waiting_enqueues == 1)
     taker = await queue.take(credit=2).open()
-    (item,) = await taker.items(1)
-    await taker.settled(ack(item))
+    (delivery,) = await taker.deliveries(1)
+    await taker.settled(ack(delivery))
     assert (await waiting).first_seq == 2
-    assert (await taker.items(1))[0].payload == b"b"
+    assert (await taker.deliveries(1))[0].payload == b"b"
 
 
 @pytest.mark.parametrize("wait_nanos", [0, 20 * MS])
@@ -90,7 +90,7 @@ async def test_an_enqueue_that_names_no_queue_or_does_not_count_ends_its_stream(
     assert (await queue.status()).counters.accepted == 0
 
 
-async def test_a_message_id_names_one_item_and_has_a_bound(rig: QueueRig) -> None:
+async def test_a_message_id_names_one_message_and_has_a_bound(rig: QueueRig) -> None:
     queue = rig.open()
     assert (await queue.put(b"a", b"b", message_id="x")).error.reason == error_pb2.ERROR_REASON_MALFORMED_RUN
     assert (await queue.put(b"a", message_id="x" * 129)).error.reason == error_pb2.ERROR_REASON_MALFORMED_RUN

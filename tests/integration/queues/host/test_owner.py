@@ -58,7 +58,7 @@ async def test_a_changed_policy_applies_when_the_directory_reports_it(rig: Queue
     assert (await waiting).first_seq == 2
 
 
-async def test_takers_of_a_deleted_queue_get_an_error_and_its_items_are_deleted(rig: QueueRig) -> None:
+async def test_takers_of_a_deleted_queue_get_an_error_and_its_messages_are_deleted(rig: QueueRig) -> None:
     queue = rig.open()
     taker = await queue.take(credit=1).open()
     await rig.directory.called("Watch", times=1)
@@ -78,12 +78,12 @@ async def test_the_host_asks_for_the_changes_that_a_broken_watch_missed(rig: Que
     assert await taker.ended() == grpc.StatusCode.FAILED_PRECONDITION
 
 
-async def test_a_host_that_may_not_serve_ends_its_streams_and_keeps_the_items() -> None:
+async def test_a_host_that_may_not_serve_ends_its_streams_and_keeps_the_messages() -> None:
     async with queue_directory(lease_ttl_nanos=2 * S) as directory, host_of(directory) as rig:
         queue = rig.open()
         await queue.put(b"a")
         taker = await queue.take(credit=2).open()
-        (item,) = await taker.items(1)
+        (delivery,) = await taker.deliveries(1)
         directory.refuse["RenewHostLease"] = Unavailable("no majority")
         assert await taker.ended() == grpc.StatusCode.FAILED_PRECONDITION
         (acked,) = await queue.enqueue(run_of(b"x"))
@@ -91,19 +91,19 @@ async def test_a_host_that_may_not_serve_ends_its_streams_and_keeps_the_items() 
         directory.lease_ttl_nanos = 600 * S  # so long that even a busy machine keeps the next lease
         directory.refuse.clear()
         again = await _taken_again(queue)
-        (result,) = await again.settled(ack(item))
+        (result,) = await again.settled(ack(delivery))
         assert not result.HasField("error")
 
 
 async def test_an_ack_of_a_former_incarnation_settles_no_delivery_of_the_next(rig: QueueRig) -> None:
     queue = rig.open()
     await queue.put(b"before")
-    (former,) = await (await queue.take(taker_id=5, credit=1).open()).items(1)
+    (former,) = await (await queue.take(taker_id=5, credit=1).open()).deliveries(1)
     queue.record.epoch, queue.record.incarnation = 2, queue.record.incarnation + 1
     await queue.put(b"after")
     again = await queue.take(taker_id=5, credit=1).open()
-    (item,) = await again.items(1)
-    assert item.payload == b"after"
+    (delivery,) = await again.deliveries(1)
+    assert delivery.payload == b"after"
     (result,) = await queue.settle(ack(former), taker_id=5)
     assert result.error.reason == error_pb2.ERROR_REASON_LEASE_EXPIRED
     assert (await queue.status()).counters.held == 1

@@ -28,13 +28,19 @@ async def test_messages_are_taken_in_order_and_consumed_by_acknowledging(rig: Qu
     assert (acked.first_seq, acked.items, acked.incarnation) == (1, 3, queue.record.incarnation)
     taker = await queue.take(credit=10).open()
     assert taker.incarnation == queue.record.incarnation
-    items = await taker.items(3)
-    assert [(one.payload, one.seq, one.delivery) for one in items] == [(b"one", 1, 1), (b"two", 2, 1), (b"three", 3, 1)]
-    assert items[0].run.run.content_type == "text/plain"
-    assert items[0].run.run.time_unix_nano[0] == acked.stamped_unix_nano
-    assert 0 < items[0].run.lease_nanos <= 30 * S
-    results = await taker.settled(*map(ack, items))
-    assert [(one.delivery_id, one.HasField("error")) for one in results] == [(it.delivery_id, False) for it in items]
+    deliveries = await taker.deliveries(3)
+    assert [(one.payload, one.seq, one.delivery) for one in deliveries] == [
+        (b"one", 1, 1),
+        (b"two", 2, 1),
+        (b"three", 3, 1),
+    ]
+    assert deliveries[0].run.run.content_type == "text/plain"
+    assert deliveries[0].run.run.time_unix_nano[0] == acked.stamped_unix_nano
+    assert 0 < deliveries[0].run.lease_nanos <= 30 * S
+    results = await taker.settled(*map(ack, deliveries))
+    assert [(one.delivery_id, one.HasField("error")) for one in results] == [
+        (one.delivery_id, False) for one in deliveries
+    ]
     counters = (await queue.status()).counters
     assert (counters.accepted, counters.consumed, counters.held, counters.leased) == (3, 3, 0, 0)
 
@@ -44,36 +50,36 @@ async def test_a_waiting_taker_gets_new_messages(rig: QueueRig) -> None:
     taker = await queue.take(credit=1).open()
     await queue.until(lambda status: status.waiting_takers == 1)
     await queue.put(b"x")
-    (item,) = await taker.items(1)
-    assert item.payload == b"x"
+    (delivery,) = await taker.deliveries(1)
+    assert delivery.payload == b"x"
 
 
-async def test_a_nacked_item_is_delivered_again_before_later_items_and_counted(rig: QueueRig) -> None:
+async def test_a_nacked_message_is_delivered_again_before_later_messages_and_counted(rig: QueueRig) -> None:
     queue = rig.open()
     await queue.put(b"a", b"b", b"c")
     taker = await queue.take(credit=1).open()
-    (first,) = await taker.items(1)
+    (first,) = await taker.deliveries(1)
     await taker.settled(nack(first))
     await taker.send(credit=2)
-    again, second = await taker.items(2)
+    again, second = await taker.deliveries(2)
     assert [(again.payload, again.delivery), (second.payload, second.delivery)] == [(b"a", 2), (b"b", 1)]
     assert again.delivery_id != first.delivery_id
 
 
-async def test_the_items_of_a_killed_taker_are_delivered_again_when_its_lease_ends() -> None:
+async def test_the_messages_of_a_killed_taker_are_delivered_again_when_its_lease_ends() -> None:
     clock = ManualClock()
     async with running_queue_host(clock=clock) as rig:
         queue = rig.open(lease_nanos=10 * S)
         await queue.put(b"a", b"b")
         killed = await queue.take(taker_id=1, credit=2).open()
-        await killed.items(2)
+        await killed.deliveries(2)
         killed.call.cancel()
         other = await queue.take(taker_id=2, credit=2).open()
         await queue.until(lambda status: status.waiting_takers == 1)
         assert (await queue.status()).counters.leased == 2
         clock.advance(10 * S)
-        items = await other.items(2)
-        assert [(one.payload, one.delivery) for one in items] == [(b"a", 2), (b"b", 2)]
+        deliveries = await other.deliveries(2)
+        assert [(one.payload, one.delivery) for one in deliveries] == [(b"a", 2), (b"b", 2)]
         assert (await queue.status()).counters.leases_expired == 2
 
 
@@ -81,7 +87,7 @@ async def test_a_taker_with_a_new_stream_settles_by_id_and_may_repeat_an_ack(rig
     queue = rig.open()
     await queue.put(b"a", b"b")
     taker = await queue.take(taker_id=7, credit=2).open()
-    one, two = await taker.items(2)
+    one, two = await taker.deliveries(2)
     taker.call.cancel()
     assert not (await queue.settle(ack(one), taker_id=7))[0].HasField("error")
     assert not (await queue.settle(ack(one), taker_id=7))[0].HasField("error")
@@ -121,7 +127,7 @@ async def test_a_stream_whose_caller_has_closed_its_side_ends_when_its_credit_is
     taker = await queue.take(credit=1).open()
     await taker.call.done_writing()
     await queue.put(b"x")
-    assert (await taker.items(1))[0].payload == b"x"
+    assert (await taker.deliveries(1))[0].payload == b"x"
     assert await taker.ended() == grpc.StatusCode.OK
 
 
@@ -130,12 +136,12 @@ async def test_hundreds_of_waiting_takers_are_served_in_turn(rig: QueueRig) -> N
     calls = [await queue.take(taker_id=number, credit=1).open() for number in range(1, 301)]
     await queue.until(lambda status: status.waiting_takers == 300)
     await queue.enqueue(*[run_of(*[b"%d" % (part * 100 + place) for place in range(100)]) for part in range(3)])
-    found = [(await call.items(1))[0].payload for call in calls]
+    found = [(await call.deliveries(1))[0].payload for call in calls]
     assert found == [b"%d" % number for number in range(300)]
     assert (await queue.status()).waiting_takers == 0
 
 
-async def test_a_frozen_taker_delays_an_item_for_one_lease_only() -> None:
+async def test_a_frozen_taker_delays_a_message_for_one_lease_only() -> None:
     """The frozen taker has an open stream and credit.
 
     In an earlier version, the host leased every message to the frozen taker again and again.
@@ -149,47 +155,47 @@ async def test_a_frozen_taker_delays_an_item_for_one_lease_only() -> None:
         live = await queue.take(taker_id=2, credit=100).open()
         await queue.until(lambda status: status.waiting_takers == 2)
         clock.advance(10 * S)
-        (item,) = await live.items(1)
-        assert (item.payload, item.delivery) == (b"a", 2)
-        await live.settled(ack(item))
+        (delivery,) = await live.deliveries(1)
+        assert (delivery.payload, delivery.delivery) == (b"a", 2)
+        await live.settled(ack(delivery))
         assert (await queue.status()).waiting_takers == 1
         for number in range(5):
             await queue.put(b"%d" % number)
-            (item,) = await live.items(1)
-            await live.settled(ack(item))
-        await frozen.items(1)
+            (delivery,) = await live.deliveries(1)
+            await live.settled(ack(delivery))
+        await frozen.deliveries(1)
         assert await frozen.read() == pb.TakeResponse(), "the host asks the taker whether it lives"
         await frozen.call.write(pb.TakeRequest())
         await queue.until(lambda status: status.waiting_takers == 2)
         await queue.put(b"b", b"c")
-        assert {(await frozen.items(1))[0].payload, (await live.items(1))[0].payload} == {b"b", b"c"}
+        assert {(await frozen.deliveries(1))[0].payload, (await live.deliveries(1))[0].payload} == {b"b", b"c"}
 
 
-async def test_a_taker_that_has_sent_a_message_since_its_lease_began_gets_further_items() -> None:
+async def test_a_taker_that_has_sent_a_request_since_its_lease_began_gets_further_messages() -> None:
     clock = ManualClock()
     async with running_queue_host(clock=clock) as rig:
         queue = rig.open(lease_nanos=10 * S)
         taker = await queue.take(taker_id=1, credit=2).open()
         await queue.put(b"a")
-        await taker.items(1)
+        await taker.deliveries(1)
         clock.advance(5 * S)
         await taker.settled(extend(10**9, S))  # the host hears of the taker; the kind of message does not matter
         clock.advance(5 * S)
-        assert (await taker.items(1))[0].delivery == 2
+        assert (await taker.deliveries(1))[0].delivery == 2
 
 
 async def test_leased_messages_are_listed_page_by_page(rig: QueueRig) -> None:
     queue = rig.open(lease_nanos=10 * S)
     await queue.put(b"a", b"b", b"c")
     taker = await queue.take(taker_id=7, credit=3, taker_name="robot").open()
-    items = await taker.items(3)
+    deliveries = await taker.deliveries(3)
 
     async def page(**asked: int) -> pb.ListPendingResponse:
         request = pb.ListPendingRequest(queue_id=queue.queue_id, epoch=queue.record.epoch, **asked)
         return await rig.stub.ListPending(request)
 
     whole = await page()
-    assert [one.delivery_id for one in whole.deliveries] == [item.delivery_id for item in items]
+    assert [one.delivery_id for one in whole.deliveries] == [delivery.delivery_id for delivery in deliveries]
     assert {(one.taker_id, one.taker_name, one.deliveries) for one in whole.deliveries} == {(7, "robot", 1)}
     assert {one.expires_unix_nano - one.leased_unix_nano for one in whole.deliveries} == {10 * S}
     assert not whole.more

@@ -29,7 +29,7 @@ def test_none_as_an_id_or_a_reason_becomes_an_empty_text() -> None:
 
 
 @pytest.mark.parametrize("parse", [parse_policy, parse_queue_policy])
-def test_a_bound_of_bytes_that_admits_no_item_is_refused_immediately(parse: Callable[..., Any]) -> None:
+def test_a_bound_of_bytes_that_admits_no_message_is_refused_immediately(parse: Callable[..., Any]) -> None:
     assert parse(max_bytes=64).max_bytes == 64
     for value in (1, 63):
         with pytest.raises(InvalidArgument, match=f"max_bytes is {value}; it must be 64 or more"):

@@ -71,7 +71,7 @@ def test_an_extended_lease_is_counted_from_now_and_may_get_shorter() -> None:
     assert core.queue.next_deadline() == core.now + 1000
 
 
-def test_a_given_back_item_does_not_hold_up_other_items_while_it_is_delayed() -> None:
+def test_a_given_back_message_does_not_hold_up_other_messages_while_it_is_delayed() -> None:
     core = Core()
     core.put(1, 1)
     core.taker(1, credit=1)
@@ -84,7 +84,7 @@ def test_a_given_back_item_does_not_hold_up_other_items_while_it_is_delayed() ->
     assert core.dispatched() == {2: [1]}
 
 
-def test_an_item_with_copies_is_delivered_to_that_many_different_takers() -> None:
+def test_a_message_with_copies_is_delivered_to_that_many_different_takers() -> None:
     core = Core(copies=2)
     core.put(1, 1)
     for taker_id in (1, 1, 2, 3):
@@ -96,7 +96,7 @@ def test_an_item_with_copies_is_delivered_to_that_many_different_takers() -> Non
     assert core.counted("held", "consumed") == (1, 1)
 
 
-def test_a_returned_copy_is_delivered_to_a_taker_that_has_not_had_the_item() -> None:
+def test_a_returned_copy_is_delivered_to_a_taker_that_has_not_had_the_message() -> None:
     core = Core(copies=2)
     core.put(1, 1)
     core.taker(1, credit=10)
@@ -157,7 +157,7 @@ def test_messages_sent_to_a_taker_are_still_leased_when_the_taker_leaves() -> No
     assert core.ack(1, 1) == [""]
 
 
-def test_a_taker_that_leaves_when_a_lease_ends_gets_no_item() -> None:
+def test_a_taker_that_leaves_when_a_lease_ends_gets_no_message() -> None:
     core = Core(lease_nanos=100)
     core.put(1)
     silent, waiting, leaving = core.taker(1, credit=2), core.taker(2), core.taker(3)
@@ -177,7 +177,7 @@ def test_a_taker_that_leaves_when_a_lease_ends_gets_no_item() -> None:
     assert silent not in core.queue.take_silent()
 
 
-def test_a_batch_keeps_the_limit_of_a_message_and_a_large_item_is_sent_separately() -> None:
+def test_a_batch_keeps_the_limit_of_a_response_and_a_large_message_is_sent_separately() -> None:
     core = Core()
     for length in (BATCH_BYTES_MAX // 2 - 100, BATCH_BYTES_MAX // 2 - 100, 10**3, 2 * BATCH_BYTES_MAX, 1):
         core.put(length)
@@ -296,7 +296,7 @@ def test_the_refusal_of_a_full_queue_states_its_content_and_gives_advice() -> No
     assert "200 bytes" in rejection.error.message
 
 
-def test_the_oldest_items_without_a_lease_make_room() -> None:
+def test_the_oldest_messages_without_a_lease_make_room() -> None:
     core = Core(max_items=3, on_full=DROP_OLDEST)
     core.put(1, 1, 1)
     core.taker(1, credit=1)
@@ -310,7 +310,7 @@ def test_the_oldest_items_without_a_lease_make_room() -> None:
     assert [one.error.reason for one in run.outcome.refusals] == ["QUEUE_FULL"]
 
 
-def test_an_item_that_was_delivered_too_often_is_expelled_with_its_other_leases() -> None:
+def test_a_message_that_was_delivered_too_often_is_expelled_with_its_other_leases() -> None:
     core = Core(copies=2, max_deliveries=1)
     core.put(1)
     core.taker(1, credit=1)
@@ -321,7 +321,7 @@ def test_an_item_that_was_delivered_too_often_is_expelled_with_its_other_leases(
     assert core.counted("expelled", "held", "leased") == (1, 0, 0)
 
 
-def test_an_item_for_the_dead_letter_queue_is_held_until_it_has_departed() -> None:
+def test_a_message_for_the_dead_letter_queue_is_held_until_it_has_departed() -> None:
     core = Core(max_deliveries=1, dead_letters=True, max_items=1)
     core.put(1)
     core.taker(1, credit=5)
@@ -337,12 +337,12 @@ def test_an_item_for_the_dead_letter_queue_is_held_until_it_has_departed() -> No
     assert core.dispatched() == {1: [2]}
 
 
-def test_a_lowered_number_of_deliveries_applies_immediately_to_items_that_were_delivered_more_often() -> None:
+def test_a_lowered_number_of_deliveries_applies_immediately_to_messages_that_were_delivered_more_often() -> None:
     core = Core(max_deliveries=9, dead_letters=True)
     core.put(1, 1, 1)
     core.taker(1, credit=5)
     core.dispatched()
-    for delivery_id in (1, 2, 4, 5, 3):  # the first and the second item twice, the third once
+    for delivery_id in (1, 2, 4, 5, 3):  # the first and the second message twice, the third once
         core.nack(1, delivery_id)
         core.dispatched()
     core.queue.configure(QueueLimits(max_deliveries=2, dead_letters=True), core.now)
@@ -353,7 +353,7 @@ def test_a_lowered_number_of_deliveries_applies_immediately_to_items_that_were_d
     assert [one.seq for one in core.queue.dead_letters(10)] == [1, 2, 3]
 
 
-def test_after_new_limits_a_queue_checks_a_few_items_a_step_and_delivers_none_before_all_are_checked(
+def test_after_new_limits_a_queue_checks_a_few_messages_a_step_and_delivers_none_before_all_are_checked(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(due_work, "CHECKED_PER_CALL_MAX", 4)
@@ -373,7 +373,7 @@ def test_after_new_limits_a_queue_checks_a_few_items_a_step_and_delivers_none_be
     assert core.counted("expelled", "held") == (10, 0)
 
 
-def test_a_terminated_item_loses_its_other_leases_and_its_last_delivery_is_reported() -> None:
+def test_a_terminated_message_loses_its_other_leases_and_its_last_delivery_is_reported() -> None:
     core = Core(copies=2, dead_letters=True)
     core.put(1)
     core.taker(1, credit=1)

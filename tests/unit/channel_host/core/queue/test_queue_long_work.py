@@ -18,7 +18,7 @@ from stampede_rt_channel_host.queues.hosted_queue import STREAMS_PER_PIECE, Host
 from tests.support.channel_host.queue_cores import Core
 
 
-def test_a_batch_holds_a_bounded_number_of_items_however_small_they_are() -> None:
+def test_a_batch_holds_a_bounded_number_of_messages_however_small_they_are() -> None:
     core = Core()
     for _ in range(2000):
         core.put(1)
@@ -45,7 +45,7 @@ def test_each_call_serves_some_of_many_waiting_takers_and_all_get_the_same_numbe
     assert served == {taker_id: [100] for taker_id in range(1, 101)}
 
 
-def test_no_call_delivers_more_items_than_the_limit_of_a_call() -> None:
+def test_no_call_delivers_more_messages_than_the_limit_of_a_call() -> None:
     core = Core(max_items=30_000)
     for taker_id in range(1, 21):
         core.taker(taker_id, 1000)
@@ -105,7 +105,7 @@ def test_a_smaller_limit_drops_the_excess_in_many_calls_while_the_put_waits() ->
     assert run.outcome.parts
 
 
-def test_a_dropped_queue_frees_its_items_in_pieces() -> None:
+def test_a_dropped_queue_frees_its_messages_in_pieces() -> None:
     core = Core(max_items=20_000)
     for _ in range(20):
         core.put(*[1] * 500)
