@@ -221,7 +221,7 @@ ROWS: Sequence[tuple[str, Callable[[int], list[float]], int]] = (
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=5, help="how often each is taken (default: 5)")
+    parser.add_argument("--runs", type=int, default=5, help="the number of measurements of each figure (default: 5)")
     runs: int = parser.parse_args().runs
     table = Table(["us of CPU", *(f"{count:,} others" for count in COUNTS)])
     for name, measure, most in ROWS:

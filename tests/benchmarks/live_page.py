@@ -28,7 +28,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tabs", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=10.0, help="of one measurement")
+    parser.add_argument("--seconds", type=float, default=10.0, help="the time of one measurement")
     parser.add_argument("--rounds", type=int, default=5)
     arguments = parser.parse_args()
     with ExitStack() as stack:

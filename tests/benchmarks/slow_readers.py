@@ -58,7 +58,7 @@ def main() -> None:
     """Print a line for each kind of reader."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=24.0)
-    parser.add_argument("--rest", type=float, default=0.2, help="how long a reader rests after each item, in seconds")
+    parser.add_argument("--rest", type=float, default=0.2, help="the pause of a reader after each item, in seconds")
     asked = parser.parse_args()
     with LocalCluster(hosts=1, supernodes=1) as cluster:
         secret = cluster.secret_file.read_text().strip()

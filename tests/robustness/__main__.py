@@ -50,7 +50,7 @@ def arguments() -> argparse.Namespace:
     where = "file for the report; text above an earlier report in this file stays, as in docs/robustness.md"
     parser.add_argument("--report", type=Path, default=Path("out/robustness.md"), help=where)
     parser.add_argument("--minutes", type=float, default=14.0, help="approximate time for the faults in real processes")
-    parser.add_argument("--seeds", type=int, default=200, help="how many seeds the simulated directory runs")
+    parser.add_argument("--seeds", type=int, default=200, help="the number of seeds that the simulated directory runs")
     parser.add_argument(
         "--seed", type=int, default=1, help="random seed for the order and the choices of the real faults"
     )

@@ -4,8 +4,8 @@
 
 All figures are from one run on this machine, with the files in the folder of --folder. The figures of writers and of
 live readers are medians of --rounds rounds, with the least and the greatest value. In each round all writers write, one
-after the other. The whole command takes about five minutes. The part `files` reads from archives of up to --files
-items, without a server: 10^8 items of 64 B need 9 GB, and some minutes more.
+after the other. The whole command takes about five minutes. The part `files` reads the files of archives of up to
+--files items in this process, without a host: 10^8 items of 64 B need 9 GB, and some minutes more.
 """
 
 from __future__ import annotations
@@ -28,11 +28,15 @@ PARTS = ("writing", "live", "reading", "files")
 def main() -> None:
     """Print the tables of the wanted parts."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.archive_cost", description=__doc__)
-    parser.add_argument("--folder", type=Path, help="on the disk to measure; default: the folder for temporary files")
-    parser.add_argument("--only", choices=PARTS, help="one part; default: all")
-    parser.add_argument("--rounds", type=int, default=3, help="of writers, and of live readers")
-    parser.add_argument("--largest", type=int, default=10**7, help="items of the largest archive behind a server")
-    parser.add_argument("--files", type=int, default=10**7, help="items of the largest archive without a server")
+    parser.add_argument(
+        "--folder", type=Path, help="a folder on the measured disk; default: the folder for temporary files"
+    )
+    parser.add_argument("--only", choices=PARTS, help="measure only this part; default: all parts")
+    parser.add_argument("--rounds", type=int, default=3, help="the rounds of writers and of live readers")
+    parser.add_argument(
+        "--largest", type=int, default=10**7, help="the items of the largest archive that is read through a host"
+    )
+    parser.add_argument("--files", type=int, default=10**7, help="the items of the largest archive in `files`")
     wanted = parser.parse_args()
     parts = (wanted.only,) if wanted.only else PARTS
     print(f"load average at the start: {os.getloadavg()[0]:.1f}, {os.cpu_count()} processors")

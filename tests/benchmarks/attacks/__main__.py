@@ -84,7 +84,7 @@ def main() -> int:
     """Measure and print. Returns 1 if an attack could not be measured; the others are in the table."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.attacks", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(CASES)}; none: all")
-    parser.add_argument("--seconds", type=float, default=8.0, help="how long each attack lasts (default: 8)")
+    parser.add_argument("--seconds", type=float, default=8.0, help="the time of each attack (default: 8)")
     parser.add_argument(
         "--runs", type=int, default=1, help="runs of each attack; the table has the median (default: 1)"
     )

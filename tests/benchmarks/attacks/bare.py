@@ -100,7 +100,7 @@ def main() -> None:
     """Measure the three trials of each flood, one after the other, and print the table."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.attacks.bare", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(FLOODS)}; none: all")
-    parser.add_argument("--seconds", type=float, default=3.0, help="how long each attack lasts (default: 3)")
+    parser.add_argument("--seconds", type=float, default=3.0, help="the time of each attack (default: 3)")
     parser.add_argument("--runs", type=int, default=3, help="runs of each trial (default: 3)")
     options = parser.parse_args()
     if options.names == [SERVE]:

@@ -77,7 +77,7 @@ def main() -> None:
         print(asyncio.run(_flood(sys.argv[2], float(sys.argv[3]))))
         return
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.attacks.reset_cost", description=__doc__)
-    parser.add_argument("--seconds", type=float, default=4.0, help="how long a round lasts (default: 4)")
+    parser.add_argument("--seconds", type=float, default=4.0, help="the time of a round (default: 4)")
     parser.add_argument("--rounds", type=int, default=3, help="rounds at each server (default: 3)")
     options = parser.parse_args()
     found: dict[str, list[Cost]] = {"host": [], "bare gRPC server": []}

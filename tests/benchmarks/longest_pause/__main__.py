@@ -94,7 +94,7 @@ def main() -> None:
     """Measure and print; with --client be the client."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("cases", nargs="*", help=f"of {', '.join(CASES)}; none: all")
-    parser.add_argument("--share", type=float, default=1.0, help="of the items")
+    parser.add_argument("--share", type=float, default=1.0, help="the measured share of the items")
     parser.add_argument("--client", nargs=4, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.client:

@@ -19,7 +19,7 @@ DISK_BYTES = 64 * 2**20
 def main() -> int:
     """Run the campaign, and print its findings. Returns 1 if an acked item is lost, 2 if this machine cannot run it."""
     parser = argparse.ArgumentParser(prog="python -m tests.robustness.archives", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=10, help="how often each fault is injected")
+    parser.add_argument("--rounds", type=int, default=10, help="the number of injections of each fault")
     parser.add_argument("--seed", type=int, default=1, help="decides the order of the faults and all choices")
     wanted = parser.parse_args()
     began = time.monotonic()

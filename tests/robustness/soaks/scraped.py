@@ -126,7 +126,7 @@ async def _soak(cluster: LocalCluster, prometheus: Prometheus, minutes: float) -
 def main() -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(prog="python -m tests.robustness.soaks.scraped", description=__doc__)
-    parser.add_argument("--minutes", type=float, default=10.0, help="how long to kill parts")
+    parser.add_argument("--minutes", type=float, default=10.0, help="the time for which parts are killed")
     return asyncio.run(soak(parser.parse_args().minutes))
 
 

@@ -147,7 +147,9 @@ async def _soak(cluster: LocalCluster, watcher: Watcher, minutes: float) -> int:
 def main() -> int:
     """Run the command line."""
     parser = argparse.ArgumentParser(prog="python -m tests.robustness.soaks.watched", description=__doc__)
-    parser.add_argument("--minutes", type=float, default=10.0, help="how long to kill parts, each at least once")
+    parser.add_argument(
+        "--minutes", type=float, default=10.0, help="the time for which parts are killed, each at least once"
+    )
     parser.add_argument("--picture", type=Path, help="the file for a picture of the tab at the end")
     arguments = parser.parse_args()
     return asyncio.run(soak(arguments.minutes, arguments.picture))

@@ -11,7 +11,7 @@ FORMS = ("table", "json", "jsonl")
 
 def add_output(parser: argparse.ArgumentParser, default: str = "table") -> None:
     """Add the option for the form of the output."""
-    parser.add_argument("-o", "--output", choices=FORMS, default=default, help="how to print; default table")
+    parser.add_argument("-o", "--output", choices=FORMS, default=default, help="the form of the output; default table")
 
 
 def json_text(value: Any, form: str) -> str:

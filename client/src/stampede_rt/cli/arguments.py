@@ -53,7 +53,7 @@ def add_summary(parser: argparse.ArgumentParser, *flags: str) -> None:
     `flags`: further names of --output, such as "-o". In some verbs -o names a file, so they do not pass it here.
     """
     names = (*flags, "--output", "--summary")
-    parser.add_argument(*names, choices=FORMS, default="table", help="how to print; default table")
+    parser.add_argument(*names, choices=FORMS, default="table", help="the form of the output; default table")
     _add_local(parser)
 
 

@@ -42,7 +42,11 @@ def administer(argv: Sequence[str]) -> int:
     add.add_argument("address", metavar="HOST:PORT", help="the new supernode's address; the others must reach it there")
     add.add_argument("--id", help="the supernode's id, never used before; default: a random id")
     add.add_argument(
-        "--valid-hours", type=_hours, default=1.0, metavar="HOURS", help="how many hours the token is valid; default 1"
+        "--valid-hours",
+        type=_hours,
+        default=1.0,
+        metavar="HOURS",
+        help="the hours for which the token is valid; default 1",
     )
     remove = _verb(verbs, "remove", "remove a supernode permanently; its id is never used again", _run_remove)
     remove.add_argument("id", help="the supernode's id, see `stampede supernode status`")

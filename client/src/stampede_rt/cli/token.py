@@ -40,7 +40,7 @@ def add_verbs(subparsers: Any) -> None:
         type=checked(_ttl),
         default=TTL_DEFAULT,
         metavar="DURATION",
-        help="how long the token is valid, at most 30 days; default 1h",
+        help="the time for which the token is valid, at most 30 days; default 1h",
     )
     revoke = add_verb(verbs, "revoke", "revoke a token permanently: all services refuse it from then on", run_revoke)
     revoke.add_argument(

@@ -33,7 +33,7 @@ def add_verbs(subparsers: Any) -> None:
     """Add the verb of this module."""
     verb = add_verb(subparsers, "top", "show the busiest channels, live, until q or Ctrl-C", run_top)
     verb.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "cam/*"')
-    verb.add_argument("--sort", choices=SORTS, default="bytes", help="what to sort by; default bytes, in and out")
+    verb.add_argument("--sort", choices=SORTS, default="bytes", help="the column to sort by; default bytes, in and out")
     verb.add_argument(
         "--every", type=period_seconds, default=1.0, metavar="SECONDS", help="refresh this often; default 1"
     )

@@ -18,8 +18,8 @@ from tests.robustness.fuzz.parsers.unguided import run_unguided
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("targets", nargs="*", help="default: all targets")
-    parser.add_argument("--inputs", type=int, default=100_000, help="for each target")
-    parser.add_argument("--seconds", type=int, default=600, help="for each target, at most")
+    parser.add_argument("--inputs", type=int, default=100_000, help="the inputs for each target")
+    parser.add_argument("--seconds", type=int, default=600, help="the most seconds for each target")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--guided", action="store_true")
     arguments = parser.parse_args()

@@ -14,7 +14,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="call all RPCs with messages that no client of the product sends")
     parser.add_argument("ports", nargs="*", help=f"some of {', '.join(PORTS)}; default: all")
     parser.add_argument("--inputs", type=int, default=1_000_000, help="requests for each port")
-    parser.add_argument("--seconds", type=float, default=36_000.0, help="for each port, at most")
+    parser.add_argument("--seconds", type=float, default=36_000.0, help="the most seconds for each port")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--tls", action="store_true", help="with certificates of all roles instead of the secret")
     arguments = parser.parse_args()

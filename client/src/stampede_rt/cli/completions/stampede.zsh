@@ -213,7 +213,7 @@ _shtab_stampede_acl_defaults_added=0
 _shtab_stampede_acl_add_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--kind[only things of this kind\; default\: every kind]:kind:(channel group queue peer)"
   "--deny[forbid the verbs, even if other rules allow them]"
@@ -229,7 +229,7 @@ _shtab_stampede_acl_add_defaults_added=0
 _shtab_stampede_acl_check_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--kind[the kind of the thing\; default\: the first kind that has the verb]:kind:(channel group queue peer)"
   ":the name of a client:"
@@ -243,7 +243,7 @@ _shtab_stampede_acl_check_defaults_added=0
 _shtab_stampede_acl_ls_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
 )
 
@@ -253,7 +253,7 @@ _shtab_stampede_acl_ls_defaults_added=0
 _shtab_stampede_acl_rm_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--kind[only things of this kind\; default\: every kind]:kind:(channel group queue peer)"
   "--deny[forbid the verbs, even if other rules allow them]"
@@ -280,7 +280,7 @@ _shtab_stampede_bench_capacity_options=(
   "--seconds[the time of each run in steady state (default\: 5)]:S:"
   "--rounds[the runs of each workload (default\: 3)]:N:"
   "--out[the folder for the report (default\: out\/bench)]:DIR:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -296,7 +296,7 @@ _shtab_stampede_bench_growth_options=(
   "--groups-max[the most groups of a channel (default\: 500)]:N:"
   "--runs[the runs of each figure (default\: 5)]:N:"
   "--out[the folder for the report (default\: out\/bench)]:DIR:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -308,7 +308,7 @@ _shtab_stampede_bench_limits_options=(
   "--seconds[the time of each run in steady state (default\: 5)]:S:"
   "--rounds[the runs of each workload (default\: 5)]:N:"
   "--out[the folder for the report (default\: out\/bench)]:DIR:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -318,7 +318,7 @@ _shtab_stampede_bench_matching_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--seconds[the length of each recording (default\: 60)]:seconds:"
   "--seed[the seed of the recordings (default\: 1)]:seed:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -331,7 +331,7 @@ _shtab_stampede_bench_paper_options=(
   "--runs[the runs for each figure (default\: 5)]:N:"
   "--frames[the frames of each run of contention (default\: 2312, as in the paper\: 77 s)]:N:"
   "--out[the folder for charts (default\: out\/bench)]:DIR:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -345,7 +345,7 @@ _shtab_stampede_bench_peers_options=(
   "--seconds[the time of each run in steady state (default\: 5)]:S:"
   "--rounds[the runs of each workload (default\: 5)]:N:"
   "--out[the folder for the report (default\: out\/bench)]:DIR:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -354,7 +354,7 @@ _shtab_stampede_bench_peers_defaults_added=0
 _shtab_stampede_bw_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--every[take a reading this often\; default 1]:SECONDS:"
   "--count[stop after N readings]:N:"
@@ -375,7 +375,7 @@ _shtab_stampede_certs_init_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--cluster[the cluster\'s name\; default\: stampede]:NAME:"
   "--days[the authority is valid for N days\; default\: 3650]:N:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   ":the new folder\; default\: certs:"
 )
 
@@ -391,7 +391,7 @@ _shtab_stampede_certs_issue_options=(
   "--out[write the files to DIR\; default\: the authority\'s folder]:DIR:"
   "--days[the certificate is valid for N days\; default\: 365]:N:"
   "--ttl[valid for this time, such as 12h]:DURATION:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -400,7 +400,7 @@ _shtab_stampede_certs_issue_defaults_added=0
 _shtab_stampede_certs_renew_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--dir[the authority\'s folder\; default\: certs]:DIR:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "(*):NAME.pem, with NAME.key beside it:_files"
 )
 
@@ -410,7 +410,7 @@ _shtab_stampede_certs_renew_defaults_added=0
 _shtab_stampede_certs_revoke_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends\; default \$STAMPEDE_URL]:HOST:PORT,...:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "(*)::certificates, or serial numbers\; default\: list the revoked ones:"
 )
 
@@ -419,7 +419,7 @@ _shtab_stampede_certs_revoke_defaults_added=0
 
 _shtab_stampede_certs_show_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "(*):FILE:_files"
 )
 
@@ -437,7 +437,7 @@ _shtab_stampede_completion_defaults_added=0
 _shtab_stampede_configure_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--max-age[keep items for this time, such as \"10s\"]:DURATION:"
   "--max-items[keep at most N items]:N:"
@@ -466,7 +466,7 @@ _shtab_stampede_context_defaults_added=0
 
 _shtab_stampede_context_add_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--url[front-ends, comma-separated]:HOST:PORT:"
   "--secret-file[the file of the secret or token\; -\: keep the secret from standard input]:FILE:_files"
   "--tls-ca[the file of the certificate authority]:FILE:_files"
@@ -480,7 +480,7 @@ _shtab_stampede_context_add_defaults_added=0
 
 _shtab_stampede_context_ls_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -488,7 +488,7 @@ _shtab_stampede_context_ls_defaults_added=0
 
 _shtab_stampede_context_none_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -496,7 +496,7 @@ _shtab_stampede_context_none_defaults_added=0
 
 _shtab_stampede_context_rm_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   ":the context\'s name:"
 )
 
@@ -505,7 +505,7 @@ _shtab_stampede_context_rm_defaults_added=0
 
 _shtab_stampede_context_use_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   ":the context\'s name:"
 )
 
@@ -514,7 +514,7 @@ _shtab_stampede_context_use_defaults_added=0
 
 _shtab_stampede_demo_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   ":NAME:(tv-watcher stereo rover)"
 )
 
@@ -546,7 +546,7 @@ _shtab_stampede_dev_defaults_added=0
 _shtab_stampede_doctor_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--member[the supernodes to check if no front-end answers]:HOST:PORT,...:"
 )
@@ -557,7 +557,7 @@ _shtab_stampede_doctor_defaults_added=0
 _shtab_stampede_echo_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--from[begin with the held items from this time on]:TIME:"
   "--mode[every item, or always the newest one]:mode:(all newest)"
@@ -580,7 +580,7 @@ _shtab_stampede_export_options=(
   "--from[the first time]:TIME:"
   "--to[the end, exclusive]:TIME:"
   "--overwrite[overwrite an existing file]"
-  {--output,--summary}"[how to print\; default table]:output:(table json jsonl)"
+  {--output,--summary}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "(*):channels or globs such as \'rig\/\*\', or one file:"
 )
@@ -597,7 +597,7 @@ _shtab_stampede_file_defaults_added=0
 
 _shtab_stampede_file_cut_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {--output,--summary}"[how to print\; default table]:output:(table json jsonl)"
+  {--output,--summary}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--from[the first time]:TIME:"
   "--to[the end, exclusive]:TIME:"
@@ -612,7 +612,7 @@ _shtab_stampede_file_cut_defaults_added=0
 
 _shtab_stampede_file_info_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {--output,--summary}"[how to print\; default table]:output:(table json jsonl)"
+  {--output,--summary}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":an MCAP file:_files"
 )
@@ -622,7 +622,7 @@ _shtab_stampede_file_info_defaults_added=0
 
 _shtab_stampede_file_merge_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {--output,--summary}"[how to print\; default table]:output:(table json jsonl)"
+  {--output,--summary}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   {-o,--file}"[the file to write]:FILE:_files"
   "--overwrite[overwrite an existing file]"
@@ -634,7 +634,7 @@ _shtab_stampede_file_merge_defaults_added=0
 
 _shtab_stampede_file_recover_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {--output,--summary}"[how to print\; default table]:output:(table json jsonl)"
+  {--output,--summary}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   {-o,--file}"[the file to write]:FILE:_files"
   "--overwrite[overwrite an existing file]"
@@ -646,7 +646,7 @@ _shtab_stampede_file_recover_defaults_added=0
 
 _shtab_stampede_file_verify_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {--output,--summary}"[how to print\; default table]:output:(table json jsonl)"
+  {--output,--summary}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":an MCAP file:_files"
 )
@@ -679,7 +679,7 @@ _shtab_stampede_frontend_defaults_added=0
 _shtab_stampede_get_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--last[the items of the last DURATION, such as \"30s\"]:DURATION:"
   "--at[the items that hold at this time]:TIME:"
@@ -712,7 +712,7 @@ _shtab_stampede_group_defaults_added=0
 _shtab_stampede_group_add_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the group\'s name:"
   ":the channel\'s name:"
@@ -724,7 +724,7 @@ _shtab_stampede_group_add_defaults_added=0
 _shtab_stampede_group_create_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--reference[the channel whose cut becomes the cut of the group\; default\: the smallest cut of all members]:CHANNEL:"
   "--bound[a channel\'s cut\: the start of its newest item (default), or its end]:bound:(start end)"
@@ -740,7 +740,7 @@ _shtab_stampede_group_create_defaults_added=0
 _shtab_stampede_group_delete_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the group\'s name:"
 )
@@ -751,7 +751,7 @@ _shtab_stampede_group_delete_defaults_added=0
 _shtab_stampede_group_get_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--as-of[answer as the hosts would have answered at this time\; for groups of recorded channels]:TIME:"
   ":the group\'s name:"
@@ -765,7 +765,7 @@ _shtab_stampede_group_get_defaults_added=0
 _shtab_stampede_group_ls_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":names, such as \"stereo\/\*\":"
 )
@@ -776,7 +776,7 @@ _shtab_stampede_group_ls_defaults_added=0
 _shtab_stampede_group_match_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--per[the channel whose items each get a match]:CHANNEL:"
   "--tolerance[the greatest distance in time, such as \"10ms\"]:DURATION:"
@@ -794,7 +794,7 @@ _shtab_stampede_group_match_defaults_added=0
 _shtab_stampede_group_newest_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--as-of[answer as the hosts would have answered at this time\; for groups of recorded channels]:TIME:"
   ":the group\'s name:"
@@ -806,7 +806,7 @@ _shtab_stampede_group_newest_defaults_added=0
 _shtab_stampede_group_remove_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the group\'s name:"
   ":the channel\'s name:"
@@ -818,7 +818,7 @@ _shtab_stampede_group_remove_defaults_added=0
 _shtab_stampede_group_status_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the group\'s name:"
 )
@@ -829,7 +829,7 @@ _shtab_stampede_group_status_defaults_added=0
 _shtab_stampede_group_watch_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--max-wait[wait this long for members that lag\; default 1s]:DURATION:"
   "--lateness[wait this long for late items\; default 0s]:DURATION:"
@@ -885,7 +885,7 @@ _shtab_stampede_host_defaults_added=0
 _shtab_stampede_host_drain_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--timeout[give up after this time, at most 60s\; default\: 60s]:DURATION:"
   ":the host\'s name:"
@@ -897,7 +897,7 @@ _shtab_stampede_host_drain_defaults_added=0
 _shtab_stampede_hosts_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
 )
 
@@ -907,7 +907,7 @@ _shtab_stampede_hosts_defaults_added=0
 _shtab_stampede_hz_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--every[take a reading this often\; default 1]:SECONDS:"
   "--count[stop after N readings]:N:"
@@ -925,7 +925,7 @@ _shtab_stampede_import_options=(
   "--to[the end, exclusive]:TIME:"
   "*--channel[a name, or a glob such as \'rig\/\*\'\; may be repeated]:GLOB:"
   "--shift[move all times to \"now\", or by a duration such as -1h\; default\: the recorded times]:SHIFT:"
-  {-o,--output,--summary}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output,--summary}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":MCAP, rosbag2 (its folder, or a file in it), or XDF:_files"
 )
@@ -936,7 +936,7 @@ _shtab_stampede_import_defaults_added=0
 _shtab_stampede_info_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the channel\'s name:"
 )
@@ -947,7 +947,7 @@ _shtab_stampede_info_defaults_added=0
 _shtab_stampede_lag_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--top[print N lines at most\; default 20]:N:"
   ":names, such as \"cam\/\*\":"
@@ -959,7 +959,7 @@ _shtab_stampede_lag_defaults_added=0
 _shtab_stampede_ls_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   {-l,--long}"[also print counters, which the hosts give]"
   ":names, such as \"cam\/\*\":"
@@ -978,7 +978,7 @@ _shtab_stampede_mailbox_defaults_added=0
 _shtab_stampede_mailbox_get_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   {-n,--count}"[take N messages\; default 1]:N:"
   "--timeout[wait this long for each, e.g. 500ms\; default 1s]:DURATION:"
@@ -994,7 +994,7 @@ _shtab_stampede_mailbox_get_defaults_added=0
 _shtab_stampede_mailbox_info_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the peer\'s name:"
 )
@@ -1005,7 +1005,7 @@ _shtab_stampede_mailbox_info_defaults_added=0
 _shtab_stampede_mailbox_pending_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   {-n,--count}"[list the N oldest\; default 1000]:N:"
   ":the peer\'s name:"
@@ -1017,7 +1017,7 @@ _shtab_stampede_mailbox_pending_defaults_added=0
 _shtab_stampede_mailbox_send_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--message-id[the id of the message\; for 10 minutes the queue stores no second message with the same id]:ID:"
   "*--attribute[an attribute of the message\; may be repeated]:KEY=VALUE:"
@@ -1032,7 +1032,7 @@ _shtab_stampede_mailbox_send_defaults_added=0
 _shtab_stampede_move_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--queue[move the queue of that name]"
   ":the channel\'s name, or with --queue the queue\'s name:"
@@ -1045,7 +1045,7 @@ _shtab_stampede_move_defaults_added=0
 _shtab_stampede_peers_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--all[also list peers whose leases have ended]"
   ":names, such as \"robot\/\*\":"
@@ -1064,7 +1064,7 @@ _shtab_stampede_proxy_defaults_added=0
 _shtab_stampede_proxy_add_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--source[the host that feeds the proxy\; default\: the owner of the channel]:HOST:"
   ":the channel\'s name:"
@@ -1077,7 +1077,7 @@ _shtab_stampede_proxy_add_defaults_added=0
 _shtab_stampede_proxy_ls_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the channel\'s name:"
 )
@@ -1088,7 +1088,7 @@ _shtab_stampede_proxy_ls_defaults_added=0
 _shtab_stampede_proxy_rm_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the channel\'s name:"
   ":the proxy\'s host:"
@@ -1100,7 +1100,7 @@ _shtab_stampede_proxy_rm_defaults_added=0
 _shtab_stampede_put_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--lines[put one item for each line of standard input]"
   "--rate[put N items per second\: the payload again and again, or the lines]:N:"
@@ -1139,7 +1139,7 @@ _shtab_stampede_queue_defaults_added=0
 _shtab_stampede_queue_delete_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the queue\'s name:"
 )
@@ -1150,7 +1150,7 @@ _shtab_stampede_queue_delete_defaults_added=0
 _shtab_stampede_queue_get_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   {-n,--count}"[take N messages\; default 1]:N:"
   "--timeout[wait this long for each, e.g. 500ms\; default 1s]:DURATION:"
@@ -1166,7 +1166,7 @@ _shtab_stampede_queue_get_defaults_added=0
 _shtab_stampede_queue_info_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the queue\'s name:"
 )
@@ -1177,7 +1177,7 @@ _shtab_stampede_queue_info_defaults_added=0
 _shtab_stampede_queue_ls_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   {-l,--long}"[also print counters, which the hosts give]"
   ":names, such as \"work\/\*\":"
@@ -1189,7 +1189,7 @@ _shtab_stampede_queue_ls_defaults_added=0
 _shtab_stampede_queue_pending_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   {-n,--count}"[list the N oldest\; default 1000]:N:"
   ":the queue\'s name:"
@@ -1201,7 +1201,7 @@ _shtab_stampede_queue_pending_defaults_added=0
 _shtab_stampede_queue_put_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--message-id[the id of the message\; for 10 minutes the queue stores no second message with the same id]:ID:"
   "*--attribute[an attribute of the message\; may be repeated]:KEY=VALUE:"
@@ -1233,7 +1233,7 @@ _shtab_stampede_quota_defaults_added=0
 _shtab_stampede_quota_check_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the name of the caller, or \"\@ADDRESS\":"
 )
@@ -1244,7 +1244,7 @@ _shtab_stampede_quota_check_defaults_added=0
 _shtab_stampede_quota_ls_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
 )
 
@@ -1254,7 +1254,7 @@ _shtab_stampede_quota_ls_defaults_added=0
 _shtab_stampede_quota_rm_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the same text as in \`quota set\`:"
   "(*)::default\: all quotas of WHO:"
@@ -1266,7 +1266,7 @@ _shtab_stampede_quota_rm_defaults_added=0
 _shtab_stampede_quota_set_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":a client\'s name, \"\@ADDRESS\" for callers whose credential has no name, or a pattern such as \"cam-\*\" or \"\@10.\*\":"
   "(*):streams, subscriptions, waiting-calls, bytes-in-flight, channels, queues, groups, peers, changes-per-second, bytes-held, bytes-archived, cpu-percent\; a number, bytes also with KiB, MiB, GiB\; or \`unlimited\`:"
@@ -1278,7 +1278,7 @@ _shtab_stampede_quota_set_defaults_added=0
 _shtab_stampede_quota_use_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":a pattern\; default\: all callers:"
 )
@@ -1289,7 +1289,7 @@ _shtab_stampede_quota_use_defaults_added=0
 _shtab_stampede_rebalance_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--apply[perform the moves, one after the other]"
   "--over[measure the work of the channels for this time\; default\: 2s]:DURATION:"
@@ -1307,7 +1307,7 @@ _shtab_stampede_record_options=(
   "--on[write a file for each item of this channel\; FILE gets the item\'s seq]:CHANNEL:"
   "--compression[default zstd]:compression:(zstd lz4 none)"
   "--overwrite[overwrite an existing file]"
-  {--output,--summary}"[how to print\; default table]:output:(table json jsonl)"
+  {--output,--summary}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "(*):a name, or a glob such as \'rig\/\*\':"
 )
@@ -1325,7 +1325,7 @@ _shtab_stampede_replay_options=(
   "--to[the end, exclusive]:TIME:"
   "*--channel[a name, or a glob such as \'rig\/\*\'\; may be repeated]:GLOB:"
   "--shift[move all times to \"now\", or by a duration such as -1h\; default\: the recorded times]:SHIFT:"
-  {-o,--output,--summary}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output,--summary}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "(*):one MCAP file, or channels or globs such as \'rig\/\*\':"
 )
@@ -1336,7 +1336,7 @@ _shtab_stampede_replay_defaults_added=0
 _shtab_stampede_replicas_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--queue[list the replicas of a queue]"
   ":the channel\'s name, or with --queue the queue\'s name:"
@@ -1348,7 +1348,7 @@ _shtab_stampede_replicas_defaults_added=0
 _shtab_stampede_rm_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--yes[delete all channels that match a glob]"
   "(*):a name, or a glob such as \'test\/\*\' with --yes:"
@@ -1360,7 +1360,7 @@ _shtab_stampede_rm_defaults_added=0
 _shtab_stampede_sub_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--from[begin with the held items from this time on]:TIME:"
   "--count[stop after N items]:N:"
@@ -1401,9 +1401,9 @@ _shtab_stampede_supernode_defaults_added=0
 
 _shtab_stampede_supernode_add_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--id[the supernode\'s id, never used before\; default\: a random id]:id:"
-  "--valid-hours[how many hours the token is valid\; default 1]:HOURS:"
+  "--valid-hours[the hours for which the token is valid\; default 1]:HOURS:"
   {--url,--frontend}"[front-ends\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT,...:"
   "--member[supernodes to ask instead, if no front-end runs]:HOST:PORT,...:"
   ":the new supernode\'s address\; the others must reach it there:"
@@ -1420,7 +1420,7 @@ _shtab_stampede_supernode_init_options=(
   "--listen[the supernode listens at this address]:HOST:PORT:"
   "--advertise[others reach the supernode at this address\; default\: --listen]:HOST:PORT:"
   "--id[the supernode\'s id, never used before\; default\: a random id]:id:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -1435,7 +1435,7 @@ _shtab_stampede_supernode_join_options=(
   "--listen[the supernode listens at this address]:HOST:PORT:"
   "--advertise[others reach the supernode at this address\; default\: --listen]:HOST:PORT:"
   "--id[the supernode\'s id, never used before\; default\: a random id]:id:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
 )
 
 # guard to ensure default positional specs are added only once per session
@@ -1443,7 +1443,7 @@ _shtab_stampede_supernode_join_defaults_added=0
 
 _shtab_stampede_supernode_remove_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   {--url,--frontend}"[front-ends\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT,...:"
   "--member[supernodes to ask instead, if no front-end runs]:HOST:PORT,...:"
   ":the supernode\'s id, see \`stampede supernode status\`:"
@@ -1454,7 +1454,7 @@ _shtab_stampede_supernode_remove_defaults_added=0
 
 _shtab_stampede_supernode_snapshot_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--out[write a backup to FILE, for \`stampede supernode init --restore\`]:FILE:_files"
   "--stale-ok[take this supernode\'s own state\; works without a majority]"
   {--url,--frontend}"[front-ends\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT,...:"
@@ -1467,7 +1467,7 @@ _shtab_stampede_supernode_snapshot_defaults_added=0
 
 _shtab_stampede_supernode_status_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   {--url,--frontend}"[front-ends\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT,...:"
   "--member[supernodes to ask instead, if no front-end runs]:HOST:PORT,...:"
 )
@@ -1485,10 +1485,10 @@ _shtab_stampede_token_defaults_added=0
 _shtab_stampede_token_issue_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "*--role[may be repeated\; default client]:role:(client operator)"
-  "--ttl[how long the token is valid, at most 30 days\; default 1h]:DURATION:"
+  "--ttl[the time for which the token is valid, at most 30 days\; default 1h]:DURATION:"
   "--out[write the token to FILE, which only you can read]:FILE:_files"
   ":the client\'s name, which rules of access use:"
 )
@@ -1499,7 +1499,7 @@ _shtab_stampede_token_issue_defaults_added=0
 _shtab_stampede_token_revoke_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   ":the token\'s serial number, which \`token issue\` printed, or the token\'s file:"
 )
@@ -1510,9 +1510,9 @@ _shtab_stampede_token_revoke_defaults_added=0
 _shtab_stampede_top_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  "--sort[what to sort by\; default bytes, in and out]:sort:(bytes items age lag held refused dropped name)"
+  "--sort[the column to sort by\; default bytes, in and out]:sort:(bytes items age lag held refused dropped name)"
   "--every[refresh this often\; default 1]:SECONDS:"
   "--count[stop after N refreshes]:N:"
   ":names, such as \"cam\/\*\":"
@@ -1524,7 +1524,7 @@ _shtab_stampede_top_defaults_added=0
 _shtab_stampede_watch_options=(
   "(- : *)"{-h,--help}"[show this help message and exit]"
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
-  {-o,--output}"[how to print\; default table]:output:(table json jsonl)"
+  {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
   "--count[stop after N changes]:N:"
   ":names of channels and peers\: \"cam\/\*\":"
