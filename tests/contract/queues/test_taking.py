@@ -67,7 +67,7 @@ async def test_a_payload_that_does_not_decode_names_the_queue_and_the_message(ri
         _ = message.value
 
 
-async def test_iteration_takes_one_after_the_other_until_the_handle_is_closed(rig: Rig) -> None:
+async def test_iteration_takes_one_message_after_the_other_until_the_handle_is_closed(rig: Rig) -> None:
     queue = await rig.queue()
     for number in range(3):
         await queue.put(str(number).encode())

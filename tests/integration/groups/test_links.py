@@ -114,7 +114,7 @@ async def test_a_host_that_missed_a_new_member_learns_of_it_from_the_host_that_w
     hosted = right.host.host.groups.known(group.group_id)
     assert hosted is not None
     hosted.named_s = -1_000.0  # no caller has named the group for long
-    cluster.directory.change_members(group.group_id, [left, right, third], told=False)
+    cluster.directory.change_members(group.group_id, [left, right, third], reported=False)
     await left.host.host.groups._look_up_again(group.group_id)
     await third.put(t + 5)
     await heard(left, third, group, t + 5)

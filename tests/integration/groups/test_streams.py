@@ -158,7 +158,7 @@ async def test_cut_events_end_when_the_members_change_and_continue_with_the_new_
     event = await reader.event()
     while event.boundary.cut_unix_nano < t + 2:
         event = await reader.event()
-    host.directory.change_members(group.group_id, [left, right], told=False)
+    host.directory.change_members(group.group_id, [left, right], reported=False)
     anew = CutReader(host, group, decides=True, spec_version=2, after=event.cursor(group))
     assert {one.channel_id for one in (await anew.opened()).channels} == {left.channel_id, right.channel_id}
     async with asyncio.timeout(WAIT_SECONDS):

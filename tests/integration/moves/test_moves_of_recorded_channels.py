@@ -1,4 +1,4 @@
-"""Moves of recorded channels between real hosts: the archive of the new host goes on where memory begins."""
+"""Moves of recorded channels between real hosts: the archive of the new host begins with the oldest item in memory."""
 
 from __future__ import annotations
 

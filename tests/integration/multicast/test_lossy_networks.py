@@ -130,7 +130,7 @@ def test_readers_get_each_item_once_in_order_despite_lost_and_reordered_datagram
     assert rig.network.lost > 0
 
 
-def test_a_frozen_and_a_killed_reader_harm_no_other_one_and_the_frozen_one_catches_up(rig: Rig) -> None:
+def test_a_frozen_and_a_killed_reader_harm_no_other_reader_and_the_frozen_reader_catches_up(rig: Rig) -> None:
     channel = rig.rt.channel("lossy/two", max_items=10**5)
     frozen, killed, other = readers = rig.begin(channel.name)
     follow(channel, readers)

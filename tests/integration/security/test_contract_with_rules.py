@@ -18,7 +18,7 @@ from tests.contract.queues.test_full_queues_and_dead_letters import (
 )
 from tests.contract.queues.test_taking import (
     test_a_message_with_copies_is_delivered_to_that_many_takers,
-    test_iteration_takes_one_after_the_other_until_the_handle_is_closed,
+    test_iteration_takes_one_message_after_the_other_until_the_handle_is_closed,
 )
 from tests.contract.test_groups import (
     surface,

@@ -136,10 +136,10 @@ async def test_only_the_leader_changes_members_and_one_at_a_time(tmp_path: Path)
         under_way.cancel()
 
 
-async def test_a_newcomer_that_is_stuck_delays_no_removal_and_gives_way_to_another_newcomer(
+async def test_a_newcomer_that_is_stuck_delays_no_removal_and_another_newcomer_replaces_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(member_changes, "GIVES_WAY_SECONDS", 0.3)
+    monkeypatch.setattr(member_changes, "REPLACED_AFTER_SECONDS", 0.3)
     async with LiveCluster(3, tmp_path, timing=STEADY) as cluster:
         stuck, other = await cluster.volunteer(), await cluster.volunteer()
         await stuck.stop()
@@ -152,8 +152,8 @@ async def test_a_newcomer_that_is_stuck_delays_no_removal_and_gives_way_to_anoth
         await let_in(leader, other)
         with pytest.raises(ChangeUnderWay, match="took nothing of the log"):
             await under_way
-        # the leader has given up this newcomer before, so now the newcomer gives way without delay
-        monkeypatch.setattr(member_changes, "GIVES_WAY_SECONDS", 3600.0)
+        # the leader has given up this newcomer before, so now another newcomer replaces it without delay
+        monkeypatch.setattr(member_changes, "REPLACED_AFTER_SECONDS", 3600.0)
         again = asyncio.create_task(leader.add_member(stuck.member, timeout=60.0))
         await until(lambda: stuck.member.member_id in leader._replica.roster.peers)  # type: ignore[attr-defined]
         await let_in(leader, await cluster.volunteer())

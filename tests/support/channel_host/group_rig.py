@@ -61,18 +61,18 @@ class GroupDirectory(FakeDirectory, group_directory_service_pb2_grpc.GroupDirect
         self.groups[record.group_id] = record
         return record
 
-    def change_members(self, group_id: bytes, channels: Sequence[GroupedChannel], *, told: bool = True) -> None:
-        """Give the group these members. With `told`, report the change to watchers."""
+    def change_members(self, group_id: bytes, channels: Sequence[GroupedChannel], *, reported: bool = True) -> None:
+        """Give the group these members. With `reported`, report the change to watchers."""
         record = self.groups[group_id]
         record.spec.channel_ids[:] = [one.channel_id for one in channels]
         record.spec_version += 1
-        if told:
-            self._tell(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_UPDATED, group=record))
+        if reported:
+            self._report(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_UPDATED, group=record))
 
     def delete_group(self, group_id: bytes) -> None:
         """Delete the group, and report this to watchers."""
         record = self.groups.pop(group_id)
-        self._tell(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_REMOVED, group=record))
+        self._report(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_REMOVED, group=record))
 
     def give_to(self, channel_id: bytes, host_id: bytes) -> channel_pb2.ChannelRecord:
         """Give the channel to another host, without its items, as after the loss of its host.
@@ -81,10 +81,10 @@ class GroupDirectory(FakeDirectory, group_directory_service_pb2_grpc.GroupDirect
         """
         record = self.channels[channel_id]
         record.host_id, record.epoch, record.incarnation = host_id, record.epoch + 1, record.incarnation + 1
-        self._tell(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_UPDATED, channel=record))
+        self._report(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_UPDATED, channel=record))
         return record
 
-    def _tell(self, change: directory_pb2.DirectoryChange) -> None:
+    def _report(self, change: directory_pb2.DirectoryChange) -> None:
         for watcher in self._watchers:
             watcher.put_nowait(change)
 
@@ -296,7 +296,7 @@ def _times(runs: Any) -> list[int]:
 
 
 class Cluster:
-    """A directory and hosts; `start` adds one."""
+    """A directory and hosts. `start` adds a host."""
 
     def __init__(self, directory: GroupDirectory, clock: HostClock) -> None:
         self.directory = directory

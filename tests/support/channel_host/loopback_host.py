@@ -113,7 +113,7 @@ class SteeredClockHost:
         self._host = host
         self._clock = clock
 
-    def obey(self, line: str) -> int:
+    def perform(self, line: str) -> int:
         """Perform the command of a line. Returns the host's time afterwards."""
         command, *numbers = line.split()
         if command == "settle":
@@ -157,15 +157,15 @@ async def serve(paths: Sequence[str]) -> None:
         local = await server.sockets.listen_locally()
         await host.enter(target, local_target=local, tcp_target=f"tcp:{server.bind_sockets(0)}")
         print(directory.target, target, flush=True)
-        await _obey_lines(SteeredClockHost(host, clock))
+        await _perform_lines(SteeredClockHost(host, clock))
         await server.stop(host.leave)
 
 
-async def _obey_lines(steered: SteeredClockHost) -> None:
+async def _perform_lines(steered: SteeredClockHost) -> None:
     lines = asyncio.StreamReader()
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
     while line := await lines.readline():
-        print(steered.obey(line.decode()), flush=True)
+        print(steered.perform(line.decode()), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The public surface: every RPC for callers has a method, both clients have the same names, and the docs know them."""
+"""The public surface: every RPC for callers has a method, and both clients have the same names with docstrings."""
 
 from __future__ import annotations
 
@@ -142,6 +142,6 @@ def test_both_clients_have_the_same_names_and_arguments(name: str) -> None:
 def test_everything_public_has_a_docstring(owner: object) -> None:
     for name in getattr(owner, "__all__", vars(owner)):
         value = getattr(owner, name)
-        # A value with an origin is a kind of argument.
+        # A value with an origin is an alias of types for annotations, and can have no docstring.
         if not name.startswith("_") and callable(value) and typing.get_origin(value) is None:
             assert value.__doc__, name

@@ -1,4 +1,6 @@
-"""The rover: hosts the channels of its two cameras in its own process, puts their frames, and obeys its mailbox."""
+"""The rover: hosts the channels of its two cameras in its own process, puts their frames, and performs the commands
+in its mailbox.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ LOOK_SECONDS = 0.2
 
 
 def play(stage: Stage) -> dict[str, object]:
-    """Put each frame that is not lost when it is due, tell the consumers the end, and wait for the last disparity."""
+    """Put each frame at its time, except the lost frames. Then report the end to the consumers, and wait for the last
+    disparity.
+    """
     video = clip()
     wide = [luma_thumbnail(frame, WIDE, HEIGHT) for frame in video.frames]
     speeds: list[int] = []
@@ -44,8 +48,8 @@ def play(stage: Stage) -> dict[str, object]:
     with st.host(stage.settings.address, name=RIG) as rt:
         cameras = {side: rt.channel(side.value, max_age=STREAM_MAX_AGE, content_type="image/jpeg") for side in Side}
         rt.group(GROUP, [*cameras.values()], reference="oldest")
-        obeying = threading.Thread(target=_obey, args=(rt, ended, speeds), name="mailbox", daemon=True)
-        obeying.start()
+        performing = threading.Thread(target=_perform_commands, args=(rt, ended, speeds), name="mailbox", daemon=True)
+        performing.start()
         start = stage.wait_for_start()
         by_reference = 0
         for side, frame in _in_time(video, start, stage.settings.length_nanos):
@@ -63,7 +67,7 @@ def play(stage: Stage) -> dict[str, object]:
             put_end(camera, start + stage.settings.length_nanos)
         _wait_for_depth(rt, start + stage.settings.length_nanos + END_NANOS)
         ended.set()
-        obeying.join()
+        performing.join()
     return {"put": took, "by_reference": by_reference, "speeds": speeds}
 
 
@@ -83,8 +87,8 @@ def _wait_for_depth(rt: st.Connection, end: int) -> None:
     depth.get(end, end, match="start", timeout=DEPTH_SECONDS_MAX)
 
 
-def _obey(rt: st.Connection, ended: threading.Event, speeds: list[int]) -> None:
-    """Take the commands in the mailbox until the end."""
+def _perform_commands(rt: st.Connection, ended: threading.Event, speeds: list[int]) -> None:
+    """Perform the commands in the mailbox until the end."""
     while not ended.is_set():
         try:
             message = rt.mailbox.get(timeout=LOOK_SECONDS)

@@ -23,8 +23,8 @@ from stampede_rt.wire.batching import UnackedRuns
 LIMIT_S = 5.0
 
 
-class Place:
-    """A session with one channel at one place, and the stream to it."""
+class OneChannelSession:
+    """A session with one channel at one host, and the stream to that host."""
 
     closed = inherited = False
     here: Any = None
@@ -38,10 +38,10 @@ class Place:
     def check_process(self) -> None:
         return
 
-    def to(self, target: str) -> Place:
+    def to(self, target: str) -> OneChannelSession:
         return self
 
-    def duplex(self, on_response: Any, on_end: Any) -> Place:
+    def duplex(self, on_response: Any, on_end: Any) -> OneChannelSession:
         self.on_response = on_response
         self.streams += 1
         return self
@@ -70,11 +70,11 @@ class WatchedRuns(UnackedRuns):
         return super().__len__()
 
 
-def producer_at(place: Place) -> Producer:
+def producer_of(session: OneChannelSession) -> Producer:
     info = ChannelInfo.__new__(ChannelInfo)
     object.__setattr__(info, "channel_id", b"c")
     object.__setattr__(info, "name", "cam/left")
-    return Producer(cast(Session, place), ChannelState(info, cast(Policy, None), True))
+    return Producer(cast(Session, session), ChannelState(info, cast(Policy, None), True))
 
 
 def refused() -> pb.PutAck:
@@ -87,8 +87,8 @@ def test_a_flush_raises_the_refusal_that_another_thread_counts_while_the_flush_l
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """In an earlier version, the flush returned between the end of the last run and the count of its refusals."""
-    place = Place()
-    producer = producer_at(place)
+    session = OneChannelSession()
+    producer = producer_of(session)
     unacked = producer._unacked = WatchedRuns()
     producer.put(b"x")
     has_told, flushed = threading.Event(), threading.Event()
@@ -99,7 +99,7 @@ def test_a_flush_raises_the_refusal_that_another_thread_counts_while_the_flush_l
         return from_error_message(error)
 
     def tell() -> None:
-        place.on_response(pb.PutResponse(acks=[refused()]))
+        session.on_response(pb.PutResponse(acks=[refused()]))
         has_told.set()
 
     def looked() -> None:
@@ -115,19 +115,19 @@ def test_a_flush_raises_the_refusal_that_another_thread_counts_while_the_flush_l
 
 def test_a_run_whose_sending_a_signal_has_ended_is_sent_again() -> None:
     """In an earlier version, after Ctrl-C in a put, the next flush waited for an ack of a run that was not sent."""
-    place = Place()
-    producer = producer_at(place)
-    place.errors.append(KeyboardInterrupt())
+    session = OneChannelSession()
+    producer = producer_of(session)
+    session.errors.append(KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         producer.put(b"x")
     producer.flush(LIMIT_S)
-    assert (place.streams, producer.accepted) == (2, 1)
+    assert (session.streams, producer.accepted) == (2, 1)
 
 
 def test_an_item_keeps_the_attributes_that_its_put_had() -> None:
     """In an earlier version, a program that changed its mapping after a put changed the items that still waited."""
-    place = Place()
-    producer = producer_at(place)
+    session = OneChannelSession()
+    producer = producer_of(session)
     labels = {"n": "1"}
     for number in range(3):
         labels["n"] = str(number)
@@ -138,18 +138,18 @@ def test_an_item_keeps_the_attributes_that_its_put_had() -> None:
     assert len(waiting) == 1
 
 
-class TwoFaced(dict[str, Any]):
-    """A mapping whose items are text, while its values are not."""
+class MismatchedMapping(dict[str, Any]):
+    """A mapping whose method `items` gives texts instead of the values."""
 
     def items(self) -> Any:
         return [(key, "text") for key in self.keys()]
 
 
-@pytest.mark.parametrize("attributes", [TwoFaced(n=1), {"n": "x" * 2**14}])
+@pytest.mark.parametrize("attributes", [MismatchedMapping(n=1), {"n": "x" * 2**14}])
 def test_unusable_attributes_are_refused_and_hinder_no_later_put(attributes: Any) -> None:
     """In an earlier version, the host or the encoder refused such an item each time, and all later puts failed."""
-    place = Place()
-    producer = producer_at(place)
+    session = OneChannelSession()
+    producer = producer_of(session)
     producer.put(b"first")
     for _ in range(2):
         with pytest.raises(st.InvalidArgument):
@@ -161,10 +161,10 @@ def test_unusable_attributes_are_refused_and_hinder_no_later_put(attributes: Any
 
 def test_a_put_that_interrupts_the_host_of_its_process_never_waits_for_room(monkeypatch: pytest.MonkeyPatch) -> None:
     """In an earlier version, `__del__` on the thread of the host waited for acks that this thread had to bring."""
-    place = Place()
-    producer = producer_at(place)
+    session = OneChannelSession()
+    producer = producer_of(session)
     monkeypatch.setattr(producer._changed, "wait", pytest.fail)
-    place.here = SimpleNamespace(is_interrupted=True, target="elsewhere")
+    session.here = SimpleNamespace(is_interrupted=True, target="elsewhere")
     with suppress(st.DeadlineExceeded):
         for _ in range(2000):
             producer.put(bytes(100_000), timeout=None)
@@ -175,8 +175,8 @@ def test_a_put_that_interrupts_the_host_of_its_process_never_waits_for_room(monk
 
 def test_a_time_beyond_64_bits_is_refused_and_hinders_no_later_put() -> None:
     """In an earlier version, the item stayed in the run under construction, and all later puts failed."""
-    place = Place()
-    producer = producer_at(place)
+    session = OneChannelSession()
+    producer = producer_of(session)
     for _ in range(2):
         with pytest.raises(st.InvalidArgument):
             producer.put(b"x", time=2**70)

@@ -1,4 +1,4 @@
-"""The number with which a process registers, and the moment at which it gives way to another process."""
+"""The number with which a process registers, and the moment at which another process replaces it."""
 
 from __future__ import annotations
 

@@ -6,7 +6,11 @@ import pytest
 
 from stampede_rt_supernode.replication.interface import ChangeUnderWay, Member
 from stampede_rt_supernode.replication.rules.member_change import ChangeOutcome, MemberChange
-from stampede_rt_supernode.replication.rules.member_changes import GIVES_WAY_SECONDS, JOIN_SECONDS_MAX, MemberChanges
+from stampede_rt_supernode.replication.rules.member_changes import (
+    JOIN_SECONDS_MAX,
+    REPLACED_AFTER_SECONDS,
+    MemberChanges,
+)
 from stampede_rt_supernode.replication.wire.buffered_transport import LinkConnected
 from tests.support.supernode.lone_node import LoneNode, acknowledgement, command
 
@@ -64,7 +68,7 @@ def test_a_new_member_that_was_refused_as_too_slow_makes_room_for_another(
     leader: Leader,
 ) -> None:
     leader.add(SLOW)
-    leader.let_pass(2 * GIVES_WAY_SECONDS, progress_of=SLOW)
+    leader.let_pass(2 * REPLACED_AFTER_SECONDS, progress_of=SLOW)
     [refused] = leader.add(OTHER)
     assert "slow is joining" in str(refused), "the newcomer makes progress, and has time left"
     leader.let_pass(JOIN_SECONDS_MAX, progress_of=SLOW)
@@ -72,6 +76,6 @@ def test_a_new_member_that_was_refused_as_too_slow_makes_room_for_another(
     leader.let_pass(3, progress_of=SLOW)
     assert not leader.add(OTHER)
     [outcome] = again
-    assert "slow at slow:1 gives way to other, because it did not catch up with the log at its last try" in str(outcome)
+    assert "other joins instead of slow at slow:1, which did not catch up with the log at its last try" in str(outcome)
     [refused] = leader.add(THIRD)
     assert "other is joining" in str(refused), "the other newcomer has the whole time"

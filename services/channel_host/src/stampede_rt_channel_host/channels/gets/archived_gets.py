@@ -12,8 +12,8 @@ from stampede_rt_channel_host.core.channel import PendingGet, ReadAnswer
 async def read_recorded(get: OpenGet, scheduler: PieceScheduler, now: Callable[[], int]) -> ReadAnswer | PendingGet:
     """The answer of a get over the archive and memory.
 
-    A get that may wait, and whose items have not come, gets its interval instead (`get.pending`): the caller lets it
-    wait for memory, and calls again with the memory's answer.
+    A get that may wait, and whose items have not come, gets its interval instead (`get.pending`). The caller lets the
+    get wait until memory has an answer, and then calls again.
     """
     recording, query = get.hosted.recording, get.plan.query
     assert recording is not None, "the channel is recorded"

@@ -73,7 +73,7 @@ class BaseChannel:
 
     def emptying(self) -> Pieces[None]:
         """Free all items, in pieces. The channel must not be used afterwards."""
-        self._held.tell(None)
+        self._held.report_gone_to(None)
         self._held.outdate(self._held.oldest_by_count(self._held.items), COUNT, self._clock or 0)
         yield
         while self._held.free(pieces.STEPS_PER_PIECE // 2):

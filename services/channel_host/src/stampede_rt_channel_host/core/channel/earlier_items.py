@@ -10,7 +10,7 @@ ENTRIES_PER_LOOK = 8
 
 
 class EarlierItems:
-    """The seqs below `end_seq`. `tell` notes, in several calls, which of them belong to collected items."""
+    """The seqs below `end_seq`. `report_to` reports, in several calls, the seqs of collected items among them."""
 
     __slots__ = ("_end_seq", "_held", "_seq")
 
@@ -18,8 +18,8 @@ class EarlierItems:
         self._held = held
         self._seq, self._end_seq = 1, end_seq
 
-    def tell(self, consumers: Consumers, steps: int) -> bool:
-        """Tell the consumers of some collected seqs, in `steps` steps at most. Returns True if more are left."""
+    def report_to(self, consumers: Consumers, steps: int) -> bool:
+        """Report some collected seqs to the consumers, in `steps` steps at most. Returns True if more are left."""
         seq, end = self._seq, self._end_seq
         for _ in range(steps if seq < end else 0):
             first = self._held.seq_from(seq, end, ENTRIES_PER_LOOK)

@@ -55,7 +55,7 @@ class FedChannel(ChannelCore):
         """
         places = core.consumer_places(now)
         held, _ = core.look(now)
-        held.tell(None)
+        held.report_gone_to(None)
         copy = cls(
             core.policy, incarnation=core.incarnation, name=core.name, lost_before=core.lost_before, knows_owner=True,
             held=FedHoldings.of(held),

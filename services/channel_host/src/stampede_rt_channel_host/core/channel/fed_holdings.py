@@ -36,7 +36,7 @@ class FedHoldings(Holdings):
         """Collect and free the items below `key`, because the source has done so and then set its floor back."""
         self._collect_below(key)
         self.floor = max(self.floor, key)
-        self._make_way()
+        self._reset_floor()
 
     def follow(self, collection: CollectionFacts) -> None:
         """Collect the items that the source has collected, and take over the facts about them.
@@ -65,4 +65,4 @@ class FedHoldings(Holdings):
     def _collect_below(self, key: ItemKey) -> None:
         oldest = self._one_below(key) or self.oldest_items(below(key), self._blocks.whole_below(key))
         if oldest.items:
-            self._leave(oldest, self.last_cause)
+            self._count_collected(oldest, self.last_cause)

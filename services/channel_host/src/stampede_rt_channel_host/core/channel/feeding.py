@@ -147,7 +147,7 @@ class ChannelFeed:
         self._cursor = AllCursor(iter(()), first_seq)
         self._cleared: ItemKey | None = None
         self._sent: tuple[CollectionFacts | None, int | None] = None, None
-        held.tell_resets(self._note_reset)
+        held.report_resets_to(self._note_reset)
         since = None if self.begins_anew or place is None else place.owner_until
         self.owner = None if window is None else OwnerFactsFeed(source, window, since, takes_puts=takes_puts)
 
@@ -235,7 +235,7 @@ class ChannelFeed:
     def close(self) -> None:
         """End the feed. Idempotent."""
         held, _ = self._source.look(0)
-        held.tell_resets(self._note_reset, stop=True)
+        held.report_resets_to(self._note_reset, stop=True)
 
     def _note_reset(self, floor: ItemKey) -> None:
         self._cleared = floor if self._cleared is None else max(self._cleared, floor)

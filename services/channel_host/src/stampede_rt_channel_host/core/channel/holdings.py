@@ -46,7 +46,7 @@ class Holdings(HeldItems):
     def store(self, run: Run, payload_bytes: int, low: int, high: int) -> None:
         """Add a run. `low` and `high` are its least and greatest time."""
         if low < self.floor[0]:
-            self._make_way()
+            self._reset_floor()
         if self.newest is not None and low < self.newest:
             self.late += sum(time < self.newest for time in run.times)
         self.index.insert(run, has_one_time=low == high)
@@ -59,10 +59,10 @@ class Holdings(HeldItems):
         self._count_in(len(run), payload_bytes, low)
         self._count_newest(len(run), payload_bytes, high)
         if run.durations is None:
-            self._meet(high, ABSENT)
+            self._note_newest(high, ABSENT)
         else:
             for time, duration in zip(run.times, run.durations, strict=True):
-                self._meet(time, duration)
+                self._note_newest(time, duration)
 
     def count_body(self, run: ColumnRun) -> None:
         """Count the body of a run whose items were stored one by one."""
@@ -74,7 +74,7 @@ class Holdings(HeldItems):
         """Add the item at position `at` of a run. Store the items of a run in their order."""
         time = run.times[at]
         if time < self.floor[0]:
-            self._make_way()
+            self._reset_floor()
         if self.newest is not None and time < self.newest:
             self.late += 1
         self.index.insert_item(run, at)
@@ -84,9 +84,9 @@ class Holdings(HeldItems):
             self._split_block(self._blocks.add_late(run.first_seq + at, (time,), (payload_bytes,)))
         self._count_in(1, payload_bytes, time)
         self._count_newest(1, payload_bytes, time)
-        self._meet(time, ABSENT if run.durations is None else run.durations[at])
+        self._note_newest(time, ABSENT if run.durations is None else run.durations[at])
 
-    def _make_way(self) -> None:
+    def _reset_floor(self) -> None:
         """Free all outdated items, and reset the floor, because a new item is earlier than some consumed items.
 
         The outdated items are few, except items that a snapshot has kept. One reason is that consumption outdates
@@ -158,7 +158,7 @@ class Holdings(HeldItems):
                 self._blocks.close((part.last_time, part.end_seq), items, payload_bytes)
                 return
 
-    def _meet(self, time: int, duration: int) -> None:
+    def _note_newest(self, time: int, duration: int) -> None:
         """Note the time and duration of a new item."""
         if self.newest is None or time > self.newest:
             self.newest, self._newest_is_open, self._newest_longest = time, duration == ABSENT, max(duration, 0)
@@ -225,12 +225,12 @@ class Holdings(HeldItems):
             self._note_end(oldest, last, cause, now)
         # Not the key of the next held item, because another item may come between the two.
         self.floor = last.last_time, last.end_seq
-        self._leave(oldest, cause)
+        self._count_collected(oldest, cause)
         if oldest.rest is None:
             self.came_up_to = last.last_time if cause == CONSUMPTION else max(last.last_time, now)
         self.report_gone(REPORTED_SLICES_MAX)
 
-    def _leave(self, oldest: OldestItems, cause: str) -> None:
+    def _count_collected(self, oldest: OldestItems, cause: str) -> None:
         """Count the oldest items as collected."""
         self.items -= oldest.items
         self.payload_bytes -= oldest.payload_bytes
@@ -240,16 +240,16 @@ class Holdings(HeldItems):
         if oldest.rest is None:
             self.newest = None
 
-    def tell_resets(self, note_reset: Callable[[ItemKey], None], *, stop: bool = False) -> None:
+    def report_resets_to(self, note_reset: Callable[[ItemKey], None], *, stop: bool = False) -> None:
         """From now on call `note_reset` with the floor before each reset of the floor. `stop`: stop these calls."""
-        told = self._on_floor_reset or {}
+        listeners = self._on_floor_reset or {}
         if stop:
-            told.pop(note_reset, None)
+            listeners.pop(note_reset, None)
         else:
-            told[note_reset] = None
-        self._on_floor_reset = told or None
+            listeners[note_reset] = None
+        self._on_floor_reset = listeners or None
 
-    def tell(self, on_gone: Callable[[int, int], None] | None) -> None:
+    def report_gone_to(self, on_gone: Callable[[int, int], None] | None) -> None:
         """From now on call `on_gone` with the seqs of collected items: the first seq and the end, exclusive.
 
         None stops these calls.
@@ -275,7 +275,7 @@ class Holdings(HeldItems):
         Earlier buckets end at or before the last bucket's time, so only the last bucket counts.
         """
         time, following = last.last_time, self.time_after(oldest)
-        # The usual case: a full channel has taken in one item and drops one item, which the caller passes as `last`.
+        # The usual case: a full channel has accepted one item and drops one item, which the caller passes as `last`.
         is_one = oldest.items == last.items == 1
         bucket = iter((last,)) if is_one else self.slices((time, 0), (time, last.end_seq))
         if following is not None:
@@ -295,7 +295,7 @@ class Holdings(HeldItems):
         """Free up to `entries_max` entries of outdated items. Returns True if another call may free more.
 
         While the outdated items are charged with more than `backlog_bytes_max`, frees more entries, but at most
-        FREED_ENTRIES_MAX. `trims` False: leaves the part of an entry to a call that trims.
+        FREED_ENTRIES_MAX. `trims` False: leaves an entry with held items to a call that trims.
         """
         floor: ItemKey | None = None
         for freed in range(FREED_ENTRIES_MAX):

@@ -60,14 +60,14 @@ class Retention:
         places = limits.consumer_places
         if not places:
             self.consumers = None
-            self._held.tell(None)
+            self._held.report_gone_to(None)
             self._has_more_to_age = self._owed_check_goes_on = self._has_more_consumed = False
             self._look_after_reads = None
         elif self.consumers is None:
             self.consumers = Consumers(places)
             self._consumed_to = FIRST_KEY, 0
             self._earlier = EarlierItems(self._held, self._held.next_seq)
-            self._held.tell(self.consumers.note_collected)
+            self._held.report_gone_to(self.consumers.note_collected)
         else:
             self.consumers.table.resize(places)
             self.consumers.changes += 1
@@ -77,7 +77,7 @@ class Retention:
         consumers = self.consumers
         if consumers is None or self._held.report_gone(slices_max):
             return consumers is not None
-        if self._earlier is not None and not self._earlier.tell(consumers, max(1, slices_max // 4)):
+        if self._earlier is not None and not self._earlier.report_to(consumers, max(1, slices_max // 4)):
             self._earlier = None
         return self._earlier is not None
 

@@ -157,7 +157,7 @@ class _SliceSelection:
         self._left = limit
         self._next_time = next_time
         self._down = down
-        self._left_out = False  # since the slice taken last, the test has left an item out
+        self._left_out = False  # whether the test has left an item out after the last taken slice
         self._parts: deque[list[Slice]] = deque()  # the slices that earlier pieces took
         self._slices: list[Slice] = []
         self.more = False

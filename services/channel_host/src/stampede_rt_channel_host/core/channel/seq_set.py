@@ -106,12 +106,12 @@ class SeqSet:
         for low, high in touched:
             self._ranges.remove((low, high))
             self.size -= high - low
-            self._meet(max(low, first), min(high, end))
+            self._note_known(max(low, first), min(high, end))
         if touched:
             first, end = min(first, touched[0][0]), max(end, touched[-1][1])
         return first, end
 
-    def _meet(self, first: int, end: int) -> None:
+    def _note_known(self, first: int, end: int) -> None:
         """`add` calls this method with seqs that the set has already: those from `first` up to `end`, exclusive.
 
         `CountedSeqs` overrides it.
@@ -147,7 +147,7 @@ class CountedSeqs(SeqSet):
         self._first_block += len(outdated)
         return added
 
-    def _meet(self, first: int, end: int) -> None:
+    def _note_known(self, first: int, end: int) -> None:
         self._count(first, end, -1)
 
     def _count(self, first: int, end: int, each: int) -> None:

@@ -33,11 +33,11 @@ from stampede_rt_supernode.replication.rules.membership import Membership
 
 # The leader gives up a newcomer that has made no progress for this time, so that other newcomers can join.
 STALLED_SECONDS = 30.0
-# A newcomer that has made no progress for this time gives way to another newcomer that asks. A newcomer that the leader
-# has given up before gives way without delay, until it makes progress.
-GIVES_WAY_SECONDS = 5.0
+# The leader replaces a newcomer that has made no progress for this time by another newcomer that asks. If the leader
+# has given a newcomer up before, it replaces this newcomer without delay, until the newcomer makes progress.
+REPLACED_AFTER_SECONDS = 5.0
 # The leader gives up a newcomer that has not caught up in this time, even if it makes progress. At its next try this
-# newcomer gives way as soon as another one asks.
+# leader replaces such a newcomer as soon as another one asks.
 JOIN_SECONDS_MAX = 600.0
 
 
@@ -97,12 +97,12 @@ class MemberChanges:
             )
         elif change.is_removal:
             self._remove(change)
-        elif self._addition is not None and not self._gives_way(self._addition):
+        elif self._addition is not None and not self._may_be_replaced(self._addition):
             name = self._addition.member.member_id
             self._finish([change], ChangeUnderWay(f"{name} is joining, and others wait until it has joined"))
         else:
             if self._addition is not None:
-                self._make_way(self._addition, change.member.member_id)
+                self._replace(self._addition, change.member.member_id)
             self._begin_addition(change)
 
     def hand_over(self, request: HandOver) -> None:
@@ -208,19 +208,19 @@ class MemberChanges:
         self._finish(addition.callers, ReleaseOutdated(too_old(newcomer, highest, needed)))
         return True
 
-    def _gives_way(self, addition: MemberAddition) -> bool:
-        """Whether a newcomer is stuck, or too slow, so that another one may go first."""
+    def _may_be_replaced(self, addition: MemberAddition) -> bool:
+        """Whether a newcomer is stuck, or too slow, so that another newcomer may replace it."""
         stuck_seconds = self._clock() - addition.progress_at
-        return stuck_seconds > GIVES_WAY_SECONDS or addition.member.member_id in (self._given_up_id, self._slow_id)
+        return stuck_seconds > REPLACED_AFTER_SECONDS or addition.member.member_id in (self._given_up_id, self._slow_id)
 
-    def _make_way(self, addition: MemberAddition, other_id: str) -> None:
-        """End an addition, so that another newcomer goes first."""
-        if self._clock() - addition.progress_at > GIVES_WAY_SECONDS:
+    def _replace(self, addition: MemberAddition, other_id: str) -> None:
+        """End an addition, so that another newcomer replaces it."""
+        if self._clock() - addition.progress_at > REPLACED_AFTER_SECONDS:
             self._give_up(addition)
             return
         text = (
-            f"{addition.member.member_id} at {addition.member.address} gives way to {other_id}, because it did not "
-            "catch up with the log at its last try; it may try again"
+            f"{other_id} joins instead of {addition.member.member_id} at {addition.member.address}, which did not "
+            "catch up with the log at its last try; the replaced supernode may try again"
         )
         self._end_addition(addition, text)
 
