@@ -284,10 +284,10 @@ class ChannelPair:
                 owed = [item.seq for item in self.oracle.held if (item.time, item.seq) > low]
                 last = low
         self.all_subscriptions.append((all_items, OracleSubscription(self.oracle, owed)))
-        book = OracleNewest(self.oracle, last, owed)
-        self.newest_subscriptions.append((newest, book))
+        predictor = OracleNewest(self.oracle, last, owed)
+        self.newest_subscriptions.append((newest, predictor))
         if after is None:  # with `after`, a late item can make the number of skipped items negative at first
-            self.skipped_before[book] = 0
+            self.skipped_before[predictor] = 0
 
     def resume(self, which: int) -> None:
         """Replace a subscription by one from its saved cursor. No item may be left out or counted twice."""

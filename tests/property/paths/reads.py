@@ -35,28 +35,28 @@ class PathReads(PathAndOracle):
     def get(self, query: Query, *, payloads: bool = True, waits_s: float = 0) -> st.Items:
         """A get that is answered immediately, or, with `waits_s`, at the end of its time."""
         reader = self.reader()
-        book = OracleGet(query)
+        predictor = OracleGet(query)
         immediate = None if waits_s else reader.read(query, reader.resolve(query))
-        expected = immediate or book.poll(reader) or book.give_up(reader)
+        expected = immediate or predictor.poll(reader) or predictor.give_up(reader)
         found: st.Items = self.surface.do(self._call(query, payloads, waits_s))
         self._agree(found, expected, query, payloads)
         return found
 
     def begin(self, query: Query, *, payloads: bool = True) -> None:
         """Begin a get that waits until something releases it."""
-        book = OracleGet(query)
-        expected = book.poll(self.reader())
+        predictor = OracleGet(query)
+        expected = predictor.poll(self.reader())
         started = self.surface.start(self._call(query, payloads, None))
         if expected is not None:
             self._agree(started.outcome(), expected, query, payloads)
             return
-        self.gets.append((query, payloads, book, started))
+        self.gets.append((query, payloads, predictor, started))
         self.until(lambda stats: bool(stats.waiting_gets == len(self.gets)))
 
     def may_block_on_time(self, query: Query) -> bool:
         """Whether the host would look at the get again at some instant."""
-        book, reader = OracleGet(query), self.reader()
-        return book.poll(reader) is None and book.wake_at(reader) is not None
+        predictor, reader = OracleGet(query), self.reader()
+        return predictor.poll(reader) is None and predictor.wake_at(reader) is not None
 
     def pages(self, query: Query) -> None:
         """Read a whole answer page by page. Each page continues after the last item of the page before."""
@@ -132,26 +132,26 @@ class PathReads(PathAndOracle):
         mode = "newest" if newest else "all"
         position = None if after is None else self.position(after)
         followed = self.surface.follow(lambda: self.channel.subscribe(start, mode, position))
-        book = OracleNewest(oracle, last, owed) if newest else OracleSubscription(oracle, owed)
-        self.followers.append(Follower(followed, newest, book))
+        predictor = OracleNewest(oracle, last, owed) if newest else OracleSubscription(oracle, owed)
+        self.followers.append(Follower(followed, newest, predictor))
         self.settle()
 
     def _expect(self, follower: Follower) -> None:
         """Compute the items that the subscription must have by now: held items in the order of seqs; the others count
         as dropped.
         """
-        book = follower.book
-        if isinstance(book, OracleNewest):
-            item = book.take()
+        predictor = follower.predictor
+        if isinstance(predictor, OracleNewest):
+            item = predictor.take()
             if item is not None:
                 follower.expected.append((item, self.oracle.end(item)))
             return
-        owed = list(book.owed())
+        owed = list(predictor.owed())
         follower.expected += [
-            (self.oracle.log[seq], self.oracle.end(self.oracle.log[seq])) for seq in owed if book.is_held(seq)
+            (self.oracle.log[seq], self.oracle.end(self.oracle.log[seq])) for seq in owed if predictor.is_held(seq)
         ]
-        follower.dropped += sum(not book.is_held(seq) for seq in owed)
-        book.settle(owed)
+        follower.dropped += sum(not predictor.is_held(seq) for seq in owed)
+        predictor.settle(owed)
 
     # --- checks after every step
 
@@ -161,10 +161,10 @@ class PathReads(PathAndOracle):
         """
         still = []
         reader = self.reader()
-        for query, payloads, book, started in self.gets:
-            expected = book.poll(reader)
+        for query, payloads, predictor, started in self.gets:
+            expected = predictor.poll(reader)
             if expected is None:
-                still.append((query, payloads, book, started))
+                still.append((query, payloads, predictor, started))
             else:
                 self._released.append((started, expected, query, payloads))
         self.gets = still

@@ -58,7 +58,7 @@ def may_wait(pair: PathPair) -> bool:
     The product does not say whether it first looks at a get or at a put when an instant comes. So only one of them may
     wait for it.
     """
-    waits_for_time = any(book.wake_at(pair.reader()) is not None for _, _, book, _ in pair.gets)
+    waits_for_time = any(predictor.wake_at(pair.reader()) is not None for _, _, predictor, _ in pair.gets)
     return not waits_for_time and len(pair.line) < PUTS_MAX
 
 

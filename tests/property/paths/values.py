@@ -95,7 +95,7 @@ class Follower:
 
     followed: FollowedItems
     newest: bool
-    book: OracleSubscription | OracleNewest
+    predictor: OracleSubscription | OracleNewest
     expected: list[tuple[Item, int | None]] = field(default_factory=list)
     dropped: int = 0
 

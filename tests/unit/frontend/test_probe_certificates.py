@@ -28,6 +28,6 @@ async def test_a_supernode_of_another_authority_is_named_with_the_reason(tmp_pat
     supernode = load_tls(theirs.issue(Role.SUPERNODE, "s1"), Role.SUPERNODE)
     async with serving(lambda _: None, tls=supernode) as server:
         told = await why_it_failed(server.address, frontend)
-        assert f"the certificate of {server.address} is of an authority that {ours.ca} does not hold" in told
+        assert f"the certificate of {server.address} is of an authority that {ours.ca} does not contain" in told
         told = await why_it_failed(server.address, Dialer(secret=None))
         assert f"{server.address} asks for certificates (TLS), and this caller has none" in told

@@ -24,7 +24,7 @@ RENEW = "/stampede_rt.v1.DirectoryService/RenewHostLease"
 LIMITS = Limits(concurrent_rpcs_max=4, streams_max=2, reserved_rpcs_max=2)
 
 
-class Parts(grpc.GenericRpcHandler):
+class AnsweringService(grpc.GenericRpcHandler):
     """Streams answer once and stay open until they are cancelled; the other calls answer."""
 
     def service(self, handler_call_details: grpc.HandlerCallDetails) -> Any:
@@ -41,7 +41,7 @@ class Parts(grpc.GenericRpcHandler):
 
 
 def register(server: grpc.aio.Server) -> None:
-    server.add_generic_rpc_handlers((Parts(),))
+    server.add_generic_rpc_handlers((AnsweringService(),))
 
 
 async def opened(channel: grpc.aio.Channel, method: str) -> Any:
@@ -73,7 +73,7 @@ async def test_single_requests_that_arrive_together_are_handled_a_few_in_each_tu
     came, calls, turns = asyncio.Event(), 40, list[int]()
     gate, done = TurnGate(), 0
 
-    class Came:
+    class LateRequest:
         async def read(self) -> bytes:
             await came.wait()
             return b"request"
@@ -84,7 +84,7 @@ async def test_single_requests_that_arrive_together_are_handled_a_few_in_each_tu
         return b""
 
     handler = reading_late(PING, grpc.unary_unary_rpc_method_handler(answer), gate)
-    tasks = [asyncio.create_task(handler.stream_unary(None, Came())) for _ in range(calls)]
+    tasks = [asyncio.create_task(handler.stream_unary(None, LateRequest())) for _ in range(calls)]
     await asyncio.sleep(0)
     came.set()
     while done < calls:

@@ -139,7 +139,7 @@ def _about_theirs(error: ssl.SSLCertVerificationError, target: str, tls: TlsRead
     if "purpose" in text:
         return f"the certificate of {target} is not for a service ({text})"
     return (
-        f"the certificate of {target} is of an authority that {tls.files.ca} does not hold ({text}); "
+        f"the certificate of {target} is of an authority that {tls.files.ca} does not contain ({text}); "
         "use the CA file of that cluster"
     )
 

@@ -44,7 +44,7 @@ class QueueServiceStub:
     OVERLOADED, SHUTTING_DOWN.
     """
     Take: _grpc.StreamStreamMultiCallable[_queue_service_pb2.TakeRequest, _queue_service_pb2.TakeResponse]
-    """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. If one of
+    """Take messages. The host leases each message to this taker while the taker has credit. It serves waiting takers in turn. If one of
     a taker's leases has ended, and the host has heard nothing from the taker since that lease began, the taker may be
     frozen. The host then immediately sends it a sign of life, and gives it no messages until it answers. The end of
     the stream gives no messages back: delivered messages stay leased until the taker settles them or their leases end.
@@ -80,7 +80,7 @@ class QueueServiceAsyncStub(QueueServiceStub):
     OVERLOADED, SHUTTING_DOWN.
     """
     Take: _aio.StreamStreamMultiCallable[_queue_service_pb2.TakeRequest, _queue_service_pb2.TakeResponse]  # type: ignore[assignment]
-    """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. If one of
+    """Take messages. The host leases each message to this taker while the taker has credit. It serves waiting takers in turn. If one of
     a taker's leases has ended, and the host has heard nothing from the taker since that lease began, the taker may be
     frozen. The host then immediately sends it a sign of life, and gives it no messages until it answers. The end of
     the stream gives no messages back: delivered messages stay leased until the taker settles them or their leases end.
@@ -125,7 +125,7 @@ class QueueServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_queue_service_pb2.TakeRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_queue_service_pb2.TakeResponse], _abc.AsyncIterator[_queue_service_pb2.TakeResponse]]:
-        """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. If one of
+        """Take messages. The host leases each message to this taker while the taker has credit. It serves waiting takers in turn. If one of
         a taker's leases has ended, and the host has heard nothing from the taker since that lease began, the taker may be
         frozen. The host then immediately sends it a sign of life, and gives it no messages until it answers. The end of
         the stream gives no messages back: delivered messages stay leased until the taker settles them or their leases end.

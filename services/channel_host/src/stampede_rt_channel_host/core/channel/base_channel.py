@@ -67,9 +67,9 @@ class BaseChannel:
         Puts and reads also free a few entries.
         """
         self._age_and_free(self._tick(now))
-        knows_less = self._retention.report_collected(entries_max // 2)  # half as many: a report takes longer
+        has_more_reports = self._retention.report_collected(entries_max // 2)  # half as many: a report takes longer
         self._retention.continue_owed_check()
-        return self._held.free(entries_max) or knows_less or self._retention.has_more
+        return self._held.free(entries_max) or has_more_reports or self._retention.has_more
 
     def emptying(self) -> Pieces[None]:
         """Free all items, in pieces. The channel must not be used afterwards."""
@@ -172,7 +172,7 @@ class BaseChannel:
     def record(self, archived_to: int, named: int = 0) -> None:
         """Keep items from the seq `archived_to` on until they are archived, unless max_bytes collects them.
 
-        Call it again when the archive has more items. `named`: how many of the items below are lost to the archive.
+        Call it again when the archive has more items. `named`: the number of lost items that the archive names.
         """
         if self._retention.unarchived is None:
             self._retention.unarchived = ArchiveBacklog(self._held, archived_to)
@@ -195,8 +195,9 @@ class BaseChannel:
         """Take the newest items of an archive into an empty channel, as many as the limits allow.
 
         `runs` have all items later than `after`, in the order of their seqs.
-        `next_seq`: the seq of the next accepted item. `loss`: from which instant on, and before which, items may be
-        lost, see `QueryReader`; None: without a bound, or no item was lost. `advance`: the latest one.
+        `next_seq`: the seq of the next accepted item. `loss`: the first instant at which items may be lost (None: any
+        instant), and the instant at which the loss ends (None: no item was lost), see `QueryReader`. `advance`: the
+        latest advance.
         """
         restore(self._held, runs, after=after, next_seq=next_seq)
         self._retention.drop_excess(self._held.newest or 0)

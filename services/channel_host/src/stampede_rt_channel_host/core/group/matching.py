@@ -128,7 +128,7 @@ class Matcher:
         taken: list[FoundMatch] = []
         self._looks_left = looks_max
         # a list first, because each look may free entries
-        for item in [*islice(self._own.ones(self._low, now), items_max)] if credit_bytes > 0 else ():
+        for item in [*islice(self._own.one_by_one(self._low, now), items_max)] if credit_bytes > 0 else ():
             one = item.slice
             if credit_bytes <= 0 or not self._can_decide(one.first_time, has_passed):
                 break

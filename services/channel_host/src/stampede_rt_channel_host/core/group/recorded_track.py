@@ -21,7 +21,7 @@ from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.group.loss_counter import split_at
-from stampede_rt_channel_host.core.group.tracks import NearestItem, ones
+from stampede_rt_channel_host.core.group.tracks import NearestItem, one_by_one
 
 KEYS_MAX = 2**18
 """The most keys that a track holds, about 25 MB. Only `unique` with a large tolerance needs more than a page or two."""
@@ -72,7 +72,7 @@ class RecordedTrack:
             return None
         if key < held.floor:
             return NearestItem(*key, None, is_archived=True)
-        return NearestItem(*key, next(ones(held.slices(key), held.next_time)))
+        return NearestItem(*key, next(one_by_one(held.slices(key), held.next_time)))
 
     def forget_before(self, time: int) -> None:
         """See `Track`."""
@@ -109,8 +109,8 @@ class RecordedTrack:
     def _load(self, high: ItemKey, low: ItemKey, floor: ItemKey) -> Reads:
         """Load the last bucket from `low` on before the time of `high`, and all keys from there up to `high`.
 
-        If the track has an interval, it grows, unless the searches are ascending. So the searches for one item, which
-        change their direction, come to an end.
+        If the track has an interval, the interval grows, unless the searches are ascending. The searches for one item
+        change their direction. They end, because each of them makes the interval larger.
         """
         if self._is_ascending:
             self._keys, self._low, self._end = [], LAST_KEY, FIRST_KEY
@@ -150,8 +150,9 @@ class RecordedTrack:
 class RecordedOwnTrack(RecordedTrack):
     """The items of the matched channel, if it is recorded. Holds one page of archived items.
 
-    `lacked` counts the items that the archive lacks between the read ones, and those that its limits have removed. Of
-    the removed items it counts the seqs after the last decided item, so out of order the number may be a little wrong.
+    `lacked` counts two kinds of items: items that the archive lacks between the read items, and items that the limits
+    of the archive have removed. It finds the removed items by their seqs after the last decided item. If items came
+    out of order, the number may therefore be a little wrong.
     """
 
     def __init__(self, channel: ChannelCore, channel_id: bytes, kept_from: Callable[[], int]) -> None:
@@ -165,11 +166,11 @@ class RecordedOwnTrack(RecordedTrack):
         self._last_time = FIRST_KEY[0]  # the time of the last bucket of the page
         self._following: int | None = None  # the time of the archived bucket after the page; None: memory follows
 
-    def ones(self, low: ItemKey, now: int) -> Iterator[DeliveredSlice]:
+    def one_by_one(self, low: ItemKey, now: int) -> Iterator[DeliveredSlice]:
         """The items from `low` on, one by one, up to the end of the page. Raises ItemsNotLoaded if no page has them."""
         held, _ = self._channel.look(now)
         if low >= held.floor:
-            return ones(held.slices(low), held.next_time)
+            return one_by_one(held.slices(low), held.next_time)
         # memory may have collected items since: then the page does not show when the spans of its last bucket end
         is_behind = self._following is None and self._page_end < held.floor
         end = (self._last_time, 0) if is_behind else self._page_end
@@ -179,9 +180,9 @@ class RecordedOwnTrack(RecordedTrack):
         return self._ones_of_page(low, end, held)
 
     def _ones_of_page(self, low: ItemKey, end: ItemKey, held: Holdings) -> Iterator[DeliveredSlice]:
-        yield from ones(self._page.slices(low, end), partial(self._next_time, held))
+        yield from one_by_one(self._page.slices(low, end), partial(self._next_time, held))
         if end >= held.floor:
-            yield from ones(held.slices(self._page_end), held.next_time)
+            yield from one_by_one(held.slices(self._page_end), held.next_time)
 
     def _next_time(self, held: Holdings, time: int) -> int | None:
         found = self._page.next_time(time)

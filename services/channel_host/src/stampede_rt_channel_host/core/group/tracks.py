@@ -62,10 +62,10 @@ class LocalTrack:
     def forget_before(self, time: int) -> None:
         """Does nothing, because retention collects the items."""
 
-    def ones(self, low: ItemKey, now: int) -> Iterator[DeliveredSlice]:
+    def one_by_one(self, low: ItemKey, now: int) -> Iterator[DeliveredSlice]:
         """The items from `low` on, one by one."""
         held, _ = self._channel.look(now)
-        return ones(held.slices(low), held.next_time)
+        return one_by_one(held.slices(low), held.next_time)
 
 
 class RemoteTrack:
@@ -98,7 +98,7 @@ class RemoteTrack:
         self._keys.forget_before(time)
 
 
-def ones(parts: Iterable[Slice], next_time: Callable[[int], int | None]) -> Iterator[DeliveredSlice]:
+def one_by_one(parts: Iterable[Slice], next_time: Callable[[int], int | None]) -> Iterator[DeliveredSlice]:
     """The items of the slices, one by one. `next_time` gives the time of the bucket after a time."""
     each = (Slice(part.run, at, at + 1) for part in parts for at in range(part.lo, part.hi))
     return (DeliveredSlice(one, next_time(one.first_time)) for one in each)
