@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt.values.answers import Items
-from stampede_rt.values.model import Item
+from stampede_rt.values.model import Item, Reason
 from stampede_rt.values.reading import ReadQuery
 from stampede_rt.values.timeline import fixed
 
@@ -40,18 +40,27 @@ class Pages:
         if first is last:
             return first
         items: list[Item] = [item for page in self._pages for item in page]
-        lost = next((page.reason for page in self._pages if page.reason == "LOST"), None)
-        by_last = self._query.newest_first and first.truncated and not last.more
-        hidden = last.reason if last.reason == "HIDDEN" else None  # the last page reaches the cut
+        # the archive may have dropped items since the first page
+        truncated = any(page.truncated for page in self._pages)
         return Items(
             items,
             interval=first.interval,
             complete=first.complete,
-            truncated=first.truncated,
+            truncated=truncated,
             more=last.more,
-            reason=lost or (last.reason if by_last else first.reason or hidden),
+            reason=self._first_reason("LOST") or self._reason(first, last, truncated=truncated),
             incarnation=first.incarnation,
             cut=first.cut,
             staleness_nanos=first.staleness_nanos,
             past=first.past,
         )
+
+    def _reason(self, first: Items, last: Items, *, truncated: bool) -> Reason | None:
+        if self._query.newest_first and truncated and not last.more:
+            return last.reason  # the last page has the earliest items
+        hidden = last.reason if last.reason == "HIDDEN" else None  # the last page reaches the cut
+        collected = None if self._query.newest_first else self._first_reason("COLLECTED")
+        return first.reason or collected or hidden
+
+    def _first_reason(self, value: str) -> Reason | None:
+        return next((page.reason for page in self._pages if page.reason == value), None)
