@@ -47,6 +47,7 @@ CLOCK_BOOTTIME = 11  # a reading of CLOCK_BOOTTIME, and the host's clock at that
 CLOCK_HOST = 12
 CLOCK_OFFSET = 13  # the machine's wall clock minus the host's clock at that moment
 LATE = 14  # the number of slots whose first item was older than the newest item
+RECORDED = 15  # 1: an archive may have the items before GONE_BEFORE. Hosts of earlier releases always write 0
 
 CHANGES_WORD = 32  # the host adds 1 after each change; its lower half is the futex on which readers wait
 

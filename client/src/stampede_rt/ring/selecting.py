@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from stampede_rt.ring.facts import age_bound, surely_held
-from stampede_rt.ring.layout import ABSENT_INSTANT, ADVANCED_TO, GONE_BEFORE, HEAD, NEWEST_SLOT, NEWEST_TIME
+from stampede_rt.ring.layout import ABSENT_INSTANT, ADVANCED_TO, GONE_BEFORE, HEAD, NEWEST_SLOT, NEWEST_TIME, RECORDED
 from stampede_rt.ring.ring_view import RingView, Slot
 from stampede_rt.values.answers import ABSENT
 from stampede_rt.values.reading import ReadQuery
@@ -124,6 +124,8 @@ def select(view: RingView, facts: list[int], query: ReadQuery, now: int, columns
     is_certain = aged is None or within.start > aged
     if (truncated and needs_all) or not (truncated or is_certain):
         return None  # something is missing, or may have grown too old since the host wrote the facts
+    if truncated and facts[RECORDED] and not query.within_memory:
+        return None  # the archive may have what is missing
     items = _candidates(view, facts, query, within, columns_of)
     if items is None:
         return None

@@ -66,7 +66,7 @@ class RingRun(NamedTuple):
 class RingFacts(NamedTuple):
     """The facts about a channel that a ring repeats, see `layout`. None: the instant or the limit is absent.
 
-    `has_items`: in memory, or perhaps in the archive.
+    `has_items`: in memory, or perhaps in the archive. `is_recorded`: the channel has an archive.
     """
 
     next_seq: int
@@ -76,6 +76,7 @@ class RingFacts(NamedTuple):
     floor: tuple[int, int]
     max_age_nanos: int | None
     has_overlap: bool
+    is_recorded: bool = False
 
 
 class ClockReading(NamedTuple):
@@ -179,6 +180,7 @@ class RingWriter:
             -1 if facts.max_age_nanos is None else facts.max_age_nanos,
             *clock,
             self._late,
+            int(facts.is_recorded),
         )
         words = self._words
         sequence = words[SEQUENCE_WORD] + 1
