@@ -99,6 +99,27 @@ def test_a_get_that_needs_the_archive_goes_to_the_owner(recorded: RecordedSetup)
     assert len(past) == ITEMS
 
 
+@pytest.mark.parametrize("through_group", [False, True])
+def test_a_reader_that_uses_the_proxy_gets_archived_items_from_the_owner(
+    recorded: RecordedSetup, through_group: bool
+) -> None:
+    """In an earlier version a get through the group said COLLECTED, and had only the items in the memory of the proxy.
+
+    The proxy refuses a get of archived items, and then gets no more gets of this connection for a while. So the first
+    get is one that the proxy answers.
+    """
+    source = recorded.group[recorded.channel()] if through_group else recorded.channel()
+
+    def at_proxy() -> bool:
+        answer = source.get(recorded.items[-5].time, recorded.items[-1].time, max_staleness="10s")
+        return len(answer) == 5 and answer.staleness_nanos is not None
+
+    eventually(at_proxy, "the proxy answers")
+    across = source.get(recorded.items[3].time, recorded.items[-3].time, max_staleness="10s")
+    assert [item.seq for item in across] == [item.seq for item in recorded.items[3:-2]]
+    assert (across.reason, across.truncated, across.staleness_nanos) == (None, False, None)
+
+
 def test_a_get_that_memory_can_answer_uses_the_proxy(recorded: RecordedSetup) -> None:
     channel = recorded.channel()
 

@@ -157,12 +157,15 @@ class GroupReads:
         wait_nanos: int,
         check: Callable[[str], None],
     ) -> GroupAnswer:
-        """Read a copy. Raises StaleBinding (MOVED) for a get that would have to wait for items."""
+        """Read a copy. Raises StaleBinding (MOVED) for a get that would have to wait for items, or that may need the
+        archive.
+        """
         group = await self._copied.find(params.group_id, hosted)
         check(group.record.name)
         await group.reach(_wanted(params), STALL_SECONDS_MAX)
         channels, horizon = self._groups.channels, group.horizon(params.at)
         view = VisibleChannel(member_of(group, hosted).channel)
+        reads_archive(params, hosted, query, horizon, channels.now())  # a copy has none, and sends the reader away
         if not wait_nanos:
             return GroupAnswer(await channels.scheduler.do(view.reading(query, horizon, channels.now())), horizon.cut)
         pending = view.begin(query, horizon, channels.now())
