@@ -5,9 +5,10 @@ the archive.
 from __future__ import annotations
 
 from stampede_rt.errors import StampedeError
+from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.core.archive import ArchiveSpan, reaches, resolved_now
+from stampede_rt_channel_host.core.archive import ArchiveSpan, needs_archive, resolved_now
 from stampede_rt_channel_host.core.channel import Query
 from stampede_rt_channel_host.core.group import Horizon, reaches_archive
 
@@ -32,13 +33,13 @@ def check_read(hosted: HostedChannel, query: Query, now: int, horizon: Horizon |
         return
     held, _ = hosted.channel.look(now)
     lost_before = hosted.channel.lost_before  # the owner may not know yet which earlier items its archive has
-    bounds = (held.newest_collected, None if lost_before is None else lost_before - 1)
-    span = ArchiveSpan(max((one for one in bounds if one is not None), default=None), None, is_cut=False)
+    has_earlier = held.newest_collected is not None or lost_before is not None
+    span = ArchiveSpan(MIN_INSTANT if has_earlier else None, None, is_cut=False)
     if horizon is not None:
-        needs_archive = reaches_archive(held, span, query, horizon, now)
+        is_refused = reaches_archive(held, span, query, horizon, now)
     else:
         within = resolved_now(held, span, query, now)
         is_early = within is not None and lost_before is not None and within.start < lost_before
-        needs_archive = is_early or (within is not None and reaches(held, within.start))
-    if needs_archive:
+        is_refused = has_earlier if within is None else is_early or needs_archive(held, span, query, within)
+    if is_refused:
         raise refusal(hosted)

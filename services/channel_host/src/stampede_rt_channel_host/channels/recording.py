@@ -32,8 +32,8 @@ from stampede_rt_channel_host.core.archive import (
     WantedWindow,
     deliver,
     lacked,
+    needs_archive,
     next_time_of,
-    reaches,
     resolved,
     resolved_now,
     span_of,
@@ -140,7 +140,7 @@ class Recording:
             return False
         held, _ = self._channel.look(now)
         within = resolved_now(held, self._expected_span, query, now)
-        return within is not None and reaches(held, within.start)
+        return within is not None and needs_archive(held, self._expected_span, query, within)
 
     @property
     def may_read(self) -> bool:
@@ -226,7 +226,7 @@ class Recording:
         return PastReader(self._archive, self.recorder, self._channel)
 
     def beginning(self, where: dict[str, Any], now: int) -> dict[str, Any]:
-        """The place where a subscription begins, if it reaches below the items in memory.
+        """The place where a subscription begins. If its start is a meta-time, it is resolved over archive and memory.
 
         `where` are keyword arguments of `ChannelCore.subscribing_all`. Raises Unavailable as `check_known`.
         """
@@ -238,7 +238,10 @@ class Recording:
             return where
         held, _ = self._channel.look(now)
         within = resolved_now(held, self._expected_span, Query(interval=Interval(start, start)), now)
-        if within is None or held.newest_collected is None or within.start > held.newest_collected:
+        if within is None:
+            return where
+        where = {**where, "start": Bound(None, within.start)}
+        if held.newest_collected is None or within.start > held.newest_collected:
             return where
         low = (within.start, 0)
         seqs = [one.first_seq for one in recorder.segments if one.high is not None and one.high >= low]
@@ -246,7 +249,7 @@ class Recording:
         first_seq = min(seqs, default=None)
         if first_seq is None:
             return where
-        return {**where, "start": Bound(None, within.start), "archived_from": first_seq}
+        return {**where, "archived_from": first_seq}
 
     async def since(self, cursor: AllCursor, limit_bytes: int, now: Callable[[], int]) -> SubscriptionBatch | None:
         """The next part of a subscription if memory does not have it; otherwise None. Moves the cursor.

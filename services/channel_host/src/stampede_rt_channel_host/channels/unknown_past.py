@@ -88,7 +88,7 @@ class UnknownPast:
                 return False
             now = min(now, horizon.cut)
         within = resolved_now(held, recorder.span, query, now)
-        if within is None or query.interval.start.meta is MetaTime.OLDEST:
+        if within is None or MetaTime.OLDEST in (query.interval.start.meta, query.interval.end.meta):
             return True
         last = within.end - within.end_exclusive
         last = last if horizon is None or horizon.cut is None else min(last, horizon.cut - 1)

@@ -20,6 +20,7 @@ from stampede_rt_channel_host.core.archive.archived_part import (
 from stampede_rt_channel_host.core.archive.archived_read import (
     ArchivedRead,
     WantedWindow,
+    needs_archive,
     reach_of,
     reaches,
     resolved,
@@ -137,6 +138,7 @@ __all__ = [
     "is_nothing_left",
     "is_whole",
     "lacked",
+    "needs_archive",
     "next_time_of",
     "nothing_left",
     "part_of",

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from stampede_rt.values.model import Reason
-from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, ResolvedInterval, format_instant
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, MetaTime, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.archive.doubts import Doubt
 from stampede_rt_channel_host.core.archive.holes import Hole, WindowReach
 from stampede_rt_channel_host.core.archive.recorded_items import ArchiveSpan, RecordedItems, earliest, latest
@@ -53,6 +53,19 @@ def reaches(held: Holdings | HoldingsSnapshot, start: int) -> bool:
     following = held.next_time(split)
     is_split = held.oldest is not None and held.oldest <= split
     return is_split and (following is None or start < following + held.overlap_nanos)
+
+
+def needs_archive(held: Holdings | HoldingsSnapshot, span: ArchiveSpan, query: Query, within: ResolvedInterval) -> bool:
+    """Whether memory alone may give another answer than archive and memory together. `within`: the interval, resolved
+    over both.
+
+    Memory gives another answer if the interval may select items that have left memory, or if a bound is OLDEST and the
+    oldest item has left memory: memory then resolves this bound to another instant.
+    """
+    if reaches(held, within.start):
+        return True
+    is_from_oldest = MetaTime.OLDEST in (query.interval.start.meta, query.interval.end.meta)
+    return is_from_oldest and earliest(held.oldest, span.oldest) != held.oldest
 
 
 class WantedWindow(NamedTuple):

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, ResolvedInterval, parse_interval
-from stampede_rt_channel_host.core.archive import ArchivedRead, ArchiveSpan, ArchiveWindow, reaches
+from stampede_rt_channel_host.core.archive import ArchivedRead, ArchiveSpan, ArchiveWindow, needs_archive, reaches
 from stampede_rt_channel_host.core.archive.recorded_items import RecordedItems, earliest, latest
 from stampede_rt_channel_host.core.channel import ChannelSnapshot, Position, Query, ReadAnswer
 from stampede_rt_channel_host.core.channel.holdings import Holdings
@@ -206,4 +206,4 @@ def reaches_archive(held: Holdings, span: ArchiveSpan, query: Query, horizon: Ho
         return span.oldest is not None or held.newest is None or held.newest_collected is not None
     clock = max(min(now, cut), newest)
     within = query.interval.resolve(now=clock, newest=newest, oldest=earliest(held.oldest, span.oldest))
-    return within is not None and reaches(held, min(within.start, cut - 1))
+    return within is not None and (reaches(held, cut - 1) or needs_archive(held, span, query, within))
