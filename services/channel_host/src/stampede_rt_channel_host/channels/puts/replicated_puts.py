@@ -38,7 +38,7 @@ class ReplicatedPuts:
         body, offer = run.seal(first_seq, kept, stamped_time), run.offer
         if first_seq != self._core.next_seq or kept is not None:  # stored already, or only a part is accepted
             return body
-        time = stamped_time if offer.times is None else min(offer.times)
+        time = stamped_time if offer.times is None else offer.span.low
         assert time is not None, "the channel gives a time to items without one"
         duration = ABSENT if offer.durations is None or run.items > 1 else offer.durations[0]
         item = NewItem(

@@ -15,7 +15,15 @@ from stampede_rt.values.timeline import MAX_INSTANT, format_duration
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.limits import BLOCK
 from stampede_rt_channel_host.core.channel.retention import Retention
-from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, make_run, pack
+from stampede_rt_channel_host.core.channel.run import (
+    ABSENT,
+    ITEM_OVERHEAD_BYTES,
+    ColumnRun,
+    Run,
+    TimeSpan,
+    make_run,
+    pack,
+)
 from stampede_rt_channel_host.core.channel.values import Offer, PutOutcome, Rejection, Seal
 
 # the reasons of refusals that `Counters.rejected` counts
@@ -44,15 +52,16 @@ class Acceptance:
         """
         stamp, times = None, offer.times
         if times is None:
-            low = high = stamp = self.stamp(clock)
+            stamp = self.stamp(clock)
+            span = TimeSpan(stamp, stamp)
             times = array("q", (stamp,)) * len(offer.lengths)
         else:
-            low, high = min(times), max(times)
+            span = offer.span
         payload_bytes = sum(offer.lengths)
-        if self._fits_in_one_step(offer.lengths, payload_bytes, low, high, clock):
+        if self._fits_in_one_step(offer.lengths, payload_bytes, span, clock):
             body = seal(self._held.next_seq, None, stamp)
-            run = make_run(self._held.next_seq, times, offer.durations, offer.lengths, body)
-            self._held.store(run, payload_bytes, low, high)
+            run = make_run(self._held.next_seq, times, offer.durations, offer.lengths, body, span)
+            self._held.store(run, payload_bytes, span)
             return PutOutcome(run=run, stamped_time=stamp)
         return _ItemByItem(self, self._held, self._retention, offer, times, clock).run(stamp, seal)
 
@@ -61,9 +70,9 @@ class Acceptance:
         now = clock if self._held.newest is None else max(clock, self._held.newest)
         return max(now, self._least_time())
 
-    def _fits_in_one_step(self, lengths: Sequence[int], payload_bytes: int, low: int, high: int, clock: int) -> bool:
+    def _fits_in_one_step(self, lengths: Sequence[int], payload_bytes: int, span: TimeSpan, clock: int) -> bool:
         """Whether the channel accepts every item, and retention after the last item has the same result as retention
-        after each item. The items have times from `low` to `high`.
+        after each item. `span`: the span of their times.
 
         If all items are later than the cutoff of max_age, none of them is outdated, and none of them moves a bucket's
         end to or below the cutoff. `_drops_the_same` tests the other limits.
@@ -71,6 +80,7 @@ class Acceptance:
         held, limits = self._held, self._retention.limits
         items = len(lengths)
         largest, cutoff = max(lengths), self._retention.cutoff(clock)
+        low, high, _ = span
         if high > clock + limits.max_future_nanos or (cutoff is not None and low <= cutoff):
             return False
         if largest > limits.max_item_bytes or largest + ITEM_OVERHEAD_BYTES > limits.max_bytes:

@@ -25,7 +25,7 @@ class FedHoldings(Holdings):
     def store_fed(self, run: Run) -> None:
         """Add a run of the feed. The seqs between the last run and this one count as missed."""
         self.skip_to(run.first_seq)
-        self.store(run, run.payload_bytes(0, len(run)), min(run.times), max(run.times))
+        self.store(run, run.payload_bytes(0, len(run)), run.span)
 
     def skip_to(self, next_seq: int) -> None:
         """Pass the seqs up to `next_seq`, exclusive. Those that belong to items count as missed."""

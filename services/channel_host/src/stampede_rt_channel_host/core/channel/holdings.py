@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.channel.oldest_items import (
     first_bytes,
     first_items,
 )
-from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, Slice
+from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, Slice, TimeSpan
 from stampede_rt_channel_host.core.channel.span_ends import end_of_newest, latest_end
 
 REPORTED_SLICES_MAX = 64
@@ -43,13 +43,13 @@ class Holdings(HeldItems):
 
     __slots__ = ()
 
-    def store(self, run: Run, payload_bytes: int, low: int, high: int) -> None:
-        """Add a run. `low` and `high` are its least and greatest time."""
-        if low < self.floor[0]:
+    def store(self, run: Run, payload_bytes: int, span: TimeSpan) -> None:
+        """Add a run. `payload_bytes`: the payload bytes of its items. `span`: the span of its times."""
+        if (low := span.low) < self.floor[0]:
             self._reset_floor()
         if self.newest is not None and low < self.newest:
             self.late += sum(time < self.newest for time in run.times)
-        self.index.insert(run, has_one_time=low == high)
+        self.index.insert(run)
         self._stored_items += len(run)
         if isinstance(run, ColumnRun):
             run.kept = len(run)
@@ -57,9 +57,9 @@ class Holdings(HeldItems):
         if low < self._blocks.end[0]:
             self._split_block(self._blocks.add_late(run.first_seq, run.times, run.lengths))
         self._count_in(len(run), payload_bytes, low)
-        self._count_newest(len(run), payload_bytes, high)
+        self._count_newest(len(run), payload_bytes, span.high)
         if run.durations is None:
-            self._note_newest(high, ABSENT)
+            self._note_newest(span.high, ABSENT)
         else:
             for time, duration in zip(run.times, run.durations, strict=True):
                 self._note_newest(time, duration)

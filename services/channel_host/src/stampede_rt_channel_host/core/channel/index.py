@@ -44,23 +44,17 @@ class ChannelIndex:
         """The number of entries."""
         return len(self._by_time)
 
-    def insert(self, run: Run, *, has_one_time: bool = False) -> None:
-        """Add all items of a run. Its seqs must be above all seqs in the index.
-
-        `has_one_time`: all its items have the same time.
-        """
+    def insert(self, run: Run) -> None:
+        """Add all items of a run. Its seqs must be above all seqs in the index."""
         if isinstance(run, OneRun):
             self._open(run.first_time)
             self._add(run)
             return
         lo, items = 0, len(run)
-        if has_one_time:  # as in a run to which the host gave its time
+        if run.span.ascends:
             self._insert_ascending(run, 0, items)
             return
-        times = [*run.times]
-        if times == sorted(times):  # faster than the loop, and usual
-            self._insert_ascending(run, 0, items)
-            return
+        times = run.times
         while lo < items:
             hi = lo + 1
             while hi < items and times[hi - 1] <= times[hi]:

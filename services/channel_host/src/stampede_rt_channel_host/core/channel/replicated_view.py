@@ -82,7 +82,7 @@ class ReplicatedView:
         if isinstance(run, OneRun):
             return OneRun(run.first_seq, run.first_time, run.duration, run.length, run.body)
         if part.is_whole:
-            whole = ColumnRun(run.first_seq, run.times, run.durations, run.lengths, run.body)
+            whole = ColumnRun(run.first_seq, run.times, run.durations, run.lengths, run.body, run.span)
             whole.whole_bytes = run.payload_bytes(0, len(run))
             return whole
         durations = None if run.durations is None else run.durations[part.lo : part.hi]

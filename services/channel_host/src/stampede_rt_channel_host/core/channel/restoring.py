@@ -21,7 +21,7 @@ def restore(held: Holdings, runs: Iterable[Run], *, after: int | None, next_seq:
         held.newest_collected, held.collected_by = after, ARCHIVE
     for run in runs:
         _skip_to(held, run.first_seq)
-        held.store(run, run.payload_bytes(0, len(run)), min(run.times), max(run.times))
+        held.store(run, run.payload_bytes(0, len(run)), run.span)
     _skip_to(held, next_seq)
     if after is not None:
         held.collected_end = after + 1 if held.oldest is None else held.oldest

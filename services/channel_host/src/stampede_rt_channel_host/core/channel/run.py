@@ -63,6 +63,23 @@ class ReferencedBody:
         return b"".join(self.parts)
 
 
+class TimeSpan(NamedTuple):
+    """The least and the greatest time of some items. `ascends`: no time is less than the time before it."""
+
+    low: int
+    high: int
+    ascends: bool = True
+
+
+def time_span(times: Sequence[int]) -> TimeSpan:
+    """The span of one time or more. If the times ascend, sorting takes less time than `min` and `max`."""
+    if len(times) == 1:
+        return TimeSpan(times[0], times[0])
+    values = [*times]
+    ordered = sorted(values)
+    return TimeSpan(ordered[0], ordered[-1], ordered == values)
+
+
 class Run(ABC):
     """Accepted items in the order of acceptance; immutable. `first_seq` is the first item's seq, and each next item has
     the next seq.
@@ -91,6 +108,11 @@ class Run(ABC):
     def lengths(self) -> Sequence[int]:
         """Each item's payload length."""
 
+    @property
+    @abstractmethod
+    def span(self) -> TimeSpan:
+        """The span of its times."""
+
     @abstractmethod
     def payload_bytes(self, lo: int, hi: int) -> int:
         """The payload bytes of the items from position `lo` up to `hi`, exclusive."""
@@ -117,11 +139,13 @@ class ColumnRun(Run):
     -1: it is not known, because `lengths` may still grow.
     """
 
-    __slots__ = ("durations", "kept", "lengths", "slicer", "times", "whole_bytes")
+    __slots__ = ("_span", "durations", "kept", "lengths", "slicer", "times", "whole_bytes")
 
     def __init__(
-        self, first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: Body
-    ) -> None:
+        self, first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: Body,
+        span: TimeSpan | None = None,
+    ) -> None:  # fmt: skip
+        """`span`: the span of `times`, if the caller knows it."""
         self.first_seq = first_seq
         self.times: Sequence[int] = times
         self.durations: Sequence[int] | None = durations
@@ -130,6 +154,14 @@ class ColumnRun(Run):
         self.kept = 0
         self.slicer: Slicer | None = None
         self.whole_bytes = -1
+        self._span = span
+
+    @property
+    def span(self) -> TimeSpan:
+        """The span of its times. The run keeps it, so it gets no more items afterwards."""
+        if self._span is None:
+            self._span = time_span(self.times)
+        return self._span
 
     def payload_bytes(self, lo: int, hi: int) -> int:
         """The payload bytes of the items from position `lo` up to `hi`, exclusive."""
@@ -184,6 +216,11 @@ class OneRun(Run):
         """The item's payload length."""
         return (self.length,)
 
+    @property
+    def span(self) -> TimeSpan:
+        """The span of one time."""
+        return TimeSpan(self.first_time, self.first_time)
+
     def payload_bytes(self, lo: int, hi: int) -> int:
         """The item's payload length, if the item lies between the two positions; otherwise 0."""
         return self.length if lo < hi else 0
@@ -193,12 +230,13 @@ class OneRun(Run):
 
 
 def make_run(
-    first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: Body
-) -> Run:
-    """A run in its smallest layout. Copies the columns."""
+    first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: Body,
+    span: TimeSpan | None = None,
+) -> Run:  # fmt: skip
+    """A run in its smallest layout. Copies the columns. `span`: the span of `times`, if the caller knows it."""
     if len(lengths) == 1:
         return OneRun(first_seq, times[0], ABSENT if durations is None else durations[0], lengths[0], body)
-    run = ColumnRun(first_seq, pack(times), None if durations is None else pack(durations), pack(lengths), body)
+    run = ColumnRun(first_seq, pack(times), None if durations is None else pack(durations), pack(lengths), body, span)
     run.whole_bytes = sum(lengths)
     return run
 

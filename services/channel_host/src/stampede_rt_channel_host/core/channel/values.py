@@ -6,7 +6,7 @@ Every instant is int nanoseconds since the epoch, every duration int nanoseconds
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
@@ -14,7 +14,7 @@ from stampede_rt.errors import InvalidArgument, MalformedRun, StampedeError
 from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Interval, Match, ResolvedInterval
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
-from stampede_rt_channel_host.core.channel.run import Body, Run, Slice
+from stampede_rt_channel_host.core.channel.run import Body, Run, Slice, TimeSpan, time_span
 from stampede_rt_channel_host.core.channel.waiting import Needs
 
 
@@ -32,6 +32,7 @@ class Offer:
     durations: Sequence[int] | None
     lengths: Sequence[int]
     since: int | None = None
+    _span: TimeSpan | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         items = len(self.lengths)
@@ -40,6 +41,15 @@ class Offer:
         for column, values in (("times", self.times), ("durations", self.durations)):
             if values is not None and len(values) != items:
                 raise MalformedRun(f"the run has {items} lengths and {len(values)} {column}; give one for each item")
+
+    @property
+    def span(self) -> TimeSpan:
+        """The span of its times. The run must have times."""
+        if self._span is None:
+            assert self.times is not None, "the caller has seen that the run has times"
+            object.__setattr__(self, "_span", time_span(self.times))
+        assert self._span is not None, "it is set now"
+        return self._span
 
     def rest(self, index: int, now: int) -> Offer:
         """The items from position `index` on, to offer again.
