@@ -14,7 +14,7 @@ from stampede_rt.v1 import item_pb2
 from stampede_rt.wire import runs
 from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.delivered import RUN_ITEMS_MAX
-from stampede_rt.wire.run_slices import sealed_columns, slice_run
+from stampede_rt.wire.run_slices import sealed_columns, sealed_parts, slice_run
 from stampede_rt.wire.runs import ITEM_BYTES_MAX, RUN_BYTES_MAX, encode_run, parse_run, seal_run, select_items
 
 items = some.lists(
@@ -42,16 +42,20 @@ def test_every_decoded_column_is_as_it_was_encoded(columns: list[tuple[int, int,
     assert found[0].attributes == {"k": "v"}
 
 
-@given(items, some.integers(1, 2**63), some.booleans(), some.data())
-def test_the_columns_of_a_sealed_run_are_the_columns_that_a_parser_finds(
-    columns: list[tuple[int, int, bytes]], first_seq: int, stamped: bool, data: some.DataObject
-) -> None:
+@given(items, some.integers(1, 2**63), some.booleans(), some.sampled_from([{}, {"k": "v"}]), some.data())
+def test_the_parts_of_a_sealed_run_are_the_parts_that_a_parser_finds(
+    columns: list[tuple[int, int, bytes]], first_seq: int, stamped: bool, attributes: dict[str, str],
+    data: some.DataObject,
+) -> None:  # fmt: skip
     _, durations, payloads = zip(*columns, strict=True)
     times = [7] * len(columns)
-    raw = encode_run(payloads, times=None if stamped else times, durations=durations, attributes={"k": "v"})
+    raw = encode_run(payloads, times=None if stamped else times, durations=durations, attributes=attributes)
     sealed = seal_run(raw, first_seq, times if stamped else None)
-    found = sealed_columns(sealed)
-    assert found is not None
+    parts = sealed_parts(sealed)
+    assert parts is not None
+    assert sealed[parts.payloads] == b"".join(payloads)
+    assert dict(item_pb2.ItemRun.FromString(parts.labels).attributes) == attributes
+    found = parts.columns
     parsed = item_pb2.ItemRun.FromString(sealed)
     assert (found.first_seq, [*found.times]) == (parsed.first_seq, [*parsed.time_unix_nano])
     assert [*(found.durations or ())] == [*parsed.duration_nanos]
