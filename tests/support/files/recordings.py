@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from stampede_rt.files.chunk_content import ChunkContent, Event
 from stampede_rt.files.editing import finish_with
 from stampede_rt.files.entries import FileAdvance, FileEntry, Topic, item_entry
 from stampede_rt.files.file_tally import FileTally
 from stampede_rt.files.framing import Damage
-from stampede_rt.files.reading import ChunkContent, Event, FileReader
+from stampede_rt.files.reading import FileReader
 from stampede_rt.files.writing import FileWriter
 from stampede_rt.values.model import Item
 from stampede_rt.values.recording import RecordingGap

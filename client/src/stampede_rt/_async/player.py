@@ -12,9 +12,9 @@ from types import TracebackType
 from stampede_rt._async.played_channel import PlayedChannel
 from stampede_rt._async.session import Session
 from stampede_rt.errors import FileError, InvalidArgument, StampedeError
+from stampede_rt.files.chunk_content import Event
 from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.files.names import channel_name
-from stampede_rt.files.reading import Event
 from stampede_rt.files.schedule import Schedule, target_policy, window_text
 from stampede_rt.files.sources import FileSource, SourceTopic, none_chosen
 from stampede_rt.handles import BoundToProcess

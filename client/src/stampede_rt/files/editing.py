@@ -10,11 +10,12 @@ from typing import TypedDict
 from mcap.records import Attachment, Metadata
 
 from stampede_rt.errors import FileError, InvalidArgument
+from stampede_rt.files.chunk_content import ChunkContent, Event
 from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.files.file_tally import DAMAGED, FileTally
 from stampede_rt.files.framing import Damage
 from stampede_rt.files.interval_filter import IntervalFilter
-from stampede_rt.files.reading import ChunkContent, Event, FileReader
+from stampede_rt.files.reading import FileReader
 from stampede_rt.files.summaries import SUMMARY_NAME, summary_fields, summary_of
 from stampede_rt.files.writing import FileWriter, replacing
 from stampede_rt.values.recording import RecordingGap, RecordingSummary

@@ -6,6 +6,7 @@ import csv
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -138,21 +139,37 @@ def export_tables(
         raise FileError(none_chosen(source))
     rows: dict[str, int] = {}
     gaps: list[RecordingGap] = []
-    for name, path in zip(names, _paths(names, Path(output), form), strict=True):
+    with _folder(Path(output), needed=len(names) > 1):
+        for name, path in zip(names, _paths(names, Path(output), form), strict=True):
+            try:
+                rows[str(path)] = _export(_Topic(source, name, start, end, gaps), path, form, overwrite)
+            except OSError as error:
+                raise write_fault(path, error) from error
+    return ExportSummary(rows=rows, gaps=tuple(gaps[:GAPS_KEPT_MAX]), damaged=tuple(source.damaged))
+
+
+@contextmanager
+def _folder(path: Path, *, needed: bool) -> Iterator[None]:
+    """Make a folder if it is `needed`. After an error there is no new folder without files. Raises FileError."""
+    made: list[Path] = []
+    if needed:
+        made = [one for one in (path, *path.parents) if not one.exists()]
         try:
-            rows[str(path)] = _export(_Topic(source, name, start, end, gaps), path, form, overwrite)
+            path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise write_fault(path, error) from error
-    return ExportSummary(rows=rows, gaps=tuple(gaps[:GAPS_KEPT_MAX]), damaged=tuple(source.damaged))
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):  # a folder with tables stays
+            for one in made:
+                one.rmdir()
+        raise
 
 
 def _paths(names: Sequence[str], output: Path, form: str) -> list[Path]:
     if len(names) == 1:
         return [output]
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise write_fault(output, error) from error
     paths = [output / f"{channel_name(name).replace('/', '_')}.{form}" for name in names]
     if len(set(paths)) < len(paths):
         raise FileError(f"two of the channels {', '.join(map(repr, names[:10]))} would be one file; export each alone")

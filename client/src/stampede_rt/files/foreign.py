@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from stampede_rt.errors import FileError
+from stampede_rt.files.chunk_content import Event
 from stampede_rt.files.entries import FileEntry, Topic
 from stampede_rt.files.framing import MAGIC
-from stampede_rt.files.reading import Event
 from stampede_rt.files.sources import Chosen, FileSource, McapSource, SourceTopic, check_unpacked
 
 CDR = "application/x-ros-cdr"

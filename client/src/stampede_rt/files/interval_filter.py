@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from stampede_rt.files.chunk_content import Event
 from stampede_rt.files.entries import TIME_MAX, FileAdvance, FileEntry
-from stampede_rt.files.reading import Event
 from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.timeline import MAX_INSTANT
 
@@ -15,7 +15,8 @@ class IntervalFilter:
     """Keeps the events in an interval of time. `take` gets them.
 
     It drops a gap only if the end of the gap and the next item are before the interval, or the start of the gap and the
-    item before it are after the interval. So a gap waits for the next item, and the advances behind it wait, too.
+    item before it are after the interval. So a gap waits for the next item of its channel, and the advances behind it
+    wait, too.
     """
 
     def __init__(self, start: int, end: int, chosen: Callable[[str], bool], take: Callable[[Any], object]) -> None:
@@ -23,7 +24,7 @@ class IntervalFilter:
         self._start, self._end = start, end if end < MAX_INSTANT else TIME_MAX + 1
         self._chosen, self._take = chosen, take
         self._before: dict[tuple[str, int | None], int] = {}  # the time of a channel's last item
-        self._waiting: dict[tuple[str, int | None], list[RecordingGap | FileAdvance]] = {}
+        self._waiting: dict[str, dict[int | None, list[RecordingGap | FileAdvance]]] = {}
 
     def add(self, event: Event) -> None:
         """Keep or drop one event."""
@@ -32,21 +33,23 @@ class IntervalFilter:
             return
         if isinstance(event, FileEntry):
             key = (name, event.topic.incarnation)
-            self._settle(key, event.time)
+            for incarnation in list(self._waiting.get(name, ())):
+                # an item of the next incarnation ends the former one
+                self._settle((name, incarnation), event.time if incarnation == key[1] else None)
             self._before[key] = event.time
             if self._start <= event.time < self._end:
                 self._take(event)
             return
-        waiting = self._waiting.get((name, event.incarnation))
+        waiting = self._waiting.get(name, {}).get(event.incarnation)
         if waiting is not None:
             waiting.append(event)
         elif isinstance(event, RecordingGap):
-            self._waiting[name, event.incarnation] = [event]
+            self._waiting.setdefault(name, {})[event.incarnation] = [event]
         elif event.time < self._end:
             self._take(event)
 
     def _settle(self, key: tuple[str, int | None], next_time: int | None) -> None:
-        for event in self._waiting.pop(key, ()):
+        for event in self._waiting.get(key[0], {}).pop(key[1], ()):
             if isinstance(event, FileAdvance):
                 inside = event.time < self._end
             else:
@@ -61,5 +64,6 @@ class IntervalFilter:
 
     def finish(self) -> None:
         """Decide on the last gaps."""
-        for key in list(self._waiting):
-            self._settle(key, None)
+        for name, waiting in self._waiting.items():
+            for incarnation in list(waiting):
+                self._settle((name, incarnation), None)

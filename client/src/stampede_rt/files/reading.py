@@ -24,10 +24,10 @@ from mcap.records import (
 from mcap.records import Schema as SchemaRecord
 
 from stampede_rt.errors import FileError
+from stampede_rt.files.chunk_content import ChunkContent, IncarnationKey
 from stampede_rt.files.entries import (
     FACTS_TOPIC,
     INCARNATION_KEY,
-    FileAdvance,
     FileEntry,
     ReadFacts,
     Schema,
@@ -38,52 +38,10 @@ from stampede_rt.files.framing import MAGIC, Damage, RecordFile, RecordFrame
 from stampede_rt.files.indexed_frames import has_records_beside, indexed_frames
 from stampede_rt.files.named_by_facts import UnnamedMessages, facts_topic, is_facts, topics_of
 from stampede_rt.files.summaries import SUMMARY_NAME, summary_of
-from stampede_rt.values.recording import RecordingGap, RecordingSummary, incarnation_of
+from stampede_rt.values.recording import RecordingSummary, incarnation_of
 
 CLOCKS_NAME = "stampede.clocks"
 _FOOTER_BYTES, _DATA_END_BYTES = 9 + 20 + len(MAGIC), 9 + 4
-Event = FileEntry | RecordingGap | FileAdvance
-
-
-@dataclass(slots=True)
-class ChunkContent:
-    """The contents of one chunk.
-
-    `unknown` counts messages whose topic the file does not name, and `bare` counts messages without facts.
-    """
-
-    offset: int
-    end: int
-    entries: list[FileEntry] = field(default_factory=list)
-    gaps: Sequence[RecordingGap] = ()
-    advances: Sequence[FileAdvance] = ()
-    unknown: int = 0
-    bare: int = 0
-
-    def events(self) -> Iterator[Event]:
-        """Yield messages, gaps and advances in the order in which the host had them, channel by channel."""
-        waiting = self._waiting()
-        for entry in self.entries:
-            queue = waiting.get((entry.topic.name, entry.topic.incarnation), [])
-            while queue and entry.seq is not None and queue[0][0] < entry.seq:
-                yield queue.pop(0)[1]
-            yield entry
-        for queue in waiting.values():
-            yield from (event for _, event in queue)
-
-    def _waiting(self) -> dict[tuple[str, int | None], list[tuple[float, Event]]]:
-        """Return the gaps and advances of each channel, with the seq after which each belongs, in this order."""
-        waiting: dict[tuple[str, int | None], list[tuple[float, Event]]] = {}
-        for gap in self.gaps:
-            last = gap.last_seq if gap.last_seq is not None else float("inf")
-            if gap.first_seq is None and gap.last_seq is None:  # before the first recorded item
-                last = 0
-            waiting.setdefault((gap.channel, gap.incarnation), []).append((last, gap))
-        for advance in self.advances:
-            waiting.setdefault((advance.channel, advance.incarnation), []).append((advance.after_seq, advance))
-        for queue in waiting.values():
-            queue.sort(key=lambda one: one[0])
-        return waiting
 
 
 @dataclass(slots=True)
@@ -107,6 +65,7 @@ class FileReader:
         self.size = self._records.size
         self._schemas: dict[int, Schema] = {}
         self._topics: dict[int, Topic] = {}
+        self._places: dict[IncarnationKey, int] = {}  # for each incarnation the least number of its topics
         self._facts_ids: set[int] = set()
         self.library = ""
         self._index: FileIndex | None = None
@@ -134,6 +93,8 @@ class FileReader:
                 self._index = self._read_index()
             except FileError:  # a damaged index counts as a missing one
                 self._index = None
+            for number, topic in self._index.topics.items() if self._index is not None else ():
+                self._place(number, topic)
         return self._index
 
     def data_is_whole(self) -> bool:
@@ -232,10 +193,15 @@ class FileReader:
         elif isinstance(record, Channel):
             if record.topic == FACTS_TOPIC:
                 self._facts_ids.add(record.id)
-            self._topics[record.id] = _topic(record, self._schemas)
+            self._topics[record.id] = topic = _topic(record, self._schemas)
+            self._place(record.id, topic)
+
+    def _place(self, number: int, topic: Topic) -> None:
+        key = (topic.name, topic.incarnation)
+        self._places[key] = min(number, self._places.get(key, number))
 
     def _content(self, frame: RecordFrame, records: Sequence[McapRecord]) -> ChunkContent:
-        content = ChunkContent(frame.offset, frame.end)
+        content = ChunkContent(frame.offset, frame.end, places=self._places)
         for record in records:
             self._learn(record)
         messages = [record for record in records if isinstance(record, Message)]

@@ -6,8 +6,8 @@ import heapq
 from collections.abc import Callable, Mapping
 from itertools import count
 
+from stampede_rt.files.chunk_content import Event
 from stampede_rt.files.entries import FileAdvance, FileEntry
-from stampede_rt.files.reading import Event
 from stampede_rt.files.seq_ranges import SeqRanges
 
 WAITING_BYTES_MAX = 64 * 1024 * 1024

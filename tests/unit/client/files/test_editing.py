@@ -12,11 +12,12 @@ from mcap.writer import IndexType, Writer
 
 from stampede_rt.errors import FileError, InvalidArgument
 from stampede_rt.files import seq_order
+from stampede_rt.files.chunk_content import ChunkContent
 from stampede_rt.files.editing import FileReport, cut, recover, verify
 from stampede_rt.files.entries import FileAdvance, FileEntry, item_entry
 from stampede_rt.files.framing import RecordFile, RecordFrame
 from stampede_rt.files.merging import merge
-from stampede_rt.files.reading import ChunkContent, FileReader
+from stampede_rt.files.reading import FileReader
 from stampede_rt.files.writing import FileWriter
 from stampede_rt.values.recording import RecordingGap
 from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, item, read, seqs_of, topic, write

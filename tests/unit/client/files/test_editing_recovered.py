@@ -8,10 +8,11 @@ import pytest
 from mcap.writer import Writer
 
 from stampede_rt.cli.main import main as stampede
+from stampede_rt.files.chunk_content import ChunkContent
 from stampede_rt.files.editing import cut, recover, verify
 from stampede_rt.files.entries import POLICY_KEY, FileEntry, Topic, item_entry
 from stampede_rt.files.merging import merge
-from stampede_rt.files.reading import ChunkContent, FileReader
+from stampede_rt.files.reading import FileReader
 from stampede_rt.files.sources import McapSource
 from tests.support.files.recordings import INCARNATION, entries, item, read, seqs_of, write
 

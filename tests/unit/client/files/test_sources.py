@@ -10,10 +10,11 @@ from rosbags.rosbag2 import StoragePlugin
 
 from stampede_rt.errors import FileError
 from stampede_rt.files import sources
+from stampede_rt.files.chunk_content import ChunkContent
 from stampede_rt.files.editing import cut
 from stampede_rt.files.entries import FileAdvance, FileEntry, item_entry
 from stampede_rt.files.foreign import source_of
-from stampede_rt.files.reading import ChunkContent, FileReader
+from stampede_rt.files.reading import FileReader
 from stampede_rt.files.sources import McapSource
 from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
