@@ -27,6 +27,12 @@ CHUNK_BYTES = 1024 * 1024  # before compression; a larger message has a chunk of
 FACTS_BYTES_PER_ITEM = 16  # so that a chunk of many empty items ends, too
 PART_SUFFIX = ".part"  # the end of the name of a file that `replacing` has not finished
 TOPICS_MAX = 65_000  # MCAP numbers them with 16 bits
+_REMEDIES = {
+    errno.ENOSPC: "free space",
+    errno.EDQUOT: "free space",
+    errno.EFBIG: "raise the limit of the length of a file (ulimit -f), or name a file on another file system",
+    errno.EIO: "name a file on another disk",
+}
 _TYPES = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 
 
@@ -56,8 +62,8 @@ def _exists(path: str | os.PathLike[str]) -> FileError:
 
 def write_fault(path: str | os.PathLike[str], error: OSError) -> FileError:
     """Return the error for a file that cannot be written."""
-    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-    advice = "free space; `stampede file recover` reads the items of a recording so far" if full else (
+    remedy = _REMEDIES.get(error.errno or 0)
+    advice = f"{remedy}; `stampede file recover` reads the items of a recording so far" if remedy else (
         "name a file in a folder that exists and that you may write to"
     )  # fmt: skip
     return FileError(f"the file {os.fspath(path)!r} cannot be written: {error.strerror}; {advice}")

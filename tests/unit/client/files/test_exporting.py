@@ -108,6 +108,23 @@ def test_several_channels_become_files_of_a_folder(tmp_path: Path) -> None:
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["rig_a.csv", "rig_b.csv"]
 
 
+def test_an_export_that_fails_leaves_no_new_folder_without_tables(tmp_path: Path) -> None:
+    texts = [item_entry(Topic(name, "", INCARNATION), item(1, content_type="text/plain")) for name in ("a", "b")]
+    number = item_entry(Topic("A", "json", INCARNATION), item(1, b"1", content_type=JSON))
+    former = tmp_path / "former"
+    former.mkdir()
+    for events, output, stays in (
+        (texts, tmp_path / "new" / "out", ["former"]),
+        (texts, former, ["former"]),
+        ([number, *texts], tmp_path / "half", ["former", "half"]),
+    ):
+        path = write(tmp_path / "a.mcap", events, overwrite=True)
+        with pytest.raises(FileError, match="it has the content type 'text/plain'"):
+            export(path, output, "csv")
+        assert sorted(one.name for one in tmp_path.iterdir() if one.is_dir()) == stays
+    assert [one.name for one in (tmp_path / "half").iterdir()] == ["A.csv"]
+
+
 def test_gaps_of_the_file_are_reported(tmp_path: Path) -> None:
     one = item_entry(Topic("imu", "json", INCARNATION), item(1, b"1", content_type=JSON))
     path = write(tmp_path / "a.mcap", [one, gap("imu", 2, 5)])
