@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -59,6 +60,19 @@ def test_a_replay_has_the_items_advances_and_gaps_of_the_file(rt: st.Connection,
     advance = channel.stats().advance
     assert advance is not None
     assert advance - shift == START + 20 * MS
+
+
+def test_an_import_with_an_item_out_of_order_that_the_channel_would_refuse_puts_nothing(
+    rt: st.Connection, tmp_path: Path
+) -> None:
+    now = time.time_ns()
+    times = (now - 3 * 10**9, now - 2 * 10**9, now - 9 * 10**9)
+    events = [item_entry(topic(), item(seq, time=one)) for seq, one in enumerate(times, 1)]
+    channel = rt.channel("promised/cam", max_age="1h")
+    channel.advance(now - 5 * 10**9)
+    with pytest.raises(st.InvalidArgument, match="would refuse items of the file: its producers have promised"):
+        rt.import_file(write(tmp_path / "a.mcap", events), "promised/")
+    assert channel.stats().accepted == 0
 
 
 def test_an_item_after_several_gaps_names_each_of_them(rt: st.Connection, tmp_path: Path) -> None:

@@ -185,7 +185,8 @@ class Player(BackgroundStart, BoundToProcess):
         Raises InvalidArgument, also if there are no items to put. If an existing channel would refuse items, this
         method creates no channel.
         """
-        firsts = {one.name: await in_thread(partial(self._first_time, one)) for one in topics}
+        start, end = self._request.start, self._request.end
+        firsts = {one.name: await in_thread(partial(self._source.first_time, one.name, start, end)) for one in topics}
         topics = [one for one in topics if firsts[one.name] is not None]
         if not topics:
             when = window_text(self._request.start, self._request.end)
@@ -226,13 +227,6 @@ class Player(BackgroundStart, BoundToProcess):
                     f"the topics {other.name!r} and {topic.name!r} would both become channel {name!r}; choose one"
                 )
         return [*taken.items()]
-
-    def _first_time(self, topic: SourceTopic) -> int | None:
-        request = self._request
-        for _, event in self._source.events(lambda name: name == topic.name, request.start, request.end):
-            if isinstance(event, FileEntry):
-                return event.time
-        return None
 
     async def _play_round(self, schedule: Schedule) -> None:
         request, began = self._request, time.monotonic_ns()

@@ -16,7 +16,7 @@ from stampede_rt.errors import FileError
 from stampede_rt.files.chunk_content import Event
 from stampede_rt.files.entries import FileEntry, Topic
 from stampede_rt.files.framing import MAGIC
-from stampede_rt.files.sources import Chosen, FileSource, McapSource, SourceTopic, check_unpacked
+from stampede_rt.files.sources import Chosen, FileSource, McapSource, SourceTopic, check_unpacked, time_of_first
 
 CDR = "application/x-ros-cdr"
 XDF_BYTES_MAX = 1024**3
@@ -159,6 +159,10 @@ class RosbagSource:
         for topic, missing in (stated - counts).items():
             self._missing[topic] = f"{missing} of the {stated[topic]} messages of topic {topic!r}"
 
+    def first_time(self, name: str, start: int, end: int) -> int | None:
+        """See `FileSource.first_time`. The times of a bag rise."""
+        return time_of_first(self, name, start, end)
+
     def _entry(self, connection: Any, time: int, data: bytes) -> FileEntry:
         topic = self._topics.setdefault(connection.topic, Topic(connection.topic, "cdr"))
         return FileEntry(topic, time, time, 0, data, None, time, None, {"schema": connection.msgtype}, CDR)
@@ -214,6 +218,11 @@ class XdfSource:
         """Yield the samples of all chosen streams, merged by time."""
         many = [_samples(name, stream, start, end) for name, stream in sorted(self._streams.items()) if chosen(name)]
         yield from heapq.merge(*many, key=lambda one: one[0])
+
+    def first_time(self, name: str, start: int, end: int) -> int | None:
+        """See `FileSource.first_time`. The stamps of a stream may fall where the clock of its device was reset."""
+        stamps = [_nanos(one) for one in self._streams[name]["time_stamps"]]
+        return min((one for one in stamps if start <= one < end), default=None)
 
 
 class _Complaints(logging.Handler):

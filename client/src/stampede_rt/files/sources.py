@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from stampede_rt.errors import FileError
 from stampede_rt.files.chunk_content import ChunkContent, Event
-from stampede_rt.files.entries import FACTS_TOPIC, POLICY_KEY, FileEntry
+from stampede_rt.files.entries import FACTS_TOPIC, POLICY_KEY, TIME_MAX, FileEntry
 from stampede_rt.files.interval_filter import IntervalFilter
 from stampede_rt.files.reading import FileIndex, FileReader
 from stampede_rt.values.timeline import MIN_INSTANT
@@ -75,9 +75,19 @@ class FileSource(Protocol):
         """Yield the items with a time from `start` on and before `end`, and the gaps and advances between them."""
         ...
 
+    def first_time(self, name: str, start: int, end: int) -> int | None:
+        """The least time of the items of a topic from `start` on and before `end`; None: there are none."""
+        ...
+
     def close(self) -> None:
         """Close the file."""
         ...
+
+
+def time_of_first(source: FileSource, name: str, start: int, end: int) -> int | None:
+    """The time of the first item of a topic in an interval; None: there is none."""
+    events = source.events(lambda one: one == name, start, end)
+    return next((event.time for _, event in events if isinstance(event, FileEntry)), None)
 
 
 class McapSource:
@@ -113,28 +123,46 @@ class McapSource:
         }
         for name, policy in policies.items():
             if name not in self._topics and (places := self._places_of(name)):
-                start, end = self._bound(name, places, 1), -self._bound(name, places, -1)
-                self._topics[name] = SourceTopic(name=name, policy=_policy(policy), start=start, end=end)
+                start, end = self._bound(name, places, 1), self._bound(name, places, -1)
+                if start is not None and end is not None:
+                    self._topics[name] = SourceTopic(name=name, policy=_policy(policy), start=start, end=-end)
         return [self._topics[name] for name in sorted(policies) if name in self._topics]
 
-    def _bound(self, name: str, places: set[int], sign: int) -> int:
+    def first_time(self, name: str, start: int, end: int) -> int | None:
+        """See `FileSource.first_time`. Late items may come after the first ones, so this looks at all chunks."""
+        return self._bound(name, self._places_of(name), 1, start, end)
+
+    def _bound(
+        self, name: str, places: set[int], sign: int, start: int = MIN_INSTANT, end: int = TIME_MAX + 1
+    ) -> int | None:
         """Return the first time of a topic if `sign` is 1, or its last time multiplied by -1 if `sign` is -1.
 
-        The index has the times of each chunk, and other topics may share the chunk. So this decodes the first or the
-        last chunks of the topic, until no other chunk can change the result.
+        `start` and `end`: only of the items in this interval; None: there are none. The index has the times of each
+        chunk, and other topics may share the chunk. So this decodes the first or the last chunks of the topic, until no
+        other chunk can change the result.
         """
         best: int | None = None
         for least, bound, place in sorted((*self._chunk_bounds(place, sign), place) for place in places):
             if best is not None and best <= least:
                 break
-            try:
-                events = self._decoded(place).get(name, ()) if not bound or self._is_shared(place, name) else ()
-            except FileError:  # `events` raises it if this topic is chosen
-                events = ()
-            found = min((sign * one.time for one in events if isinstance(one, FileEntry)), default=bound)
-            best = found if best is None else min(best, found)
-        assert best is not None, "the topic has chunks"
+            found = self._bound_in_chunk(name, place, sign, start, end, bound)
+            if found is not None:
+                best = found if best is None else min(best, found)
         return best
+
+    def _bound_in_chunk(self, name: str, place: int, sign: int, start: int, end: int, bound: int) -> int | None:
+        chunk = self._chunks[place]
+        first, last = chunk.message_start_time, chunk.message_end_time
+        if first and (last < start or first >= end):
+            return None
+        if bound and start <= first and last < end and not self._is_shared(place, name):
+            return bound
+        try:
+            events = self._decoded(place).get(name, ())
+        except FileError:  # `events` raises it if this topic is chosen
+            return bound
+        times = [one.time for one in events if isinstance(one, FileEntry)]
+        return min((sign * one for one in times if start <= one < end), default=None)
 
     def _chunk_bounds(self, place: int, sign: int) -> tuple[int, int]:
         """Return the least possible result for a chunk, and the result of the index.

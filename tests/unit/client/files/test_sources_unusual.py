@@ -126,3 +126,20 @@ def test_an_xdf_file_that_was_cut_off_between_two_chunks_says_so(tmp_path: Path)
     ]
     path.write_bytes(content.replace(b"<sample_count>2<", b"<sample_count>7<"))
     assert source_of(path).damaged == ["5 of the 7 samples of stream 'EEG'"]
+
+
+@pytest.mark.parametrize("chunk_items", [1, 2, 5, 100])
+@pytest.mark.parametrize("beside", [False, True])
+def test_the_first_time_of_a_topic_is_that_of_its_latest_item_out_of_order(
+    tmp_path: Path, chunk_items: int, beside: bool
+) -> None:
+    offsets = [50, 52, 10, 53, 90, 20, 91]
+    events = [item_entry(topic(), item(seq, time=START + at * MS)) for seq, at in enumerate(offsets, 1)]
+    other = entries("imu", range(1, 8))
+    pairs = [one for pair in zip(other, events, strict=True) for one in pair]
+    source = McapSource(write(tmp_path / "a.mcap", pairs if beside else events, chunk_items=chunk_items))
+    for start, end in ((0, 100), (10, 11), (11, 90), (21, 100), (54, 90), (91, 92), (92, 200)):
+        within = [START + at * MS for at in offsets if start <= at < end]
+        found = source.first_time("cam", START + start * MS, START + end * MS)
+        assert found == min(within, default=None), (start, end)
+    source.close()
