@@ -103,7 +103,7 @@ class FedCopy:
     def _take_newest(self, feed: ChannelFeed, limit_bytes: int) -> bool:
         """Two times out of three, apply the last run if it is all that the copy lacks. Returns whether it did."""
         self.takes += 1
-        fed = feed.take_newest(self.pair.clock, limit_bytes) if self.takes % 3 else None
+        fed = feed.take_newest(limit_bytes) if self.takes % 3 else None
         if fed is None:
             return False
         [part] = self.source.held.slices_by_seq(fed.item.seq, fed.item.end_seq)

@@ -326,14 +326,14 @@ class FeedStream:
         write = self._free_write()
         if write is None:
             return False
-        now, limit_bytes = self._store.now(), self._writer.limit_bytes
+        limit_bytes = self._writer.limit_bytes
         is_plain = self._takes_newest and not self._responses.owes_facts(hosted)
-        fed = self._feed.take_newest(now, limit_bytes) if is_plain else None
+        fed = self._feed.take_newest(limit_bytes) if is_plain else None
         if fed is not None:
             self._writer.spend(fed.item.charge_bytes)
             write(encode_item(fed))
             return True
-        part = self._feed.take(now, limit_bytes)
+        part = self._feed.take(self._store.now(), limit_bytes)
         if part is None:
             return False
         self._lag.stays_behind(0, 0)

@@ -35,12 +35,12 @@ def feed(core: ChannelCore) -> ChannelFeed:
 
 def test_the_last_run_comes_with_the_items_that_have_left_because_of_it(core: ChannelCore, feed: ChannelFeed) -> None:
     put(core, 5)
-    fed = feed.take_newest(NOW, 10**6)
+    fed = feed.take_newest(10**6)
     assert fed is not None
     assert (fed.item.seq, fed.item.time, fed.item.duration, fed.item.length, fed.item.body) == (5, 5, -1, 8, b"body")
     assert fed.collected == NewFloor((3, 4), 3, 4)
     assert feed.next_seq == 6
-    assert feed.take_newest(NOW, 10**6) is feed.take(NOW, 10**6) is None
+    assert feed.take_newest(10**6) is feed.take(NOW, 10**6) is None
 
 
 OTHER_FACTS = {
@@ -55,7 +55,7 @@ def test_the_last_run_comes_in_a_part_if_the_copy_lacks_another_fact(
 ) -> None:
     put(core, 5)
     setattr(core.held, fact, OTHER_FACTS[fact])
-    assert feed.take_newest(NOW, 10**6) is None
+    assert feed.take_newest(10**6) is None
     part = feed.take(NOW, 10**6)
     assert part is not None
     assert len(part.slices) == 1
@@ -67,6 +67,6 @@ def test_other_parts_leave_the_place_where_it_is(core: ChannelCore, feed: Channe
         put(core, 5)
     if missing != "nothing":
         put(core, *((6,) if missing == "no credit" else (6, 7)))
-    assert feed.take_newest(NOW, {"a run above the limit": 143, "no credit": 0}.get(missing, 144)) is None
+    assert feed.take_newest({"a run above the limit": 143, "no credit": 0}.get(missing, 144)) is None
     assert feed.next_seq == 5
-    assert (feed.take_newest(NOW, 144) is None) == (missing in ("two runs", "nothing"))
+    assert (feed.take_newest(144) is None) == (missing in ("two runs", "nothing"))

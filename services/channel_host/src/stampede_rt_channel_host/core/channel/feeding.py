@@ -206,13 +206,13 @@ class ChannelFeed:
         is_newest = held.newest is not None and item.time >= held.newest
         return self._fed(item) if is_next and is_newest and self.owner is not None else None
 
-    def take_newest(self, now: int, limit_bytes: int) -> FedItem | None:
+    def take_newest(self, limit_bytes: int) -> FedItem | None:
         """The next part, if the run that the source has stored last is all of it. For a copy without the owner's facts.
 
         Moves the place. None, and nothing moves, if the part has more, or a run of several items above the limit: call
-        `take`.
+        `take`. Items that are too old since the last call of the source leave the copy with a later part.
         """
-        held, _ = self._source.look(now)
+        held = self._source.held
         newest = held.index.newest_from(self.next_seq, held.floor)
         item = None if newest is None or self.owner is not None else new_item(newest)
         if item is None or item.end_seq != held.next_seq or limit_bytes <= 0:
