@@ -22,7 +22,8 @@ PHRASES = re.compile(r"\b([Ww]hoever|by the book)\b|(`: of)\b")
 # The first words of a comment: a comment at the end of a line, or the first line of other comments.
 COMMENT_WORDS = re.compile(r"(?:^|  )(?:#:?|//) ([Ww]hat|[Ww]ho|[Ww]hoever|[Ww]hatever|[Ww]hose|[Tt]hose|[Oo]f)\b")
 PROTO_WORDS = re.compile(r"^// (Which|It|They)\b")
-TWO_MEANINGS = re.compile(r"(?<![a-z])at[ _]?once(?![a-z])", re.IGNORECASE)  # "immediately", or "at the same time"
+# Words for "immediately", and for "at the same time". They may stand on two lines of a text.
+TWO_MEANINGS = re.compile(r"(?<![a-z])at(?:_|\s+(?:# |// )?)?once(?![a-z])", re.IGNORECASE)
 TEST_NAMES = re.compile(
     r"test_(what|whatever|who|whose|why|that|those_who|there|(?:one|all|nothing)_(?:that|who|of|else|but))_"
     r"|test_\w*_(whoever|whatever|whom|what|those)(?:_|$)"
@@ -49,9 +50,10 @@ def complaints_about_lines(path: str, source: str) -> Iterator[str]:
         found = COMMENT_WORDS.search(line) or (path.endswith(".proto") and PROTO_WORDS.match(line))
         if found and not continues:
             yield f'{path}:{number}: name the noun instead of "{found[1]}", see "Plain prose" in CONTRIBUTING.md'
-        if words := TWO_MEANINGS.search(line):
-            yield f'{path}:{number}: say "immediately" or "at the same time" instead of "{words[0]}"'
         former = line
+    for words in TWO_MEANINGS.finditer(source):
+        number = source.count("\n", 0, words.start()) + 1
+        yield f'{path}:{number}: say "immediately" or "at the same time" instead of {words[0]!r}'
 
 
 def _statements(parent: ast.AST) -> Iterator[ast.AST]:

@@ -53,8 +53,12 @@ def test_other_names_pass(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "source", ['"""It ends at{} once."""', "def take_at{}_once(): ...", "MOVES_AT{}_ONCE = 2", "class At{}Once: ..."]
-)
+    "source",
+    [
+        '"""It ends at{} once."""', '"""It ends at{}\n    once."""', "# It ends at{}\n# once.",
+        "def take_at{}_once(): ...", "MOVES_AT{}_ONCE = 2", "class At{}Once: ...",
+    ],
+)  # fmt: skip
 def test_words_with_two_meanings_are_found(source: str) -> None:
     (line,) = complaints("a.py", source.format(""))
     assert line.startswith('a.py:1: say "immediately" or "at the same time" instead of')
