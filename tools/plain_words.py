@@ -18,7 +18,7 @@ FOLDERS = ("client/src", "services", "benchmarks", "demos", "deploy", "tools", "
 GENERATED = {"v1", "_sync"}  # the stubs, and the client that is derived from _async/
 
 FIRST_WORDS = re.compile(r"(What|Whatever|Who|Whoever|Whose|Those|Of|Earlier(?=,))\b(?![^.:]*\?)")
-PHRASES = re.compile(r"\b([Ww]hoever|by the book)\b|(`: of)\b")
+PHRASES = re.compile(r"\b([Ww]hoever|by the book)\b|(`: of)\b|(`: (?:the|its) \w+'s)[.,;]")
 # The first words of a comment: a comment at the end of a line, or the first line of other comments.
 COMMENT_WORDS = re.compile(r"(?:^|  )(?:#:?|//) ([Ww]hat|[Ww]ho|[Ww]hoever|[Ww]hatever|[Ww]hose|[Tt]hose|[Oo]f)\b")
 PROTO_WORDS = re.compile(r"^// (Which|It|They)\b")
@@ -73,7 +73,7 @@ def _headless_words(node: ast.AST) -> str | None:
             found = TEST_NAMES.match(name)
         case _:
             found = None
-    return found and (found[1] or found[2])
+    return found and next(filter(None, found.groups()))
 
 
 def modules() -> Iterable[Path]:

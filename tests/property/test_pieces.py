@@ -53,9 +53,9 @@ class BusyChannel:
         self.now = NOW
         self.consumes = policy.consumers is not None
         for _ in range(100):
-            self.happen()
+            self.change()
 
-    def happen(self) -> None:
+    def change(self) -> None:
         """Put an item, in order or late, and perhaps consume."""
         rng = self.rng
         self.now += rng.randrange(12)
@@ -69,7 +69,7 @@ class BusyChannel:
             self.channel.collect(self.now)
 
     def query(self) -> Query:
-        """Any read."""
+        """A random read."""
         rng = self.rng
         low = self.now - rng.randrange(500)
         after = Position(self.now - rng.randrange(300), rng.randrange(1, self.channel.next_seq))
@@ -86,7 +86,7 @@ class BusyChannel:
 
         def between() -> Pieces[Any]:
             while True:
-                self.happen()
+                self.change()
                 try:
                     next(rest)
                 except StopIteration as end:
@@ -104,7 +104,7 @@ def places(slices: Sequence[Slice]) -> list[tuple[int, int]]:
     return [(part.run.times[at], part.run.first_seq + at) for part in slices for at in range(part.lo, part.hi)]
 
 
-def told(answer: ReadAnswer) -> tuple[Any, ...]:
+def shown(answer: ReadAnswer) -> tuple[Any, ...]:
     return (places(answer.slices), *answer[1:])
 
 
@@ -120,7 +120,7 @@ def test_an_answer_built_in_pieces_shows_the_channel_at_its_first_piece(name: st
             if isinstance(found, UnfinishedWork):
                 unfinished += 1
                 found = busy.finish(found.rest)
-            assert told(found) == told(expected), f"seed {seed}"
+            assert shown(found) == shown(expected), f"seed {seed}"
             assert not busy.channel.look(busy.now)[0]._snapshots, "the channel keeps no snapshot any more"
     assert unfinished > SEEDS // 10
 
@@ -137,7 +137,7 @@ def test_a_group_answer_built_in_pieces_shows_the_group_at_its_first_piece() -> 
             if isinstance(found, UnfinishedWork):
                 unfinished += 1
                 found = busy.finish(found.rest)
-            assert told(found) == told(expected), f"seed {seed}"
+            assert shown(found) == shown(expected), f"seed {seed}"
     assert unfinished > SEEDS // 10
 
 
@@ -160,14 +160,14 @@ def test_a_snapshot_gives_the_same_answer_later(name: str) -> None:
         now, horizons = busy.now, (None, horizon)
         expected, snapshot = [polled(busy.channel, query, one, now) for one in horizons], busy.channel.snapshot(now)
         for _ in range(20):
-            busy.happen()
+            busy.change()
         found = [polled(snapshot, query, one, now) for one in horizons]
         snapshot.close()
         for through_group, before, later in zip((False, True), expected, found, strict=True):
             if isinstance(before, ReadAnswer):
                 released[through_group] += 1
                 assert isinstance(later, ReadAnswer), f"seed {seed}"
-                assert told(later) == told(before), f"seed {seed}"
+                assert shown(later) == shown(before), f"seed {seed}"
             else:
                 assert later == before, f"seed {seed}"
         assert not busy.channel.look(busy.now)[0]._snapshots, "the channel keeps no snapshot any more"
@@ -182,19 +182,19 @@ def test_a_subscription_that_begins_in_pieces_yields_the_items_held_at_its_begin
             time = busy.now - busy.rng.randrange(500)
             start = parse_interval(time, busy.now).start
             held, _ = busy.channel.look(busy.now)
-            meant = {seq for place_time, seq in places([*held.slices()]) if place_time >= time}
+            expected = {seq for place_time, seq in places([*held.slices()]) if place_time >= time}
             begun = busy.channel.next_seq
             opening = first_of(busy.channel.subscribing_all(busy.now, start=start))
             cursor = busy.finish(opening.rest) if isinstance(opening, UnfinishedWork) else opening
-            meant |= set(range(begun, busy.channel.next_seq))
+            expected |= set(range(begun, busy.channel.next_seq))
             given: list[int] = []
             lost = 0
             while not (part := busy.channel.since(cursor, busy.now, 10**6)).is_empty:
                 given += [seq for one in part.slices for _, seq in places([one.slice])]
                 lost += part.gap.items if part.gap else 0
             assert len(given) == len(set(given))
-            assert set(given) <= meant, f"seed {seed}"
-            assert lost == len(meant) - len(given), f"seed {seed}"
+            assert set(given) <= expected, f"seed {seed}"
+            assert lost == len(expected) - len(given), f"seed {seed}"
 
 
 def test_an_abandoned_answer_in_pieces_keeps_no_item_from_collection() -> None:

@@ -40,16 +40,16 @@ def put_in_order(rng: RandomSource, pair: RingPair) -> None:
     pair.tick(rng.pick((0, 1, 2, 3)))
 
 
-def read_near_the_front(rng: RandomSource, pair: RingPair) -> None:
+def read_near_the_newest(rng: RandomSource, pair: RingPair) -> None:
     query = a_query_near_the_newest(rng, pair)
     if query is not None:
         pair.read(query)
 
 
 STEPS = (
-    rest, put, put_in_order, put_in_order, put_in_order, put_in_order, read, read_near_the_front, read_near_the_front,
+    rest, put, put_in_order, put_in_order, put_in_order, put_in_order, read, read_near_the_newest, read_near_the_newest,
     read, tick, subscribe, deliver, deliver, advance, configure, retry_put, give_up, collect, put_in_order,
-    read_near_the_front,
+    read_near_the_newest,
 )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ cluster = shared_cluster_fixture(hosts=1)
 LIMIT_S = 40
 
 
-def told_by(call: Callable[[], Any]) -> str:
+def error_of(call: Callable[[], Any]) -> str:
     """The class of the error that a call raises."""
     try:
         call()
@@ -30,17 +30,17 @@ def told_by(call: Callable[[], Any]) -> str:
     return "nothing"
 
 
-def told_immediately_by(call: Callable[[], Awaitable[Any]]) -> str:
+def immediate_error_of(call: Callable[[], Awaitable[Any]]) -> str:
     """The class of the error that an awaited call raises before it waits for anything."""
 
     def step() -> None:
         call().__await__().send(None)
 
-    return told_by(step)
+    return error_of(step)
 
 
 def entry_points(rt: Any, made: dict[str, Any]) -> dict[str, Callable[[], Any]]:
-    """Each way into an inherited connection, by name. The blocking and the awaited client have the same names."""
+    """The calls that use an inherited connection, by name. The blocking and the awaited client have the same names."""
     camera, group, queue = made["camera"], made["group"], made["queue"]
     return {
         "connection.channel": lambda: rt.channel("forks/other"),
@@ -107,13 +107,13 @@ def test_each_call_in_a_forked_child_fails_immediately_and_the_parent_continues(
 
         def in_child() -> dict[str, str]:
             steps = {f"{name}.next": lambda one=one: next(one) for name, one in streams.items()}
-            told = {name: told_by(call) for name, call in (entry_points(rt, made) | new | steps).items()}
+            errors = {name: error_of(call) for name, call in (entry_points(rt, made) | new | steps).items()}
             for harmless in (*(one.close for one in streams.values()), listener.cancel, sampler.cancel, rt.close):
                 harmless()
-            return told
+            return errors
 
-        told = in_a_forked_child(in_child)
-        assert {name: error for name, error in told.items() if error != "ForkedProcess"} == {}
+        errors = in_a_forked_child(in_child)
+        assert {name: error for name, error in errors.items() if error != "ForkedProcess"} == {}
 
         after = camera.put(b"after")
         producer.put(b"by the producer, after")
@@ -150,16 +150,16 @@ async def test_each_call_in_a_forked_child_of_an_asyncio_program_fails_immediate
                 steps = {f"{name}.next": one.__anext__ for name, one in streams.items()}
                 steps |= {f"{name}.enter": one.__aenter__ for name, one in streams.items()}
                 steps |= {"connect": lambda: aio.connect(cluster.address).__aenter__()}
-                told = {name: told_immediately_by(call) for name, call in (entry_points(rt, made) | steps).items()}
-                told |= {name: told_by(call) for name, call in new.items()}
+                errors = {name: immediate_error_of(call) for name, call in (entry_points(rt, made) | steps).items()}
+                errors |= {name: error_of(call) for name, call in new.items()}
                 for one in streams.values():
                     one.close()
-                told["aclose"] = told_immediately_by(rt.aclose)
-                return told
+                errors["aclose"] = immediate_error_of(rt.aclose)
+                return errors
 
-            told = in_a_forked_child(in_child)
-            assert told.pop("aclose") == "StopIteration", "`aclose` ends without waiting for anything"
-            assert {name: error for name, error in told.items() if error != "ForkedProcess"} == {}
+            errors = in_a_forked_child(in_child)
+            assert errors.pop("aclose") == "StopIteration", "`aclose` ends without waiting for anything"
+            assert {name: error for name, error in errors.items() if error != "ForkedProcess"} == {}
             after = await camera.put(b"after")
             assert [(await anext(subscription)).payload for _ in range(2)] == [b"before", b"after"]
             assert after.seq == first.seq + 1
@@ -226,7 +226,7 @@ def exit_statuses(cluster: LocalCluster, *arguments: str) -> str:
 
 
 @pytest.mark.parametrize("client", ["sync", "aio"])
-def test_forked_children_connect_if_their_parent_never_did(cluster: LocalCluster, client: str) -> None:
+def test_forked_children_connect_if_their_parent_never_connected(cluster: LocalCluster, client: str) -> None:
     assert exit_statuses(cluster, "never connected", client) == "0"
 
 

@@ -101,7 +101,7 @@ def test_every_variable_is_a_setting_that_the_service_takes(project: dict[str, A
     assert given <= names
 
 
-def test_all_supernodes_are_told_the_same_members_and_each_is_one_of_them(project: dict[str, Any]) -> None:
+def test_all_supernodes_get_the_same_members_and_each_is_one_of_them(project: dict[str, Any]) -> None:
     lists = {tuple(settings_of(project, name).members) for name in SUPERNODES}
     assert lists == {tuple(f"{name}={name}:7590" for name in SUPERNODES)}
     assert [settings_of(project, name).id for name in SUPERNODES] == SUPERNODES
@@ -121,7 +121,7 @@ def test_the_front_end_knows_the_supernodes_and_the_hosts_know_the_front_end(pro
 
 
 @pytest.mark.parametrize("service", sorted(KINDS))
-def test_the_secret_is_a_file_and_nowhere_else(project: dict[str, Any], service: str) -> None:
+def test_the_secret_is_only_in_a_file(project: dict[str, Any], service: str) -> None:
     mounted = [secret["target"] for secret in project["services"][service]["secrets"]]
     assert [str(settings_of(project, service).secret_file)] == mounted
     assert "environment" not in project["secrets"]["stampede-secret"]
@@ -134,7 +134,7 @@ def test_data_that_must_outlive_a_container_is_in_a_volume_of_its_own(project: d
 
 
 @pytest.mark.parametrize("service", sorted(KINDS))
-def test_every_container_is_bounded_and_without_rights(project: dict[str, Any], service: str) -> None:
+def test_every_container_has_limits_and_no_rights(project: dict[str, Any], service: str) -> None:
     entry = project["services"][service]
     assert set(entry["deploy"]["resources"]["limits"]) >= {"cpus", "memory", "pids"}
     assert entry["cap_drop"] == ["ALL"]
@@ -149,14 +149,14 @@ def test_a_host_refuses_puts_long_before_its_container_is_out_of_memory(project:
         assert settings_of(project, name).memory_bytes_max <= allowed // 2
 
 
-def test_the_one_published_port_stays_on_the_machine_unless_told_otherwise(
+def test_the_one_published_port_stays_on_the_machine_unless_a_variable_opens_it(
     check: Path, project: dict[str, Any]
 ) -> None:
     ports = [port for service in project["services"].values() for port in service.get("ports", [])]
     assert [(port["host_ip"], port["published"]) for port in ports] == [("127.0.0.1", "7580")]
-    told = json.loads(read(check, COMPOSE, STAMPEDE_PUBLISH="0.0.0.0", STAMPEDE_SUBNET="10.9.8").stdout)
-    assert told["services"]["frontend"]["ports"][0]["host_ip"] == "0.0.0.0"
-    assert environment(told, "channel-host-1")["STAMPEDE_ADVERTISE"] == "10.9.8.21:7600"
+    opened = json.loads(read(check, COMPOSE, STAMPEDE_PUBLISH="0.0.0.0", STAMPEDE_SUBNET="10.9.8").stdout)
+    assert opened["services"]["frontend"]["ports"][0]["host_ip"] == "0.0.0.0"
+    assert environment(opened, "channel-host-1")["STAMPEDE_ADVERTISE"] == "10.9.8.21:7600"
 
 
 def test_every_image_of_the_file_has_its_dockerfile(project: dict[str, Any]) -> None:

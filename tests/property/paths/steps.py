@@ -80,7 +80,7 @@ def put_in_order(rng: RandomSource, pair: PathPair) -> None:
     pair.tick(rng.pick((0, 1, 2, 3)))
 
 
-def read_near_the_front(rng: RandomSource, pair: PathPair) -> None:
+def read_near_the_newest(rng: RandomSource, pair: PathPair) -> None:
     query = a_query_near_the_newest(rng, pair)
     if query is not None:
         pair.get(query)
@@ -198,12 +198,12 @@ Step = Callable[[RandomSource, PathPair], None]
 STEPS: tuple[Step, ...] = (
     rest, put, get, put_run, tick, get, begin, put, subscribe, put, advance, configure, pages, named_reads, put_run,
     begin, put, tick, step_clock, refused_interval, put_again, consume, around_now, put_run, forget,
-    hang_up, put_in_order, read_near_the_front, put_in_order, read_near_the_front,
+    hang_up, put_in_order, read_near_the_newest, put_in_order, read_near_the_newest,
 )  # fmt: skip
 
 
-STEPS_NEAR_THE_FRONT: tuple[Step, ...] = (
-    rest, put_in_order, subscribe, put_in_order, read_near_the_front, tick, put_in_order, subscribe,
+STEPS_NEAR_THE_NEWEST: tuple[Step, ...] = (
+    rest, put_in_order, subscribe, put_in_order, read_near_the_newest, tick, put_in_order, subscribe,
 )  # fmt: skip
 """The newest items change and are read. Rings in shared memory answer most of these reads."""
 

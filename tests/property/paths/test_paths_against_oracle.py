@@ -20,7 +20,7 @@ from stampede_rt_local.certificates import ClusterCertificates
 from tests.property.paths.core_surface import core_surface
 from tests.property.paths.path_and_oracle import SteeredHost
 from tests.property.paths.steered_rings import steered_rings
-from tests.property.paths.steps import STEPS, STEPS_NEAR_THE_FRONT, Step, play
+from tests.property.paths.steps import STEPS, STEPS_NEAR_THE_NEWEST, Step, play
 from tests.property.paths.surfaces import TRANSPORTS, Surface, awaited_surface, blocking_surface
 from tests.support.channel_host.loopback_host import LoopbackHost, loopback_host
 
@@ -92,7 +92,7 @@ def test_a_client_agrees_with_the_oracle_in_every_scenario(
         return
     play_scenarios(surface, host, EXAMPLES)
     for turn in range(ROUNDS_MAX):
-        play_scenarios(surface, host, EXAMPLES, first=turn, steps=STEPS_NEAR_THE_FRONT)
+        play_scenarios(surface, host, EXAMPLES, first=turn, steps=STEPS_NEAR_THE_NEWEST)
         if not futexes.is_supported() or all(ring_answers[kind] for kind in RING_ANSWERS):
             return
     raise AssertionError(f"no scenario read everything from shared memory: {ring_answers}")

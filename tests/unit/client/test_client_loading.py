@@ -73,7 +73,7 @@ def test_grpc_is_loaded_so_that_it_logs_errors_only(code: str) -> None:
 
 
 class Interrupted:
-    """Ctrl-C at the moment when a module is looked for."""
+    """Raises the error of Ctrl-C when Python looks for a module."""
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
         if name == "stampede_rt.cli.commands":

@@ -16,6 +16,7 @@ from tools.plain_words import complaints, complaints_about_lines
         "Tell whoever asks.",
         "Earlier, it waited.",
         "List the segments. `epoch`: of the channel.",
+        "List the segments. `epoch`: the channel's, at present.",
     ],
 )
 def test_a_docstring_without_its_noun_is_found(text: str) -> None:

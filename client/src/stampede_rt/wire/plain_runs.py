@@ -28,7 +28,7 @@ _LAYOUTS = (
 
 
 class PlainRun(NamedTuple):
-    """The columns of a plain run. `time` or `duration` None: the run lacks the column. `length`: the payload's."""
+    """The columns of a plain run. `time`, `duration`: None if the run lacks the column. `length`: the payload's length."""
 
     time: int | None
     duration: int | None

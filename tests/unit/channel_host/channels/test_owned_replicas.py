@@ -51,7 +51,7 @@ async def test_a_replica_may_begin_anew_at_an_owner_that_renewed_its_lease_late(
 
 
 def test_all_feeds_end_that_have_sent_something_which_the_owner_could_not_store() -> None:
-    """A fixed fault: only one of the feeds ended."""
+    """In an earlier version, only one of the feeds ended."""
     replicas = Replicas()
     other = b"s" * 16
     replicas._feeds[other] = Feed(replicas, other)

@@ -179,7 +179,7 @@ async def test_after_an_item_in_the_future_the_next_owner_says_lost_from_the_las
 
 
 async def idle_run(path: Path, store: FakeStore, epoch: int, *, is_clean: bool = True) -> None:
-    """A process of the host that owns the channel in this epoch. No client uses the channel meanwhile."""
+    """Run a process of the host that owns the channel in this epoch. No client uses the channel meanwhile."""
     one = Host(path, store)
     one.mover.own({CHANNEL: epoch})
     if is_clean:

@@ -280,7 +280,7 @@ async def test_a_replica_that_has_got_an_item_which_the_owner_could_not_store_be
 async def test_a_replica_begins_anew_again_if_its_feed_breaks_before_it_has_done_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A fixed fault: the owner had forgotten it by then, so the replica kept an item that the owner does not have."""
+    """In an earlier version, the owner had forgotten it by then, so the replica kept an item that the owner lacked."""
     async with fed(takes_items=True) as one:
         begin(one)
         replication = one.hosted.replication
@@ -316,7 +316,7 @@ async def test_a_replica_begins_anew_again_if_its_feed_breaks_before_it_has_done
 async def test_the_owner_remembers_a_stray_replica_when_the_channel_gets_another_kind_of_replicas(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A fixed fault: the replica kept an item that the owner does not have."""
+    """In an earlier version, the replica kept an item that the owner does not have."""
     async with fed(takes_items=True) as one:
         begin(one)
         place = fail_to_store(one, monkeypatch)

@@ -130,7 +130,7 @@ class DamagedSource:
 
 @pytest.mark.parametrize("raw", [b"*\x05", b"\xff"], ids=["an item that ends early", "no message"])
 async def test_damaged_bytes_end_the_feed_with_an_error_after_which_the_keeper_tries_again(raw: bytes) -> None:
-    """A fixed fault: the task of the keeper ended, and nothing fed the copy any more."""
+    """In an earlier version, the task of the keeper ended, and nothing fed the copy any more."""
     source: Any = SimpleNamespace(host_id=b"s" * 16, target="localhost:1", epoch=1)
     channel: Any = DamagedSource(raw)
     with pytest.raises(InvalidArgument, match="localhost:1 sent bytes that are no FeedResponse"):

@@ -32,7 +32,9 @@ async def test_an_owner_that_feeds_one_queue_cannot_replace_the_copy_of_another(
 
 
 async def test_a_feed_that_another_owner_has_replaced_begins_no_copy_when_its_queue_is_restored() -> None:
-    """A fixed fault: a thread restored the queue of the former owner, and it replaced the copy of the next owner."""
+    """In an earlier version, a thread restored the queue of the former owner, and this queue replaced the copy of the
+    next owner.
+    """
     begun: list[Any] = []
     room = SimpleNamespace(claim=lambda size: None, set=lambda size: None)
     copies = SimpleNamespace(

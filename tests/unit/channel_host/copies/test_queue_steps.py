@@ -62,7 +62,7 @@ def test_no_part_is_longer_than_the_limit_of_a_host() -> None:
 
 
 def test_a_message_with_the_copies_of_very_many_takers_fits_in_parts_within_the_limit_of_a_host() -> None:
-    """A fixed fault: such a message was one part. The other host refused it, so the queue could not move."""
+    """In an earlier version, such a message was one part. The other host refused it, so the queue could not move."""
     core = Core(copies=5000)
     journal = core.queue.journal()
     core.put(1)
@@ -108,7 +108,9 @@ def test_the_refusals_of_a_producer_fit_in_parts_within_the_limit_of_a_host() ->
 
 
 def test_a_copy_knows_a_run_that_waits_for_room_with_its_first_messages() -> None:
-    """A fixed fault: the copy got these messages without their run. After a take-over the queue accepted them twice."""
+    """In an earlier version, the copy got these messages without their run. After a take-over the queue accepted them
+    again.
+    """
     core = Core(max_items=2)
     journal = core.queue.journal()
     core.put(1, 1, 1, producer_id=7, first_number=1)

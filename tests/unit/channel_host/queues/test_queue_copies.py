@@ -71,7 +71,7 @@ def test_without_room_a_former_owner_gets_no_copy_before_the_queue_has_moved() -
 
 
 def test_the_copy_of_a_former_owner_counts_in_the_memory_of_the_host_and_then_needs_no_more_room() -> None:
-    """A fixed fault: the host refused the copy after the move, although the directory knew it as in sync."""
+    """In an earlier version, the host refused the copy after the move, although the directory knew it as in sync."""
     replica = Replica()
     footprint_bytes = replica.core.footprint_bytes
     charge = replica.copies.room_for(RECORD, replica.core, 20)

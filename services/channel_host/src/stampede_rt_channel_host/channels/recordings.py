@@ -72,8 +72,8 @@ class Recordings:
     async def prepare_move(self, record: RecordedChannel, next_seq: int) -> None:
         """Open the archive of a channel that is about to move here, before its changes are held.
 
-        `next_seq`: the channel's. Raises the errors of `prepare`, and InvalidArgument if this host has items with these
-        seqs in its archive, from another incarnation.
+        `next_seq`: the next seq of the channel. Raises the errors of `prepare`, and InvalidArgument if this host has
+        items with these seqs in its archive, from another incarnation.
         """
         await self.prepare(record, None, is_move=True)
         opened = self._opened.get(record.channel_id)

@@ -58,7 +58,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         self, core: ChannelCore, now: Callable[[], int], on_shown: Callable[[int], None],
         steady_nanos: Callable[[], int] = time.monotonic_ns, *, epoch: int = 0, is_replicated: bool = False,
     ) -> None:  # fmt: skip
-        """The caller must perform `filling` once. `epoch`: the channel's.
+        """The caller must perform `filling` once. `epoch`: the epoch of the channel.
 
         `is_replicated`: the channel has moved here, and its former owner had all items replicated.
         """

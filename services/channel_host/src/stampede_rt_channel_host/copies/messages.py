@@ -38,7 +38,7 @@ _FROM_CAUSES: dict[int, str] = {number: cause for cause, number in _CAUSES.items
 
 
 def place_to(place: FeedPlace, epoch: int) -> pb.FeedPlace:
-    """The place of a copy, as a message. `epoch`: the owner's, as the copy knows it."""
+    """The place of a copy, as a message. `epoch`: the epoch of the owner, as the copy knows it."""
     return pb.FeedPlace(
         incarnation=place.incarnation,
         next_seq=place.next_seq,

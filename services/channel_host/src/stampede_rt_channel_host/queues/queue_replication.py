@@ -45,7 +45,7 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         self, journal: QueueJournal, policy: QueuePolicy, epoch: int, *, is_replicated: bool = False,
         steady_nanos: Callable[[], int] = time.monotonic_ns,
     ) -> None:  # fmt: skip
-        """`epoch`: the queue's. `is_replicated`: the replicas in sync have all steps up to now."""
+        """`epoch`: the epoch of the queue. `is_replicated`: the replicas in sync have all steps up to now."""
         in_sync = ReplicasInSync(journal.next_step, _least(policy), is_replicated=is_replicated)
         super().__init__(in_sync, epoch, steady_nanos)
         self.journal = journal

@@ -88,7 +88,7 @@ def test_the_retry_window_has_a_run_without_a_wait_before_its_first_items_are_an
 
 
 def test_the_retry_window_has_a_waiting_run_before_its_first_items_are_announced() -> None:
-    """A fixed fault: a replica got the first items without the run. After a take-over they were accepted twice."""
+    """In an earlier version, a replica got the first items without the run. A later owner accepted them again."""
     known = list[RunOutcome | None]()
 
     def announced(now: int) -> None:

@@ -15,7 +15,9 @@ _DROPPED = "dropped"  # stands in place of a name, before the number of the last
 
 
 class ObjectListing(NamedTuple):
-    """The objects of a channel, by their names, with their bytes. `epoch`: the channel's, at the host that noted them.
+    """The objects of a channel, by their names, with their bytes.
+
+    `epoch`: the epoch of the channel at the host that noted the objects.
 
     These are all objects of the channel if no other host has owned the channel since. `dropped_to`: all segments up to
     this number have left the archive, also those whose objects are still in the store.

@@ -18,7 +18,9 @@ from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment, 
 
 
 class MovingFiles(SegmentFiles):
-    """`is_left`: another object has taken the folder over, or the channel was deleted. `is_given_up`: the host does not
+    """The segments of a channel, some of them in the folder and the others in the store.
+
+    `is_left`: another object has taken the folder over, or the channel was deleted. `is_given_up`: the host does not
     record the channel any more. Only the thread of writes calls the methods.
     """
 
@@ -35,7 +37,7 @@ class MovingFiles(SegmentFiles):
         self.stored, self.cut = place, cut
         self.is_shared = True
         self.is_left = self.is_given_up = False
-        self._unplaced: list[Segment] = []  # the former owner's, from a `find_again` that an error interrupted
+        self._unplaced: list[Segment] = []  # segments of the former owner, if an error interrupted `find_again`
         self.waiting: tuple[Segment, ...] = ()
         """The closed segments that have not moved yet, as of the last `look`."""
         self.former_stop: CleanStop | None = None
@@ -45,7 +47,7 @@ class MovingFiles(SegmentFiles):
     def known(self, epoch: int, incarnation: int) -> Mapping[int, StoredSegment] | None:
         """The segments in the store as the disk knows them; None: it may not know all of them. Raises OSError.
 
-        `epoch`, `incarnation`: the channel's, at present.
+        `epoch`, `incarnation`: the present ones of the channel.
         """
         if self.is_elsewhere:
             return None
@@ -95,7 +97,9 @@ class MovingFiles(SegmentFiles):
         self.stored.note_epoch(self._epoch)
         local = self._local()
         closed = local if self._file is None else local[:-1]
-        self.waiting = tuple(one for one in closed if self.stored.file_of(one.number).exists())  # nobody removed it
+        self.waiting = tuple(
+            one for one in closed if self.stored.file_of(one.number).exists()
+        )  # False: somebody removed the file
 
     def _local(self) -> tuple[Segment, ...]:
         """The segments in the folder. They are the last ones, because segments move in order."""
@@ -171,7 +175,7 @@ class MovingFiles(SegmentFiles):
 
     def lacks_items(self, archived_to: int) -> bool:
         """Whether segments may be missing: there is a hole between two segments, or behind the last one, or all
-        segments are this owner's. `archived_to`: see `find_again`.
+        segments belong to this owner. `archived_to`: see `find_again`.
         """
         pairs = pairwise(self._segments)
         own = first_number(self._epoch)

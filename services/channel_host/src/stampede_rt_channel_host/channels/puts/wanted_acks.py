@@ -85,9 +85,9 @@ def held_ack(ack: pb.PutAck, hosted: HostedChannel, put: WantedAck, received_s: 
 
 def _not_replicated(channel: str, replication: Replication, ack: pb.PutAck) -> NotReplicated:
     return NotReplicated(
-        f"channel {channel} has accepted the put, but the replicas did not have it in time: {ack.copies - 1} in sync "
-        f"hold it, and min_replicas is {replication.min_replicas}; readers see it once it is replicated; look at "
-        f"`stampede info {channel}`, or start another host",
+        f"channel {channel} has accepted the put, but the replicas did not have it in time: the put is at "
+        f"{ack.copies - 1} replicas in sync, and min_replicas is {replication.min_replicas}; readers see the put when "
+        f"it is replicated; look at `stampede info {channel}`, or start another host",
         metadata={"channel": channel, "seq": str(ack.first_seq), "copies": str(ack.copies)},
     )
 
