@@ -1,4 +1,4 @@
-"""Cases of items that go: limits, consumption, and the deletion of a channel."""
+"""Cases of items that leave: limits, consumption, and the deletion of a channel."""
 
 from __future__ import annotations
 
@@ -57,7 +57,10 @@ async def replacement(rig: Rig, items: int) -> tuple[str, Work]:
             more += [[] for _ in range(1000)]
             await asyncio.sleep(0)
 
-    return f"a full channel replaces its {items:,} items, and then {MORE_OBJECTS:,} other objects come", work
+    return (
+        f"a full channel replaces its {items:,} items, and then the process makes {MORE_OBJECTS:,} other objects",
+        work,
+    )
 
 
 async def consumption(rig: Rig, items: int) -> tuple[str, Work]:
@@ -70,7 +73,7 @@ async def consumption(rig: Rig, items: int) -> tuple[str, Work]:
         await rig.channels.Consume(request)
         await configure(rig, channel, max_items=10, consumers=1)
 
-    return f"{items:,} items that are owed to a consumer go by count", work
+    return f"{items:,} items that a consumer has not consumed leave by max_items", work
 
 
 async def first_consumers(rig: Rig, items: int) -> tuple[str, Work]:
@@ -101,7 +104,7 @@ async def backwards(rig: Rig, items: int) -> tuple[str, Work]:
         page = await rig.gate.ListHostedChannels(gate_pb.ListHostedChannelsRequest())
         assert len(page.channels[0].consumers) == 10
 
-    return f"the status of 10 consumers when {items // 2:,} items went out of the order of seqs", work
+    return f"the status of 10 consumers when {items // 2:,} items left in another order than that of their seqs", work
 
 
 async def deletion(rig: Rig, items: int) -> tuple[str, Work]:

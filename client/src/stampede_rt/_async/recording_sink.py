@@ -49,7 +49,7 @@ class RecordingSink:
         await self.do(partial(self._write, tally, batch, metadata))
 
     def _write(self, tally: ChannelTally, batch: RecordedBatch, metadata: Metadata) -> None:
-        if tally.sealed:  # the recording has ended meanwhile, and its gaps name this batch
+        if tally.is_ended:  # the recording has ended meanwhile, and its gaps name this batch
             return
         for gap in batch.gaps:
             self.writer.add_gap(gap)
@@ -79,7 +79,7 @@ class RecordingSink:
             tally.add_gap(gap)
         if advance is not None and not given_between(tally.written_to + 1, last + 1):
             self._write_advance(tally, (advance, last))
-        tally.sealed = True
+        tally.is_ended = True
 
     def _topic(self, tally: ChannelTally, content_type: str, metadata: Metadata) -> Topic:
         topics = self._topics.setdefault((tally.channel, tally.incarnation), {})

@@ -23,7 +23,7 @@ class ChannelTally:
         self._live_seq = live_seq
         self._end_seq = live_seq - 1  # the last seq of the recording
         self._recorded = self._live_recorded = self._payload_bytes = 0
-        self._told = 0  # missing items that the gaps name
+        self._named = 0  # missing items that the gaps name
         self._gaps: list[RecordingGap] = []
         self._gap_count = 0
         self._first_seq: int | None = None
@@ -32,7 +32,7 @@ class ChannelTally:
         self._end: int | None = None
         self.advance: int | None = None
         self.written_to = live_seq - 1  # the last seq that the file has, or names as missing
-        self.sealed = False  # whether the channel's part of the recording has ended
+        self.is_ended = False  # whether the channel's part of the recording has ended
 
     @property
     def recorded(self) -> int:
@@ -65,7 +65,7 @@ class ChannelTally:
 
     def add_gap(self, gap: RecordingGap) -> None:
         """Count a gap that is in the file now."""
-        self._told += gap.items or 0
+        self._named += gap.items or 0
         self._gap_count += 1
         if len(self._gaps) < GAPS_KEPT_MAX:
             self._gaps.append(gap)
@@ -87,7 +87,7 @@ class ChannelTally:
         if unread:
             detail = f"the recording ended before it had read seq {read_to + 1} to {accepted_to}"
             gaps.append(self._gap(NOT_READ, detail, read_to + 1, accepted_to, unread))
-        if unexplained := max(0, self._live_missing() - self._told - unread):
+        if unexplained := max(0, self._live_missing() - self._named - unread):
             detail = f"the host accepted {unexplained} items more than it has sent or named as missing"
             gaps.append(self._gap(UNEXPLAINED, detail, self._live_seq, self._end_seq, unexplained))
         return gaps
@@ -104,11 +104,11 @@ class ChannelTally:
     def counts(self) -> RecordedCounts:
         """Return the counts so far."""
         live = self._end_seq - self._live_seq + 1
-        held = self._recorded - self._live_recorded  # items from the time before the recording
+        earlier = self._recorded - self._live_recorded  # items from the time before the recording
         return RecordedCounts(
             channel=self.channel, incarnation=self.incarnation, recorded=self._recorded,
-            accepted=live + held + max(0, self._told - self._live_missing()),
-            missing=max(self._told, self._live_missing()), gaps=tuple(self._gaps), gap_count=self._gap_count,
+            accepted=live + earlier + max(0, self._named - self._live_missing()),
+            missing=max(self._named, self._live_missing()), gaps=tuple(self._gaps), gap_count=self._gap_count,
             payload_bytes=self._payload_bytes, first_seq=self._first_seq, last_seq=self._last_seq, start=self._start,
             end=self._end, advance=self.advance,
         )  # fmt: skip

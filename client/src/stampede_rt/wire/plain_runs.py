@@ -28,7 +28,7 @@ _LAYOUTS = (
 
 
 class PlainRun(NamedTuple):
-    """The columns of a plain run. `time`, `duration`: None if the run lacks the column. `length`: the payload's length."""
+    """The columns of a plain run. `time`, `duration`: None if the run lacks it. `length`: the length of the payload."""
 
     time: int | None
     duration: int | None

@@ -116,7 +116,7 @@ class ServedHost:
         self.host.store.multicasts = Multicasts(group, self.host.store.now)
 
     async def _listen_locally(self) -> str:
-        """Listen at a Unix socket, too. Returns its target; empty if the system does not let it."""
+        """Listen at a Unix socket, too. Returns its target; empty if the system does not allow this."""
         if not this_machine():
             return ""
         try:

@@ -49,13 +49,15 @@ def test_a_full_archive_still_takes_items_of_channels_that_are_charged_with_thei
     disk = DiskUse(4 * MIB)
     first, second = disk.of_channel(ONE, "cam"), disk.of_channel(TWO, "cam")
     first.archive_bytes = 2 * MIB
-    first.keep(MIB * 7 // 4)  # from three quarters on, the archive charges a channel with all that its own limit allows
-    second.keep(MIB)
+    first.set_bytes(
+        MIB * 7 // 4
+    )  # from three quarters on, the archive charges a channel with all that its own limit allows
+    second.set_bytes(MIB)
     assert disk.used_bytes == 3 * MIB + FOLDER_BYTES
     second.check(MIB - FOLDER_BYTES)
     with pytest.raises(Overloaded, match=r"has 3407872 bytes .* needs 786433 more, of at most 4194304 \(--archive-byt"):
         second.check(MIB - FOLDER_BYTES + 1)
-    second.keep(2 * MIB - FOLDER_BYTES)
+    second.set_bytes(2 * MIB - FOLDER_BYTES)
     with pytest.raises(Overloaded):
         second.check()
     first.check(2**17)
@@ -67,13 +69,13 @@ def test_items_and_a_new_folder_count_as_soon_as_the_channel_accepts_the_items()
     one.check(MIB - FOLDER_BYTES)
     with pytest.raises(Overloaded):
         one.check(MIB - FOLDER_BYTES + 1)
-    one.expect(1000, 1000)
+    one.set_coming(1000, 1000)
     assert disk.used_bytes == FOLDER_BYTES + 1000
     disk.of_channel(TWO, "cam").check(MIB - 2 * FOLDER_BYTES - 1000)
     with pytest.raises(Overloaded):
         disk.of_channel(TWO, "cam").check(MIB - 2 * FOLDER_BYTES - 999)
-    one.keep(FOLDER_BYTES + 900)
-    one.expect(0)
+    one.set_bytes(FOLDER_BYTES + 900)
+    one.set_coming(0)
     assert disk.used_bytes == FOLDER_BYTES + 900
 
 
@@ -81,7 +83,7 @@ def test_a_deleted_channel_counts_for_its_creator_until_its_files_are_gone() -> 
     accounts = Accounts()
     disk = DiskUse(4 * MIB, accounts.of)
     accounts.set_default(Quota.BYTES_ARCHIVED, MIB)
-    disk.of_channel(ONE, "cam").keep(MIB)
+    disk.of_channel(ONE, "cam").set_bytes(MIB)
     with pytest.raises(Overloaded, match=r"cam has 1048576 bytes on the disk .* bytes-archived is 1048576") as refused:
         disk.of_channel(TWO, "cam").check()
     assert refused.value.metadata["quota"] == "bytes-archived"
@@ -128,7 +130,7 @@ def test_a_refusal_makes_room_of_outdated_files_and_of_folders_that_an_operator_
     recorded(folder, TWO, "")
     disk = DiskUse(1)
     disk.update(folder.of_channels())
-    disk.of_channel(THREE, "").keep(5_000)  # the folder of this channel does not exist any more
+    disk.of_channel(THREE, "").set_bytes(5_000)  # the folder of this channel does not exist any more
     files = SegmentFiles(folder.of_channel(ONE), {})
     files.open(1)
     segments = write(files, 1, 9, ArchiveLimits(None, 8))  # a segment for each block

@@ -48,15 +48,15 @@ class DiskUse:
         found = self._channels.get(channel_id)
         return found or ChannelDiskUse(self, channel_id, created_by, self._account_of(created_by))
 
-    def update(self, folders: Iterable[FoundFolder], besides: Set[bytes] = frozenset()) -> None:
-        """Count the folders as they are on the disk now, except the folders of the channels `besides`."""
-        gone = self._channels.keys() - besides
+    def update(self, folders: Iterable[FoundFolder], left_out: Set[bytes] = frozenset()) -> None:
+        """Count the folders as they are on the disk now, except the folders of the channels `left_out`."""
+        gone = self._channels.keys() - left_out
         for one in folders:
-            if one.channel_id not in besides:
+            if one.channel_id not in left_out:
                 gone -= {one.channel_id}
-                self.of_channel(one.channel_id, one.created_by).keep(one.bytes)
+                self.of_channel(one.channel_id, one.created_by).set_bytes(one.bytes)
         for channel_id in gone:
-            self._channels[channel_id].keep(0)
+            self._channels[channel_id].set_bytes(0)
 
     def changed(self, channel: ChannelDiskUse, more: int) -> None:
         """Count `more` bytes, which may be negative, for a channel."""
@@ -97,12 +97,12 @@ class ChannelDiskUse:
         self._disk, self._account = disk, account
         self._charge = account.charge_for(Quota.BYTES_ARCHIVED)
 
-    def keep(self, bytes_: int) -> None:
+    def set_bytes(self, bytes_: int) -> None:
         """Report the bytes of the folder on the disk; 0: there is no folder."""
         self.bytes = bytes_
         self._update()
 
-    def expect(self, coming: int, largest: int = 0) -> None:
+    def set_coming(self, coming: int, largest: int = 0) -> None:
         """Report the bytes that are still to be written. `largest`: the bytes of the last accepted run."""
         self.coming, self._largest = coming, max(self._largest, largest) if coming else 0
         self._update()

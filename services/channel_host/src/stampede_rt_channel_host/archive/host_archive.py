@@ -278,7 +278,7 @@ class HostArchive:
                 recorder.keep(await self._in_writer(recorder.files.drop_outdated, recorder.limits, self.now()))
         with suppress(OSError):
             folders = await self._in_writer(self._folders)
-            self.disk.update(folders, besides={one.disk.channel_id for one in self._recorders})
+            self.disk.update(folders, left_out={one.disk.channel_id for one in self._recorders})
         await asyncio.sleep(RETRY_SECONDS)
 
     def _folders(self) -> list[FoundFolder]:

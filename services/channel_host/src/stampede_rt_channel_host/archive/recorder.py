@@ -148,7 +148,7 @@ class ChannelRecorder:
         """Report the bytes that are still to be written. `largest`: the bytes of the latest put."""
         rows = len(self._advances)
         of_advances = rows * ADVANCE_BYTES + self.files.run_bytes_max if rows else 0
-        self.disk.expect(0 if self.is_stopped else self._puts.bytes + of_advances, largest)
+        self.disk.set_coming(0 if self.is_stopped else self._puts.bytes + of_advances, largest)
 
     @property
     def waiting_since(self) -> int | None:
@@ -262,7 +262,7 @@ class ChannelRecorder:
     def keep(self, segments: tuple[Segment, ...]) -> None:
         """Note the segments that the archive has now."""
         self.segments, self.span = segments, span_of(segments)
-        self.disk.keep(FOLDER_BYTES + self.files.local_bytes() if segments else 0)
+        self.disk.set_bytes(FOLDER_BYTES + self.files.local_bytes() if segments else 0)
 
     def limit(self, limits: ArchiveLimits) -> None:
         """Set the limits of the channel's archive."""

@@ -79,8 +79,8 @@ def get_responses(
         if runs and (size + len(body) > MESSAGE_BYTES_MAX or runs + stored > MESSAGE_RUNS_MAX):
             yield EncodedMessage(b"".join(parts), payload_bytes, False, items)
             parts, runs, size, payload_bytes, items = [head], 0, 0, 0, 0
-        behind = answer.next_times.get((part.last_time, part.end_seq)) if following else next_time
-        _add_run(parts, _GET_RUNS, body, behind)
+        time_after = answer.next_times.get((part.last_time, part.end_seq)) if following else next_time
+        _add_run(parts, _GET_RUNS, body, time_after)
         runs += stored
         items += part.items
         size += len(body)

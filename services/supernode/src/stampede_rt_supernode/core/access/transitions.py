@@ -60,7 +60,7 @@ def revoke_credential(state: DirectoryState, operation: RevokeCredential, time_u
         return CredentialRevoked(revoked=False, version=state.access.version)
     if len(revoked) >= REVOKED_MAX:
         raise InvalidArgument(
-            f"{REVOKED_MAX} certificates and tokens are revoked, the most; go over to a new authority (stampede certs)"
+            f"{REVOKED_MAX} certificates and tokens are revoked, the most; change to a new authority (stampede certs)"
         )
     change_access(state, replace(state.access, revoked_serials=(*revoked, operation.serial)))
     return CredentialRevoked(revoked=True, version=state.access.version)
