@@ -1,3 +1,5 @@
+"""The limits of the benchmark of the hot path."""
+
 from __future__ import annotations
 
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS

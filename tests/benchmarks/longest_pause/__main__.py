@@ -84,7 +84,7 @@ async def measure(names: Sequence[str], share: float) -> None:
         async with GarbageCollection(), running_host(memory_bytes_max=2**40) as rig:
             text, work = await case(rig, int(items * share))
             watch = Watch()
-            all_ms = await watch.over(work)
+            all_ms = await watch.measure(work)
             table.rows.append((f"{watch.longest_ms:,.1f}", f"{all_ms:,.0f}", text))
             print(json.dumps({"case": name, "longest_ms": watch.longest_ms, "all_ms": all_ms}), file=sys.stderr)
     table.print()

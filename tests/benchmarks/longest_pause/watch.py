@@ -1,4 +1,4 @@
-"""Measure the longest pause of an event loop while a piece of work is done."""
+"""Measures the longest pause of an event loop during a piece of work."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Watch:
     def __init__(self) -> None:
         self.longest_ms = 0.0
 
-    async def over(self, work: Work) -> float:
+    async def measure(self, work: Work) -> float:
         """Do `work`. Returns the CPU time of all of it, in milliseconds."""
         gc.collect()
         gc.freeze()

@@ -1,3 +1,5 @@
+"""The cluster of the tests of replicas."""
+
 from __future__ import annotations
 
 from collections.abc import Iterator

@@ -97,7 +97,7 @@ def awaited_connecting(cluster: LocalCluster) -> Iterator[Cycle]:
 
 @contextmanager
 def opening(cluster: LocalCluster) -> Iterator[Cycle]:
-    """Make a channel and a queue, put an item into each, and delete both."""
+    """Make a channel and a queue, put an item and a message, and delete both."""
     with st.connect(cluster.address) as rt:
 
         def cycle() -> None:

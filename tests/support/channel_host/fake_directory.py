@@ -35,7 +35,7 @@ class FakeDirectory(
         self.refuse: dict[str, StampedeError] = {}
         self.calls: Counter[str] = Counter()
         # By method, the ids of the clusters that hosts have named as theirs.
-        self.clusters_told: dict[str, list[str]] = {"RegisterHost": [], "RenewHostLease": []}
+        self.named_clusters: dict[str, list[str]] = {"RegisterHost": [], "RenewHostLease": []}
         self.cluster_id, self.former_cluster_ids = "c", list[str]()
         self.target = ""
         self.others: list[str] = []
@@ -97,7 +97,7 @@ class FakeDirectory(
         )
 
     async def RegisterHost(self, request: pb.RegisterHostRequest, context: Any) -> pb.RegisterHostResponse:  # noqa: N802
-        self.clusters_told["RegisterHost"].append(named_cluster(context.invocation_metadata()))
+        self.named_clusters["RegisterHost"].append(named_cluster(context.invocation_metadata()))
         await self._begin("RegisterHost", context)
         for held in self.hosts.values():
             if held.name == request.name and held.alive and held.host_id != request.host_id:
@@ -105,8 +105,8 @@ class FakeDirectory(
         before = self.hosts.get(request.host_id)
         is_other = before is not None and before.boot_incarnation != request.boot_incarnation
         if before is not None and is_other and before.registration_epoch >= request.registration_epoch:
-            told = {"registration_epoch": str(before.registration_epoch), "alive": str(before.alive).lower()}
-            await abort(context, StaleRegistration("another process has registered", metadata=told))
+            facts = {"registration_epoch": str(before.registration_epoch), "alive": str(before.alive).lower()}
+            await abort(context, StaleRegistration("another process has registered", metadata=facts))
         self.hosts[request.host_id] = directory_pb2.HostRecord(
             host_id=request.host_id,
             name=request.name,
@@ -129,7 +129,7 @@ class FakeDirectory(
     async def RenewHostLease(  # noqa: N802
         self, request: pb.RenewHostLeaseRequest, context: Any
     ) -> pb.RenewHostLeaseResponse:
-        self.clusters_told["RenewHostLease"].append(named_cluster(context.invocation_metadata()))
+        self.named_clusters["RenewHostLease"].append(named_cluster(context.invocation_metadata()))
         await self._begin("RenewHostLease", context)
         host = self.hosts.get(request.host_id)
         if host is None or not host.alive or host.boot_incarnation != request.boot_incarnation:

@@ -1,3 +1,5 @@
+"""The start of a front-end with bad settings."""
+
 from __future__ import annotations
 
 import pytest

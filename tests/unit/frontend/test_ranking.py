@@ -1,3 +1,5 @@
+"""The order in which a front-end lists supernodes for a caller."""
+
 from __future__ import annotations
 
 from hypothesis import given

@@ -1,3 +1,5 @@
+"""The supernodes that a front-end knows, and the supernodes that it names to callers."""
+
 from __future__ import annotations
 
 from typing import Any

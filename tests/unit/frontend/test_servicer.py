@@ -1,3 +1,5 @@
+"""The answers of a front-end to `Bind`."""
+
 from __future__ import annotations
 
 import asyncio

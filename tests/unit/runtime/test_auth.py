@@ -1,3 +1,5 @@
+"""The files of secrets."""
+
 from __future__ import annotations
 
 import asyncio

@@ -1,3 +1,5 @@
+"""The clock of the system."""
+
 from __future__ import annotations
 
 import time

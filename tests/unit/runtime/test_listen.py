@@ -1,3 +1,5 @@
+"""The addresses at which a service may listen."""
+
 from __future__ import annotations
 
 import socket

@@ -1,3 +1,5 @@
+"""The start and the exit status of a service."""
+
 from __future__ import annotations
 
 import asyncio

@@ -1,3 +1,5 @@
+"""The methods of a service: errors, ended callers and idle streams."""
+
 from __future__ import annotations
 
 import asyncio

@@ -1,3 +1,5 @@
+"""The gRPC server of a service: its port, its limits and its end."""
+
 from __future__ import annotations
 
 import asyncio

@@ -1,3 +1,5 @@
+"""Settings from flags, variables, a file and defaults."""
+
 from __future__ import annotations
 
 import re

@@ -1,3 +1,5 @@
+"""The texts of addresses, durations and sizes."""
+
 from __future__ import annotations
 
 from pathlib import Path

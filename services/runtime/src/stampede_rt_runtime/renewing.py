@@ -48,14 +48,14 @@ class RenewingChannel(grpc.aio.Channel):
             self._material = material
             former, self._newest = self._newest, _Connection(self._connect(material))
             self._former.add(former)
-            self._let_go(former)
+            self._close_if_unused(former)
         return self._newest
 
     def _ended(self, connection: _Connection) -> None:
         connection.calls -= 1
-        self._let_go(connection)
+        self._close_if_unused(connection)
 
-    def _let_go(self, connection: _Connection) -> None:
+    def _close_if_unused(self, connection: _Connection) -> None:
         """Close a former connection if it has no calls under way."""
         if connection in self._former and not connection.calls:
             self._former.discard(connection)

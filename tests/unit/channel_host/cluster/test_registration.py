@@ -93,7 +93,7 @@ async def test_a_host_names_the_cluster_of_its_first_registration_after_a_restar
         again = Host(fake.target, folder=tmp_path)
         await again.registration.enter("localhost:1")
         await again.supernodes.aclose()
-    assert fake.clusters_told == {"RegisterHost": ["", "c"], "RenewHostLease": ["c"] * fake.calls["RenewHostLease"]}
+    assert fake.named_clusters == {"RegisterHost": ["", "c"], "RenewHostLease": ["c"] * fake.calls["RenewHostLease"]}
 
 
 async def test_a_host_whose_lease_the_successor_cluster_renews_belongs_to_that_cluster(
@@ -112,7 +112,7 @@ async def test_a_host_whose_lease_the_successor_cluster_renews_belongs_to_that_c
             await fake.called("RenewHostLease", times=fake.calls["RenewHostLease"] + 3)
             assert (host.home.judge("c"), host.home.judge("d")) == (None, None)
     assert HomeCluster(tmp_path).cluster_id == "d"
-    assert set(fake.clusters_told["RenewHostLease"]) == {"c", "d"}
+    assert set(fake.named_clusters["RenewHostLease"]) == {"c", "d"}
 
 
 async def test_a_host_renews_three_times_per_ttl_and_is_not_fenced() -> None:

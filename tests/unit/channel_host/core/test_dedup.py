@@ -1,3 +1,5 @@
+"""The retry window: the host recognises a repeated run, and answers as before."""
+
 from __future__ import annotations
 
 import tracemalloc

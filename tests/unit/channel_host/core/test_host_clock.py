@@ -1,3 +1,5 @@
+"""The host's clock follows the monotonic clock, and approaches the wall clock slowly."""
+
 from __future__ import annotations
 
 from itertools import pairwise
@@ -10,7 +12,7 @@ from stampede_rt_channel_host.core.host_clock import HostTime
 SECOND = 1_000_000_000
 
 
-def test_host_time_starts_at_the_wall_clock_and_advances_with_the_monotonic_one() -> None:
+def test_host_time_starts_at_the_wall_clock_and_advances_with_the_monotonic_clock() -> None:
     clock = HostTime(5, 100 * SECOND)
     assert clock.read(5 + SECOND, 101 * SECOND) == 101 * SECOND
     assert clock.offset_nanos == 0

@@ -1,3 +1,5 @@
+"""The limit of a rate, which allows bursts."""
+
 from __future__ import annotations
 
 import pytest

@@ -1,3 +1,5 @@
+"""The moments at which a reader of datagrams asks for missing items, and at which it leaves multicast."""
+
 from __future__ import annotations
 
 from stampede_rt.multicast.repair_pace import (

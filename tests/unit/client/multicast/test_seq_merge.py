@@ -1,3 +1,5 @@
+"""Items from datagrams and items from the host become one sequence of items."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -1,3 +1,5 @@
+"""A reader's socket in a multicast group."""
+
 from __future__ import annotations
 
 import errno

@@ -1,3 +1,5 @@
+"""Sockets that asyncio callers open and give up."""
+
 from __future__ import annotations
 
 import asyncio

@@ -1,3 +1,5 @@
+"""Streams over sockets on threads, against a service in the same process."""
+
 from __future__ import annotations
 
 import gc

@@ -1,3 +1,5 @@
+"""Instants, durations and intervals as a program states them."""
+
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta

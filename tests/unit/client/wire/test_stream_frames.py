@@ -1,3 +1,5 @@
+"""The frames of a stream over a socket, in any pieces in which their bytes arrive."""
+
 from __future__ import annotations
 
 import gc

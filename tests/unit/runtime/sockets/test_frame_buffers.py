@@ -1,3 +1,5 @@
+"""The buffers and places for long frames, which callers share."""
+
 from __future__ import annotations
 
 import asyncio

@@ -1,3 +1,5 @@
+"""A service notices that a caller has closed its socket."""
+
 from __future__ import annotations
 
 import asyncio

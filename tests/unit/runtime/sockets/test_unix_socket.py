@@ -1,3 +1,5 @@
+"""The folder and the paths of Unix sockets."""
+
 from __future__ import annotations
 
 import socket

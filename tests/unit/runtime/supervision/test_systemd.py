@@ -1,3 +1,5 @@
+"""The messages of a service to its supervisor."""
+
 from __future__ import annotations
 
 import socket

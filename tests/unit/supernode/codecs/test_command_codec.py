@@ -1,3 +1,5 @@
+"""Commands and results are the same after encoding and decoding."""
+
 from dataclasses import replace
 from typing import Any
 

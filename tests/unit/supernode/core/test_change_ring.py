@@ -1,3 +1,5 @@
+"""The latest changes of the directory, as watches read them."""
+
 from stampede_rt_supernode.core.change_ring import ChangeRing
 from stampede_rt_supernode.core.records import ChangeKind, DirectoryChange, HostRecord
 

@@ -1,3 +1,5 @@
+"""Pages of names that match a pattern."""
+
 import pytest
 
 from stampede_rt.errors import InvalidArgument

@@ -1,3 +1,5 @@
+"""The directory service of a supernode, over gRPC."""
+
 from __future__ import annotations
 
 import asyncio

@@ -1,3 +1,5 @@
+"""Watches of the directory, over gRPC."""
+
 from __future__ import annotations
 
 import asyncio

@@ -104,9 +104,7 @@ class SegmentFiles(SegmentReads):
         self._follows_damage = False  # the archive begins with a segment that was set aside
 
     def open(self, epoch: int, incarnation: int = 0, stored: Sequence[Segment] = ()) -> OpenedArchive:
-        """Find the segments, and cut the torn tail off the last one.
-
-        `epoch`, `incarnation`: the present ones of the channel.
+        """Find the segments of the channel with this epoch and incarnation. Cut the torn tail off the last one.
 
         After a clean stop nothing can be torn, and a last block that is not whole is a damaged one. `stored`: the
         segments that are only in an object store.

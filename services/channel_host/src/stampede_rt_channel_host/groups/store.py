@@ -52,7 +52,7 @@ class GroupStore:
         self._directory = directory
         self._table = HostedGroups()
         self.exchange = TimesExchange(
-            identity, channels, self._table, dial, cluster_id, on_stale=self._stale, on_asked=self._learn_of
+            identity, channels, self._table, dial, cluster_id, on_stale=self._look_up_soon, on_asked=self._learn_of
         )
         self._single_flight = SingleFlight()
         self._lookups = BackgroundLookups()
@@ -162,13 +162,13 @@ class GroupStore:
     def changed_in_directory(self, change: RecordedChange) -> None:
         """See `ChangeFollower`."""
         if change.group_id in self._table.groups:
-            self._stale(change.group_id)
+            self._look_up_soon(change.group_id)
         elif change.channel is not None:
             for group in self._table.groups_of(change.channel.channel_id):
                 if change.channel.host_id != group.owners.get(change.channel.channel_id):
-                    self._stale(group.record.group_id)
+                    self._look_up_soon(group.record.group_id)
 
-    def _stale(self, group_id: bytes) -> None:
+    def _look_up_soon(self, group_id: bytes) -> None:
         """Look up a group in the background. If that fails and this host knows the group, `keep` looks it up again."""
         group = self._table.groups.get(group_id)
         if group is not None:

@@ -258,14 +258,14 @@ class SocketServer:
     def failed(self, connection: StreamSocket, error: StampedeError) -> None:
         """End a stream whose frames are invalid."""
         connection.end(encode_status(error))
-        self._let_go(connection)
+        self._cancel_stream(connection)
 
     def lost(self, connection: StreamSocket) -> None:
         """Cancel the stream of a connection that has gone, and forget it."""
-        self._let_go(connection)
+        self._cancel_stream(connection)
         self._streams.pop(connection, None)
 
-    def _let_go(self, connection: StreamSocket) -> None:
+    def _cancel_stream(self, connection: StreamSocket) -> None:
         self._unopened[connection.is_local].discard(connection)
         stream = self._streams.get(connection)
         if stream is not None and stream.task is not None:

@@ -1,3 +1,5 @@
+"""The limits of a channel, from its policy and the defaults."""
+
 from __future__ import annotations
 
 import pytest

@@ -1,3 +1,5 @@
+"""The commands of channels, in a directory in memory."""
+
 import pytest
 
 from stampede_rt.errors import InvalidArgument

@@ -1,3 +1,5 @@
+"""The commands of groups, in a directory in memory."""
+
 from __future__ import annotations
 
 from typing import Any

@@ -1,3 +1,5 @@
+"""The commands of hosts, in a directory in memory."""
+
 from dataclasses import replace
 
 import pytest

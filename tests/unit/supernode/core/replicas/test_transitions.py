@@ -1,3 +1,5 @@
+"""The commands of replicas and proxies, in a directory in memory."""
+
 from __future__ import annotations
 
 from collections.abc import Callable
