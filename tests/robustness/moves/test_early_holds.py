@@ -9,6 +9,7 @@ import pytest
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.copies import early_holds, handoff_decision
+from stampede_rt_channel_host.core.channel import ChannelFeed, FeedPart
 from tests.robustness.moves.links import Link
 from tests.robustness.moves.test_crashes_at_each_step import AFTER_THE_COMMIT, AFTER_THE_REMOVAL, Scenario, quick
 from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, World
@@ -32,6 +33,23 @@ async def test_one_response_has_the_items_and_the_permit_of_an_idle_channel() ->
     assert "held" not in scenario.world.reached
     scenario.check(await scenario.settle())
     assert scenario.world.owner is scenario.destination
+
+
+@pytest.mark.usefixtures("all_idle")
+async def test_the_source_does_not_look_for_items_in_a_channel_that_it_has_handed_over(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    take, looks = ChannelFeed.take, list[ChannelFeed]()
+
+    def noted(feed: ChannelFeed, now: int, limit_bytes: int) -> FeedPart | None:
+        looks.append(feed)
+        return take(feed, now, limit_bytes)
+
+    monkeypatch.setattr(ChannelFeed, "take", noted)
+    scenario = Scenario()
+    assert await scenario.move(is_of_drain=True) is None
+    assert len(looks) == 1
+    scenario.check(await scenario.settle())
 
 
 async def test_a_channel_with_a_late_put_is_held_when_the_destination_asks() -> None:

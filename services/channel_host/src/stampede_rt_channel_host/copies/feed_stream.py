@@ -70,7 +70,7 @@ class FeedStream:
         self._move: OutgoingMove | None = None
         self._handoff: HandoffDecision | None = None  # the decision about `_move`
         self._opened: pb.FeedOpened | None = None  # goes into the next message
-        self._is_released = False
+        self._is_handed_over = self._is_released = False  # once handed over, the destination needs only signs of life
 
     def wake(self) -> None:
         """Send a change of the channel: to a replica in this turn of the event loop if it has everything else, because
@@ -245,8 +245,8 @@ class FeedStream:
             self._credit.end()  # ends the feed
         if hosted.fed is not None:
             hosted.fed.relieve(hosted.record.name, copy, hosted.subscriptions)
-        if self._move is not None or self._responses.owes_sign(hosted):  # a grant of credit wakes the feed anyway
-            self._news.set()
+        if self._responses.owes_sign(hosted) or (self._move is not None and not self._is_handed_over):
+            self._news.set()  # a grant of credit wakes the feed anyway
 
     async def _is_free(self, opening: pb.FeedOpen) -> bool:
         """Whether the move is over, and the caller may begin another one. If so, tells the caller."""
@@ -268,7 +268,7 @@ class FeedStream:
             await self._writer.turn()
             self._check_destination(hosted)
             now = self._store.now()
-            part = self._feed.take(now, self._writer.limit_bytes)
+            part = None if self._is_handed_over else self._feed.take(now, self._writer.limit_bytes)
             if self._feed.owner is not None:  # a proxy shows its readers its age instead
                 self._lag.check(hosted.record.name, self._source.next_seq - self._feed.next_seq, now)
             handoff = None if self._handoff is None else self._handoff.next_handoff(now)
@@ -280,7 +280,7 @@ class FeedStream:
                 await self._hand_off(encoded)
             elif encoded:
                 await self._writer.write(encoded)
-            if not encoded or (has_all and not self._news.is_set()):
+            if not encoded or handoff is not None or (has_all and not self._news.is_set()):
                 await self._wait_for_news(hosted)
 
     async def _wait_for_news(self, hosted: HostedChannel) -> None:
@@ -315,6 +315,7 @@ class FeedStream:
 
     async def _hand_off(self, encoded: Sendable) -> None:
         """Write the message that hands the channel over."""
+        self._is_handed_over = True
         await self._writer.write(encoded)
 
     def _bare(self, hosted: HostedChannel, handoff: pb.FeedHandoff | None = None) -> bytes:
