@@ -234,8 +234,8 @@ class Session:
     async def _resolve(self, state: ChannelState, deadline_s: float) -> None:
         """Ask a supernode for the owner.
 
-        If the owner is lost, open the channel again with the handle's arguments. If these arguments have `create`
-        False, raise Unavailable.
+        If the owner is lost, open the channel again without a policy, because configure() may have changed the policy
+        since the handle was made. If the handle's arguments have `create` False, raise Unavailable.
         """
         timeout_s = left_s(deadline_s)
         request = directory_service_pb2.ResolveChannelRequest(channel_id=state.info.channel_id)
@@ -256,7 +256,7 @@ class Session:
                 "channel with create=True to have it at another host",
                 reason="NO_HOST",
             )
-        state.info = await self.open_channel(state.info.name, state.stated, None, True, timeout_s)
+        state.info = await self.open_channel(state.info.name, Policy(), None, False, timeout_s)
 
     async def _resolve_name(self, state: ChannelState, deadline_s: float) -> None:
         """Open the channel by its name, because the directory does not know its id any more.

@@ -103,9 +103,9 @@ class QueueLocator:
         )
 
     def _resolve(self, deadline_s: float) -> None:
-        """Ask a supernode for the owner. If the owner is lost, open the queue again with the handle's arguments.
+        """Ask a supernode for the owner. If the owner is lost, open the queue again without a policy.
 
-        Raises Unavailable if these arguments have `create` False.
+        Raises Unavailable if the handle's arguments have `create` False.
         """
         state = self._state
         request = queue_directory_service_pb2.ResolveQueueRequest(queue_id=state.info.queue_id)
@@ -127,7 +127,7 @@ class QueueLocator:
                 "host again, or open the queue with create=True to have it at another host",
                 reason="NO_HOST",
             )
-        state.info = open_queue(self._session, state.name, state.stated, None, True, left_s(deadline_s))
+        state.info = open_queue(self._session, state.name, QueuePolicy(), None, False, left_s(deadline_s))
 
     def _resolve_name(self, error: QueueNotFound, deadline_s: float) -> None:
         """Open the queue by its name, because the directory does not know its id any more.
