@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import ChannelCore, ChannelFeed, NewFloor, Offer
+from stampede_rt_channel_host.core.channel import ChannelCore, ChannelFeed, FedChannel, NewFloor, Offer
 
 NOW = 1000
 
@@ -31,6 +31,11 @@ def feed(core: ChannelCore) -> ChannelFeed:
     while feed.take(NOW, 10**6) is not None:
         pass
     return feed
+
+
+def test_a_copy_tells_readers_of_its_ring_that_the_owner_has_an_archive() -> None:
+    assert FedChannel(Policy(max_items=2, archive_nanos=10**9), incarnation=1).ring_facts().is_recorded
+    assert not FedChannel(Policy(max_items=2), incarnation=1).ring_facts().is_recorded
 
 
 def test_the_last_run_comes_with_the_items_that_have_left_because_of_it(core: ChannelCore, feed: ChannelFeed) -> None:

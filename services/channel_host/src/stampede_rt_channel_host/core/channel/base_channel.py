@@ -159,7 +159,7 @@ class BaseChannel:
             floor=(max(held.floor[0], ABSENT_INSTANT), held.floor[1]),
             max_age_nanos=self._retention.limits.max_age_nanos,
             has_overlap=held.overlap_nanos > 0,
-            is_recorded=self._retention.unarchived is not None,
+            is_recorded=self._policy.is_recorded or self._retention.unarchived is not None,
         )
 
     def accepted_from(self, seq: int) -> Iterator[Slice]:
