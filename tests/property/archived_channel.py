@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from stampede_rt.values.model import Policy
-from stampede_rt.values.timeline import Bound, ResolvedInterval
+from stampede_rt.values.timeline import Bound, MetaTime, ResolvedInterval
 from stampede_rt_channel_host.core import archive
 from stampede_rt_channel_host.core.archive import (
     ArchivedAdvance,
@@ -273,6 +273,9 @@ class ArchivedChannel:
             if not read.continues:
                 return joined(answers, down=query.newest_first)
             query = rest_of(query, answer)
+            if query.interval.end.meta is MetaTime.NOW:  # as the client does; meanwhile time passes
+                query = replace(query, now=within.end - query.interval.end.offset)
+                moment.clock += 1
 
     def _perform(self, read: ArchivedRead, segments: Sequence[Segment], blocks_of: BlocksOf) -> None:
         run_to_end(read.begin())

@@ -175,6 +175,15 @@ def test_a_read_of_the_newest_items_in_memory_loads_nothing_from_the_archive() -
     assert small.loads == 0
 
 
+def test_a_newest_item_without_a_duration_lasts_up_to_now_on_each_page() -> None:
+    small = ArchivedChannel(Policy(max_items=1), runs_per_block=1, blocks_per_segment=2)
+    for time in range(20):
+        small.put(Offer(times=[time], durations=None, lengths=[3]), time)
+        small.archive()
+    answer = small.read(Query(interval=Interval(Bound(None, 0), NOW), match=Match.WHOLE))
+    assert [item[0] for item in facts(items_of(answer.slices))] == list(range(20))
+
+
 def test_a_read_whose_overlap_reaches_far_back_loads_it_window_by_window() -> None:
     small = ArchivedChannel(Policy(max_items=3, overlap_nanos=1000), runs_per_block=1, blocks_per_segment=4)
     for time in range(400):

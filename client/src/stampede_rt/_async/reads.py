@@ -115,6 +115,7 @@ def _request(binding: Binding, query: ReadQuery, wait: Wait, view: SeenCut | Non
         least_seq=query.least_seq,
         within_memory=query.within_memory,
         as_of_unix_nano=query.as_of,
+        now_unix_nano=query.now,
     )
 
 

@@ -105,7 +105,7 @@ class PutRejection(_message.Message):
     def __init__(self, index: _Optional[int] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ...) -> None: ...
 
 class GetRequest(_message.Message):
-    __slots__ = ("call_id", "cancel", "channel_id", "epoch", "interval", "match", "limit", "newest_first", "after", "newer_than", "without_payloads", "wait_nanos", "complete", "group_id", "cut_floor_unix_nano", "max_staleness_nanos", "least_seq", "cut_unix_nano", "within_memory", "as_of_unix_nano")
+    __slots__ = ("call_id", "cancel", "channel_id", "epoch", "interval", "match", "limit", "newest_first", "after", "newer_than", "without_payloads", "wait_nanos", "complete", "group_id", "cut_floor_unix_nano", "max_staleness_nanos", "least_seq", "cut_unix_nano", "within_memory", "as_of_unix_nano", "now_unix_nano")
     CALL_ID_FIELD_NUMBER: _ClassVar[int]
     CANCEL_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
@@ -126,6 +126,7 @@ class GetRequest(_message.Message):
     CUT_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     WITHIN_MEMORY_FIELD_NUMBER: _ClassVar[int]
     AS_OF_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    NOW_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     call_id: int
     cancel: bool
     channel_id: bytes
@@ -146,7 +147,8 @@ class GetRequest(_message.Message):
     cut_unix_nano: int
     within_memory: bool
     as_of_unix_nano: int
-    def __init__(self, call_id: _Optional[int] = ..., cancel: bool = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., interval: _Optional[_Union[_time_pb2.Interval, _Mapping]] = ..., match: _Optional[_Union[_time_pb2.Match, str]] = ..., limit: _Optional[int] = ..., newest_first: bool = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., newer_than: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ..., wait_nanos: _Optional[int] = ..., complete: bool = ..., group_id: _Optional[bytes] = ..., cut_floor_unix_nano: _Optional[int] = ..., max_staleness_nanos: _Optional[int] = ..., least_seq: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ..., within_memory: bool = ..., as_of_unix_nano: _Optional[int] = ...) -> None: ...
+    now_unix_nano: int
+    def __init__(self, call_id: _Optional[int] = ..., cancel: bool = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., interval: _Optional[_Union[_time_pb2.Interval, _Mapping]] = ..., match: _Optional[_Union[_time_pb2.Match, str]] = ..., limit: _Optional[int] = ..., newest_first: bool = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., newer_than: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ..., wait_nanos: _Optional[int] = ..., complete: bool = ..., group_id: _Optional[bytes] = ..., cut_floor_unix_nano: _Optional[int] = ..., max_staleness_nanos: _Optional[int] = ..., least_seq: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ..., within_memory: bool = ..., as_of_unix_nano: _Optional[int] = ..., now_unix_nano: _Optional[int] = ...) -> None: ...
 
 class GetResponse(_message.Message):
     __slots__ = ("call_id", "runs", "summary", "error")

@@ -7,7 +7,7 @@ from dataclasses import replace
 from stampede_rt.values.answers import Items
 from stampede_rt.values.model import Item, Reason
 from stampede_rt.values.reading import ReadQuery
-from stampede_rt.values.timeline import fixed
+from stampede_rt.values.timeline import MetaTime, fixed
 
 
 class Pages:
@@ -27,7 +27,14 @@ class Pages:
         left = None if self._query.limit is None else self._query.limit - sum(map(len, self._pages))
         last = next(page for page in reversed(self._pages) if page)[-1]
         interval, cut = fixed(self._query.interval, first.interval), self._query.cut
-        return replace(self._query, interval=interval, after=last, limit=left, cut=first.cut if cut is None else cut)
+        cut = first.cut if cut is None else cut
+        return replace(self._query, interval=interval, after=last, limit=left, cut=cut, now=self._now)
+
+    @property
+    def _now(self) -> int | None:
+        """The instant NOW of the first page, if the interval ends relative to it."""
+        end, within = self._query.interval.end, self._pages[0].interval
+        return within.end - end.offset if within is not None and end.meta is MetaTime.NOW else None
 
     def add(self, page: Items) -> None:
         """Take the next page."""

@@ -64,6 +64,7 @@ class ReadQuery:
     - `max_staleness_nanos` and `least_seq`: the read accepts a copy that is at most this old, and that has the item of
       this seq. If both are None, it accepts no copy.
     - `as_of`: the answer is as of this instant of the host's clock, and `cut` is a cut at that instant.
+    - `now`: in the request for a later page of an answer, the instant NOW of the first page.
     - `within_memory`: the read leaves out the items that only the archive of the channel has.
     """
 
@@ -81,6 +82,7 @@ class ReadQuery:
     least_seq: int | None = None
     within_memory: bool = False
     as_of: int | None = None
+    now: int | None = None
 
     def __post_init__(self) -> None:
         for what, value in (

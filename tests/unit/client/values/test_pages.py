@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from stampede_rt.values.answers import Items
 from stampede_rt.values.model import Item, Reason
 from stampede_rt.values.pages import Pages
 from stampede_rt.values.reading import ReadQuery
-from stampede_rt.values.timeline import ALL_TIME
+from stampede_rt.values.timeline import ALL_TIME, NOW, Bound, Interval, Match, ResolvedInterval
 
 GONE, LOST = Reason("COLLECTED", "the archive has dropped them"), Reason("LOST", "a block is damaged")
 
@@ -43,3 +45,13 @@ def test_the_reasons_of_the_pages_become_one_reason() -> None:
     assert joined(page(1), page(2, reason=Reason("HIDDEN"), more=False)).reason == "HIDDEN"
     limited = joined(page(9, truncated=True), page(8, truncated=True), newest_first=True)
     assert (limited.reason, limited.truncated, limited.more) == (None, True, True)
+
+
+def test_a_later_page_has_the_instant_now_of_the_first_page() -> None:
+    """Otherwise match="whole" left out a newest item without a duration, because its span then lasted longer."""
+    first = page(1, 2)
+    first.interval = ResolvedInterval(0, 95)
+    at_now = Interval(Bound(None, 0), replace(NOW, offset=-5))
+    rest = Pages(ReadQuery(at_now, match=Match.WHOLE), first).rest
+    assert (rest.now, rest.interval.end.offset) == (100, 95)
+    assert Pages(ReadQuery(Interval(Bound(None, 0), Bound(None, 95))), first).rest.now is None

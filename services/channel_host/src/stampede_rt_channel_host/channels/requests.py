@@ -57,6 +57,7 @@ def query_of(request: pb.GetRequest) -> Query:
         newest_first=request.newest_first,
         after=position_of(request.after) if request.HasField("after") else None,
         newer_than=position_of(request.newer_than) if request.HasField("newer_than") else None,
+        now=request.now_unix_nano if request.HasField("now_unix_nano") else None,
         complete=request.complete,
     )
 

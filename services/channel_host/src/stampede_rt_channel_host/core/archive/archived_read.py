@@ -165,7 +165,9 @@ class ArchivedRead:
         searching_more = self._left == 0
         query = replace(self._query, limit=1) if searching_more else replace(self._query, limit=self._left)
         reading = self._reading_of(RecordedItems(self._held, self._span, window, has_dropped=self._has_dropped))
-        answer = yield from reading.answer(query, self._within, self._moment.clock)
+        clock = self._moment.clock
+        clock = clock if query.now is None else min(clock, query.now)
+        answer = yield from reading.answer(query, self._within, clock)
         self._windows += 1
         first, last = self._within.start, self._last_instant
         self._holes.update(one for one in window.holes if one.start <= last and one.end >= first)

@@ -135,7 +135,7 @@ class Query:
 
     `after` continues after a position in reading order: with later items, or with `newest_first` with earlier items.
     `newer_than` selects only items later than a position, in either order. With `complete` a blocking get waits until
-    no more items can come into the interval.
+    no more items can come into the interval. `now`: the instant NOW of an earlier page of the answer; None: the clock.
     """
 
     interval: Interval
@@ -145,6 +145,7 @@ class Query:
     after: Position | None = None
     newer_than: Position | None = None
     complete: bool = False
+    now: int | None = None
 
     def __post_init__(self) -> None:
         if self.limit is not None and self.limit < 1:
