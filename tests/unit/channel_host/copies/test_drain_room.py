@@ -6,6 +6,7 @@ import asyncio
 
 from stampede_rt_channel_host.copies.drain_room import (
     MOVES_AT_FIRST,
+    MOVES_PER_ANSWER,
     MOVES_PER_DESTINATION,
     PARALLEL_MOVES,
     PARALLEL_QUEUE_MOVES,
@@ -29,6 +30,12 @@ class Moves:
         self.tasks = [asyncio.create_task(self.move(one, is_queue=is_queue)) for one in host_ids]
         await self.turns()
 
+    async def answered(self, host_id: bytes, times: int) -> None:
+        """Let the host take this many things over."""
+        for _ in range(times):
+            self.room.answered(host_id)
+        await self.turns()
+
     async def turns(self) -> None:
         for _ in range(2 * PARALLEL_MOVES):
             await asyncio.sleep(0)
@@ -36,32 +43,30 @@ class Moves:
 
 async def test_a_host_gets_few_moves_until_it_answers_and_other_hosts_get_the_remaining_moves() -> None:
     moves = Moves()
-    await moves.begun(*[b"frozen"] * 50, *[b"runs"] * 50)
+    await moves.begun(*[b"frozen"] * 50, *[b"runs"] * 100)
     assert moves.under_way == [b"frozen"] * MOVES_AT_FIRST + [b"runs"] * MOVES_AT_FIRST
-    for _ in range(2):
-        moves.room.answered(b"runs")
-        await moves.turns()
+    await moves.answered(b"runs", times=1)
+    assert moves.under_way.count(b"runs") == MOVES_AT_FIRST + MOVES_PER_ANSWER
+    await moves.answered(b"runs", times=MOVES_PER_DESTINATION)
     assert moves.under_way.count(b"runs") == MOVES_PER_DESTINATION
     assert moves.under_way.count(b"frozen") == MOVES_AT_FIRST
 
 
 async def test_the_number_of_moves_to_all_hosts_is_limited_and_every_move_is_served() -> None:
     moves = Moves()
-    await moves.begun(*(bytes([one % 3]) for one in range(90)))
+    await moves.begun(*(bytes([one % 3]) for one in range(180)))
     for host in range(3):
-        moves.room.answered(bytes([host]))
-    await moves.turns()
+        await moves.answered(bytes([host]), times=MOVES_PER_DESTINATION)
     assert len(moves.under_way) == PARALLEL_MOVES < 3 * MOVES_PER_DESTINATION
     moves.end.set()
     await asyncio.gather(*moves.tasks)
-    assert len(moves.under_way) == 90
+    assert len(moves.under_way) == 180
 
 
 async def test_waiting_moves_of_queues_do_not_hold_up_moves_of_channels() -> None:
     moves = Moves()
     await moves.begun(*[b"h"] * 50, is_queue=True)
-    moves.room.answered(b"h")
-    await moves.turns()
+    await moves.answered(b"h", times=MOVES_PER_DESTINATION)
     assert len(moves.under_way) == PARALLEL_QUEUE_MOVES
     await moves.begun(*[b"h"] * 50)
     assert len(moves.under_way) == MOVES_PER_DESTINATION

@@ -8,12 +8,14 @@ destinations continue.
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, nullcontext
 
-PARALLEL_MOVES = 28  # a host may have 32 moves under way; callers may use the other 4
-MOVES_PER_DESTINATION = 24
+PARALLEL_MOVES = 56  # a host may have 64 moves under way; callers may use the other 8
+MOVES_PER_DESTINATION = 48
 MOVES_AT_FIRST = 2  # the limit for a destination that has not taken over anything yet, because it may be frozen
+MOVES_PER_ANSWER = 2  # the limit rises by this with each move, so that the first copies do not all begin together
 PARALLEL_QUEUE_MOVES = 6  # a host may move 8 queues at the same time; calls of a queue wait while its host copies it
 
 
@@ -24,7 +26,7 @@ class DrainRoom:
         self._all = asyncio.Semaphore(PARALLEL_MOVES)
         self._queues = asyncio.Semaphore(PARALLEL_QUEUE_MOVES)
         self._to: dict[bytes, asyncio.Semaphore] = {}  # by destination
-        self._answering: set[bytes] = set()
+        self._raised: Counter[bytes] = Counter()  # by destination: the moves by which its limit has risen
 
     @asynccontextmanager
     async def taken(self, host_id: bytes, *, is_queue: bool) -> AsyncIterator[None]:
@@ -35,7 +37,7 @@ class DrainRoom:
 
     def answered(self, host_id: bytes) -> None:
         """Note that this host has taken something over: it may now have more moves under way."""
-        if host_id not in self._answering:
-            self._answering.add(host_id)
-            for _ in range(MOVES_PER_DESTINATION - MOVES_AT_FIRST):
-                self._to[host_id].release()
+        more = min(MOVES_PER_ANSWER, MOVES_PER_DESTINATION - MOVES_AT_FIRST - self._raised[host_id])
+        self._raised[host_id] += more
+        for _ in range(more):
+            self._to[host_id].release()
