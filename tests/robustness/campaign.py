@@ -212,7 +212,7 @@ class _Campaign:
             await fault(self._scene)
             for one in self._cluster.processes():
                 if not one.running:
-                    raise TimeoutError(f"{one.name} has ended: {one.last_words()!r}")
+                    raise TimeoutError(f"{one.name} has ended: {one.last_log_line()!r}")
             await self._cluster.all_serve()
         except (TimeoutError, OSError, FaultHadNoEffect, StampedeError, grpc.aio.AioRpcError) as error:
             what = "had no effect" if isinstance(error, FaultHadNoEffect) else "did not come back in time"

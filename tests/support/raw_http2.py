@@ -24,9 +24,8 @@ class RawConnection:
         self.greeted = asyncio.Event()  # the server has sent its settings
         self.streams_max = 0
         self._initial_bytes = INITIAL_WINDOW_BYTES
-        self._connection_bytes = (
-            INITIAL_WINDOW_BYTES  # the bytes that the caller may still send, on all streams together
-        )
+        # The bytes that the caller may still send, on all streams together.
+        self._connection_bytes = INITIAL_WINDOW_BYTES
         self._more_allowed = asyncio.Event()
         self._reader, self._writer = reader, writer
         self._next_stream = 1

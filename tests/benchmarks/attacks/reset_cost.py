@@ -44,7 +44,7 @@ def thread_seconds(pid: int) -> dict[int, float]:
 
 
 def measure(pid: int, target: str, seconds: float) -> Cost:
-    """One round."""
+    """Measure one round."""
     before = thread_seconds(pid)
     words = [sys.executable, "-m", "tests.benchmarks.attacks.reset_cost", AS_ATTACKER, target, str(seconds)]
     resets = int(subprocess.run(words, check=True, capture_output=True, text=True).stdout)

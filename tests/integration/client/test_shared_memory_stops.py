@@ -56,7 +56,7 @@ def heard(reader: subprocess.Popen[str]) -> tuple[int, int, int]:
     return seq, dropped, newest
 
 
-def proven(number: int) -> bytes:
+def checked_payload(number: int) -> bytes:
     """A large payload with a checksum."""
     import zlib
 
@@ -74,15 +74,15 @@ def test_a_stopped_reader_delays_no_other_caller_and_continues_at_its_position(
     name = f"stopped/reader/{held}"
     with st.connect(cluster.address, transport="shared") as rt:
         channel = rt.channel(name, max_items=held)
-        channel.put(proven(0))
+        channel.put(checked_payload(0))
         with reader_of(cluster, name) as reader:
             heard(reader)
             for number in (1, 2):
-                channel.put(proven(number))
+                channel.put(checked_payload(number))
             assert [heard(reader)[0] for _ in range(2)] == [2, 3]
             wait_until(lambda: not channel.stats().subscriptions)  # the reader follows the ring
             reader.send_signal(signal.SIGSTOP)
-            last = [channel.put(proven(number)) for number in range(40)][-1]
+            last = [channel.put(checked_payload(number)) for number in range(40)][-1]
             assert channel.newest().seq == last.seq == 43  # type: ignore[union-attr]
             reader.send_signal(signal.SIGCONT)
             seqs, dropped, newest = [3], 0, 0

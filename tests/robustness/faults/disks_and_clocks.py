@@ -40,7 +40,7 @@ async def full_disk(scene: Scene) -> None:
     ballast.unlink()
     if died:
         await victim.start()
-    note = f"it ended ({victim.last_words()[:120]!r}) and was started again" if died else "it went on"
+    note = f"it ended ({victim.last_log_line()[:120]!r}) and was started again" if died else "it went on"
     scene.ended("full disk", began, recovery, evidence="the disk had no free block", note=note)
 
 
@@ -81,7 +81,7 @@ async def _damaged(scene: Scene, victim: Supernode, spare: Path, harm: Callable[
     if chosen.read_bytes() == (spare / chosen.relative_to(victim.data_dir)).read_bytes():
         raise FaultHadNoEffect(f"{chosen.name} is as it was")
     started = await victim.start()
-    note = f"{what}: " + ("harmless, it serves" if started else f"refused: {victim.last_words()[:160]!r}")
+    note = f"{what}: " + ("harmless, it serves" if started else f"refused: {victim.last_log_line()[:160]!r}")
     await asyncio.sleep(2.0)  # if it serves wrong data, callers see them within this time
     if not started or not victim.running:
         await victim.end()

@@ -227,7 +227,7 @@ async def _read(scene: Scene, pinned: PinnedChannel) -> None:
 async def started(one: PlacedProcess) -> None:
     """Start the process. Raises TimeoutError."""
     if not await one.start():
-        raise TimeoutError(f"{one.name} did not start again: {one.last_words()!r}")
+        raise TimeoutError(f"{one.name} did not start again: {one.last_log_line()!r}")
 
 
 def _direct(scene: Scene, host: Host) -> grpc.aio.Channel:

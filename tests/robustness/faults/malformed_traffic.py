@@ -97,7 +97,7 @@ def _check_unharmed(victims: Sequence[PlacedProcess], canary: Path) -> None:
         raise AssertionError("a pickle that came from the network was loaded")
     for one in victims:
         if not one.running:
-            raise AssertionError(f"{one.name} ended because of bytes from the network: {one.last_words()!r}")
+            raise AssertionError(f"{one.name} ended because of bytes from the network: {one.last_log_line()!r}")
 
 
 def giant_frame() -> bytes:
@@ -201,7 +201,7 @@ async def _refused(channel: Any, method: str, payload: bytes) -> bool:
         async for _ in call:
             pass
     except grpc.aio.AioRpcError:
-        return True  # any refusal will do; the caller checks the rest
+        return True  # every refusal counts; the caller checks the rest
     return False
 
 

@@ -84,7 +84,7 @@ async def _join(scene: Scene) -> Supernode:
     try:
         await _command(scene, "join", *listen)
         if not await newcomer.start():
-            raise TimeoutError(f"{newcomer.name} ended instead of joining: {newcomer.last_words()!r}")
+            raise TimeoutError(f"{newcomer.name} ended instead of joining: {newcomer.last_log_line()!r}")
         scene.cluster.supernodes.append(newcomer)
         await serves(newcomer, time.monotonic() + PATIENCE_SECONDS)
     except BaseException:

@@ -19,7 +19,7 @@ assert quick  # the fixture of the other module, which pytest finds by this name
 
 
 def steal(world: World, thief: int, permits: list[bytes], epoch: int | None = None) -> None:
-    """Have a host ask for the channel, with each permit that it knows or can make. The directory must refuse all."""
+    """Let a host ask for the channel, with each permit that it knows or can make. The directory must refuse all."""
     epoch = epoch or world.record.epoch
     own = move_permit(key_of(thief), world.channel_id, epoch, id_of(thief))
     for permit in (b"", bytes(32), own, *permits):

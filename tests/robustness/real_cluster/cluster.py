@@ -252,7 +252,7 @@ async def _started(several: Sequence[PlacedProcess]) -> None:
     """Wait until all processes are ready. Raises OSError with the last log line of a process that ended instead."""
     for one, ready in zip(several, await asyncio.gather(*(one.start() for one in several)), strict=True):
         if not ready:
-            raise OSError(f"{one.name} did not start: {one.last_words()!r}")
+            raise OSError(f"{one.name} did not start: {one.last_log_line()!r}")
 
 
 async def serves(one: Supernode, deadline: float) -> None:
@@ -263,7 +263,7 @@ async def serves(one: Supernode, deadline: float) -> None:
             return
         except grpc.aio.AioRpcError:
             await asyncio.sleep(0.05)
-    raise TimeoutError(f"{one.name} does not serve; its last words: {one.last_words()!r}")
+    raise TimeoutError(f"{one.name} does not serve; its last log line: {one.last_log_line()!r}")
 
 
 @asynccontextmanager

@@ -114,7 +114,7 @@ class PlacedProcess:
         """Kill the process with SIGKILL, and wait for its end. Raises FaultHadNoEffect if it had ended by itself."""
         self.signal(signal.SIGKILL)
         if self._process is not None and await self.ended() != -signal.SIGKILL:
-            raise FaultHadNoEffect(f"{self.name} had ended before it was killed: {self.last_words()!r}")
+            raise FaultHadNoEffect(f"{self.name} had ended before it was killed: {self.last_log_line()!r}")
 
     async def freeze(self) -> None:
         """Stop the process with SIGSTOP, and wait until the kernel shows it as stopped.
@@ -136,7 +136,7 @@ class PlacedProcess:
         """The state letter of the process, see proc(5)."""
         return Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()[0]
 
-    def last_words(self) -> str:
+    def last_log_line(self) -> str:
         """Its last log line, without the name of its folder."""
         lines = self.log_file.read_text(errors="replace").splitlines() if self.log_file.exists() else []
         return lines[-1].replace(f"{self.data_dir}/", "") if lines else ""

@@ -52,7 +52,7 @@ class RunResult:
     server_cores: tuple[float, ...] = ()
 
 
-def share(ordered: array[int] | list[int], part: float) -> float:
+def percentile(ordered: array[int] | list[int], part: float) -> float:
     """Return the value below which `part` of the ordered values are, in microseconds; 0 without values."""
     return ordered[min(len(ordered) - 1, int(part * len(ordered)))] / NANOS_PER_US if len(ordered) else 0.0
 
@@ -134,16 +134,16 @@ def _with_times(
 ) -> RunResult:
     """Return `measured` with the times and the share of lost items. A frame that takes over a second counts as lost."""
     together = sorted(nanos for one in by_process for nanos in one)
-    worst = max((share(sorted(one), 0.99) for one in by_process), default=0.0)
+    worst = max((percentile(sorted(one), 0.99) for one in by_process), default=0.0)
     expected = progress.published() * workload.readers
     late = sum(nanos > LATE_NANOS for nanos in together) if workload.kind == "frames" else 0
     lost = 0.0 if workload.is_operation else max(0.0, 1 - (progress.received_by_all() - late) / expected)
     return replace(
         measured,
         lost_share=lost,
-        p50_us=share(together, 0.5),
-        p99_us=worst if workload.kind == "frames" else share(together, 0.99),
-        p999_us=share(together, 0.999),
+        p50_us=percentile(together, 0.5),
+        p99_us=worst if workload.kind == "frames" else percentile(together, 0.99),
+        p999_us=percentile(together, 0.999),
     )
 
 
@@ -185,11 +185,11 @@ class _Team:
         progress, workload = self._assignment.progress, self._assignment.workload
         progress.stop_publishing()
         publisher = [] if workload.is_operation else [self._accept(self._members[0][1])]
-        received, moved_s = progress.received_by_all(), time.monotonic()
-        while received < progress.published() * workload.readers and time.monotonic() - moved_s < DRAIN_SECONDS:
+        received, last_received_s = progress.received_by_all(), time.monotonic()
+        while received < progress.published() * workload.readers and time.monotonic() - last_received_s < DRAIN_SECONDS:
             time.sleep(0.01)
             if progress.received_by_all() > received:
-                received, moved_s = progress.received_by_all(), time.monotonic()
+                received, last_received_s = progress.received_by_all(), time.monotonic()
         progress.end()
         return publisher + [self._accept(results) for _, results in self._members[len(publisher) :]]
 

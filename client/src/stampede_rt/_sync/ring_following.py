@@ -74,7 +74,7 @@ class RingFollower:
 
         `for_batch`: the program takes all items of the runs together.
         """
-        self._measure(monotonic_s())
+        self._adapt_slots_max(monotonic_s())
         if for_batch:
             self._slots_max = BATCH_SLOTS_MAX
         changes = self.mapping.view.words[CHANGES_WORD]
@@ -88,7 +88,7 @@ class RingFollower:
             return ASK_HOST
         return ()
 
-    def _measure(self, now_s: float) -> None:
+    def _adapt_slots_max(self, now_s: float) -> None:
         """Let a fast reader take twice as many slots as in its last step. A slow reader takes one."""
         is_fast = now_s - self._stepped_s < WINDOW_AGE_S
         self._slots_max = min(2 * self._slots_max, SLOTS_MAX) if is_fast else 1

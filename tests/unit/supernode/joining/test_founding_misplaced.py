@@ -84,7 +84,7 @@ async def test_the_error_names_a_missing_data_dir_as_soon_as_another_member_call
         while "expects its member b here" not in printed:
             await status_has(founder.address, "supernode-1 is there")
             printed += capfd.readouterr().err
-        assert "start it with that member's --data-dir" in printed
+        assert "start it with the --data-dir of that member" in printed
     finally:
         for one in (founder, other):
             if one is not None:

@@ -182,7 +182,7 @@ class RaftServicer:
         `peer`: the caller's address.
         """
         if refusal is not None and OTHER_CLUSTER in refusal.why:
-            self._tell_of_another_cluster(hello)
+            self._log_other_cluster(hello)
         if refusal is None or not (ANOTHER_STORE in refusal.why or OLDER_STORE in refusal.why):
             self._refused.pop(hello.member_id, None)
             return
@@ -197,13 +197,14 @@ class RaftServicer:
             advice = "remove it (stampede supernode remove), and join under a new id"
         logger.warning("refused a caller at %s: %s; %s", peer, refusal.why, advice, extra={"event": "member_refused"})
 
-    def _tell_of_another_cluster(self, hello: pb.RaftHello) -> None:
+    def _log_other_cluster(self, hello: pb.RaftHello) -> None:
         """Log that a member of another cluster calls. For example, this member was started without its folder."""
         own = self._settings.self_member.member_id
         if self._reports.is_due((hello.member_id, hello.cluster_id), time.monotonic()):
             logger.warning(
                 "member %s of another cluster (%s) calls this address, and expects its member %s here. This is %s of "
-                "cluster %s: if it was meant to be that member, stop it, and start it with that member's --data-dir",
+                "cluster %s: if this supernode should be that member, stop this one, and start it with the --data-dir "
+                "of that member",
                 *(hello.member_id, hello.cluster_id, hello.peer_member_id, own, self._settings.cluster_id),
                 extra={"event": "other_cluster_member"},
             )

@@ -43,9 +43,8 @@ class Digests:
         # replica's digest there.
         self.answer: StateDigest = NO_DIGEST
         self._own: dict[int, bytes] = {}  # by position, ascending
-        self._leaders_digest: StateDigest | None = (
-            None  # the leader's digest at a position that this replica has yet to reach
-        )
+        # The leader's digest at a position that this replica has yet to reach.
+        self._leaders_digest: StateDigest | None = None
 
     def note(self, index: int, digest: bytes) -> None:
         """Note the digest of this replica after all entries up to `index`."""
@@ -61,7 +60,7 @@ class Digests:
 
         If this replica has not reached `index` yet, it compares them when it gets there. It keeps one such digest, and
         ignores others meanwhile. It also ignores a position whose digest it no longer has. If its own digest at its
-        last position is unknown, it takes over the leader's.
+        last position is unknown, it takes over the leader's digest.
         """
         own = self._own.get(index)
         last = next(reversed(self._own), 0)
