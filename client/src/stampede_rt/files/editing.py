@@ -16,6 +16,7 @@ from stampede_rt.files.file_tally import DAMAGED, FileTally
 from stampede_rt.files.framing import Damage
 from stampede_rt.files.interval_filter import IntervalFilter
 from stampede_rt.files.reading import FileReader
+from stampede_rt.files.seq_ranges import SeqRanges
 from stampede_rt.files.summaries import SUMMARY_NAME, summary_fields, summary_of
 from stampede_rt.files.writing import FileWriter, replacing
 from stampede_rt.values.recording import RecordingGap, RecordingSummary
@@ -96,9 +97,22 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str], *, ove
                 "no file was written"
             )
         with replacing(output, overwrite=overwrite) as writer:
-            report = _walk(reader, writer_of(writer), lambda _: None)
+            report = _walk(reader, writer_of(writer), lambda _: None, _Repeated())
             finish_with(writer, report.summary)
     return report
+
+
+class _Repeated:
+    """Tells whether an item has come already. A faulty copy of a file may have a chunk twice."""
+
+    def __init__(self) -> None:
+        self._seqs: dict[tuple[str, int], SeqRanges] = {}
+
+    def __call__(self, event: Event) -> bool:
+        if not isinstance(event, FileEntry) or event.seq is None or event.topic.incarnation is None:
+            return False
+        seqs = self._seqs.setdefault((event.topic.name, event.topic.incarnation), SeqRanges())
+        return not seqs.add(event.seq)
 
 
 def _has_content(reader: FileReader) -> bool:
@@ -142,9 +156,15 @@ def finish_with(writer: FileWriter, summary: RecordingSummary) -> None:
 
 
 def _walk(
-    reader: FileReader, take: Callable[[Event | Attachment | Metadata], None], on_bytes: Callable[[int], object]
+    reader: FileReader,
+    take: Callable[[Event | Attachment | Metadata], None],
+    on_bytes: Callable[[int], object],
+    is_repeated: Callable[[Event], bool] = lambda _: False,
 ) -> FileReport:
-    """Read a file to its end, and pass what it holds to `take`, with the gaps that damage has made."""
+    """Read a file to its end, and pass what it holds to `take`, with the gaps that damage has made.
+
+    Leaves out the events that are repeated.
+    """
     tally, damaged_bytes, unknown, last = FileTally(), 0, 0, None
     damages: list[Damage] = []
     for part in reader.contents():
@@ -156,6 +176,8 @@ def _walk(
         elif isinstance(part, ChunkContent):
             unknown += part.unknown
             for event in part.events():
+                if is_repeated(event):
+                    continue
                 for gap in tally.add(event):
                     take(gap)
                 take(event)

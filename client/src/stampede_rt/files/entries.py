@@ -19,6 +19,7 @@ FACTS_TOPIC = "stampede/facts"
 FACTS_VERSION = 1
 INCARNATION_KEY = "stampede.incarnation"  # in the metadata of a topic
 POLICY_KEY = "stampede.policy"
+SEQUENCE_MASK = 2**32 - 1  # MCAP has the lower 32 bits of a seq
 TIME_MAX = 2**64 - 1  # the greatest time in MCAP, in nanoseconds
 _CONTENT_TYPES = {"json": "application/json", "protobuf": "application/x-protobuf", "": ""}
 _ENCODINGS = {"application/json": "json", "application/x-protobuf": "", "": "application/octet-stream"}
@@ -94,7 +95,7 @@ def item_entry(topic: Topic, item: Item) -> FileEntry:
     """Return an item as a message. The message's times in MCAP are the item's time, if MCAP can express it."""
     shown = min(max(item.time, 0), TIME_MAX)
     return FileEntry(
-        topic, shown, shown, item.seq & 0xFFFFFFFF, item.payload or b"", item.seq, item.time, item.duration,
+        topic, shown, shown, item.seq & SEQUENCE_MASK, item.payload or b"", item.seq, item.time, item.duration,
         item.attributes, item.content_type,
     )  # fmt: skip
 
@@ -181,10 +182,14 @@ class ItemFacts(NamedTuple):
 
 @dataclass(slots=True)
 class ReadFacts:
-    """The facts of one chunk, as read. `of` gives the facts of the next message of a topic."""
+    """The facts of one chunk, as read. `of` gives the facts of the next message of a topic.
+
+    `unnamed` messages of the chunk are of topics that the file does not name. `of` skips at most as many facts.
+    """
 
     gaps: list[RecordingGap] = field(default_factory=list)
     advances: list[FileAdvance] = field(default_factory=list)
+    unnamed: int = 0
     _runs: dict[tuple[str, int], Iterator[ItemFacts]] = field(default_factory=dict)
 
     @classmethod
@@ -213,7 +218,9 @@ class ReadFacts:
         if topic.incarnation is None or (facts := self._runs.get((topic.name, topic.incarnation))) is None:
             return None
         found = next(facts, None)
-        if found is None or found.seq & 0xFFFFFFFF != sequence:  # another program has moved messages
+        while found is not None and found.seq & SEQUENCE_MASK != sequence and self.unnamed:
+            found, self.unnamed = next(facts, None), self.unnamed - 1
+        if found is None or found.seq & SEQUENCE_MASK != sequence:  # another program has moved messages
             self._runs.pop((topic.name, topic.incarnation), None)
             return None
         return found

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
-from stampede_rt.files.chunk_content import Event
+from stampede_rt.files.chunk_content import Event, IncarnationKey
 from stampede_rt.files.entries import TIME_MAX, FileAdvance, FileEntry
 from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.timeline import MAX_INSTANT
+
+
+class _Place(NamedTuple):
+    """The place of an item."""
+
+    seq: int | None
+    time: int
 
 
 class IntervalFilter:
@@ -23,7 +30,8 @@ class IntervalFilter:
         """`end`: exclusive; MAX_INSTANT: no end, because files of other programs may have later times."""
         self._start, self._end = start, end if end < MAX_INSTANT else TIME_MAX + 1
         self._chosen, self._take = chosen, take
-        self._before: dict[tuple[str, int | None], int] = {}  # the time of a channel's last item
+        self._first: dict[IncarnationKey, _Place] = {}
+        self._before: dict[IncarnationKey, _Place] = {}  # the last item of a channel
         self._waiting: dict[str, dict[int | None, list[RecordingGap | FileAdvance]]] = {}
 
     def add(self, event: Event) -> None:
@@ -36,7 +44,8 @@ class IntervalFilter:
             for incarnation in list(self._waiting.get(name, ())):
                 # an item of the next incarnation ends the former one
                 self._settle((name, incarnation), event.time if incarnation == key[1] else None)
-            self._before[key] = event.time
+            self._before[key] = place = _Place(event.seq, event.time)
+            self._first.setdefault(key, place)
             if self._start <= event.time < self._end:
                 self._take(event)
             return
@@ -48,18 +57,22 @@ class IntervalFilter:
         elif event.time < self._end:
             self._take(event)
 
-    def _settle(self, key: tuple[str, int | None], next_time: int | None) -> None:
+    def _settle(self, key: IncarnationKey, next_time: int | None) -> None:
         for event in self._waiting.get(key[0], {}).pop(key[1], ()):
             if isinstance(event, FileAdvance):
                 inside = event.time < self._end
             else:
-                inside = self._is_inside(event, self._before.get(key), next_time)
+                inside = self._is_inside(event, key, next_time)
             if inside:
                 self._take(event)
 
-    def _is_inside(self, gap: RecordingGap, before: int | None, next_time: int | None) -> bool:
+    def _is_inside(self, gap: RecordingGap, key: IncarnationKey, next_time: int | None) -> bool:
+        before, first = self._before.get(key), self._first.get(key)
+        before_time = None if before is None else before.time
+        if _precedes(gap, before):  # a recovered file names the items before the first one at its end
+            before_time, next_time = None, first.time if _precedes(gap, first) and first is not None else None
         ends = [one for one in (gap.end, next_time) if one is not None]
-        begins = [one for one in (gap.start, before) if one is not None]
+        begins = [one for one in (gap.start, before_time) if one is not None]
         return (not ends or max(ends) >= self._start) and (not begins or min(begins) < self._end)
 
     def finish(self) -> None:
@@ -67,3 +80,8 @@ class IntervalFilter:
         for name, waiting in self._waiting.items():
             for incarnation in list(waiting):
                 self._settle((name, incarnation), None)
+
+
+def _precedes(gap: RecordingGap, item: _Place | None) -> bool:
+    """Whether the items of a gap came before an item."""
+    return item is not None and item.seq is not None and gap.last_seq is not None and gap.last_seq < item.seq

@@ -6,34 +6,28 @@ messages of channels of Stampede RT, with the names of these channels.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
-from typing import NamedTuple
+from collections.abc import Collection, Mapping, Sequence
 
-from stampede_rt.files.entries import FACTS_TOPIC, FACTS_VERSION, Topic, encoding_of
+from stampede_rt.files.entries import FACTS_TOPIC, FACTS_VERSION, SEQUENCE_MASK, Topic, encoding_of
 from stampede_rt.files.json_text import read_json
 from stampede_rt.values.recording import incarnation_of, whole_number
 
 
-class UnnamedMessages(NamedTuple):
-    """The messages of a chunk whose topic the file does not name, under one `number`."""
-
-    number: int
-    first_sequence: int
-    messages: int
-
-
-def topics_of(unnamed: Iterable[UnnamedMessages], facts: bytes, named: Collection[Topic]) -> dict[int, Topic]:
+def topics_of(
+    unnamed: Mapping[int, Sequence[int]], named: Mapping[tuple[str, int | None], Collection[int]], facts: bytes
+) -> dict[int, Topic]:
     """Return the topics by their numbers, as far as the `facts` of the chunk name them.
 
-    `unnamed`: in the order of their first messages, without the message of the facts. `named`: the topics that the file
-    names. Messages of other programs have no facts, so their topics are not found.
+    `unnamed` has for each number of a topic that the file does not name the sequences of its messages in the chunk, in
+    the order of the first messages. `named` has the sequences of the other messages of the chunk by the name and the
+    incarnation of their topics. Messages of other programs have no facts, so their topics are not found.
     """
-    known = {(one.name, one.incarnation) for one in named}
-    runs = [one for one in _runs_of(facts) if (one.topic.name, one.topic.incarnation) not in known]
-    found: dict[int, Topic] = {}
-    for one in unnamed:  # the runs have the same order
-        if runs and (runs[0].first_seq & 0xFFFFFFFF, runs[0].items) == (one.first_sequence, one.messages):
-            found[one.number] = runs.pop(0).topic
+    runs, found = _runs_of(unnamed, named, facts), {}
+    for number, sequences in unnamed.items():  # the runs have the same order
+        topic = next((one for one, candidates in runs.items() if candidates == [*sequences]), None)
+        if topic is not None:
+            found[number] = topic
+            del runs[topic]
     return found
 
 
@@ -51,21 +45,27 @@ def is_facts(data: bytes) -> bool:
     return isinstance(value, dict) and value.get("version") == FACTS_VERSION and {"runs", "gaps"} <= value.keys()
 
 
-class _RunsOfTopic(NamedTuple):
-    topic: Topic
-    first_seq: int
-    items: int
+def _runs_of(
+    unnamed: Mapping[int, Sequence[int]], named: Mapping[tuple[str, int | None], Collection[int]], facts: bytes
+) -> dict[Topic, list[int]]:
+    """Return for each topic of the facts the sequences of its messages that are not `named`; none if they are damaged.
 
-
-def _runs_of(facts: bytes) -> list[_RunsOfTopic]:
-    """Return the topics of the facts with their items, in the order of their first items; none if they are damaged."""
-    found: dict[tuple[str, int], _RunsOfTopic] = {}
+    The topics have the order of their first items. A channel has a topic for each of its content types.
+    """
+    found: dict[Topic, list[int]] = {}
+    most = sum(map(len, unnamed.values())) + sum(map(len, named.values()))
     try:
         for run in read_json(facts)["runs"]:
             name, incarnation = str(run["topic"]), incarnation_of(run["incarnation"])
-            topic = Topic(name, encoding_of(str(run["content_type"])), incarnation)
-            first = found.setdefault((name, incarnation), _RunsOfTopic(topic, whole_number(run["first_seq"]), 0))
-            found[name, incarnation] = first._replace(items=first.items + whole_number(run["count"]))
+            first_seq, count = whole_number(run["first_seq"]), whole_number(run["count"])
+            if count > most:  # more items than the chunk has messages
+                return {}
+            known = named.get((name, incarnation), ())
+            sequences = ((first_seq + at) & SEQUENCE_MASK for at in range(count))
+            if rest := [one for one in sequences if one not in known]:
+                topic = Topic(name, encoding_of(str(run["content_type"])), incarnation)
+                found.setdefault(topic, []).extend(rest)
+                most -= len(rest)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return []
-    return [*found.values()]
+        return {}
+    return found

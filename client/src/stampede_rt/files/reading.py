@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -36,7 +35,7 @@ from stampede_rt.files.entries import (
 )
 from stampede_rt.files.framing import MAGIC, Damage, RecordFile, RecordFrame
 from stampede_rt.files.indexed_frames import has_records_beside, indexed_frames
-from stampede_rt.files.named_by_facts import UnnamedMessages, facts_topic, is_facts, topics_of
+from stampede_rt.files.named_by_facts import facts_topic, is_facts, topics_of
 from stampede_rt.files.summaries import SUMMARY_NAME, summary_of
 from stampede_rt.values.recording import RecordingSummary, incarnation_of
 
@@ -211,6 +210,7 @@ class FileReader:
         except ValueError as error:
             raise FileError(f"the chunk at byte {frame.offset} of {self.path!r} is damaged: {error}") from error
         content.gaps, content.advances = facts.gaps, facts.advances
+        facts.unnamed = sum(self._topic_of(one.channel_id) is None for one in messages)
         for message in messages:
             if self._is_facts(message):
                 continue
@@ -233,10 +233,16 @@ class FileReader:
             self._topics[last.channel_id] = facts_topic()
             self._facts_ids.add(last.channel_id)
         if last.channel_id in self._facts_ids:
-            counts = Counter(one.channel_id for one in unnamed if one.channel_id != last.channel_id)
-            firsts = {one.channel_id: one.sequence for one in reversed(unnamed)}
-            found = [UnnamedMessages(number, firsts[number], count) for number, count in counts.items()]
-            self._topics |= topics_of(found, last.data, self._topics.values())
+            sequences: dict[int, list[int]] = {}
+            named: dict[IncarnationKey, set[int]] = {}
+            for one in messages[:-1]:
+                if (topic := self._topic_of(one.channel_id)) is None:
+                    sequences.setdefault(one.channel_id, []).append(one.sequence)
+                else:
+                    named.setdefault((topic.name, topic.incarnation), set()).add(one.sequence)
+            for number, topic in topics_of(sequences, named, last.data).items():
+                self._topics[number] = topic
+                self._place(number, topic)
 
     def _is_facts(self, message: Message) -> bool:
         if message.channel_id not in self._topics:

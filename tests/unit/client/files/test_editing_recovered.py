@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,8 @@ from stampede_rt.files.entries import POLICY_KEY, FileEntry, Topic, item_entry
 from stampede_rt.files.merging import merge
 from stampede_rt.files.reading import FileReader
 from stampede_rt.files.sources import McapSource
-from tests.support.files.recordings import INCARNATION, entries, item, read, seqs_of, write
+from stampede_rt.values.recording import RecordingGap
+from tests.support.files.recordings import INCARNATION, MS, START, entries, item, read, seqs_of, write
 
 ITEMS = range(1, 31)
 FOREIGN = FileEntry(Topic("/tf", "ros1"), 5, 5, 0, b"transform", None, 5, None, {}, "")
@@ -173,3 +175,41 @@ def test_a_policy_is_lost_only_if_both_its_chunk_and_the_end_of_the_file_are(tmp
     [found] = source.topics(lambda _: True)
     source.close()
     assert found.policy == ({"max_items": 7} if has_end else {})
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_a_cut_of_the_beginning_keeps_the_gap_of_a_damaged_first_chunk(tmp_path: Path, finished: bool) -> None:
+    """The recovered file names this gap in its last chunk."""
+    path, saved = tmp_path / "a.mcap", tmp_path / "saved.mcap"
+    write(path, entries("cam", range(1, 13), random.Random(1).randbytes(400_000)), finish=finished)
+    recover(damaged(path, middle(chunks_of(path)[0])), saved)
+    assert len(chunks_of(saved)) == 5
+    source = McapSource(saved)
+    for start, end, gaps in ((0, 5, [2]), (0, 2, [2]), (4, 6, []), (12, 20, [])):
+        within = {"start": START + start * MS, "end": START + end * MS}
+        part = cut(saved, tmp_path / "part.mcap", overwrite=True, **within)
+        assert [one.last_seq for counts in part.channels for one in counts.gaps if one.last_seq] == gaps
+        events = [event for _, event in source.events(lambda _: True, *within.values())]
+        assert [one.last_seq for one in events if isinstance(one, RecordingGap) and one.last_seq] == gaps
+    source.close()
+
+
+def test_items_keep_their_facts_although_the_names_of_other_topics_of_their_channel_are_damaged(tmp_path: Path) -> None:
+    """A channel has a topic for each content type of its items."""
+    kinds = ["text/plain", "application/json", "text/plain", "image/png", "application/json"] * 6
+    items = [
+        item(seq, b"%d" % seq, duration=seq, content_type=kind, n=str(seq)) for seq, kind in enumerate(kinds, 2**32 - 9)
+    ]
+    events = [item_entry(Topic("cam", one.content_type, INCARNATION), one) for one in items]
+    path, saved = write(tmp_path / "a.mcap", events, chunk_items=3, finish=False), tmp_path / "saved.mcap"
+    recover(damaged(path, middle(chunks_of(path)[0])), saved)
+    found = [one.to_item() for one in read(saved)[0] if isinstance(one, FileEntry)]
+    assert [one._replace(end=None) for one in found] == items[3:]
+
+
+def test_a_chunk_that_a_faulty_copy_has_twice_is_recovered_once(whole: Path, tmp_path: Path) -> None:
+    content, (begin, end) = whole.read_bytes(), chunks_of(whole)[1]
+    (tmp_path / "twice.mcap").write_bytes(content[:end] + content[begin:])
+    assert not verify(tmp_path / "twice.mcap").intact
+    assert recover(tmp_path / "twice.mcap", tmp_path / "saved.mcap").summary.recorded == 61
+    assert seqs_of(read(tmp_path / "saved.mcap")[0]) == [*ITEMS]
