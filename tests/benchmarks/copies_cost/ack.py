@@ -21,7 +21,7 @@ SECONDS = 2.0
 LATENCY_GOAL, RATE_GOAL = 1.6, 0.7
 REPLICATED: dict[str, Any] = {"replicas": 1, "ack": "replica"}
 ITEMS_MAX = 20_000
-QUEUED = 200  # puts into a queue, before a taker empties it
+QUEUED = 1000  # puts into a queue, before a taker empties it
 
 
 def measure(rounds: int) -> Table:
