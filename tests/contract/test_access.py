@@ -37,19 +37,19 @@ def operator(cluster: LocalCluster) -> Iterator[Operator]:
 class Scene:
     """A client to which rules apply (`rt`), one to which they do not (`own`), and the things that they use.
 
-    `proves`: returns the arguments of a connection for a caller of that name; "": for a caller without rules.
+    `credentials_of`: returns the arguments of a connection for a caller of that name; "": for a caller without rules.
     """
 
     operator: Operator
     rig: Rig
-    proves: Callable[[str], dict[str, Any]]
+    credentials_of: Callable[[str], dict[str, Any]]
     who: str = field(default_factory=lambda: f"contract-{next(numbers)}")
     own: Any = None
     rt: Any = None
     _other: Any = None
 
     async def connect(self, who: str = "", **named: Any) -> Any:
-        return await self.rig.connect(**await asyncio.to_thread(self.proves, who), **named)
+        return await self.rig.connect(**await asyncio.to_thread(self.credentials_of, who), **named)
 
     async def prepare(self) -> None:
         self.own, self.rt = await self.connect(), await self.connect(self.who)
@@ -91,14 +91,16 @@ class Scene:
 
 
 @asynccontextmanager
-async def prepared(client: str, operator: Operator, proves: Callable[[str], dict[str, Any]]) -> AsyncIterator[Scene]:
+async def prepared(
+    client: str, operator: Operator, credentials_of: Callable[[str], dict[str, Any]]
+) -> AsyncIterator[Scene]:
     """Yield a scene for the `client` "aio" or "sync". At the end remove its rules.
 
     All parts of the cluster get all rules after each change. So rules of earlier tests would slow down the later ones.
     """
     with ThreadPoolExecutor(16) as pool:
         rig = Rig(operator.cluster.address, pool if client == "sync" else None)
-        scene = Scene(operator, rig, proves)
+        scene = Scene(operator, rig, credentials_of)
         await scene.prepare()
         yield scene
         for connection in rig.connections:

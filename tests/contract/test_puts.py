@@ -33,7 +33,7 @@ async def test_a_put_stamped_by_the_host_is_accepted_after_an_advance_into_the_f
     assert (await channel.put(b"stamped")).time == ahead
 
 
-async def test_a_put_behind_an_advance_is_too_old(surface: Surface) -> None:
+async def test_a_put_earlier_than_an_advance_is_too_old(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     time = st.now() - SECOND
     assert await channel.advance(time) == time

@@ -14,7 +14,7 @@ from stampede_rt.values.balancing import DIFFERENCE_PERMILLE_MIN
 from stampede_rt.values.model import HostInfo
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceProcess
-from tests.integration.proxies.readers import all_saw, eventually, passes, produced, reading
+from tests.integration.proxies.readers import all_saw, eventually, produced, reading, wait_for_puts
 from tests.support.cluster import acting_as_operator, cluster_fixture
 
 cluster = cluster_fixture(hosts=2, supernodes=1)
@@ -93,7 +93,7 @@ def test_a_stopping_host_moves_its_channels_away_under_load(cluster: LocalCluste
             with produced(channel) as producing, reading(channel, 2) as readers:
                 leaving.ask_to_stop()
                 eventually(lambda: hosts_of(rt, [channel.name]) != {"leaving"}, "the channel has gone")
-                passes(producing, 50)
+                wait_for_puts(producing, 50)
                 last = producing.stop()
                 end = channel.put(b"end")
                 all_saw(readers, end.seq)

@@ -139,7 +139,7 @@ def all_saw(readers: list[BackgroundReader], last: int) -> None:
         assert reader.seqs == [*range(reader.seqs[0], last + 1)]
 
 
-def passes(producing: BackgroundProducer, items: int) -> None:
+def wait_for_puts(producing: BackgroundProducer, items: int) -> None:
     """Wait until the producer has put this many further items."""
     goal = producing.last + items
     wait_until(lambda: producing.last >= goal, f"{items} further items")

@@ -10,7 +10,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from tests.integration.proxies.readers import eventually, passes, produced, reading
+from tests.integration.proxies.readers import eventually, produced, reading, wait_for_puts
 from tests.support.cluster import cluster_fixture
 
 cluster = cluster_fixture(hosts=3, supernodes=1)
@@ -70,13 +70,13 @@ def test_a_read_at_a_later_cut_than_the_proxy_knows_goes_to_the_owner(rt: Any) -
 def test_subscriptions_through_a_group_move_to_proxies_without_gaps_or_duplicates(rt: Any) -> None:
     pair = Pair(rt)
     with produced(pair.first) as producing, produced(pair.second), reading(pair.group[pair.first], 6) as readers:
-        passes(producing, 50)
+        wait_for_puts(producing, 50)
         rt.proxy(pair.first, "h3")
         eventually(lambda: all(one.subscriptions for one in rt.proxies(pair.first)), "readers have moved there")
-        passes(producing, 100)
+        wait_for_puts(producing, 100)
         rt.remove_proxy(pair.first, "h2")
         eventually(lambda: len(rt.proxies(pair.first)) == 1, "one proxy is left")
-        passes(producing, 100)
+        wait_for_puts(producing, 100)
         goal = producing.last - 20
         eventually(lambda: all(one.last >= goal for one in readers), "all readers have read further")
     for reader in readers:

@@ -13,7 +13,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceProcess
-from tests.integration.proxies.readers import all_saw, eventually, passes, produced, reading
+from tests.integration.proxies.readers import all_saw, eventually, produced, reading, wait_for_puts
 from tests.support.cluster import cluster_fixture
 from tests.support.cutting_relay import CUTS
 from tests.support.relayed_cluster import running_relayed_cluster
@@ -46,7 +46,7 @@ def test_readers_of_a_killed_proxy_continue_at_the_owner(cluster: LocalCluster) 
         with reading(channel, 6) as readers, produced(channel) as producing:
             eventually(lambda: has_readers(rt, channel, "h2"), "some readers are at the proxy")
             cluster.hosts[1].kill()
-            passes(producing, 100)
+            wait_for_puts(producing, 100)
             all_saw(readers, producing.stop())
             eventually(lambda: rt.proxies(channel) == [], "the directory no longer lists the proxy")
             assert channel.stats().subscriptions == 6
@@ -59,7 +59,7 @@ def test_readers_of_a_frozen_proxy_continue_at_the_owner(cluster: LocalCluster) 
         with reading(channel, 4) as readers, produced(channel) as producing:
             eventually(lambda: has_readers(rt, channel, "h2"), "some readers are at the proxy")
             with frozen(cluster.hosts[1]):
-                passes(producing, 100)
+                wait_for_puts(producing, 100)
                 eventually(lambda: channel.stats().subscriptions == 4, "all readers are at the owner")
                 all_saw(readers, producing.stop())
 
@@ -80,7 +80,7 @@ def test_a_proxy_serves_its_readers_while_the_owner_is_frozen(cluster: LocalClus
                     "the readers have the first item, and wait",
                 )
             with produced(channel) as producing:
-                passes(producing, 50)
+                wait_for_puts(producing, 50)
                 all_saw(readers, producing.stop())
             eventually(lambda: rt.proxies(channel)[0].ready, "the proxy serves readers")
 
@@ -120,9 +120,9 @@ def test_a_proxy_continues_after_a_broken_link(transport: str) -> None:
         with reading(channel, 4) as readers, produced(channel) as producing:
             eventually(lambda: has_readers(rt, channel, "h1"), "some readers are at the proxy")
             for how in CUTS:
-                passes(producing, 30)
+                wait_for_puts(producing, 30)
                 relayed.relay.cut(how)
-            passes(producing, 30)
+            wait_for_puts(producing, 30)
             all_saw(readers, producing.stop())
             eventually(lambda: rt.proxies(channel)[0].reconnects >= 1, "the feed was opened again")
             over_tcp = any("transport=tcp" in line for line in relayed.cluster.hosts[0].last_lines)

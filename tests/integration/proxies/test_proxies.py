@@ -11,7 +11,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from tests.integration.proxies.readers import all_saw, eventually, passes, produced, reading
+from tests.integration.proxies.readers import all_saw, eventually, produced, reading, wait_for_puts
 from tests.support.cluster import cluster_fixture
 
 cluster = cluster_fixture(hosts=3, supernodes=1)
@@ -107,10 +107,10 @@ def test_a_subscription_that_wants_the_owner_stays_there(rt: Any, channel: Any) 
 def test_no_reader_misses_or_repeats_an_item_while_proxies_are_added_and_removed(rt: Any, channel: Any) -> None:
     with reading(channel, 8) as readers, produced(channel) as producing:
         for host in ("h2", "h3", "h2"):
-            passes(producing, 30)
+            wait_for_puts(producing, 30)
             rt.proxy(channel, host)
             eventually(lambda: all(one.subscriptions for one in rt.proxies(channel)), "readers have moved there")
-            passes(producing, 30)
+            wait_for_puts(producing, 30)
             rt.remove_proxy(channel, host)
             eventually(lambda: channel.stats().subscriptions == 8, "all readers are back at the owner")
         all_saw(readers, producing.stop())
@@ -121,14 +121,14 @@ def test_a_chain_of_proxies_continues_when_its_middle_ends(rt: Any, channel: Any
         rt.proxy(channel, "h2")
         assert rt.proxy(channel, "h3", source="h2").source == "h2"
         with reading(channel, 6) as readers:
-            passes(producing, 50)
+            wait_for_puts(producing, 50)
             rt.remove_proxy(channel, "h2")
             eventually(
                 lambda: [(one.host, one.source) for one in rt.proxies(channel)] == [("h3", "h1")],
                 "h1 feeds the proxy at h3",
             )
             eventually(lambda: rt.proxies(channel)[0].ready, "the proxy serves readers again")
-            passes(producing, 50)
+            wait_for_puts(producing, 50)
             all_saw(readers, producing.stop())
 
 

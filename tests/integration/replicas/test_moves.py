@@ -9,7 +9,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt.cli.commands import run
 from stampede_rt_local.cluster import LocalCluster
-from tests.integration.proxies.readers import all_saw, eventually, passes, produced, reading
+from tests.integration.proxies.readers import all_saw, eventually, produced, reading, wait_for_puts
 from tests.integration.replicas.test_replicas import holds_all, in_sync, opened, owner_of
 from tests.support.cluster import cluster_fixture, drained
 
@@ -31,20 +31,20 @@ def test_a_channel_with_a_replica_moves_under_load_and_survives_the_loss_of_its_
         incarnation, (replica,) = channel.incarnation, names_in_sync(rt, channel)
         without_copy = ({"h2", "h3"} - {replica}).pop()
         with reading(channel, 2) as readers, produced(channel) as producing:
-            passes(producing, 50)
+            wait_for_puts(producing, 50)
             rt.move(channel, replica)
             assert owner_of(rt, channel) == replica
             eventually(lambda: names_in_sync(rt, channel) == ["h1"], "the former owner has taken the replica's place")
-            passes(producing, 50)
+            wait_for_puts(producing, 50)
             rt.move(channel, without_copy)
             eventually(lambda: names_in_sync(rt, channel) == ["h1"], "the replica stays")
-            passes(producing, 50)
+            wait_for_puts(producing, 50)
             rt.move(channel, "h1")
             eventually(lambda: names_in_sync(rt, channel) == [without_copy], "the two hosts have changed places")
-            passes(producing, 50)
+            wait_for_puts(producing, 50)
             assert channel.put(b"x").copies == 2
             cluster.hosts[0].kill()
-            passes(producing, 50)
+            wait_for_puts(producing, 50)
             assert owner_of(rt, channel) == without_copy
             last = producing.stop()
             all_saw(readers, last)
@@ -59,14 +59,14 @@ def test_a_drain_moves_channels_with_replicas_and_a_stopped_host_is_replaced(
         channel = opened(rt, replicas=2)
         eventually(lambda: len(in_sync(channel)) == 2, "the replicas are in sync")
         with reading(channel, 2) as readers, produced(channel) as producing:
-            passes(producing, 50)
+            wait_for_puts(producing, 50)
             assert run(["replicas", "cam", "--url", cluster.address]) == 0
             assert [line.split()[1:3] for line in capsys.readouterr().out.splitlines()[1:]] == [["in", "sync"]] * 2
             assert drained(cluster, "h1").left == {}
             assert owner_of(rt, channel) in ("h2", "h3")
-            passes(producing, 50)
+            wait_for_puts(producing, 50)
             cluster.hosts[0].stop()
-            passes(producing, 50)
+            wait_for_puts(producing, 50)
             last = producing.stop()
             all_saw(readers, last)
         holds_all(channel, last)

@@ -50,7 +50,7 @@ class Load:
         assert not self.errors, self.errors
         assert not self.came_back
 
-    def passes(self, count: int) -> None:
+    def wait_for_puts(self, count: int) -> None:
         goal = len(self.acked) + count
         eventually(lambda: self.errors or len(self.acked) >= goal, f"{count} more messages pass")
 
@@ -118,9 +118,9 @@ def test_no_acknowledged_message_is_lost_and_no_settled_one_is_repeated_when_the
         leased = queue.get(timeout=5)
         leased.extend("10m")  # the message stays leased while the owner dies
         with load(cluster) as running:
-            running.passes(50)
+            running.wait_for_puts(50)
             cluster.hosts[0].kill()
-            running.passes(50)
+            running.wait_for_puts(50)
             running.stop()
         leased.ack()
         assert queue.incarnation == incarnation
@@ -135,10 +135,10 @@ def test_a_frozen_owner_is_replaced_by_one_owner_and_nothing_is_lost(cluster: Lo
         queue = opened(rt)
         eventually(lambda: len(in_sync(queue)) == 1, "the replica is in sync")
         with load(cluster) as running:
-            running.passes(50)
+            running.wait_for_puts(50)
             with frozen(cluster.hosts[0]):
-                running.passes(50)
-            running.passes(50)
+                running.wait_for_puts(50)
+            running.wait_for_puts(50)
             running.stop()
         assert owner_of(rt) != "h1"
         assert queue.stats().held == 0
@@ -152,15 +152,15 @@ def test_a_queue_gets_another_replica_when_one_is_lost(cluster: LocalCluster, ho
         (lost,) = in_sync(queue)
         process = host_of(cluster, rt, lost)
         with load(cluster) as running:
-            running.passes(50)
+            running.wait_for_puts(50)
             if how == "killed":
                 process.kill()
-                running.passes(50)
+                running.wait_for_puts(50)
                 eventually(lambda: in_sync(queue) not in ([], [lost]), "another host has the replica")
             else:
                 with frozen(process):
                     eventually(lambda: lost not in in_sync(queue), "the directory lists the replica as out of sync")
-                running.passes(50)
+                running.wait_for_puts(50)
             running.stop()
         assert owner_of(rt) == "h1"
 
@@ -172,12 +172,12 @@ def test_a_queue_moves_with_its_replicas_and_the_hosts_change_places(cluster: Lo
         (there,) = in_sync(queue)
         name = next(one.name for one in rt.hosts() if one.host_id == there)
         with load(cluster) as running:
-            running.passes(50)
+            running.wait_for_puts(50)
             rt.move_queue("jobs", name)
-            running.passes(50)
+            running.wait_for_puts(50)
             replica = in_sync(queue)
             cluster.hosts[int(name[1:]) - 1].kill()
-            running.passes(50)
+            running.wait_for_puts(50)
             running.stop()
         assert len(replica) == 1
         assert owner_of(rt) == "h1"

@@ -15,7 +15,7 @@ import stampede_rt as st
 from stampede_rt.files.editing import verify
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceProcess
-from tests.integration.proxies.readers import all_saw, awaited_reading, eventually, passes, produced, reading
+from tests.integration.proxies.readers import all_saw, awaited_reading, eventually, produced, reading, wait_for_puts
 from tests.support.waiting import wait_until
 
 
@@ -65,9 +65,9 @@ def test_no_acknowledged_or_read_item_is_lost_or_repeated_when_the_owner_is_kill
         eventually(lambda: len(in_sync(channel)) == replicas, "the replicas are in sync")
         incarnation = channel.incarnation
         with reading(channel, 2) as readers, produced(channel) as producing:
-            passes(producing, 100)
+            wait_for_puts(producing, 100)
             cluster.hosts[0].kill()
-            passes(producing, 100)
+            wait_for_puts(producing, 100)
             last = producing.stop()
             all_saw(readers, last)
         assert channel.incarnation == incarnation
@@ -100,11 +100,11 @@ def test_each_reader_learns_of_the_loss_when_a_lagging_replica_takes_over(
             awaited_reading(cluster.address, "cam", transport) as awaited,
             produced(channel) as producing,
         ):
-            passes(producing, 100)
+            wait_for_puts(producing, 100)
             early = channel.get(st.OLDEST, st.NEWEST)[50]
             eventually(lambda: channel.stats().copies[0].waiting == 0 or producing.last > 400, "the replica is near")
             cluster.hosts[0].kill()
-            passes(producing, 100)
+            wait_for_puts(producing, 100)
             last = producing.stop()
             inherited = channel.stats().inherited_next_seq
             assert inherited is not None
@@ -126,9 +126,9 @@ def test_a_recording_continues_after_a_loss_and_names_it(cluster: LocalCluster, 
         channel = rt.channel("cam", max_items=100_000, host="h1", replicas=1)
         eventually(lambda: len(in_sync(channel)) == 1, "the replica is in sync")
         with rt.record(channel, path) as recorder, produced(channel) as producing:
-            passes(producing, 100)
+            wait_for_puts(producing, 100)
             cluster.hosts[0].kill()
-            passes(producing, 100)
+            wait_for_puts(producing, 100)
             producing.stop()
             last = channel.put(b"the last").seq
             inherited = channel.stats().inherited_next_seq
@@ -149,10 +149,10 @@ def test_a_frozen_owner_is_replaced_by_one_owner_and_nothing_is_lost(cluster: Lo
         eventually(lambda: len(in_sync(channel)) == 1, "the replica is in sync")
         incarnation = channel.incarnation
         with reading(channel, 2) as readers, produced(channel) as producing:
-            passes(producing, 100)
+            wait_for_puts(producing, 100)
             with frozen(cluster.hosts[0]):
-                passes(producing, 100)
-            passes(producing, 100)
+                wait_for_puts(producing, 100)
+            wait_for_puts(producing, 100)
             last = producing.stop()
             all_saw(readers, last)
         assert (channel.incarnation, owner_of(rt, channel) == "h1") == (incarnation, False)
@@ -168,15 +168,15 @@ def test_puts_continue_with_another_replica_when_one_is_lost(cluster: LocalClust
         (lost,) = in_sync(channel)
         process = host_of(cluster, rt, lost)
         with reading(channel, 2) as readers, produced(channel) as producing:
-            passes(producing, 100)
+            wait_for_puts(producing, 100)
             if how == "killed":
                 process.kill()
-                passes(producing, 100)
+                wait_for_puts(producing, 100)
                 eventually(lambda: in_sync(channel) not in ([], [lost]), "another host has the replica")
             else:
                 with frozen(process):
                     eventually(lambda: lost not in in_sync(channel), "the directory lists the replica as out of sync")
-                passes(producing, 100)
+                wait_for_puts(producing, 100)
             last = producing.stop()
             all_saw(readers, last)
         assert owner_of(rt, channel) == "h1"
@@ -187,13 +187,13 @@ def test_a_channel_gets_replicas_and_loses_them_again_while_it_is_used(cluster: 
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = rt.channel("cam", max_items=100_000, host="h1")
         with reading(channel, 2) as readers, produced(channel) as producing:
-            passes(producing, 50)
+            wait_for_puts(producing, 50)
             channel.configure(replicas=2, ack="replica", min_replicas=2)
             eventually(lambda: len(in_sync(channel)) == 2, "the replicas are in sync")
-            passes(producing, 50)
+            wait_for_puts(producing, 50)
             assert channel.put(b"an item").copies == 3
             channel.configure(replicas=0, ack="host")
-            passes(producing, 50)
+            wait_for_puts(producing, 50)
             eventually(lambda: channel.stats().copies == [], "the replicas are gone")
             producing.stop()
             last = channel.put(b"the last").seq

@@ -22,7 +22,7 @@ from tests.contract.test_access import (
 )
 from tests.contract.test_puts import (
     test_a_producer_keeps_order_and_loses_nothing,
-    test_a_put_behind_an_advance_is_too_old,
+    test_a_put_earlier_than_an_advance_is_too_old,
     test_max_items_drops_the_oldest,
     test_seqs_grow_by_one,
 )
@@ -65,11 +65,11 @@ def operator(cluster: LocalCluster) -> Iterator[Operator]:
 async def scene(request: pytest.FixtureRequest, operator: Operator) -> AsyncIterator[Scene]:
     """Callers with certificates: clients, and operators, to which no rules apply."""
 
-    def proves(who: str) -> dict[str, Any]:
+    def credentials_of(who: str) -> dict[str, Any]:
         role = Role.CLIENT if who else Role.OPERATOR
         return {"tls": operator.cluster.tls_files(who or "ops", role)}
 
-    async with prepared(request.param, operator, proves) as made:
+    async with prepared(request.param, operator, credentials_of) as made:
         yield made
 
 

@@ -75,9 +75,9 @@ class Fault:
         self._is_over = threading.Event()
         what = f"{self._victim.name} freezes for {self._frozen_s:.1f} s" if self._victim else "cut"
         self.description = f"{what} after {byte_count} bytes"
-        hosts.relay.stop_after(byte_count, hosts.data_ports, self._come)
+        hosts.relay.stop_after(byte_count, hosts.data_ports, self._begin)
 
-    def _come(self) -> bool:
+    def _begin(self) -> bool:
         if self._victim is None:
             self._is_over.set()
             return True
@@ -112,7 +112,7 @@ class LeasedLoad(QueueLoad):
                 self._ack(*self._leased.popleft())
 
 
-def go_on(load: Producer | LeasedLoad) -> None:
+def wait_for_acks(load: Producer | LeasedLoad) -> None:
     """Wait until some further puts are acknowledged."""
     count = len(load.acknowledged)
     wait_until(lambda: len(load.acknowledged) > count + 20, "puts go on")
@@ -128,14 +128,14 @@ def test_cut_streams_and_frozen_hosts_lose_nothing(cluster: LocalCluster, hosts:
         wait_until(lambda: len(in_sync(channel.stats().copies)) == 1, "the channel's replica is in sync")
         wait_until(lambda: len(in_sync(queue.stats().replicas)) == 1, "the queue's replica is in sync")
         incarnation, producer, load = queue.incarnation, Producer(channel), LeasedLoad(queue)
-        go_on(load)
+        wait_for_acks(load)
         for _ in range(FAULTS_PER_SEED):
             fault, to = Fault(hosts, source), source.choice([name for name in NAMES if name != channel.host])
             moves = pool.submit(moved, rt, channel, to), pool.submit(moved_queue, rt, queue.name, to)
             fault.wait_over()
             print(fault.description, to, *(one.result(SETTLED_S) or "moved" for one in moves), sep="; ")
-            go_on(load)
-            go_on(producer)
+            wait_for_acks(load)
+            wait_for_acks(producer)
         load.stop()
         producer.stop()
         producer.end_of_reader()

@@ -92,9 +92,9 @@ def _notes(effort: Effort, why_not: str | None) -> list[str]:
 def _by_place(runs: Sequence[SkewRun]) -> list[tuple[float, Spread]]:
     """Return the median skew of the first, second, ... frame of a span, over the runs."""
     points = []
-    for namespace in range(FRAMES_PER_CAPTION):
-        medians = [[ms for at, ms in run.skews_ms if at == namespace] for run in runs]
-        points.append((namespace + 1.0, Spread.of([statistics.median(skews) for skews in medians if skews])))
+    for place in range(FRAMES_PER_CAPTION):
+        medians = [[ms for at, ms in run.skews_ms if at == place] for run in runs]
+        points.append((place + 1.0, Spread.of([statistics.median(skews) for skews in medians if skews])))
     return points
 
 

@@ -21,7 +21,7 @@ FIGURES = (
 
 @dataclass
 class Results:
-    """The results by workload and system, and the reasons why some could not be measured."""
+    """The results by workload and system, and the reasons why some systems could not be measured."""
 
     runs: dict[Workload, dict[str, list[RunResult]]] = field(default_factory=dict)
     absent: dict[str, str] = field(default_factory=dict)
@@ -31,13 +31,13 @@ class Results:
         """Return the spread of one figure over the rounds."""
         return Spread.of([getattr(one, figure) for one in self.runs[workload][system]])
 
-    def headline(self, workload: Workload, system: str) -> Spread:
+    def main_figure(self, workload: Workload, system: str) -> Spread:
         """Return the figure for comparisons: items a second, or the median time."""
         return self.spread(workload, system, "items_per_second" if workload.kind == "stream" else "p50_us")
 
     def speed(self, workload: Workload, system: str, other: str) -> float:
         """Return how many times as fast `system` is as `other`."""
-        mine, theirs = self.headline(workload, system).median, self.headline(workload, other).median
+        mine, theirs = self.main_figure(workload, system).median, self.main_figure(workload, other).median
         return mine / theirs if workload.kind == "stream" else theirs / mine
 
     def most_readers(self, workloads: Sequence[Workload], system: str, lost_share_max: float) -> int:

@@ -147,7 +147,7 @@ class Report:
             workloads = [workload for workload in results.runs if CHARTED.get(workload.kind) == chart]
             if workloads:
                 bars = {
-                    workload.title: {system: results.headline(workload, system) for system in results.runs[workload]}
+                    workload.title: {system: results.main_figure(workload, system) for system in results.runs[workload]}
                     for workload in workloads
                 }
                 draw_bars(folder / f"{self.name}-{chart}.png", title, unit, bars)

@@ -11,7 +11,7 @@ const SHOWN_FIRST = 6;
 const SHOWN_MAX = 24;
 const WINDOWS_SECONDS = [2, 10, 30, 120, 600, 3600, 21_600, 86_400];
 const BEFORE_ALL = -(2n ** 63n); // an instant before all items
-const FORESIGHT = 0.04; // the part of the window after now, in live mode
+const FUTURE_SHARE = 0.04; // the part of the window after now, in live mode
 
 const by = (id) => document.getElementById(id);
 const state = {
@@ -24,7 +24,7 @@ const now = () => BigInt(Math.round(performance.timeOrigin + performance.now()))
 
 function view() {
   const length = state.seconds * 1e9;
-  const start = state.frozen ?? now() - BigInt(Math.round(length * (1 - FORESIGHT)));
+  const start = state.frozen ?? now() - BigInt(Math.round(length * (1 - FUTURE_SHARE)));
   return { start, length, chosen: state.chosen };
 }
 
@@ -218,11 +218,11 @@ async function readFindings() {
   state.findings = (await ask("doctor")).findings;
 }
 
-const told = (kind) => (error) => trouble(kind, error);
-const wakeOverview = repeat(1000, readOverview, told("overview"));
-const wakeTracks = repeat(250, readTracks, told("tracks"));
-const wakeItems = repeat(250, readItems, told("items"));
-repeat(15_000, readFindings, told("doctor"));
+const report = (kind) => (error) => trouble(kind, error);
+const wakeOverview = repeat(1000, readOverview, report("overview"));
+const wakeTracks = repeat(250, readTracks, report("tracks"));
+const wakeItems = repeat(250, readItems, report("items"));
+repeat(15_000, readFindings, report("doctor"));
 
 // ---- drawing, 30 times a second at most ----
 
@@ -254,14 +254,14 @@ function setSeconds(seconds) {
   wakeTracks();
 }
 
-function zoom(by_) {
-  const at = WINDOWS_SECONDS.indexOf(state.seconds) + by_;
+function zoom(steps) {
+  const at = WINDOWS_SECONDS.indexOf(state.seconds) + steps;
   if (at >= 0 && at < WINDOWS_SECONDS.length) setSeconds(WINDOWS_SECONDS[at]);
 }
 
-function move(by_) {
+function move(steps) {
   const names = [...state.rows.keys()];
-  const at = names.indexOf(state.selected) + by_;
+  const at = names.indexOf(state.selected) + steps;
   if (at >= 0 && at < names.length) {
     select(names[at]);
     state.rows.get(names[at]).element.scrollIntoView({ block: "nearest" });
@@ -270,9 +270,9 @@ function move(by_) {
 
 const keys = {
   " ": () => choose(state.chosen === null ? now() : null),
-  ArrowLeft: (event) => (event.shiftKey ? nudge(-0.1) : stepItem("previous").catch(told("step"))),
-  ArrowRight: (event) => (event.shiftKey ? nudge(0.1) : stepItem("next").catch(told("step"))),
-  Home: () => stepItem("next", BEFORE_ALL).catch(told("step")),
+  ArrowLeft: (event) => (event.shiftKey ? nudge(-0.1) : stepItem("previous").catch(report("step"))),
+  ArrowRight: (event) => (event.shiftKey ? nudge(0.1) : stepItem("next").catch(report("step"))),
+  Home: () => stepItem("next", BEFORE_ALL).catch(report("step")),
   ArrowUp: () => move(-1),
   ArrowDown: () => move(1),
   Enter: () => state.selected && toggle(state.selected),

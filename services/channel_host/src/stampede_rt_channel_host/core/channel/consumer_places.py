@@ -216,7 +216,7 @@ class PlaceTable:
         self._leases.disarm(place)
         self._end(place)
 
-    def moved(self, place: Place, done: SeqSet) -> None:
+    def sort_again(self, place: Place, done: SeqSet) -> None:
         """Sort a place with a valid lease anew, after `done` has got more seqs."""
         self.count_ranges(place)
         if done.below != place.below:

@@ -132,7 +132,7 @@ class Consumers:
         left = RANGES_PER_LOOK_MAX
         while left > 0 and (end := self._collected.end_of(done.below)) > done.below:
             left -= 1 + _add_some(done, done.below, end, left)
-        self.table.moved(place, done)
+        self.table.sort_again(place, done)
 
     def _join_collected(self, place: Place, done: SeqSet, ranges: int) -> None:
         """Join collected seqs to at most `ranges` of the place's ranges.
