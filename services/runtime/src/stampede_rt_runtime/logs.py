@@ -20,6 +20,7 @@ LEVELS = ("debug", "info", "warning", "error")
 FORMATS = ("text", "json")
 UNNAMED = "other"
 """The event of a record that names none, such as one of a library."""
+_SPECIAL = frozenset(' "=\\')  # a value with one of these characters is quoted
 _GRPC_CALLS = "grpc._cython.cygrpc"
 _STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 
@@ -64,7 +65,7 @@ def _json_value(value: object) -> object:
 
 def _quoted(value: object) -> str:
     text = value.hex() if isinstance(value, bytes) else str(value)
-    if text and text.isprintable() and not any(c in ' "=\\' for c in text):
+    if text and text.isprintable() and _SPECIAL.isdisjoint(text):
         return text
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in escaped) + '"'
