@@ -199,9 +199,11 @@ class ArchivedChannel:
         if end == step.late[0] and end < self._archived_to:
             part = self._load_part((end, min(step.late[1], self._archived_to)), limit_bytes)
             found = part.items.slices_by_seq(*step.late, FIRST_KEY)
-            step.take_late(found, lambda time: archive.next_time_of(part, held.next_time, time), part.end_seq)
+            step.take_late(
+                found, lambda time: archive.next_time_of(part, held.next_time, time), part.end_seq, self.kept_from()
+            )
         else:
-            step.take_late(held.slices_by_seq(step.late[0], end), held.next_time, end)
+            step.take_late(held.slices_by_seq(step.late[0], end), held.next_time, end, self.kept_from())
 
     def _load_part(self, missing: tuple[int, int], limit_bytes: int) -> archive.ArchivedPart:
         chosen = archive.choose_part(self.segments, self._blocks_of, missing, bytes_max=limit_bytes)

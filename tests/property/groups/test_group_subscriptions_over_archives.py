@@ -115,3 +115,27 @@ def test_a_group_subscription_counts_the_items_that_the_limits_of_the_archive_re
     while not (batch := small.take_in_group(place, Horizon(now + 1, lambda: ""), limit)).is_empty or batch.more:
         found += sum(one.slice.items for one in batch.slices)
     assert found + place.dropped == now
+
+
+def test_a_group_subscription_tells_that_the_archive_lacks_a_late_item() -> None:
+    """In an earlier version it told only of lacks after the last cut, and left this item out without a gap."""
+    small = ArchivedChannel(Policy(max_items=2), runs_per_block=1, blocks_per_segment=1)
+
+    def put(*times: int) -> None:
+        for time in times:
+            small.put(Offer(times=[time], durations=None, lengths=[3]), max(small.now, time))
+            small.archive()
+
+    def taken(cut: int) -> list[int]:
+        times, horizon = list[int](), Horizon(cut, lambda: "")
+        while not (batch := small.take_in_group(place, horizon, 10**6)).is_empty or batch.more:
+            times += [time for one in batch.slices for time in one.slice.run.times]
+        return times
+
+    place = VisibleAllCursor(small.channel, Horizon(0, lambda: ""), 0, archived=True)
+    put(10, 20, 30)
+    assert (taken(25), place.dropped) == ([10, 20], 0)
+    put(22, 40, 50, 60)
+    late = next(one for one in small.segments if one.first_seq == 4)
+    small.segments.remove(late)
+    assert (taken(70), place.dropped) == ([30, 40, 50, 60], 1)

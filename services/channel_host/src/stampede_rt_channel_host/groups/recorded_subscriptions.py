@@ -48,7 +48,8 @@ class RecordedSteps:
 
     async def _read(self, recording: Recording, step: RecordedStep) -> None:
         if step.late is not None:
-            step.take_late(*await recording.items_from(step.late, LATE_BYTES, self._channels.now))
+            found = await recording.items_from(step.late, LATE_BYTES, self._channels.now)
+            step.take_late(*found, recording.kept_from)
             return
         view = await recording.read_in_group(
             step.query, _at(step.target), None, self._channels.scheduler, self._channels.now, waits=False

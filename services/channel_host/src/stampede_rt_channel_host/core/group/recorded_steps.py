@@ -36,8 +36,8 @@ class RecordedStep:
     It brings the items between the two cuts, with seqs below `seq_end`, in the order (time, seq). Before these it
     brings the late items: items before `cut` with seqs from `next_seq` on. Order of use: while `late` is a range, load
     these seqs and call `take_late`. Then, while `is_read` is False, read `query` and call `take_page`. After each call
-    take `batch` until it is empty. `dropped` counts the items that the archive lacks, or that its limits have removed.
-    The reader has got no item with the seq `got_to` or a later one; 0: it has got no item yet, and began in the past.
+    take `batch` until it is empty. The reader has got no item with the seq `got_to` or a later one; 0: it has got no
+    item yet, and began in the past.
     """
 
     def __init__(
@@ -54,7 +54,8 @@ class RecordedStep:
         self.target, self.seq_end, self.got_to = target, seq_end, got_to
         self.late: Range | None = (next_seq, seq_end) if next_seq < seq_end else None
         self.is_read = cut is not None and cut >= target
-        self.dropped = self._removed = 0
+        self._dropped = self._removed = 0
+        self._unfound = 0  # the seqs in `late` that neither memory nor the archive has
         self._late_end = 1  # the seq after the latest late item
         self._begin = cut
         self._after = Position(done_below[0], done_below[1] - 1) if done_below > (cut or FIRST_KEY[0], 0) else None
@@ -67,16 +68,21 @@ class RecordedStep:
         interval = Interval(Bound(None, start), Bound(None, self.target), end_exclusive=True)
         return Query(interval=interval, match=Match.START, after=self._after)
 
-    def take_late(self, found: Iterable[Slice], next_time: Callable[[int], int | None], end_seq: int) -> None:
+    def take_late(
+        self, found: Iterable[Slice], next_time: Callable[[int], int | None], end_seq: int, kept_from: int
+    ) -> None:
         """Take the late items, which are the items of `found` before `cut`.
 
         `found` has all items whose seqs are in `late` and less than `end_seq`. `next_time` returns the time of the next
-        bucket after a time.
+        bucket after a time. `kept_from`: see `take_page`.
         """
         assert self.late is not None, "there are late items to find"
         first, end = self.late[0], min(self.late[1], end_seq)
         low = FIRST_KEY if self._begin is None else (self._begin, 0)
-        late = [split_at(_with_seqs(one, first, end), low)[0] for one in found]
+        among = [_with_seqs(one, first, end) for one in found]
+        kept = sum(_with_seqs(one, kept_from, end).items for one in among)
+        self._unfound += max(0, given_between(max(first, kept_from), end) - kept)
+        late = [split_at(one, low)[0] for one in among]
         for part in sorted((one for one in late if one.items), key=lambda one: (one.first_time, one.first_seq)):
             following = next_time(part.last_time)
             hidden = following is not None and following >= self.target
@@ -91,7 +97,7 @@ class RecordedStep:
         If another page follows, and this page has items of several times, the step ends before the last of these times.
         So the reader gets a cursor before the next page.
         """
-        self.dropped += lacks
+        self._dropped += lacks
         self.is_read = not continues
         if continues and answer.slices[-1].last_time > answer.slices[0].first_time:
             self.target, self.is_read = answer.slices[-1].last_time, True
@@ -110,7 +116,7 @@ class RecordedStep:
         if self.got_to:
             given = sum(_with_seqs(one, self.got_to, kept_from).items for one in slices)
             removed = max(0, given_between(self.got_to, kept_from) - given)
-            self.dropped, self._removed = self.dropped + removed, self._removed + removed
+            self._dropped, self._removed = self._dropped + removed, self._removed + removed
             self.got_to = max(self.got_to, kept_from)
         self.got_to = max(self.got_to, *(one.end_seq for one in slices if one.items), 0)
 
@@ -133,6 +139,13 @@ class RecordedStep:
     def is_over(self) -> bool:
         """Whether the step has brought all its items."""
         return self.is_read and self.late is None and not self._waiting
+
+    @property
+    def dropped(self) -> int:
+        """How many items the archive lacks, or its limits have removed. Nobody knows which lost items were late, so all
+        lost items count whose seqs are in `late`, even if some of them would belong to a later step.
+        """
+        return max(self._dropped, self._unfound)
 
     @property
     def gap(self) -> Gap | None:
