@@ -45,7 +45,7 @@ def looked(monkeypatch: pytest.MonkeyPatch) -> Counter:
     return counter
 
 
-def late() -> tuple[ChannelCore, CutFollower]:
+def reader_with_late_items() -> tuple[ChannelCore, CutFollower]:
     """A reader at cut 1,000,000, and 10,000 items below this cut that came afterwards, the latest first."""
     made = channel(1_000_000, policy=POLICY)
     follower = CutFollower(made, 1_000_001, NOW)
@@ -55,7 +55,7 @@ def late() -> tuple[ChannelCore, CutFollower]:
 
 
 def test_the_late_items_of_a_reader_that_leaves_during_a_step_are_freed_in_parts() -> None:
-    _, follower = late()
+    _, follower = reader_with_late_items()
     follower.begin(1_000_002)
     while not follower._late._heap or not follower._is_searched:
         follower.take(NOW, 1)
@@ -66,7 +66,7 @@ def test_the_late_items_of_a_reader_that_leaves_during_a_step_are_freed_in_parts
 
 
 def test_many_late_items_are_sent_in_order_in_bounded_parts(looked: Counter) -> None:
-    _, follower = late()
+    _, follower = reader_with_late_items()
     looked.slices = 0
     follower.begin(1_000_002)
     times: list[int] = []
@@ -90,7 +90,7 @@ def test_the_merge_of_late_items_begins_with_one_list_in_each_part(monkeypatch: 
         return order(part)
 
     monkeypatch.setattr(following, "_order", counting)
-    _, follower = late()  # the reader holds the items in 625 lists
+    _, follower = reader_with_late_items()  # the reader holds the items in 625 lists
     follower.begin(1_000_002)
     times: list[int] = []
     while follower.under_way:
