@@ -10,20 +10,23 @@ from stampede_rt.files.entries import TIME_MAX, FileAdvance, FileEntry
 from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.timeline import MAX_INSTANT
 
+WAITING_MAX = 64  # the most events of a channel that wait for the end of a gap
+
 
 class _Place(NamedTuple):
-    """The place of an item."""
+    """The place of an item. `latest` is the greatest time of the channel so far."""
 
     seq: int | None
     time: int
+    latest: int
 
 
 class IntervalFilter:
     """Keeps the events in an interval of time. `take` gets them.
 
     It drops a gap only if the end of the gap and the next item are before the interval, or the start of the gap and the
-    item before it are after the interval. So a gap waits for the next item of its channel, and the advances behind it
-    wait, too.
+    item before it are after the interval. So a gap waits for the next item of its channel that is not late, and the
+    events behind it wait, too.
     """
 
     def __init__(self, start: int, end: int, chosen: Callable[[str], bool], take: Callable[[Any], object]) -> None:
@@ -32,7 +35,7 @@ class IntervalFilter:
         self._chosen, self._take = chosen, take
         self._first: dict[IncarnationKey, _Place] = {}
         self._before: dict[IncarnationKey, _Place] = {}  # the last item of a channel
-        self._waiting: dict[str, dict[int | None, list[RecordingGap | FileAdvance]]] = {}
+        self._waiting: dict[str, dict[int | None, list[Event]]] = {}
 
     def add(self, event: Event) -> None:
         """Keep or drop one event."""
@@ -40,14 +43,7 @@ class IntervalFilter:
         if not self._chosen(name):
             return
         if isinstance(event, FileEntry):
-            key = (name, event.topic.incarnation)
-            for incarnation in list(self._waiting.get(name, ())):
-                # an item of the next incarnation ends the former one
-                self._settle((name, incarnation), event.time if incarnation == key[1] else None)
-            self._before[key] = place = _Place(event.seq, event.time)
-            self._first.setdefault(key, place)
-            if self._start <= event.time < self._end:
-                self._take(event)
+            self._add_entry(name, event)
             return
         waiting = self._waiting.get(name, {}).get(event.incarnation)
         if waiting is not None:
@@ -57,13 +53,36 @@ class IntervalFilter:
         elif event.time < self._end:
             self._take(event)
 
+    def _add_entry(self, name: str, entry: FileEntry) -> None:
+        key = (name, entry.topic.incarnation)
+        before = self._before.get(key)
+        is_late = before is not None and entry.time < before.latest
+        for incarnation, waiting in list(self._waiting.get(name, {}).items()):
+            if incarnation != key[1]:
+                self._settle((name, incarnation), None)  # an item of the next incarnation ends the former one
+            elif is_late and len(waiting) < WAITING_MAX:
+                waiting.append(entry)
+                return
+            else:
+                self._settle(key, None if is_late else entry.time)
+        self._pass_on(key, entry)
+
+    def _pass_on(self, key: IncarnationKey, entry: FileEntry) -> None:
+        before = self._before.get(key)
+        latest = entry.time if before is None else max(entry.time, before.latest)
+        self._before[key] = place = _Place(entry.seq, entry.time, latest)
+        self._first.setdefault(key, place)
+        if self._start <= entry.time < self._end:
+            self._take(entry)
+
     def _settle(self, key: IncarnationKey, next_time: int | None) -> None:
         for event in self._waiting.get(key[0], {}).pop(key[1], ()):
-            if isinstance(event, FileAdvance):
-                inside = event.time < self._end
-            else:
-                inside = self._is_inside(event, key, next_time)
-            if inside:
+            if isinstance(event, FileEntry):
+                self._pass_on(key, event)
+            elif isinstance(event, FileAdvance):
+                if event.time < self._end:
+                    self._take(event)
+            elif self._is_inside(event, key, next_time):
                 self._take(event)
 
     def _is_inside(self, gap: RecordingGap, key: IncarnationKey, next_time: int | None) -> bool:

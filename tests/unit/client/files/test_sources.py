@@ -98,6 +98,16 @@ def test_an_interval_of_a_file_has_the_same_gaps_as_a_cut_of_the_file(
     assert [one.first_seq for one in counts.gaps] == gaps
 
 
+def test_a_late_item_after_a_gap_does_not_hide_that_later_items_are_missing(tmp_path: Path) -> None:
+    late = item_entry(topic(), item(9, time=START + 2 * MS))
+    path = write(tmp_path / "a.mcap", [*entries("cam", range(1, 6)), gap("cam", 6, 8), late, *entries("cam", [10, 11])])
+    for start, gaps in ((7, [6]), (2, [6]), (11, [])):
+        within = {"start": START + start * MS, "end": START + 20 * MS}
+        (counts,) = cut(path, tmp_path / "b.mcap", overwrite=True, **within).channels
+        assert [one.first_seq for one in counts.gaps] == gaps
+        assert [one.first_seq for one in played(path, **within) if isinstance(one, RecordingGap)] == gaps
+
+
 def test_a_source_reports_the_same_gaps_when_it_is_read_again_also_of_channels_without_items(tmp_path: Path) -> None:
     early, other = gap("cam", 1, 4), gap("lost", 1, 9)
     path = write(tmp_path / "a.mcap", [*entries("imu", [1, 2]), early, other, *entries("cam", [5, 6])], chunk_items=4)
