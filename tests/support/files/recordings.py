@@ -69,7 +69,7 @@ def read(path: Path) -> tuple[list[Event], list[Damage]]:
     with FileReader(path) as reader:
         for part in reader.contents():
             if isinstance(part, ChunkContent):
-                events += part.events()
+                events += part.in_host_order()
             elif isinstance(part, Damage):
                 damages.append(part)
     return events, damages

@@ -10,6 +10,7 @@ from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.values.recording import RecordingGap
 
 Event = FileEntry | RecordingGap | FileAdvance
+"""A part of the record of a channel: an item, a gap or an advance."""
 IncarnationKey = tuple[str, int | None]  # a channel's name and its incarnation
 _Waiting = dict[IncarnationKey, list[tuple[float, Event]]]
 
@@ -31,7 +32,7 @@ class ChunkContent:
     bare: int = 0
     places: Mapping[IncarnationKey, int] = field(default_factory=dict)
 
-    def events(self) -> Iterator[Event]:
+    def in_host_order(self) -> Iterator[Event]:
         """Yield messages, gaps and advances in the order in which the host had them, channel by channel."""
         waiting = self._waiting()
         left = Counter((one.topic.name, one.topic.incarnation) for one in self.entries) if waiting else Counter()

@@ -175,7 +175,7 @@ def _walk(
                 damages.append(part)
         elif isinstance(part, ChunkContent):
             unknown += part.unknown
-            for event in part.events():
+            for event in part.in_host_order():
                 if is_repeated(event):
                     continue
                 for gap in tally.add(event):
@@ -258,7 +258,7 @@ def cut(
         chosen_part = IntervalFilter(start, end, chosen, take)
         for part in intact_contents(reader):
             if isinstance(part, ChunkContent):
-                for event in part.events():
+                for event in part.in_host_order():
                     chosen_part.add(event)
             else:
                 write(part)

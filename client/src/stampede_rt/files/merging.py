@@ -84,7 +84,7 @@ def _by_time(number: int, reader: FileReader) -> Iterator[tuple[int, int, Event 
         if not isinstance(part, ChunkContent):
             yield latest, number, part
             continue
-        for event in part.events():
+        for event in part.in_host_order():
             if isinstance(event, FileEntry):
                 latest = max(latest, event.time)
             yield latest, number, event

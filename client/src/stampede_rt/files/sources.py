@@ -299,7 +299,7 @@ def _damaged(reader: FileReader) -> Sequence[str]:
 
 def _by_topic(content: ChunkContent) -> dict[str, list[Event]]:
     found: dict[str, list[Event]] = {}
-    for event in content.events():
+    for event in content.in_host_order():
         name = event.topic.name if isinstance(event, FileEntry) else event.channel
         found.setdefault(name, []).append(event)
     return found
