@@ -334,7 +334,7 @@ class Subscription(BoundToProcess):
         if response.HasField("cursor"):
             self._cursor = response.cursor
             if not response.HasField("opened"):  # an "opened" response only repeats the cursor of the request
-                self._since_cursor.seqs.clear()
+                self._since_cursor.forget_before(response.cursor.next_seq, response.cursor.cut_unix_nano)
         if response.HasField("progress"):
             self.skipped = self._skipped_before + response.progress.skipped
 

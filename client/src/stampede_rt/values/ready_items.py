@@ -60,13 +60,24 @@ class ReadyItems:
 
 
 class SeenSeqs:
-    """The seqs of items that came to a subscription."""
+    """The seqs, with the times, of items that came to a subscription after its cursor."""
 
     def __init__(self) -> None:
-        self.seqs = set[int]()
+        self._times: dict[int, int] = {}  # by seq
+
+    def __len__(self) -> int:
+        return len(self._times)
 
     def unseen(self, runs: Iterable[Sequence[Item]]) -> list[Item]:
         """Return the items that are new, and note their seqs."""
-        unseen = [item for run in runs for item in run if item.seq not in self.seqs]
-        self.seqs.update(item.seq for item in unseen)
+        unseen = [item for run in runs for item in run if item.seq not in self._times]
+        self._times.update((item.seq, item.time) for item in unseen)
         return unseen
+
+    def forget_before(self, next_seq: int, cut: int) -> None:
+        """Forget the items that do not come again after a cursor: those before `cut` with a seq below `next_seq`.
+
+        After a break the new stream may have a cursor before the last item of the former stream, because its host takes
+        steps of other lengths.
+        """
+        self._times = {seq: time for seq, time in self._times.items() if seq >= next_seq or time >= cut}

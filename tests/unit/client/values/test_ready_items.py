@@ -146,3 +146,18 @@ def test_items_that_come_again_are_not_new() -> None:
     seen = SeenSeqs()
     assert [item.seq for item in seen.unseen(runs_of([2, 1]))] == [1, 2, 3]
     assert [item.seq for item in seen.unseen([run(2, 3)])] == [4]
+
+
+def test_items_behind_a_cursor_are_seen_although_the_cursor_came_after_them() -> None:
+    """The stream after a break may have a cursor in the middle of the items of the former stream. In an earlier version
+    the items behind that cursor came twice.
+    """
+    seen = SeenSeqs()
+    seen.unseen([run(1, 5)])  # with the times 10 to 50
+    seen.forget_before(6, 30)
+    assert [item.seq for item in seen.unseen([run(3, 4)])] == [6]
+    seen.forget_before(7, 70)
+    assert not seen
+    seen.unseen([run(1, 5)])
+    seen.forget_before(5, 60)
+    assert len(seen) == 1  # accepted after the cursor
