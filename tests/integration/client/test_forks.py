@@ -14,7 +14,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.forked_children import in_a_forked_child
+from tests.support.forking.forked_children import in_a_forked_child
 from tests.support.sharing.shared_cluster import shared_cluster_fixture
 
 cluster = shared_cluster_fixture(hosts=1)

@@ -26,7 +26,7 @@ from stampede_rt.transports import futexes, ring_mapping
 from stampede_rt.transports.ring_mapping import RingMapping
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
-from tests.support.forked_children import in_a_forked_child
+from tests.support.forking.forked_children import in_a_forked_child
 from tests.support.operator import operating
 from tests.support.sharing.shared_cluster import shared_cluster_fixture
 from tests.support.waiting import until, wait_until

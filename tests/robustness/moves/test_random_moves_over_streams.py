@@ -12,8 +12,8 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels.puts.incoming_run import IncomingRun
 from tests.robustness.moves import two_hosts
 from tests.robustness.moves.two_hosts import DESTINATION, SOURCE, STEPS, Host, World
-from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 from tests.support.supernode.operations import id_of
+from tests.support.virtual_time import VirtualClock, run_virtually
 
 SEEDS = int(os.environ.get("STAMPEDE_MOVE_SEEDS", "4"))
 CHANNELS, ROUNDS = 5, 6

@@ -20,9 +20,9 @@ from stampede_rt_supernode.core.replicas.things import Copied
 from tests.robustness.moves.links import Link
 from tests.robustness.moves.two_hosts import World
 from tests.robustness.takeovers.streams import Call, Connection, Method
-from tests.robustness.takeovers.virtual_time import VirtualClock
 from tests.robustness.takeovers.world import Cluster, LeasedHost
 from tests.support.supernode.operations import open_channel
+from tests.support.virtual_time import VirtualClock
 
 
 class DrainedHost(LeasedHost):

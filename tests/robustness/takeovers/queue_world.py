@@ -35,9 +35,9 @@ from stampede_rt_supernode.core.replicas.commands import AddReplica, RemoveRepli
 from stampede_rt_supernode.core.replicas.things import Copied
 from tests.robustness.moves.two_hosts import World
 from tests.robustness.takeovers.streams import Connection, Method
-from tests.robustness.takeovers.virtual_time import VirtualClock
 from tests.robustness.takeovers.world import Cluster, LeasedHost
 from tests.support.supernode.operations import id_of, open_queue
+from tests.support.virtual_time import VirtualClock
 
 FEED, HAND_OVER = "/stampede_rt.v1.MigrationService/FeedQueue", "/stampede_rt.v1.MigrationService/HandOverQueue"
 TAKE = "/stampede_rt.v1.QueueService/Take"

@@ -16,9 +16,9 @@ from stampede_rt_channel_host.channels.replication import Replication
 from stampede_rt_channel_host.copies.allowed_moves import AllowedMoves
 from tests.robustness.takeovers.channel_callers import ChannelCallers, Item
 from tests.robustness.takeovers.faults import Faults
-from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 from tests.robustness.takeovers.world import Cluster
 from tests.support.supernode.operations import id_of
+from tests.support.virtual_time import VirtualClock, run_virtually
 
 HEALED_SECONDS = 60.0
 PRODUCERS, PAUSE_SECONDS = 2, 0.15

@@ -22,7 +22,7 @@ from tests.robustness.takeovers.channel_callers import ChannelCallers
 from tests.robustness.takeovers.drain_world import DrainCluster
 from tests.robustness.takeovers.faults import Fault, Faults
 from tests.robustness.takeovers.streams import Call
-from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
+from tests.support.virtual_time import VirtualClock, run_virtually
 
 HEALED_SECONDS = 30.0
 DRAIN_SECONDS_MAX = 30.0  # without faults a drain takes less than a second

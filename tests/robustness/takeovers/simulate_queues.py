@@ -23,7 +23,7 @@ from tests.robustness.takeovers.faults import Faults
 from tests.robustness.takeovers.queue_callers import BREAKS, Taker, put
 from tests.robustness.takeovers.queue_ledger import Ledger
 from tests.robustness.takeovers.queue_world import QueueCluster, serving_queue
-from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
+from tests.support.virtual_time import VirtualClock, run_virtually
 
 HEALED_SECONDS = 120.0  # enough time for the leases that takers let end, and then for deliveries to other takers
 PRODUCERS, TAKERS, PAUSE_SECONDS = 2, 2, 0.15

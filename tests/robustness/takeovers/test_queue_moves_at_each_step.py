@@ -17,7 +17,7 @@ from stampede_rt.errors import StampedeError
 from tests.robustness.moves.stepped_host import QUEUE_DESTINATION_STEPS, QUEUE_SOURCE_STEPS, Step, wrapped
 from tests.robustness.takeovers.queue_world import DirectoryOfQueues
 from tests.robustness.takeovers.simulate_queues import WITH_CLOCKS, QueueTrial, play
-from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
+from tests.support.virtual_time import VirtualClock, run_virtually
 
 EVERY_FAULT = bool(os.environ.get("STAMPEDE_EVERY_STEP"))
 OWNS = "destination: owns the queue"

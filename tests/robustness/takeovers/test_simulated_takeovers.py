@@ -12,8 +12,8 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.values.model import Policy
 from tests.robustness.moves.links import Link
 from tests.robustness.takeovers import simulate, simulate_drains, simulate_queues
-from tests.robustness.takeovers.virtual_time import VirtualClock, run_virtually
 from tests.robustness.takeovers.world import Cluster
+from tests.support.virtual_time import VirtualClock, run_virtually
 
 T = TypeVar("T")
 SEEDS_IN_SUITE, BLOCKS = 12, 2

@@ -21,8 +21,8 @@ from stampede_rt_supernode.core.records import ChannelRecord
 from stampede_rt_supernode.core.replicas.things import Copied, copied_with_id
 from stampede_rt_supernode.core.replicas.things import id_of as id_of_thing
 from tests.robustness.moves.two_hosts import Host, World, key_of
-from tests.robustness.takeovers.virtual_time import VirtualClock
 from tests.support.supernode.operations import Log, expire, id_of, open_channel, register
+from tests.support.virtual_time import VirtualClock
 
 TTL_S, FENCE_S, RENEWAL_S, CHECK_S = 5.0, 4.0, 1.5, 0.5
 ANSWER_SECONDS_MAX = 0.03  # to or from the directory, one way

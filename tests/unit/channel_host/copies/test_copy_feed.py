@@ -11,10 +11,10 @@ import pytest
 from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.channels.copy_state import CopyState
-from stampede_rt_channel_host.copies import copy_feed
-from stampede_rt_channel_host.copies.copy_feed import GRANTS, WINDOW_BYTES, CopyFeed
+from stampede_rt_channel_host.copies.copy_feed import BROKEN_AFTER_SECONDS, GRANTS, WINDOW_BYTES, CopyFeed
 from stampede_rt_channel_host.copies.fed_responses import read_response
 from tests.support.clock import ManualClock
+from tests.support.virtual_time import VirtualClock, run_virtually
 
 MS = 10**6
 
@@ -96,16 +96,15 @@ class SlowSource:
         pass
 
 
-async def test_a_source_has_the_whole_time_for_its_answer_after_a_slow_connection(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(copy_feed, "BROKEN_AFTER_SECONDS", 0.5)
-    monkeypatch.setattr(copy_feed, "REPLICA_REQUEST_SECONDS", 0.02)
+def test_a_source_has_the_whole_time_for_its_answer_after_a_slow_connection() -> None:
     source: Any = SimpleNamespace(host_id=b"s" * 16, target="localhost:1", epoch=1)
-    rig = Rig(holds_items=False)
-    channel: Any = SlowSource(0.4, 0.3)
+
+    async def feed(_clock: VirtualClock) -> None:
+        channel: Any = SlowSource(0.8 * BROKEN_AFTER_SECONDS, 0.6 * BROKEN_AFTER_SECONDS)
+        await Rig(holds_items=False).feed.run(source, channel)
+
     with pytest.raises(Unavailable, match="has ended the feed"):
-        await rig.feed.run(source, channel)
+        run_virtually(feed, seed=1)
 
 
 class DamagedSource:
