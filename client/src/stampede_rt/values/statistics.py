@@ -121,6 +121,7 @@ class ChannelStats:
       items by reason.
     - `newest` and `oldest` are the times of the newest and the oldest held item, `frontier` is the latest end of the
       spans of collected items, and `advance` the highest advance. Each is None if there is no such item or advance.
+      Items that only the archive of a recorded channel has count as collected here.
     - `consumers` lists the taken places; `policy.consumers` counts all places.
     - `clock_offset_nanos`: how far the host's clock is ahead of this machine's clock. The error is at most half the
       round trip of the call. The offset is None in a list of channels.
