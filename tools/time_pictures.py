@@ -106,7 +106,7 @@ def spans(rt: st.Connection) -> Picture:
     after = drawn(channel.get(st.OLDEST, now), base)
     found = [one.text for one in drawn(channel.get(base + 2_800 * MS, base + 4_300 * MS), base)]
     return Picture(
-        "What an item holds for",
+        "The span of each item: the time for which it is valid",
         "a, c, f: no duration, until the next item or up to now.  b, d: until their duration is over, if nothing comes "
         "before.  e: no time at all",
         [Lane("before a\nlate item", BLUE, before), Lane("after it", ORANGE, after)],
@@ -191,7 +191,7 @@ def _draw_lane(axes: Axes, picture: Picture, lane: Lane, top: float) -> None:
 
 
 def _draw_item(axes: Axes, picture: Picture, colour: str, item: DrawnItem, top: float, height: float) -> None:
-    """Draw a box with a mark at its beginning. If the span has no end, the box is open there."""
+    """Draw a box with a mark at its beginning. If the span has no end yet, the box ends at now, with three dots."""
     end_s = picture.now_s if item.end_s is None else item.end_s
     low = top - height * (item.row + 1)
     visible = item.visible

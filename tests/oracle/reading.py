@@ -94,7 +94,8 @@ class OracleReader:
     def _is_finished(self, region: ResolvedInterval) -> bool:
         """Whether no item can come into the interval any more.
 
-        An item, even a consumed one, or an advance is at or past an exclusive end, or past an inclusive end.
+        That is so if an item or an advance is at or past an exclusive end, or past an inclusive end. Consumed items
+        count, too.
         """
         bounds = (self.channel.newest, self.channel.advanced_to)
         marks = [*(mark for mark in bounds if mark is not None), *self.channel.consumed_times]
@@ -146,8 +147,8 @@ class OracleGet:
     def poll(self, reader: OracleReader) -> OracleAnswer | None:
         """The answer, if the get is released now; else None.
 
-        A matching item releases the get; with `complete`, the end of the interval does. A get that no item can match
-        any more is always released.
+        A matching item releases the get; with `complete`, the end of the interval does. If no further item can match,
+        the get is always released.
         """
         if self.interval is None:
             self.interval = reader.resolve(self.query)
@@ -183,8 +184,8 @@ def _is_earlier(item: Item, position: Position) -> bool:
 def _remaining(query: Query, interval: ResolvedInterval) -> ResolvedInterval:
     """The part of the interval into which the answer can still get items: the interval cut at the query's positions.
 
-    After an item, further items can come into its own bucket, because later items get higher seqs. Before an item they
-    cannot.
+    An ascending answer continues in the bucket of the position, because later items of this bucket get higher seqs. A
+    descending answer continues before that bucket.
     """
     start, start_open = interval.start, interval.start_exclusive
     end, end_open = interval.end, interval.end_exclusive

@@ -85,7 +85,7 @@ class ArchivedChannel:
 
     @property
     def first_accepted(self) -> int:
-        """When the first item was accepted."""
+        """The instant at which the channel accepted the first item."""
         return min(self._accepted.values(), default=0)
 
     def archive(self) -> None:

@@ -150,7 +150,7 @@ def test_no_service_outlives_a_parent_that_was_killed() -> None:
 
 
 def test_free_ports_are_different_and_can_be_listened_at() -> None:
-    ports = free_ports(8, besides=20_000)
+    ports = free_ports(8, excluded=20_000)
     assert len(set(ports)) == 8
     assert 20_000 not in ports
     for port in ports:

@@ -171,7 +171,9 @@ def test_a_refused_put_at_an_embedded_host_has_its_reason(rt: st.Connection) -> 
         channel.put(bytes(17 * 2**20))
 
 
-def test_a_producer_puts_by_reference_and_its_small_items_in_runs(rt: st.Connection, cluster: LocalCluster) -> None:
+def test_a_producer_puts_large_items_by_reference_and_small_items_in_runs(
+    rt: st.Connection, cluster: LocalCluster
+) -> None:
     channel = rt.channel("reference/produced", max_items=500)
     large, labelled = b"l" * 300_000, b"with labels"
     with st.connect(cluster.address, transport="shared") as other:

@@ -104,7 +104,7 @@ def owner_of(rt: Any) -> str:
 
 
 @pytest.mark.parametrize(("feeds", "replicas"), [("tcp", 1), ("grpc", 2)], indirect=["feeds"])
-def test_no_acknowledged_message_is_lost_and_no_settled_one_is_repeated_when_the_owner_is_killed(
+def test_no_acknowledged_put_is_lost_and_no_settled_message_is_repeated_when_the_owner_is_killed(
     cluster: LocalCluster, replicas: int
 ) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:

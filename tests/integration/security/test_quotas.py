@@ -112,7 +112,7 @@ def test_the_use_and_the_refusals_of_each_caller_are_shown_for_each_part(
     assert "calls refused, the last one" in operator.says("doctor", status=1, out=True)
 
 
-def test_the_quota_of_one_caller_does_not_limit_members_and_other_callers(
+def test_a_quota_of_some_callers_does_not_limit_a_caller_with_the_secret_of_the_cluster(
     cluster: LocalCluster, operator: Operator, client: st.Connection
 ) -> None:
     operator.set("team/*", "streams=0", "waiting-calls=0")
@@ -120,7 +120,9 @@ def test_the_quota_of_one_caller_does_not_limit_members_and_other_callers(
         rt.channel("quotas/of-others").put(b"x")
 
 
-def test_a_client_makes_as_much_as_its_quotas_and_no_faster(cluster: LocalCluster, operator: Operator) -> None:
+def test_a_client_makes_no_more_channels_and_no_faster_than_its_quotas_allow(
+    cluster: LocalCluster, operator: Operator
+) -> None:
     metadata = (("authorization", f"Bearer {operator.token('maker')}"),)
 
     def make(name: str) -> str:
@@ -170,7 +172,7 @@ def test_a_client_at_its_quota_of_channels_or_queues_does_not_try_again(
             monkeypatch.undo()
 
 
-def test_a_client_has_as_many_groups_and_peers_as_its_quotas(cluster: LocalCluster, operator: Operator) -> None:
+def test_a_client_has_no_more_groups_and_peers_than_its_quotas_allow(cluster: LocalCluster, operator: Operator) -> None:
     operator.set("grouper", "groups=1", "peers=1")
     token = operator.token("grouper")
     with st.connect(cluster.address, secret=token, name="quotas-p1") as rt:

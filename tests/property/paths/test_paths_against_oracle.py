@@ -64,7 +64,7 @@ def play_scenarios(
     every_scenario()
 
 
-def test_a_retry_creates_no_channel_again_that_the_scenario_has_deleted(surface: Surface) -> None:
+def test_a_retry_does_not_create_a_deleted_channel_again(surface: Surface) -> None:
     """In an earlier version of these tests, a get that had to look for its channel created a new one, and waited there
     for ever.
     """

@@ -129,7 +129,7 @@ def judge_items(operations: Iterable[Operation]) -> Judgement:
 
 
 def _known(history: Sequence[Operation]) -> dict[int, dict[tuple[int, bytes], float]]:
-    """When each (seq, payload) of each incarnation was first known: its put was acknowledged, or a reader got it.
+    """The time at which each (seq, payload) of each incarnation became known: by the ack of its put, or by a reader.
 
     The incarnations are in the order in which their first items became known.
     """

@@ -242,7 +242,7 @@ async def test_a_source_drops_nothing_if_the_destination_was_stopped_for_longer_
     scenario.check(await scenario.settle())
 
 
-async def test_a_late_answer_that_the_channel_is_released_drops_nothing_of_a_channel_that_has_come_back(
+async def test_a_channel_that_has_moved_back_keeps_its_copy_after_a_late_answer_that_it_is_released(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scenario = Scenario("source hears of the commit", lambda world: world.cut_links())

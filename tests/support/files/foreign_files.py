@@ -56,7 +56,10 @@ def xdf_file(
     names: Sequence[str] = ("EEG", "Marks"),
     again: tuple[float, Sequence[float]] | None = None,
 ) -> Path:
-    """An XDF file with a stream of numbers and a stream of markers. No package of the registries writes XDF."""
+    """An XDF file with a stream of numbers and a stream of markers.
+
+    This function makes the bytes itself, because no package on PyPI writes XDF.
+    """
     streams = {
         1: (names[0], "double64", [(stamp, struct.pack(f"<{len(row)}d", *row)) for stamp, row in samples]),
         2: (names[1], "string", [(stamp, _varlen(text.encode()) + text.encode()) for stamp, text in markers]),

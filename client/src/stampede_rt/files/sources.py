@@ -137,9 +137,9 @@ class McapSource:
     ) -> int | None:
         """Return the first time of a topic if `sign` is 1, or its last time multiplied by -1 if `sign` is -1.
 
-        `start` and `end`: only of the items in this interval; None: there are none. The index has the times of each
-        chunk, and other topics may share the chunk. So this decodes the first or the last chunks of the topic, until no
-        other chunk can change the result.
+        Only items with a time from `start` on and before `end` count. Returns None if there are none. The index has the
+        times of each chunk, and other topics may share the chunk. So this decodes the first or the last chunks of the
+        topic, until no other chunk can change the result.
         """
         best: int | None = None
         for least, bound, place in sorted((*self._chunk_bounds(place, sign), place) for place in places):

@@ -81,7 +81,7 @@ class LocalCluster:
         self._shared += ["--allow-insecure-anywhere"] if allow_insecure_anywhere else []
         self._metrics_place = parse_address(metrics) if metrics else None
         self.metrics: dict[str, str] = {}
-        ports = free_ports(supernodes + frontends, self._listen.host, besides=self._listen.port)
+        ports = free_ports(supernodes + frontends, self._listen.host, excluded=self._listen.port)
         self.supernodes = self._plan_supernodes(ports[:supernodes])
         self.frontends = self._plan_frontends(ports[supernodes:])
         self.hosts = [self._plan_host(number) for number in range(1, hosts + 1)]

@@ -57,14 +57,14 @@ class PortBlocks:
 _blocks = PortBlocks(Path(tempfile.gettempdir()) / f"stampede-ports-{os.geteuid()}")
 
 
-def free_ports(count: int, host: str = "localhost", *, besides: int = 0) -> list[int]:
-    """Return `count` different ports that are free at `host` now, and none of the ports `besides`.
+def free_ports(count: int, host: str = "localhost", *, excluded: int = 0) -> list[int]:
+    """Return `count` different ports that are free at `host` now, and none of the ports `excluded`.
 
     No other process of the same user gets them while this one runs. Raises OSError if there are none.
     """
     found: list[int] = []
     for port in _blocks.ports():
-        if port != besides and _is_free(host, port):
+        if port != excluded and _is_free(host, port):
             found.append(port)
         if len(found) == count:
             break

@@ -141,7 +141,7 @@ class ServedHost:
             boot_incarnation=new_boot_incarnation(),
             zone=settings.zone,
             has_archive=archive is not None,
-            continues=0 if archive is None else archive.continued(),
+            continues=0 if archive is None else archive.noted_stop(),
             move_key=secrets.token_bytes(KEY_BYTES),
             is_private=settings.private,
             archive_wait_nanos=settings.archive_wait_nanos,

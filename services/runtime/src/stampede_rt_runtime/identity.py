@@ -53,8 +53,8 @@ class Identity:
 
     @property
     def file_stem(self) -> str:
-        """The name of its files, without their endings. Different names have different stems, even on a
-        file system that ignores case.
+        """The name of its files, without their endings. Different names have different stems, even on a file
+        system that ignores case.
 
         A name with upper-case letters or "/" is not a valid file name. Its stem is another text, with a digest of the
         name.
@@ -66,11 +66,11 @@ class Identity:
 
 
 def parse_identity(uri: str) -> Identity:
-    """The identity of a URI. Raises ValueError with the allowed form."""
+    """The identity of a URI. Raises ValueError, which gives the allowed form."""
     cluster, _, rest = uri.removeprefix(SCHEME).partition("/")
     role, _, name = rest.partition("/")
     if not uri.startswith(SCHEME) or role not in set(Role):
-        raise ValueError(f"{SCHEME}CLUSTER/ROLE/NAME, the role being one of {', '.join(Role)}")
+        raise ValueError(f"the URI is {uri!r}; write {SCHEME}CLUSTER/ROLE/NAME. The roles are {', '.join(Role)}")
     return Identity(cluster, Role(role), name)
 
 

@@ -147,7 +147,7 @@ class ServiceServer:
         return self._health.is_serving
 
     def certificate_ends_unix_s(self) -> float | None:
-        """When the server's own certificate ends, in seconds since the epoch; None: it has none."""
+        """The end of the server's own certificate, in seconds since the epoch; None: it has none."""
         return None if self._tls is None else self._tls.ends_unix_s()
 
     async def set_serving(self, serving: bool) -> None:

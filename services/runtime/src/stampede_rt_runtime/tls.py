@@ -31,7 +31,7 @@ class ServiceTls:
     addresses: tuple[str, ...]
 
     def ends_unix_s(self) -> float:
-        """When the present certificate ends, in seconds since the epoch."""
+        """The end of the present certificate, in seconds since the epoch."""
         from stampede_rt_runtime.certificates import describe  # not at the top: see `load_tls`
 
         return float(describe(self.reader.current().certificate)[0].not_after.timestamp())

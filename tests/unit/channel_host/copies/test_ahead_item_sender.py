@@ -280,7 +280,10 @@ async def test_a_replica_that_has_got_an_item_which_the_owner_could_not_store_be
 async def test_a_replica_begins_anew_again_if_its_feed_breaks_before_it_has_done_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """In an earlier version, the owner had forgotten it by then, so the replica kept an item that the owner lacked."""
+    """In an earlier version, the owner had then forgotten that the replica must begin anew.
+
+    So the replica kept an item that the owner lacked.
+    """
     async with fed(takes_items=True) as one:
         begin(one)
         replication = one.hosted.replication
@@ -301,7 +304,9 @@ async def test_a_replica_begins_anew_again_if_its_feed_breaks_before_it_has_done
             feed = await held_stream(sockets, "/stampede_rt.v1.ReplicaService/Feed")
             feed.send(pb.FeedRequest(open=opening, credit_bytes=2**20, sent_nanos=1).SerializeToString())
             await pauses()
-            for change in replication.changes():  # the flag of the replica
+            for (
+                change
+            ) in replication.changes():  # the directory notes that the replica is out of sync, or in sync again
                 replication.confirm(change)
             [opened, *_] = parts_in(await feed.until_written(1))
             assert opened.fields.opened.begins_anew

@@ -231,7 +231,7 @@ def test_a_table_rounds_no_whole_number(tmp_path: Path, form: str, payloads: lis
             assert [one["value"] for one in csv.DictReader(file)] == values
 
 
-def test_whole_numbers_that_a_float_cannot_have_stay_numbers_among_themselves(tmp_path: Path) -> None:
+def test_a_column_of_only_whole_numbers_keeps_numbers_that_no_float_has(tmp_path: Path) -> None:
     payloads = [b'{"a":9007199254740993,"b":[9007199254740993]}', b'{"a":1,"b":[2]}']
     export(file_of(tmp_path / "a.mcap", payloads, JSON), tmp_path / "a.parquet", "parquet")
     table = parquet_table(tmp_path / "a.parquet")

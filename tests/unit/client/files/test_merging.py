@@ -1,4 +1,4 @@
-"""The parts of a file besides its items that a cut or a merge keeps, and keeps once."""
+"""A cut or a merge keeps metadata, attachments, advances and gaps, too, each of them once."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def records_of(path: Path) -> tuple[list[str], list[tuple[str, bytes]]]:
         return found, [(one.name, one.data) for one in reader.iter_attachments()]
 
 
-def test_a_cut_and_a_merge_keep_metadata_and_attachments_and_each_once(tmp_path: Path) -> None:
+def test_a_cut_and_a_merge_keep_each_metadata_record_and_attachment_once(tmp_path: Path) -> None:
     first, second = with_records(tmp_path / "1.mcap"), with_records(tmp_path / "2.mcap", 2)
     output = tmp_path / "out.mcap"
     cut(first, output, start=START, end=START + MS)
@@ -98,7 +98,7 @@ def test_gaps_of_two_files_with_a_common_part_are_merged_without_the_items_of_th
     assert [(one.first_seq, one.last_seq, one.items) for one in counts.gaps] == [(2, 4, 3), (7, 20, 14), (22, 30, 9)]
 
 
-def test_messages_of_topics_that_the_file_does_not_name_are_not_left_out_in_silence(tmp_path: Path) -> None:
+def test_a_file_with_messages_of_unnamed_topics_is_refused_except_by_recover(tmp_path: Path) -> None:
     path, output = tmp_path / "a.mcap", tmp_path / "out.mcap"
     with path.open("wb") as file:
         writer = Writer(file)

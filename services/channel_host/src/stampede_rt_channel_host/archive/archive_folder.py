@@ -77,7 +77,7 @@ class ArchiveFolder:
                 "--data-dir out"
             )
 
-    def continued(self) -> int:
+    def noted_stop(self) -> int:
         """The boot incarnation of the last process that had archived all items before it stopped; 0: none is known.
 
         Only the directory knows whether another process of the host has registered since. Raises OSError.
@@ -111,12 +111,12 @@ class ArchiveFolder:
         """The folders of all channels, including deleted channels. Blocks. Raises OSError."""
         return folders_of_channels(self.path / _CHANNELS)
 
-    def limit_bytes(self, used_bytes: int, besides: int = 0) -> int:
+    def limit_bytes(self, used_bytes: int, reserved_bytes: int = 0) -> int:
         """The most bytes that the archive may have, if it has `used_bytes` now. Raises OSError.
 
-        `besides`: the free bytes of the disk that the archive leaves to other users.
+        `reserved_bytes`: the free bytes of the disk that the archive leaves to other users.
         """
-        return self._bytes_max or max(0, used_bytes + shutil.disk_usage(self.path).free - besides) * 9 // 10
+        return self._bytes_max or max(0, used_bytes + shutil.disk_usage(self.path).free - reserved_bytes) * 9 // 10
 
     def close(self) -> None:
         """Let other processes use the folder."""

@@ -52,7 +52,7 @@ class WaitingPuts:
         self._bytes_max = max(JOIN_FROM_BYTES, 2 * self.bytes)
 
     def accepted_at(self, seq: int) -> int:
-        """When the host accepted the put of the item `seq`; 0 if no put waits."""
+        """The time at which the host accepted the put of the item `seq`; 0 if no put waits."""
         at = bisect_right(self._ends, seq)
         return self.instants[min(at, len(self.instants) - 1)] if self.instants else 0
 

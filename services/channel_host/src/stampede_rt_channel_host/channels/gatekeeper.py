@@ -163,7 +163,10 @@ def _check_id(channel_id: bytes) -> None:
 
 
 def _first_sent_s(context: Context) -> float:
-    """When the caller made the request, in seconds of `age_clock_s`. Raises InvalidArgument for a malformed age."""
+    """The time at which the caller made the request, in seconds of `age_clock_s`.
+
+    Raises InvalidArgument for a malformed age.
+    """
     return age_clock_s() - request_age_nanos(context.invocation_metadata()) / 1e9
 
 

@@ -73,7 +73,7 @@ class Recording:
         self._archive = archive
         self._channel = channel
         self._on_archived = on_archived
-        # while the host does not know which items the object store has
+        # None if the host knows which items the object store has
         self._unknown = None if opened.files.is_known else UnknownPast(channel, opened.files.epoch, opened.found)
         begin = start_of(opened.files.epoch) if opened.files.is_shared and has_start(opened.files.epoch) else 1
         found_to: int | None = None
@@ -144,7 +144,7 @@ class Recording:
 
     @property
     def may_read(self) -> bool:
-        """Whether the archive has items, or will have or lacks items that memory has lost."""
+        """Whether the archive has items, or memory has lost items that the archive does not have."""
         return bool(self.recorder.segments or self.recorder.lost_items)
 
     @property
@@ -155,7 +155,7 @@ class Recording:
 
     @property
     def _expected_span(self) -> ArchiveSpan:
-        """As `_span`, but before the first write with the times of the lost items that the write under way may save."""
+        """As `_span`. Before the first write: the times of the lost items that the write under way may save."""
         span, backlog = self._span, self._channel.backlog
         if span.oldest is not None or not backlog.at_risk or backlog.lost_times is None:
             return span
@@ -163,7 +163,7 @@ class Recording:
 
     @property
     def kept_from(self) -> int:
-        """Neither the archive nor memory has an item with a lower seq."""
+        """The lowest seq of an item in the archive or in memory. Without items: the next seq to archive."""
         segments, held = self.recorder.segments, next(iter(self._channel.accepted_from(0)), None)
         archived_from = segments[0].first_seq if segments else self.recorder.archived_to
         return archived_from if held is None else min(archived_from, held.first_seq)

@@ -18,11 +18,11 @@ class EarlyHolds:
     def __init__(self) -> None:
         self._slow_until_s: OrderedDict[str, float] = OrderedDict()  # by the gatekeeper of the source
 
-    def may(self, target: str, now_s: float) -> bool:
+    def may_hold(self, target: str, now_s: float) -> bool:
         """Whether the source at `target` may hold the channel early."""
         return self._slow_until_s.get(target, now_s) <= now_s
 
-    def took(self, target: str, seconds: float, now_s: float) -> None:
+    def note_wait(self, target: str, seconds: float, now_s: float) -> None:
         """Note how long this host has waited for a last message, from a source that was allowed to hold early."""
         if seconds <= SLOW_SECONDS:
             return

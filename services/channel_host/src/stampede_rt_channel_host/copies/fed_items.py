@@ -1,6 +1,7 @@
-"""Encodes the runs of a feed that go ahead, and the answers to them, in fixed places. Protobuf would take longer.
+"""Encodes the runs of a feed that go ahead, and the answers to them. Protobuf would take longer.
 
-The bytes are valid messages of `replica_service.proto` (`FeedResponse.item`, `FeedRequest.item_next_seq`).
+The bytes are valid messages of `replica_service.proto` (`FeedResponse.item`, `FeedRequest.item_next_seq`), with each
+field at a fixed offset.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ class FeedStream:
         self._send_in_this_turn: Callable[[], bool] | None = None  # while the feed waits for a change, and has no move
         self._is_scheduled = False  # whether the event loop sends the next part to a proxy in its next turn
         self._ahead: AheadItemSender | None = None  # if the copy takes items before the channel stores them
-        self._takes_newest = False  # whether the copy is a proxy that takes a single run in fixed places
+        self._takes_newest = False  # whether the copy is a proxy that understands `encode_item`
         self._failure: Exception | None = None  # an error outside of the feed's task, which ends the feed
         self._source: ChannelCore  # the channel that is fed; set when the feed begins, as `_feed`
         self._feed: ChannelFeed
@@ -73,8 +73,10 @@ class FeedStream:
         self._is_handed_over = self._is_released = False  # once handed over, the destination needs only signs of life
 
     def wake(self) -> None:
-        """Send a change of the channel: to a replica in this turn of the event loop if it has everything else, because
-        puts wait for its answer, and to a proxy in the next turn, with the other changes until then.
+        """Send a change of the channel.
+
+        A replica that has everything else gets the change in this turn of the event loop, because puts wait for its
+        answer. A proxy gets it in the next turn, together with the other changes until then.
         """
         if self._ahead is not None and self._ahead.stored(self._source.next_seq):
             return  # the items that the channel has collected meanwhile leave the replica with the next part

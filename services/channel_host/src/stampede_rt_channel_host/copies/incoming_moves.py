@@ -114,7 +114,7 @@ class IncomingMoves:
 
         Puts must not wait for an archive or for a slow copy.
         """
-        is_slow = bool(self._bytes_per_second) or not self._early.may(source.target, time.monotonic())
+        is_slow = bool(self._bytes_per_second) or not self._early.may_hold(source.target, time.monotonic())
         return not (is_slow or record.policy.is_recorded or record.policy.replicas)
 
     async def _move(self, record: RecordedChannel, source: FeedSource, is_of_drain: bool) -> MovedChannel:
@@ -130,7 +130,7 @@ class IncomingMoves:
             return await self._take_over(record, source, state, feed, feeding)
         finally:
             if is_early:
-                self._early.took(source.target, feed.last_message_seconds, time.monotonic())
+                self._early.note_wait(source.target, feed.last_message_seconds, time.monotonic())
             feeding.cancel()
             await asyncio.gather(feeding, return_exceptions=True)
             self._keeper.resume(record, state)

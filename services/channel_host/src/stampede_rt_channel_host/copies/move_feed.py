@@ -35,7 +35,7 @@ class MoveFeed(CopyFeed):
         self.handoff: asyncio.Future[Inheritance] = asyncio.get_running_loop().create_future()
         self.permit = b""
         self.held_nanos = 0
-        """When the changes of the channel began to wait at the source, as far as this host knows; 0: not yet."""
+        """The time at which the changes of the channel began to wait at the source; 0: this host knows of no wait."""
         self._handoff_took_nanos: int | None = None
         self._may_hold_early = may_hold_early
         self._came_nanos = time.monotonic_ns()  # when the latest message came, or this object began to wait for one

@@ -207,9 +207,11 @@ class BaseChannel:
         self._acceptance.advance = self._reading.advance = advance
 
     def leave_to_archive(self, edge: int, loss: tuple[int | None, int | None], now: int) -> bool:
-        """Note that an archive has been found, with the items up to `edge` of the former owners. `loss`: see `restore`.
+        """Note that the host has found an archive, with the former owners' items up to the time `edge`.
 
-        Returns False if items up to `edge` are still to be archived: call it again after the next write.
+        `loss`: see `restore`.
+
+        Returns False if this host must still archive items up to `edge`: call it again after the next write.
         """
         clock = self._age_and_free(self._tick(now))
         if not leave_to_archive(self._held, edge, self._retention.unarchived, clock):
