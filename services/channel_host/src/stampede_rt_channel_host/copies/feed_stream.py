@@ -73,10 +73,8 @@ class FeedStream:
         self._is_handed_over = self._is_released = False  # once handed over, the destination needs only signs of life
 
     def wake(self) -> None:
-        """Send a change of the channel.
-
-        A replica that has everything else gets the change in this turn of the event loop, because puts wait for its
-        answer. A proxy gets it in the next turn, together with the other changes until then.
+        """Send a change of the channel. A replica that has everything else gets it in this turn of the event loop,
+        because puts wait for the replica's answer. A proxy gets it in the next turn, with the other changes until then.
         """
         if self._ahead is not None and self._ahead.stored(self._source.next_seq):
             return  # the items that the channel has collected meanwhile leave the replica with the next part
