@@ -22,7 +22,10 @@ class Instants:
 
     @property
     def is_empty(self) -> bool:
-        """Two different bounds always have an instant between them. Equal bounds have one only if both are closed."""
+        """Whether the set has no instant.
+
+        Two different bounds always have an instant between them. Equal bounds have one only if both are closed.
+        """
         return self.low > self.high or (self.low == self.high and not (self.low_closed and self.high_closed))
 
     def shares_an_instant_with(self, other: Instants) -> bool:

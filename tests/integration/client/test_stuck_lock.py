@@ -13,7 +13,7 @@ cluster = shared_cluster_fixture(hosts=1)
 
 
 @pytest.mark.parametrize("streams", ["", "public"])
-def test_calls_after_such_an_interrupt_use_a_new_connection(
+def test_calls_after_an_interrupt_that_leaves_a_lock_locked_use_a_new_connection(
     cluster: LocalCluster, streams: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(STREAMS_VARIABLE, streams)

@@ -197,7 +197,7 @@ async def test_a_lost_host_holds_the_cut_back_until_its_channel_has_another_owne
     third = await pair.cluster.start("h3", b"c-another-host!!")
     record = pair.cluster.directory.give_to(pair.right.channel_id, third.host.identity.host_id)
     channel = await third.bound(record)
-    assert (await pair.left.get(pair.group))[1].cut_unix_nano == t + 3  # still, though the new owner has no item
+    assert (await pair.left.get(pair.group))[1].cut_unix_nano == t + 3  # the new owner has no item
     await channel.put(t + 8)
     await pair.left.host.until_cut(pair.group, t + 8)
 

@@ -10,12 +10,12 @@ from stampede_rt.cli.output import bytes_text, number_of
 from stampede_rt.values.statistics import ArchiveStats, ChannelStats
 
 
-def archive_facts(stats: ChannelStats, people: bool) -> dict[str, Any]:
+def archive_facts(stats: ChannelStats, for_people: bool) -> dict[str, Any]:
     """The fact `archive`, and for people `archive_place`, too. Texts for people, or plain values for programs.
 
     A channel that is not recorded has the text "none", or None.
     """
-    if not people:
+    if not for_people:
         return {"archive": None if stats.archive is None else asdict(stats.archive)}
     if stats.archive is None:
         return {"archive": "none"}

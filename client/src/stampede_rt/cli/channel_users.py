@@ -12,12 +12,12 @@ from stampede_rt.values.timeline import format_duration
 NOT_TOLD = "not known: this needs the right to read the channel, and a host of a release that reports them"
 
 
-def user_facts(stats: ChannelStats, people: bool) -> dict[str, Any]:
+def user_facts(stats: ChannelStats, for_people: bool) -> dict[str, Any]:
     """The facts `dropped`, `readers` and `writers`: texts for people, or plain values for programs.
 
     Lists that the host does not report are None in the plain values.
     """
-    if not people:
+    if not for_people:
         readers, writers = _plain(stats.readers), _plain(stats.writers)
         return {"dropped": stats.dropped, "readers": readers, "writers": writers}
     return {

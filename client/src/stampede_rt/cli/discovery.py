@@ -73,8 +73,8 @@ def run_info(arguments: argparse.Namespace) -> int:
         info = channel.info
         proxies = rt.proxies(channel) if stats.copies else []
         replicas = replica_rows(rt, stats.copies) if stats.policy.replicas else []
-    people = arguments.output == "table"
-    instant = instant_text if people else (lambda value: value)
+    for_people = arguments.output == "table"
+    instant = instant_text if for_people else (lambda value: value)
     facts: dict[str, Any] = {
         "channel": info.name,
         "host": info.host,
@@ -84,25 +84,25 @@ def run_info(arguments: argparse.Namespace) -> int:
         "keeps": policy_text(stats.policy),
         "on_full": stats.policy.on_full or "drop_oldest",
         "held": stats.held,
-        "held_bytes": bytes_text(stats.held_bytes) if people else stats.held_bytes,
+        "held_bytes": bytes_text(stats.held_bytes) if for_people else stats.held_bytes,
         "accepted": stats.accepted,
-        "collected": _counts(stats.collected) if people else dict(stats.collected),
-        "rejected": _counts(stats.rejected) if people else dict(stats.rejected),
+        "collected": _counts(stats.collected) if for_people else dict(stats.collected),
+        "rejected": _counts(stats.rejected) if for_people else dict(stats.rejected),
         "oldest": None if stats.oldest is None else instant(stats.oldest),
         "newest": None if stats.newest is None else instant(stats.newest),
-        "age": _age(stats.newest, stats.host_time, people),
+        "age": _age(stats.newest, stats.host_time, for_people),
         "frontier": None if stats.frontier is None else instant(stats.frontier),
-        **archive_facts(stats, people),
-        "consumers": _consumers(stats) if people else [asdict(one) for one in stats.consumers],
+        **archive_facts(stats, for_people),
+        "consumers": _consumers(stats) if for_people else [asdict(one) for one in stats.consumers],
         "subscriptions": stats.subscriptions,
-        **user_facts(stats, people),
+        **user_facts(stats, for_people),
         "waiting_gets": stats.waiting_gets,
         "waiting_puts": stats.waiting_puts,
-        "clock_offset": format_duration(stats.clock_offset_nanos or 0) if people else stats.clock_offset_nanos,
+        "clock_offset": format_duration(stats.clock_offset_nanos or 0) if for_people else stats.clock_offset_nanos,
         "transport": stats.transport,
-        "replicas": _replicas_text(stats, replicas) if people else replicas,
-        "multicast": _multicast(stats.multicast, people),
-        "proxies": _proxies(proxies) if people else [asdict(one) for one in proxies],
+        "replicas": _replicas_text(stats, replicas) if for_people else replicas,
+        "multicast": _multicast(stats.multicast, for_people),
+        "proxies": _proxies(proxies) if for_people else [asdict(one) for one in proxies],
     }
     print_facts(facts, arguments.output)
     return 0
@@ -131,8 +131,8 @@ def _replicas_text(stats: ChannelStats, replicas: list[dict[str, Any]]) -> str:
     return replicas_text(stats.policy.replicas, replicas) + lacking + lost
 
 
-def _multicast(sent: ChannelMulticastStats | None, people: bool) -> Any:
-    if not people:
+def _multicast(sent: ChannelMulticastStats | None, for_people: bool) -> Any:
+    if not for_people:
         return {} if sent is None else asdict(sent)
     if sent is None:
         return "none"
@@ -149,7 +149,7 @@ def _proxies(proxies: list[ProxyInfo]) -> str:
     return ", ".join(shown) or "none"
 
 
-def _age(newest: int | None, host_time: int, people: bool) -> str | int | None:
+def _age(newest: int | None, host_time: int, for_people: bool) -> str | int | None:
     if newest is None:
         return None
-    return format_duration(host_time - newest) if people else host_time - newest
+    return format_duration(host_time - newest) if for_people else host_time - newest

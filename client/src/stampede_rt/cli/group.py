@@ -171,15 +171,15 @@ def _status_line(status: GroupStatus[Channel]) -> str:
 
 def _member_row(status: GroupStatus[Channel], channel: Channel, form: str) -> dict[str, Any]:
     member = status.members[channel]
-    people = form == "table"
+    for_people = form == "table"
     return {
         "channel": channel.name,
-        "newest": instant_text(member.newest) if people and member.newest is not None else member.newest,
-        "ahead": _lead(member.lead_nanos) if people else member.lead_nanos,
+        "newest": instant_text(member.newest) if for_people and member.newest is not None else member.newest,
+        "ahead": _lead(member.lead_nanos) if for_people else member.lead_nanos,
         "hidden": member.hidden,
-        "holds_the_cut": _said(channel in status.waiting_on, people),
-        "idle": _said(member.idle, people),
-        "window_too_short": _said(member.window_too_short, people),
+        "holds_the_cut": _said(channel in status.waiting_on, for_people),
+        "idle": _said(member.idle, for_people),
+        "window_too_short": _said(member.window_too_short, for_people),
     }
 
 
@@ -190,8 +190,8 @@ def _lead(nanos: int | None) -> str | None:
     return format_duration(nanos) if nanos else "at the cut"
 
 
-def _said(true: bool, people: bool) -> bool | str:
-    return ("yes" if true else "no") if people else true
+def _said(fact: bool, for_people: bool) -> bool | str:
+    return ("yes" if fact else "no") if for_people else fact
 
 
 def run_newest(arguments: argparse.Namespace) -> int:

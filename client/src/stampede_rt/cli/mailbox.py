@@ -88,22 +88,22 @@ def _advice(peers: list[PeerInfo]) -> list[str]:
 
 
 def _row(peer: PeerInfo, hosts: dict[bytes, str], form: str) -> dict[str, Any]:
-    people = form == "table"
+    for_people = form == "table"
     return {
         "peer": peer.name or peer.peer_id.hex(),
-        "alive": ("yes" if peer.alive else "no") if people else peer.alive,
-        "since": instant_text(peer.registered) if people else peer.registered,
-        "mailbox": ("yes" if peer.mailbox_queue_id else "no") if people else peer.mailbox_queue_id is not None,
+        "alive": ("yes" if peer.alive else "no") if for_people else peer.alive,
+        "since": instant_text(peer.registered) if for_people else peer.registered,
+        "mailbox": ("yes" if peer.mailbox_queue_id else "no") if for_people else peer.mailbox_queue_id is not None,
         "host": hosts.get(peer.host_id) if peer.host_id is not None else None,
         "zone": peer.zone or None,
         "version": peer.version,
         "owner": peer.owner or None,
-    } | _clock(peer, people)
+    } | _clock(peer, for_people)
 
 
-def _clock(peer: PeerInfo, people: bool) -> dict[str, Any]:
+def _clock(peer: PeerInfo, for_people: bool) -> dict[str, Any]:
     """Return the column for the offset of a peer's clock from a supernode's clock, mostly the leader's clock."""
-    if not people:
+    if not for_people:
         return {"clock": None if peer.clock is None else asdict(peer.clock)}
     if peer.clock is None:
         return {"clock_offset": UNKNOWN if peer.alive else None}

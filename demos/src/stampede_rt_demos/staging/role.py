@@ -57,9 +57,10 @@ class Stage:
         self._ready_cpu_seconds = 0.0
 
     def wait_for_start(self) -> int:
-        """Report that the role is ready, and wait for the start of the programme (nanoseconds since the epoch).
+        """Report that the role is ready, and wait for the message with the start of the programme.
 
-        Call it once, after all slow preparations. If the orchestrator ends then or later, this process ends, too.
+        Returns the start, in nanoseconds since the epoch. Call this method once, after all slow preparations. If the
+        orchestrator ends then or later, this process ends, too.
         """
         self.tell("ready")
         with open(0, "rb", buffering=0, closefd=False) as orchestrator:

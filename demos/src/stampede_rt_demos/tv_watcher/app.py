@@ -12,9 +12,10 @@ from stampede_rt_demos.tv_watcher.report import facts, render, subtitle
 
 
 def run(*, seconds: int, picture: Path | None, certificates: bool = False, form: str = "table") -> int:
-    """Run the TV watcher for `seconds`, print its table, and with `picture` draw one there. Returns exit status 0.
+    """Run the TV watcher for `seconds`, and print its table. Returns exit status 0.
 
-    Raises DemoFailed if the demo cannot run, or, before the start, if the picture cannot be written.
+    `picture`: the path at which to draw a picture; None: draw none. Raises DemoFailed if the demo cannot run, or,
+    before the start, if the picture cannot be written.
     """
     if picture is not None:
         require_writable(picture)

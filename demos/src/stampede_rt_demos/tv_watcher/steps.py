@@ -24,4 +24,4 @@ def step_of(message: Message) -> StepFigures:
     try:
         return StepFigures(**{name: message[name] for name in StepFigures.__dataclass_fields__})
     except KeyError as error:
-        raise BadMessage(f"a step without {error}") from None
+        raise BadMessage(f"the step lacks the field {error}") from None

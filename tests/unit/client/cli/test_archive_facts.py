@@ -15,13 +15,13 @@ POOR = replace(WHOLE, items=2, disk_bytes=1024, newest=None, waiting=3, unarchiv
 
 
 def test_the_table_names_the_items_of_the_archive_and_its_place() -> None:
-    facts = archive_facts(replace(STATS, archive=WHOLE), people=True)
+    facts = archive_facts(replace(STATS, archive=WHOLE), for_people=True)
     first = "1970-01-01T00:00:00.000000000Z"
     assert facts == {"archive": f"1 item (2.0 KiB), from {first} to {first}", "archive_place": "/data"}
 
 
 def test_the_table_names_everything_that_the_archive_lacks() -> None:
-    facts = archive_facts(replace(STATS, archive=POOR), people=True)
+    facts = archive_facts(replace(STATS, archive=POOR), for_people=True)
     assert facts["archive"] == (
         "2 items (2.0 KiB), 1.0 KiB of it on the host's disk, 3 items not on the disk yet, "
         "1 item collected by max_bytes before the disk had them, fails: No space left on device"
@@ -29,6 +29,6 @@ def test_the_table_names_everything_that_the_archive_lacks() -> None:
 
 
 def test_the_json_output_has_plain_values() -> None:
-    assert archive_facts(replace(STATS, archive=POOR), people=False)["archive"]["unarchived"] == 1
-    assert archive_facts(STATS, people=False) == {"archive": None}
-    assert archive_facts(STATS, people=True) == {"archive": "none"}
+    assert archive_facts(replace(STATS, archive=POOR), for_people=False)["archive"]["unarchived"] == 1
+    assert archive_facts(STATS, for_people=False) == {"archive": None}
+    assert archive_facts(STATS, for_people=True) == {"archive": "none"}

@@ -20,7 +20,7 @@ TOLD = replace(
 
 
 def test_the_table_has_the_missed_items_of_each_reader_and_the_last_put_of_each_writer() -> None:
-    assert user_facts(TOLD, people=True) == {
+    assert user_facts(TOLD, for_people=True) == {
         "dropped": 7,
         "readers": "dash#3 (5 collected, 2 skipped), @localhost#1",
         "writers": "cam (2 s ago)",
@@ -28,13 +28,13 @@ def test_the_table_has_the_missed_items_of_each_reader_and_the_last_put_of_each_
 
 
 def test_the_table_shows_whether_names_are_unknown_or_there_are_none() -> None:
-    assert user_facts(STATS, people=True) == {"dropped": 0, "readers": NOT_TOLD, "writers": NOT_TOLD}
-    assert user_facts(STATS, people=False) == {"dropped": 0, "readers": None, "writers": None}
+    assert user_facts(STATS, for_people=True) == {"dropped": 0, "readers": NOT_TOLD, "writers": NOT_TOLD}
+    assert user_facts(STATS, for_people=False) == {"dropped": 0, "readers": None, "writers": None}
     nobody = replace(STATS, readers=(), writers=())
-    assert user_facts(nobody, people=True) == {"dropped": 0, "readers": "none", "writers": "none"}
+    assert user_facts(nobody, for_people=True) == {"dropped": 0, "readers": "none", "writers": "none"}
 
 
 def test_the_json_output_has_plain_values() -> None:
-    facts = user_facts(TOLD, people=False)
+    facts = user_facts(TOLD, for_people=False)
     assert facts["readers"][0] == {"subscriber": "dash#3", "collected": 5, "skipped": 2}
     assert facts["writers"] == [{"name": "cam", "last_put": 98 * S}]

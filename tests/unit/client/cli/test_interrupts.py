@@ -149,7 +149,7 @@ def test_a_command_that_is_ending_gets_only_one_keyboard_interrupt(number: signa
     assert ended(program) == (0, "unwound\n")
 
 
-def test_an_interrupt_that_a_weakref_callback_swallows_ends_the_process_all_the_same() -> None:
+def test_an_interrupt_that_a_weakref_callback_swallows_still_ends_the_process() -> None:
     program = """
     class Dropped: pass
 

@@ -53,7 +53,7 @@ def test_a_line_of_text_is_shown_with_its_newline_escaped() -> None:
     assert preview(b"text\n", 5, "") == "text\\n"
 
 
-def test_bytes_that_are_no_text_are_shown_as_their_number() -> None:
+def test_bytes_that_are_no_text_are_shown_by_their_length() -> None:
     assert preview(b"\xff\xd8", 2, "image/jpeg") == "[2 bytes image/jpeg]"
     assert preview(b"\0\1", 2, "") == "[2 bytes]"
 

@@ -1,4 +1,4 @@
-"""When items are due: exact, and the same from any loop on."""
+"""The instants at which items are due. They are exact in each loop of the clip."""
 
 import numpy as np
 import pytest

@@ -169,7 +169,7 @@ async def test_a_new_member_whose_release_is_below_the_clusters_level_is_refused
     await stub.AddSupernode(await addition(stub, highest_feature_level=3), timeout=10)
 
 
-async def test_a_supernode_whose_state_differs_gives_no_snapshot_not_even_a_stale_one(rig: tuple[Node, Any]) -> None:
+async def test_a_supernode_whose_state_differs_refuses_current_and_stale_snapshots(rig: tuple[Node, Any]) -> None:
     node, stub = rig
     node.log.diverged_at = 7
     for stale_ok in (False, True):

@@ -99,7 +99,7 @@ def not_archived(channel: str, why: str, first_seq: int | None = None) -> NotArc
     taken = "has not accepted" if first_seq is None else "has accepted"
     return NotArchived(
         f"channel {channel} {taken} the put, and its archive could not take the items ({why}); look at `stampede "
-        'doctor`, and put again, or with ack="host" if memory is enough',
+        'doctor`, and put again. If memory is enough, put with ack="host"',
         metadata=metadata,
     )
 
@@ -165,7 +165,7 @@ class AckOfReplicas:
             timer.cancel()
 
     def _note_late(self, look: Look) -> None:
-        self._is_late = True  # not by the clock, because a timer may be early by a part of a millisecond
+        self._is_late = True  # `is_due` cannot compare clocks, because a timer may be early by a part of a millisecond
         look(True)
 
     async def due(self) -> pb.PutAck:

@@ -223,7 +223,7 @@ class Holdings(HeldItems):
             self.newest_consumed = last.last_time if before is None else max(before, last.last_time)
         else:
             self._note_end(oldest, last, cause, now)
-        # Not the key of the next held item, because another item may come between the two.
+        # The floor is not the key of the next held item, because another item may come between the two.
         self.floor = last.last_time, last.end_seq
         self._count_collected(oldest, cause)
         if oldest.rest is None:

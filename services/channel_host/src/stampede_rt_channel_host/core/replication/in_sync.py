@@ -218,7 +218,7 @@ class ReplicasInSync:
         if not self._is_known:
             return
         least, in_sync = self._next_seq, 0
-        for one in self._replicas.values():  # at each put and each report: in one walk, without lists
+        for one in self._replicas.values():  # each put and each report runs this loop, so it makes no lists
             if one.is_waited_for:
                 least = min(least, one.next_seq)
                 in_sync += one.state is ReplicaState.IN

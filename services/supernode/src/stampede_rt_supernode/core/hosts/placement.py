@@ -21,7 +21,7 @@ THING_PERMILLE = 20
 STEP_PERMILLE = 100
 """Loads within the same tenth count as equal. Then the numbers of channels decide."""
 FULL_PERMILLE = 950
-"""A host with less room than this is chosen only if no host has more."""
+"""A host with this load, or with this share of its memory in use, is chosen only if all hosts are so full."""
 GROUPS_LOOKED_AT_MAX, MEMBERS_LOOKED_AT_MAX = 8, 64
 SHARE_FACTOR, SHARE_FREE = 4, 64
 """Hosts report their own loads, and a report may be wrong. A host gets channels and queues for its low load only while
@@ -111,8 +111,8 @@ def check_has_place(host: HostRecord, channel: str) -> None:
 def beside_its_group(tables: Tables, channel_id: bytes) -> HostRecord | None:
     """The live host that owns most of the other members of the channel's groups.
 
-    None if there is no such host, or if its load leaves no room. So the hosts of a group exchange fewer times. Looks
-    at a bounded number of groups and members.
+    If the new channel is at this host, the hosts of the group exchange fewer times. Returns None if there is no such
+    host, or if its load leaves no room. Looks at a bounded number of groups and members.
     """
     owned: Counter[bytes] = Counter()
     for group in islice(tables.groups.with_channel(channel_id), GROUPS_LOOKED_AT_MAX):
