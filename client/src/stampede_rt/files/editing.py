@@ -12,7 +12,7 @@ from mcap.records import Attachment, Metadata
 from stampede_rt.errors import FileError, InvalidArgument
 from stampede_rt.files.chunk_content import ChunkContent, Event
 from stampede_rt.files.entries import FileAdvance, FileEntry
-from stampede_rt.files.file_tally import DAMAGED, FileTally
+from stampede_rt.files.file_tally import FileTally, recorded_between
 from stampede_rt.files.framing import Damage
 from stampede_rt.files.interval_filter import IntervalFilter
 from stampede_rt.files.reading import FileReader
@@ -170,7 +170,7 @@ def _walk(
     for part in reader.contents():
         if isinstance(part, Damage):
             damaged_bytes += part.end - part.offset
-            tally.damage()
+            tally.damage(part.times)
             if len(damages) < DAMAGES_KEPT_MAX:
                 damages.append(part)
         elif isinstance(part, ChunkContent):
@@ -192,6 +192,8 @@ def _walk(
     losses = [] if stated is None else [*stated.damaged]
     if damages and stated is None:
         losses.append(_unnamed_loss(reader.path, damaged_bytes))
+    elif stated is None and reader.index is None and tally.has_own:
+        losses.append(f"the summary of the file {reader.path!r} cannot be read, so it may lack items without a gap")
     if unknown:
         losses.append(f"{unknown} messages of the file {reader.path!r}, which does not name their topics")
     return FileReport(
@@ -216,7 +218,7 @@ def _with_losses(found: RecordingSummary, stated: RecordingSummary | None, losse
     by_key = {(one.channel, one.incarnation): one for one in found.channels}
     for told in stated.channels if stated else ():
         one = by_key.get((told.channel, told.incarnation))
-        has = 0 if one is None else one.recorded + sum(gap.items or 0 for gap in one.gaps if gap.reason == DAMAGED)
+        has = 0 if one is None else one.recorded + sum(recorded_between(gap, told) for gap in one.gaps)
         if has < told.recorded:
             losses.append(f"{told.recorded - has} items of channel {told.channel}, which the summary of the file names")
     return replace(found, absent=() if stated is None else tuple(stated.absent), damaged=tuple(losses[:LOSSES_MAX]))

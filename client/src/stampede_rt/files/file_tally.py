@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from stampede_rt.files.entries import FileAdvance, FileEntry, Topic
+from stampede_rt.files.seq_ranges import SeqRanges
+from stampede_rt.files.time_bounds import TimeBounds, joined_times
 from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordedCounts, RecordingGap, RecordingSummary
 from stampede_rt.values.seq_starts import given_between
 
@@ -26,7 +28,8 @@ class _Counts:
     end: int | None = None
     advance: int | None = None
     damaged_after: int | None = None  # damage came after this seq, and no later item has come
-    damaged_before: bool = False  # damage came before the first item
+    damaged_times: TimeBounds = (None, None)  # the times of this damage
+    damaged_before: TimeBounds | None = None  # the times of the damage before the first item; None: there was none
 
 
 class FileTally:
@@ -37,7 +40,7 @@ class FileTally:
 
     def __init__(self) -> None:
         self._counts: dict[Key, _Counts] = {}
-        self._damaged_so_far = False
+        self._damaged_so_far: TimeBounds | None = None
         self.foreign: dict[Topic, int] = {}  # messages of topics that are not channels of Stampede RT
 
     def add(self, event: FileEntry | RecordingGap | FileAdvance) -> list[RecordingGap]:
@@ -64,21 +67,23 @@ class FileTally:
         revealed = []
         if counts.damaged_after is not None and entry.seq > counts.damaged_after:
             if entry.seq > counts.damaged_after + 1:
-                revealed.append(self._damaged(entry.topic, counts.damaged_after + 1, entry.seq - 1))
+                revealed.append(
+                    self._damaged(entry.topic, counts.damaged_after + 1, entry.seq - 1, counts.damaged_times)
+                )
             counts.damaged_after = None
         counts.first_seq = entry.seq if counts.first_seq is None else min(counts.first_seq, entry.seq)
         counts.last_seq = entry.seq if counts.last_seq is None else max(counts.last_seq, entry.seq)
         counts.reached = max(counts.reached, entry.seq)
         return revealed
 
-    def _damaged(self, topic: Topic, first_seq: int, last_seq: int) -> RecordingGap:
+    def _damaged(self, topic: Topic, first_seq: int, last_seq: int, times: TimeBounds) -> RecordingGap:
         items: int | None = last_seq - first_seq + 1
         detail = f"a damaged part of the file had at most these {items} items"
         if given_between(first_seq, last_seq + 1) != items:
             items, detail = None, "a damaged part of the file may have had items of two owners of the channel"
         gap = RecordingGap(
             channel=topic.name, incarnation=topic.incarnation or 0, reason=DAMAGED, first_seq=first_seq,
-            last_seq=last_seq, items=items, detail=detail,
+            last_seq=last_seq, items=items, detail=detail, start=times[0], end=times[1],
         )  # fmt: skip
         self._add_gap(gap)
         return gap
@@ -91,12 +96,17 @@ class FileTally:
         if len(counts.gaps) < GAPS_KEPT_MAX:
             counts.gaps.append(gap)
 
-    def damage(self) -> None:
-        """Note that a part of the file is damaged here."""
-        self._damaged_so_far = True
+    def damage(self, times: TimeBounds = (None, None)) -> None:
+        """Note that a part of the file is damaged here. `times`: the bounds of the times of its items."""
+        so_far = self._damaged_so_far
+        self._damaged_so_far = times if so_far is None else joined_times(so_far, times)
         for key, counts in self._counts.items():
-            if key[1] is not None and counts.damaged_after is None:
-                counts.damaged_after = counts.reached
+            if key[1] is None:
+                continue
+            if counts.damaged_after is None:
+                counts.damaged_after, counts.damaged_times = counts.reached, times
+            else:
+                counts.damaged_times = joined_times(counts.damaged_times, times)
 
     def ends_torn(self, first: str, last: str, intended: RecordingSummary | None = None) -> list[RecordingGap]:
         """End a damaged or torn file. Returns the gaps before the first and after the last item of each channel.
@@ -114,21 +124,22 @@ class FileTally:
                 gaps += self._lost_behind(key, counts, known.get(key), last)
         for key, told in known.items():
             if key not in self._counts and told.recorded:
-                gaps.append(_gap(key, last, told.first_seq, told.last_seq, told.recorded))
+                times = (told.start, told.end)
+                gaps.append(_gap(key, last, told.first_seq, told.last_seq, told.recorded, times))
         for gap in gaps:
             self._add_gap(gap)
         return gaps
 
     def _lost_before(self, key: Key, counts: _Counts, told: RecordedCounts | None, detail: str) -> list[RecordingGap]:
         """Return the gap before the first item, if damage came before it."""
-        if not counts.damaged_before or counts.first_seq is None or counts.first_seq == 1:
+        if counts.damaged_before is None or counts.first_seq is None or counts.first_seq == 1:
             return []
         if told is None:
-            return [_gap(key, detail, None, counts.first_seq - 1, None)]
+            return [_gap(key, detail, None, counts.first_seq - 1, None, counts.damaged_before)]
         if told.first_seq is None or told.first_seq >= counts.first_seq:
             return []
-        items = min(counts.first_seq - told.first_seq, _unseen(counts, told))
-        return [_gap(key, detail, told.first_seq, counts.first_seq - 1, items)]
+        items = _lost_at_most(told.first_seq, counts.first_seq - 1, counts, told)
+        return [_gap(key, detail, told.first_seq, counts.first_seq - 1, items, counts.damaged_before)]
 
     def _lost_behind(self, key: Key, counts: _Counts, told: RecordedCounts | None, detail: str) -> list[RecordingGap]:
         """Return the gap after the last item, if damage came there."""
@@ -136,10 +147,16 @@ class FileTally:
             return []
         first = counts.damaged_after + 1
         if told is None:
-            return [_gap(key, detail, first, None, None)]
+            return [_gap(key, detail, first, None, None, (counts.damaged_times[0], None))]
         if told.last_seq is None or told.last_seq < first:
             return []
-        return [_gap(key, detail, first, told.last_seq, min(told.last_seq - first + 1, _unseen(counts, told)))]
+        items = _lost_at_most(first, told.last_seq, counts, told)
+        return [_gap(key, detail, first, told.last_seq, items, counts.damaged_times)]
+
+    @property
+    def has_own(self) -> bool:
+        """Whether there is a channel of Stampede RT, and not of another program only."""
+        return any(key[1] is not None for key in self._counts)
 
     def summary(self, path: str, absent: tuple[str, ...] = (), damaged: tuple[str, ...] = ()) -> RecordingSummary:
         """Return the counts of the channels of Stampede RT and of other topics, by name.
@@ -157,17 +174,37 @@ class FileTally:
         return counts
 
 
-def _gap(key: Key, detail: str, first: int | None, last: int | None, items: int | None) -> RecordingGap:
+def _gap(
+    key: Key, detail: str, first: int | None, last: int | None, items: int | None, times: TimeBounds
+) -> RecordingGap:
     return RecordingGap(
         channel=key[0], incarnation=key[1] or 0, reason=DAMAGED, detail=detail, first_seq=first, last_seq=last,
-        items=items,
+        items=items, start=times[0], end=times[1],
     )  # fmt: skip
 
 
-def _unseen(counts: _Counts, told: RecordedCounts) -> int:
-    """Return how many items of the summary the file has neither as items nor in the gaps of damage."""
-    named = sum(gap.items or 0 for gap in counts.gaps if gap.reason == DAMAGED)
-    return max(0, told.recorded - counts.recorded - named)
+def _lost_at_most(first_seq: int, last_seq: int, counts: _Counts, told: RecordedCounts) -> int:
+    """Return the greatest number of items of the summary `told` between two seqs, if the file has none of them."""
+    return min(_recorded_at_most(first_seq, last_seq, told), max(0, told.recorded - counts.recorded))
+
+
+def recorded_between(gap: RecordingGap, told: RecordedCounts) -> int:
+    """Return the number of items that the recorder had written with the seqs of a gap of damage; 0 for another gap.
+
+    `told`: the recorder's counts of the channel. The number is too great if the recorder did not name the other seqs.
+    """
+    if gap.reason != DAMAGED or gap.first_seq is None or gap.last_seq is None:
+        return 0
+    return min(gap.items or 0, _recorded_at_most(gap.first_seq, gap.last_seq, told))
+
+
+def _recorded_at_most(first_seq: int, last_seq: int, told: RecordedCounts) -> int:
+    """Return how many seqs between two seqs, inclusive, are not in a gap that the recorder has named."""
+    named = SeqRanges()
+    for gap in told.gaps:
+        if gap.first_seq is not None and gap.last_seq is not None and gap.items == gap.last_seq - gap.first_seq + 1:
+            named.add_range(gap.first_seq, gap.last_seq)
+    return sum(given_between(first, last + 1) for first, last in named.missing(first_seq, last_seq))
 
 
 def _channel(key: Key, counts: _Counts) -> RecordedCounts:

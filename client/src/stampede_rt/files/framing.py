@@ -16,6 +16,7 @@ from io import BytesIO
 from typing import IO, Any
 
 from stampede_rt.errors import FileError
+from stampede_rt.files.time_bounds import TimeBounds, known_times
 
 try:
     import lz4.frame
@@ -69,11 +70,15 @@ class RecordFrame:
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """A part of a file that cannot be read, from the byte `offset` to `end`, exclusive, and why."""
+    """A part of a file that cannot be read, from the byte `offset` to `end`, exclusive, and why.
+
+    `times`: the bounds of the times of its messages, inclusive; None: not known.
+    """
 
     offset: int
     end: int
     detail: str
+    times: TimeBounds = (None, None)
 
 
 class RecordFile:
@@ -135,6 +140,13 @@ class RecordFile:
             if behind is None:
                 return
             offset = behind
+
+    def chunk_times(self, frame: RecordFrame) -> TimeBounds:
+        """Return the times in the head of a chunk. No checksum covers the head."""
+        head = self._read(frame.offset + _FRAME.size, _CHUNK_HEAD.size)
+        if frame.opcode != Opcode.CHUNK or len(head) < _CHUNK_HEAD.size:
+            return None, None
+        return known_times(*_CHUNK_HEAD.unpack(head)[:2])
 
     def frame_at(self, offset: int) -> RecordFrame | None:
         """Return the record at a byte; None if there is no whole record."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import reduce
 
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -37,6 +38,7 @@ from stampede_rt.files.framing import MAGIC, Damage, RecordFile, RecordFrame
 from stampede_rt.files.indexed_frames import has_records_beside, indexed_frames
 from stampede_rt.files.named_by_facts import facts_topic, is_facts, topics_of
 from stampede_rt.files.summaries import SUMMARY_NAME, summary_of
+from stampede_rt.files.time_bounds import joined_times, known_times
 from stampede_rt.values.recording import RecordingSummary, incarnation_of
 
 CLOCKS_NAME = "stampede.clocks"
@@ -104,7 +106,7 @@ class FileReader:
         """Yield the chunks in the order of the file, damaged parts, attachments, and metadata."""
         for frame in self._frames():
             if isinstance(frame, Damage):
-                yield frame
+                yield self._with_times(frame)
                 continue
             if frame.opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 if self.index is not None:
@@ -124,7 +126,19 @@ class FileReader:
         try:
             return self._read(frame)
         except FileError as error:
-            return Damage(frame.offset, frame.end, str(error.__cause__ or "") or error.message)
+            damage = Damage(
+                frame.offset, frame.end, str(error.__cause__ or "") or error.message, self._records.chunk_times(frame)
+            )
+            return self._with_times(damage)
+
+    def _with_times(self, damage: Damage) -> Damage:
+        """Add the times that the index has for the damaged chunks."""
+        inside = [
+            known_times(one.message_start_time, one.message_end_time)
+            for one in (self.index.chunks if self.index is not None else ())
+            if one.chunk_start_offset < damage.end and damage.offset < one.chunk_start_offset + one.chunk_length
+        ]
+        return replace(damage, times=reduce(joined_times, inside)) if inside else damage
 
     def content_at(self, offset: int) -> ChunkContent:
         """Read the chunk at a byte, as the index names it. Raises FileError."""
