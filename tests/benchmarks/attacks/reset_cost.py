@@ -1,8 +1,8 @@
-"""The processor time that each reset call costs a host, and a bare gRPC server that does nothing with it.
+"""Measures the processor time of each reset call at a host, and at a bare gRPC server that ignores the calls.
 
     python -m tests.benchmarks.attacks.reset_cost [--seconds 4] [--rounds 3]
 
-Another process makes calls on ten connections, and resets each as soon as it is made (the attack `resets`). The rounds
+Another process makes calls on ten connections, and resets each call immediately (the attack `resets`). The rounds
 go alternately to the host and to the server of `bare.py`. The figures are processor time, so other work on the machine
 counts for little. "Loop" is the thread of the event loop; the other threads are gRPC's own.
 """

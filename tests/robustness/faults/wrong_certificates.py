@@ -27,8 +27,8 @@ async def rotate(scene: Scene) -> None:
     certificates = _certificates(scene)
     victims = scene.cluster.processes()
     began = time.monotonic()
-    with tempfile.TemporaryDirectory(dir=scene.folder) as namespace:
-        former = _copied(certificates.files(Role.CLIENT, "stranger"), Path(namespace))
+    with tempfile.TemporaryDirectory(dir=scene.folder) as folder:
+        former = _copied(certificates.files(Role.CLIENT, "stranger"), Path(folder))
         await _rotated(certificates, victims, former)
     recovery = await scene.recovery(time.monotonic())
     evidence = f"all {len(victims)} services show new certificates and refuse a caller with a former one"
@@ -59,9 +59,9 @@ async def wrong_certificates(scene: Scene) -> None:
     began = time.monotonic()
     right = certificates.files(Role.CLIENT, "stranger")
     refused = 0
-    with tempfile.TemporaryDirectory(dir=scene.folder) as namespace:
+    with tempfile.TemporaryDirectory(dir=scene.folder) as folder:
         wrong = {
-            "foreign": certificates.foreign(Role.CLIENT, "stranger", Path(namespace, "foreign")),
+            "foreign": certificates.foreign(Role.CLIENT, "stranger", Path(folder, "foreign")),
             "expired": certificates.expired(Role.CLIENT, "stranger"),
             "no": None,
         }

@@ -87,7 +87,7 @@ def test_a_refusal_names_the_caller_the_call_and_the_role() -> None:
 
 
 @pytest.mark.parametrize("rpc", [RAFT, "/stampede_rt.v1.DirectoryService/RenewHostLease", REMOVE])
-def test_the_secret_of_clients_proves_no_member(rpc: str) -> None:
+def test_a_holder_of_the_clients_secret_is_no_member(rpc: str) -> None:
     assert "a holder of the clients' secret may not call" in why_refused(rpc, by_secret(of_cluster=False))
     assert why_refused(rpc, by_secret(of_cluster=True)) == ""
 

@@ -1,6 +1,6 @@
 """Replays a recording into the C++ ApproximateTime policy of ROS message_filters, which this module builds.
 
-Debian's package libmessage-filters-dev has it. It needs no ROS installation, and sends nothing.
+Debian's package libmessage-filters-dev has this policy. The built program needs no ROS installation, and sends nothing.
 """
 
 from __future__ import annotations

@@ -13,12 +13,15 @@ from stampede_rt_demos.staging.results import print_results, progress_in
 
 
 def run(*, seconds: int, picture: Path | None, form: str = "table") -> int:
-    """Run the demo for `seconds`, print its results, and with `picture` draw one there. Returns exit status 0.
+    """Run the demo for `seconds`, and print its results. Returns exit status 0.
 
-    Raises DemoFailed if the demo cannot run, or, before the start, if the picture cannot be written.
+    `picture`: the path at which to draw a picture; None: draw none. Raises DemoFailed if the demo cannot run, or,
+    before the start, if the picture cannot be written.
     """
     if seconds < SECONDS_MIN:
-        raise DemoFailed(f"--seconds is {seconds}; after the loss of a host it goes on only in {SECONDS_MIN} s or more")
+        raise DemoFailed(
+            f"--seconds is {seconds}; give {SECONDS_MIN} or more, because the demo continues after the loss of a host"
+        )
     if picture is not None:
         require_writable(picture)
     progress = progress_in(form)

@@ -14,9 +14,10 @@ from stampede_rt_demos.stereo.report import facts, render
 
 
 def run(*, seconds: int, picture: Path | None, certificates: bool = False, form: str = "table") -> int:
-    """Run the stereo demo for `seconds`, print its results, and with `picture` draw one there. Returns exit status 0.
+    """Run the stereo demo for `seconds`, and print its results. Returns exit status 0.
 
-    Raises DemoFailed if the demo cannot run, or, before the start, if the picture cannot be written.
+    `picture`: the path at which to draw a picture; None: draw none. Raises DemoFailed if the demo cannot run, or,
+    before the start, if the picture cannot be written.
     """
     if picture is not None:
         require_writable(picture)

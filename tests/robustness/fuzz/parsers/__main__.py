@@ -1,8 +1,8 @@
 """`python -m tests.robustness.fuzz.parsers [TARGET...] [--inputs N] [--seconds S] [--guided]`.
 
 Without --guided each target gets random inputs, in this process. With --guided each target runs in a process of its
-own, from the corpus in `out/fuzz/TARGET`, which grows. If a target fails, the program
-prints the input, and ends with exit code 1.
+own, from the corpus in `out/fuzz/TARGET`, which grows. If a target fails, the program prints the input, and ends with
+exit code 1.
 """
 
 from __future__ import annotations

@@ -49,9 +49,8 @@ def test_a_full_archive_still_takes_items_of_channels_that_are_charged_with_thei
     disk = DiskUse(4 * MIB)
     first, second = disk.of_channel(ONE, "cam"), disk.of_channel(TWO, "cam")
     first.archive_bytes = 2 * MIB
-    first.set_bytes(
-        MIB * 7 // 4
-    )  # from three quarters on, the archive charges a channel with all that its own limit allows
+    # From three quarters of its own limit on, the archive charges a channel with the whole limit.
+    first.set_bytes(MIB * 7 // 4)
     second.set_bytes(MIB)
     assert disk.used_bytes == 3 * MIB + FOLDER_BYTES
     second.check(MIB - FOLDER_BYTES)
@@ -122,7 +121,7 @@ def refused(*_: Any) -> None:
     raise OSError(errno.EACCES, "the folder cannot be written")
 
 
-def test_a_refusal_makes_room_of_outdated_files_and_of_folders_that_an_operator_has_deleted(
+def test_a_refusal_frees_the_bytes_of_outdated_files_and_of_folders_that_an_operator_has_deleted(
     folder: ArchiveFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The files of another channel cannot be deleted. In an earlier version this failure ended the pass."""
@@ -139,8 +138,8 @@ def test_a_refusal_makes_room_of_outdated_files_and_of_folders_that_an_operator_
         counted = asyncio.Event()
         update = disk.update
 
-        def note(*folders: Any, **besides: Any) -> None:
-            update(*folders, **besides)
+        def note(*folders: Any, **options: Any) -> None:
+            update(*folders, **options)
             counted.set()
 
         monkeypatch.setattr(disk, "update", note)

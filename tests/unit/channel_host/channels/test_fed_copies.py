@@ -53,7 +53,7 @@ def test_readers_that_arrive_together_are_counted_before_the_copy_reports_them()
     assert [copies.less_loaded("cam", 3) is None for _ in range(4)] == [False, False, False, True]
 
 
-def test_a_copy_that_is_not_ready_or_silent_gets_no_readers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_silent_copy_and_a_copy_that_is_not_ready_get_no_readers(monkeypatch: pytest.MonkeyPatch) -> None:
     assert fed(copy_with(0, ready=False)).less_loaded("cam", 9) is None
     assert fed(copy_with(0, ready=False)).for_gets() == ""
     silent = copy_with(0)

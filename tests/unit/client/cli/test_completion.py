@@ -1,4 +1,4 @@
-"""The completion scripts and the man page, in real shells where there are any."""
+"""The completion scripts and the man page, tested in real shells if these are installed."""
 
 from __future__ import annotations
 

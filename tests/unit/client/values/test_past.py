@@ -29,7 +29,7 @@ def test_the_cut_is_the_least_of_the_later_times_and_advances() -> None:
     assert past_cut_of([mark(5, change=12), mark(6, change=10), mark(7)]).next_change == 10
 
 
-def test_a_lack_counts_only_if_it_decides_the_cut() -> None:
+def test_missing_items_count_only_if_they_decide_the_cut() -> None:
     assert past_cut_of([mark(5), mark(7, reason=GONE)]) == (5, None, None)
     assert past_cut_of([mark(7), mark(7, reason=GONE)]).reason is None
     assert past_cut_of([mark(None), mark(None, reason=GONE)]) == (MIN_INSTANT, None, None)
@@ -50,7 +50,7 @@ def test_a_lack_counts_only_if_it_decides_the_cut() -> None:
         (answer(Reason.LOST), "LOST"),
     ],
 )
-def test_an_answer_at_an_uncertain_cut_reports_this_unless_its_interval_ends_before_the_cut(
+def test_an_answer_reports_an_uncertain_cut_unless_its_interval_ends_before_the_cut(
     items: Items, told: str | None
 ) -> None:
     assert add_reason(items, GONE).reason == told

@@ -1,4 +1,4 @@
-"""The library's node in the words of the Raft paper."""
+"""The adapter that gives the library's node the names of the Raft paper."""
 
 from __future__ import annotations
 
