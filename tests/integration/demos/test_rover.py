@@ -60,5 +60,5 @@ def test_the_json_of_a_run_has_the_fields_that_the_page_names(
 
 
 def test_a_run_too_short_for_the_outage_is_refused() -> None:
-    with pytest.raises(DemoFailed, match="16 s or more"):
+    with pytest.raises(DemoFailed, match="give 16 or more"):
         app.run(seconds=SECONDS_MIN - 1, picture=None)
