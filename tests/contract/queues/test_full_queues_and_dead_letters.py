@@ -75,7 +75,7 @@ async def test_a_message_delivered_too_often_goes_to_the_dead_letter_queue(rig: 
     await until(queue, lambda stats: stats.dead_lettered == 1 and stats.held == 0)
 
 
-async def test_a_dead_letter_names_its_first_queue_and_why_it_left_it(rig: Rig) -> None:
+async def test_a_dead_letter_names_its_first_queue_and_the_reason_why_it_left(rig: Rig) -> None:
     dead = await rig.queue()
     queue = await rig.queue(max_deliveries=2, dead_letter=dead.name)
     before = st.now()

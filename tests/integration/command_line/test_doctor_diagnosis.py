@@ -68,7 +68,7 @@ def test_doctor_says_to_start_or_replace_a_supernode_that_a_majority_misses() ->
 def test_the_report_of_a_wrong_clock_names_its_owner_its_offset_and_the_allowed_offset(nanos: int, how: str) -> None:
     clocks = found(changed("h1", clock_offset_nanos=nanos), "clocks")
     assert clocks.advice == f"the clock of host h1 is {how} the others'; synchronise it (chrony, ntpd)"
-    assert "apart, give or take 1 ms, 50 ms are allowed" in clocks.state
+    assert "apart, +/- 1 ms, 50 ms are allowed" in clocks.state
 
 
 def test_doctor_reports_the_clock_of_this_machine_if_all_others_differ_from_it_equally() -> None:
@@ -85,7 +85,7 @@ def test_a_long_round_trip_widens_the_tolerance_for_a_clock() -> None:
 
 def test_an_answer_that_took_two_seconds_gives_no_clock_offset() -> None:
     slow = changed("f1", clock_offset_nanos=1000 * MS, round_trip_nanos=2000 * MS)
-    assert found(slow, "clocks") == CheckResult("clocks", "-", "0 s apart, give or take 1 ms, 50 ms are allowed")
+    assert found(slow, "clocks") == CheckResult("clocks", "-", "0 s apart, +/- 1 ms, 50 ms are allowed")
     alone = [one for one in slow if one.name == "f1"]
     clocks = found(alone, "clocks")
     assert (clocks.state, clocks.advice) == ("unknown: answers took 2 s or longer, too long to compare clocks", "")
@@ -99,7 +99,7 @@ def test_a_clock_that_is_off_by_more_than_a_slow_answer_can_explain_is_reported(
 def test_a_peer_whose_clock_is_off_is_reported_as_a_host_would_be() -> None:
     clocks = found([*WELL, seen(PEER, "robot/3", clock_offset_nanos=-1500 * MS)], "clocks")
     assert clocks.advice == "the clock of peer robot/3 is 1.5 s behind the others'; synchronise it (chrony, ntpd)"
-    assert clocks.state == "1.5 s apart, give or take 1 ms, 50 ms are allowed"
+    assert clocks.state == "1.5 s apart, +/- 1 ms, 50 ms are allowed"
 
 
 def test_clocks_of_peers_do_not_decide_which_clocks_are_right() -> None:

@@ -200,8 +200,8 @@ async def past_compaction(scene: Scene) -> None:
     began = time.monotonic()
     pairs = [(leader, away), (away, leader), (other, away), (away, other)]
     async with cut(scene, [(sender.namespace, receiver.namespace) for sender, receiver in pairs]):
-        _, left_at = await away.members_seen()
-        _, index = await leader.members_seen()
+        _, left_at = await away.leader_and_applied_index()
+        _, index = await leader.leader_and_applied_index()
         await _grow(scene, leader, index + 1000)
         kept = await asyncio.to_thread(leader.first_index_kept)
         if kept <= left_at + 1:
@@ -209,7 +209,7 @@ async def past_compaction(scene: Scene) -> None:
                 f"{leader.name} has its log from {kept} on, and {away.name} needs it from {left_at + 1}"
             )
     healed = time.monotonic()
-    _, target = await leader.members_seen()
+    _, target = await leader.leader_and_applied_index()
     await _grow(scene, away, target, write=False)
     took = time.monotonic() - healed
     evidence = f"the follower had applied the log up to {left_at}, and the leader's log began at {kept}"
@@ -226,7 +226,7 @@ async def _grow(scene: Scene, one: Supernode, target: int, *, write: bool = True
     deadline = time.monotonic() + PATIENCE_SECONDS
     while time.monotonic() < deadline:
         try:
-            if (await one.members_seen())[1] >= target:
+            if (await one.leader_and_applied_index())[1] >= target:
                 return
         except grpc.aio.AioRpcError:
             pass  # the next round asks again

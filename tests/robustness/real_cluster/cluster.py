@@ -205,7 +205,7 @@ class Cluster:
         while time.monotonic() < deadline:
             for one in self.supernodes:
                 try:
-                    leader, _ = await one.members_seen()
+                    leader, _ = await one.leader_and_applied_index()
                 except grpc.aio.AioRpcError:
                     continue
                 if leader == one.name:

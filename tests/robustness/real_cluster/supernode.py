@@ -100,24 +100,24 @@ class Supernode(PlacedProcess):
         """The stub of the directory's service for a client."""
         return self.stub_for(Role.CLIENT, "caller")
 
-    async def members_seen(self) -> tuple[str | None, int]:
-        """The leader that it knows, and the index up to which it has applied. Raises AioRpcError."""
+    async def leader_and_applied_index(self) -> tuple[str | None, int]:
+        """The leader that this supernode knows, and the index up to which it has applied. Raises AioRpcError."""
         listed = await self.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=1)
         leaders = [one.supernode_id for one in listed.supernodes if one.is_leader]
         return (leaders[0] if leaders else None), listed.applied_index
 
     async def wall_clock_nanos(self) -> int:
-        """The time that it reports."""
+        """The time that this supernode reports."""
         return int((await self.stub.Ping(pb.DirectoryServicePingRequest(), timeout=5)).time_unix_nano)
 
     def mount_small_disk(self) -> None:
-        """Give it a file system of its own, small enough to be filled. Call this before its first start."""
+        """Give the supernode a file system of its own, small enough to be filled. Call this before its first start."""
         self.data_dir.mkdir(parents=True, exist_ok=True)
         subprocess.run(["mount", "-t", "tmpfs", "-o", SMALL_DISK, "robustness", str(self.data_dir)], check=True)
         self.has_small_disk = True
 
     def first_index_kept(self) -> int:
-        """The first index that its log still has. Earlier entries are in the snapshot only.
+        """The first index that the supernode's log still has. Earlier entries are in the snapshot only.
 
         Reads a copy of the store, because the running process has locked the store.
         """

@@ -67,7 +67,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         self._watches: list[Watch] = []
         self._ending = False
         self._stop = Signal()
-        self._holds = Signal()  # is set when the recording of all present channels has begun, or when it has ended
+        self._has_begun = Signal()  # is set when the recording of all present channels has begun, or when it has ended
         self._ended = Signal()
         self.active = True
         self.summary: RecordingSummary | None = None
@@ -133,14 +133,14 @@ class Recorder(BackgroundStart, BoundToProcess):
         await self._ended.wait(3.0)
 
     async def _begun(self) -> None:
-        await self._holds.wait(None)
+        await self._has_begun.wait(None)
         if self.error is not None:
             raise self.error
 
     async def _run(self) -> None:
         try:
             await self._begin()
-            self._holds.set()
+            self._has_begun.set()
             await self._pause()
             await self._finish()
         except StampedeError as error:
@@ -152,7 +152,7 @@ class Recorder(BackgroundStart, BoundToProcess):
             self._end_watches()
             self._sink.writer.abandon()
             self.active = False
-            self._holds.set()
+            self._has_begun.set()
             self._ended.set()
             self._session.detach(self)
 

@@ -68,7 +68,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         self._watches: list[Watch] = []
         self._ending = False
         self._stop = Signal()
-        self._holds = Signal()  # is set when the recording of all present channels has begun, or when it has ended
+        self._has_begun = Signal()  # is set when the recording of all present channels has begun, or when it has ended
         self._ended = Signal()
         self.active = True
         self.summary: RecordingSummary | None = None
@@ -134,14 +134,14 @@ class Recorder(BackgroundStart, BoundToProcess):
         self._ended.wait(3.0)
 
     def _begun(self) -> None:
-        self._holds.wait(None)
+        self._has_begun.wait(None)
         if self.error is not None:
             raise self.error
 
     def _run(self) -> None:
         try:
             self._begin()
-            self._holds.set()
+            self._has_begun.set()
             self._pause()
             self._finish()
         except StampedeError as error:
@@ -153,7 +153,7 @@ class Recorder(BackgroundStart, BoundToProcess):
             self._end_watches()
             self._sink.writer.abandon()
             self.active = False
-            self._holds.set()
+            self._has_begun.set()
             self._ended.set()
             self._session.detach(self)
 

@@ -71,21 +71,21 @@ def _where(finding: CheckResult) -> str:
 
 
 def _row(finding: CheckResult, form: str) -> dict[str, Any]:
-    people, seen = form == "table", finding.seen
+    for_people, seen = form == "table", finding.seen
 
     def duration(nanos: int | None, if_none: str | None = None) -> Any:
-        return nanos if not people else if_none if nanos is None else format_duration(nanos)
+        return nanos if not for_people else if_none if nanos is None else format_duration(nanos)
 
     return {
         "part": finding.part,
         "address": finding.address,
         "state": finding.state,
         "round_trip": duration(seen.round_trip_nanos) if seen else None,
-        "clock_offset": (_vague(seen) if people else None)
+        "clock_offset": (_vague(seen) if for_people else None)
         or (duration(seen.clock_offset_nanos, UNKNOWN if seen.kind == PEER else None) if seen else None),
-        "load": (_load(seen) if people else seen.busy_permille) if seen else None,
+        "load": (_load(seen) if for_people else seen.busy_permille) if seen else None,
         "version": (seen.version or None) if seen else None,
-    } | ({} if people else {"clock_uncertainty": seen and seen.clock_doubt_nanos, "advice": finding.advice})
+    } | ({} if for_people else {"clock_uncertainty": seen and seen.clock_doubt_nanos, "advice": finding.advice})
 
 
 def _load(seen: Observation) -> str | None:

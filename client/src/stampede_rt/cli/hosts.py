@@ -20,8 +20,8 @@ def run_hosts(arguments: argparse.Namespace) -> int:
     """List the hosts of the directory, also hosts whose leases have ended."""
     with connected(arguments) as rt:
         hosts = rt.hosts(include_dead=True)
-    people = arguments.output == "table"
-    rows = [_for_people(host) if people else _for_programs(host) for host in hosts]
+    for_people = arguments.output == "table"
+    rows = [_for_people(host) if for_people else _for_programs(host) for host in hosts]
     print_rows(rows, arguments.output, none="no host has registered; start one with `stampede host`")
     return 0
 

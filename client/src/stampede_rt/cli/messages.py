@@ -130,15 +130,15 @@ def _origin_row(origin: DeadLetterOrigin) -> dict[str, Any]:
 
 def print_pending(pending: Sequence[PendingMessage], name: str, form: str) -> None:
     """List leased messages and their takers."""
-    people = form == "table"
+    for_people = form == "table"
     rows = [
         {
             "seq": one.seq,
             "taker": one.taker,
             "taker_id": f"{one.taker_id:016x}",
             "deliveries": one.deliveries,
-            "leased": instant_text(one.leased) if people else one.leased,
-            "expires": instant_text(one.expires) if people else one.expires,
+            "leased": instant_text(one.leased) if for_people else one.leased,
+            "expires": instant_text(one.expires) if for_people else one.expires,
         }
         for one in pending
     ]
@@ -147,13 +147,13 @@ def print_pending(pending: Sequence[PendingMessage], name: str, form: str) -> No
 
 def counted(stats: QueueStats, form: str) -> dict[str, Any]:
     """Return a queue's counters by their names, for a table with texts for people or for JSON."""
-    people = form == "table"
+    for_people = form == "table"
     age = None if stats.oldest is None else stats.host_time - stats.oldest
     return {
         "held": stats.held,
         "leased": stats.leased,
-        "held_bytes": bytes_text(stats.held_bytes) if people else stats.held_bytes,
-        "oldest_age": format_duration(age) if people and age is not None else age,
+        "held_bytes": bytes_text(stats.held_bytes) if for_people else stats.held_bytes,
+        "oldest_age": format_duration(age) if for_people and age is not None else age,
         "accepted": stats.accepted,
         "consumed": stats.consumed,
         "dropped": stats.dropped,
@@ -164,7 +164,7 @@ def counted(stats: QueueStats, form: str) -> dict[str, Any]:
         "leases_expired": stats.leases_expired,
         "terminated": stats.terminated,
         "duplicates": stats.duplicates,
-        "rejected": _rejected(stats) if people else dict(stats.rejected),
+        "rejected": _rejected(stats) if for_people else dict(stats.rejected),
         "waiting_gets": stats.waiting_gets,
         "waiting_puts": stats.waiting_puts,
     }

@@ -16,7 +16,7 @@ from tests.support.channel_host.fake_directory import FakeDirectory
 
 
 @pytest.mark.parametrize(("final_reason", "asked"), [("NO_HOST", 1), (None, 2)])
-async def test_a_call_repeats_after_an_error_unless_the_caller_names_its_reason(
+async def test_a_call_repeats_after_an_error_unless_the_error_has_the_final_reason(
     final_reason: str | None, asked: int
 ) -> None:
     directory = FakeDirectory()

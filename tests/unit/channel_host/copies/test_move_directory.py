@@ -70,7 +70,7 @@ class Owners:
 
 
 @pytest.mark.parametrize("is_older", [False, True])
-async def test_the_owners_of_channels_are_asked_for_together_and_one_by_one_of_an_older_supernode(
+async def test_a_host_asks_for_all_owners_together_and_an_older_supernode_for_one_after_the_other(
     is_older: bool,
 ) -> None:
     owners: Any = Owners(b"1", b"2", is_older=is_older)

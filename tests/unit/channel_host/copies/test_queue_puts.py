@@ -1,5 +1,6 @@
-"""The puts that the owner of a queue sends ahead, and the answers to them: fixed bytes. Protobuf reads them in the same
-way.
+"""The puts that the owner of a queue sends ahead, and the answers to them, each with fields at fixed offsets.
+
+Protobuf reads these bytes in the same way.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def test_a_put_whose_fields_protobuf_has_encoded_is_read_too(put: AheadPut) -> N
 
 
 @given(puts, some.integers(1, 150), some.integers(1, 255))
-def test_a_damaged_put_is_refused_or_another_put(put: AheadPut, at: int, flipped: int) -> None:
+def test_a_damaged_put_is_refused_or_read_as_another_put(put: AheadPut, at: int, flipped: int) -> None:
     raw = bytearray(encode_put(put))
     raw[at % len(raw)] ^= flipped
     for damaged in (bytes(raw), bytes(raw[: at % len(raw)])):
