@@ -206,3 +206,19 @@ def test_items_that_are_not_archived_stay_in_memory_until_max_bytes_removes_them
     assert small.channel.counters(12).held == 8
     small.archive()
     assert small.channel.counters(12).held == 2
+
+
+@pytest.mark.parametrize("overlap", [None, 5])
+def test_an_item_that_left_memory_before_the_next_bucket_came_lasts_up_to_this_bucket(overlap: int | None) -> None:
+    small = ArchivedChannel(Policy(max_items=1, overlap_nanos=overlap), runs_per_block=1, blocks_per_segment=1)
+    large = ChannelCore(Policy(max_items=10, overlap_nanos=overlap), incarnation=7)
+    for now, time, durations in ((10, 10, None), (11, 10, [0]), (50, 50, None)):
+        offer = Offer(times=[time], durations=durations, lengths=[3])
+        small.put(offer, now)
+        large.put(offer, now, lambda first_seq, kept, stamped: b"x")
+        small.archive()  # so the first item leaves memory at 11, when nobody knows where its span will end
+    for start in (12, 30, 49):
+        query = Query(interval=Interval(Bound(None, start), Bound(None, 60)))
+        found, expected = small.read(query), large.read(query, small.now)
+        assert shown(found, overlap or 0) == shown(expected, overlap or 0)
+        assert [one.seq for one in items_of(found.slices)] == [1, 3]

@@ -44,15 +44,16 @@ def resolved_now(
 
 
 def reaches(held: Holdings | HoldingsSnapshot, start: int) -> bool:
-    """Whether an interval that begins at `start` may select items that have left memory."""
+    """Whether an interval that begins at `start` may select items that have left memory.
+
+    The span of an item without a duration reaches up to the next bucket, also if this bucket came after the item had
+    left memory.
+    """
     split = held.newest_collected  # memory may have a part of the bucket of the newest collected item
     if held.newest is None or split is None:
         return held.newest is None
-    if start <= split or start < (held.gone_before or start):
-        return True
     following = held.next_time(split)
-    is_split = held.oldest is not None and held.oldest <= split
-    return is_split and (following is None or start < following + held.overlap_nanos)
+    return following is None or start < max(following, split + held.overlap_nanos)
 
 
 def needs_archive(held: Holdings | HoldingsSnapshot, span: ArchiveSpan, query: Query, within: ResolvedInterval) -> bool:
