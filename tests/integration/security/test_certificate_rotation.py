@@ -150,7 +150,7 @@ def test_certificates_and_authority_are_replaced_under_load_without_a_failed_cal
         for address, file in services.items():
             wait_until(
                 lambda address=address, file=file: shows(address, file, newcomer),
-                f"{address} shows its new one",
+                f"{address} shows its new certificate",
             )
         load.go_on()
         certificates.forget_former()

@@ -36,7 +36,7 @@ async def three(folder: Path) -> AsyncIterator[Cluster]:
 
 
 async def flip(one: Supernode, folder: Path, ask: Supernode) -> None:
-    """Flip a bit at `one`, whose effect a later command shows."""
+    """Flip a bit at `one`. A later command shows the effect."""
     (folder / one.name / FLIP_FILE).touch()
     await register(ask, 1)
     channel = (await open_channel(ask, NAME)).channel

@@ -2,8 +2,8 @@
 
 A producer puts frames of 18 KB at 30 a second. Each reader is a process that subscribes, and the client spreads the
 subscriptions over the owner and the proxies. Each host is in a network namespace of its own, and sends at most
-LINK_MBIT. So the link of a host is the bottleneck, as in the paper. The paper has frames of 300 KB and links of ten
-times this rate, and one reader less for each link.
+LINK_MBIT. So the link of a host is the bottleneck, as in the paper. The paper has frames of 300 KB and links of 1
+Gbit/s: such a link carries the frames of 13 readers. A link here carries the frames of LINK_READERS readers.
 """
 
 from __future__ import annotations

@@ -115,5 +115,5 @@ def judge(frames: Sequence[Receipt], captions: Sequence[Receipt]) -> SkewRun:
         together[number][frame.received] += 1
     wrong = [number for number, gets in together.items() if gets.total() != FRAMES_PER_CAPTION]
     if wrong or not skews:
-        raise AssertionError(f"{len(captions)} captions came, and not {FRAMES_PER_CAPTION} frames with those: {wrong}")
+        raise AssertionError(f"{len(captions)} captions came. These have not {FRAMES_PER_CAPTION} frames each: {wrong}")
     return SkewRun(skews, [max(gets.values()) for gets in together.values()])

@@ -53,7 +53,7 @@ def test_captions_that_begin_between_two_frames_also_have_frames_in_each_place()
 
 
 def test_a_run_that_misses_frames_is_refused() -> None:
-    with pytest.raises(AssertionError, match="3 captions came, and not 15 frames with those: \\[1\\]"):
+    with pytest.raises(AssertionError, match=r"3 captions came\. These have not 15 frames each: \[1\]"):
         judge(frames(29), CAPTIONS)
 
 

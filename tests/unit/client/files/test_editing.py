@@ -63,7 +63,7 @@ def test_a_file_that_is_cut_off_at_any_byte_loses_at_most_its_last_chunk(whole: 
         assert verify(saved).intact
 
 
-def test_a_file_with_a_damaged_only_chunk_becomes_a_file_that_names_all_items_as_lost(tmp_path: Path) -> None:
+def test_a_file_whose_only_chunk_is_damaged_becomes_a_file_that_names_all_items_as_lost(tmp_path: Path) -> None:
     damaged, saved = write(tmp_path / "a.mcap", entries("cam", range(1, 6))), tmp_path / "saved.mcap"
     content = bytearray(damaged.read_bytes())
     content[chunk_ends(damaged)[0] - 10] ^= 1

@@ -67,7 +67,7 @@ async def started(leader: Leader, address: str, folder: Path) -> list[float]:
     return waited
 
 
-async def test_a_refused_new_member_logs_this_and_tries_again_at_growing_intervals(tmp_path: Path) -> None:
+async def test_a_refused_new_member_notes_the_refusal_and_tries_again_at_growing_intervals(tmp_path: Path) -> None:
     leader = Leader()
     register = membership_service_pb2_grpc.add_MembershipServiceServicer_to_server
     async with serving(lambda server: register(leader, server)) as server:

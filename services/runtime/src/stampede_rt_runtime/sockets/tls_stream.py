@@ -17,7 +17,7 @@ from stampede_rt_runtime.sockets.stream_socket import StreamSocket
 
 STEPS_PER_TURN = 2
 PAUSE_SECONDS = 0.003
-"""A handshake has two steps at the host, so it serves about 300 handshakes a second, in a fourth of its time."""
+"""A handshake has two steps. So a host serves about 300 handshakes a second, in a fourth of its time."""
 
 
 class HandshakeSteps:

@@ -16,7 +16,7 @@ from stampede_rt_supernode.core.tables import Tables
 def awaited_host(tables: Tables, name: str) -> HostRecord | None:
     """The host for which the channel `name` waits, however long it has waited already; None: it waits for none.
 
-    It does not wait if another host has taken the name of its host.
+    The channel does not wait if another host has taken the name of its host.
     """
     channel = tables.channel_named(name)
     if channel is None or not channel.policy.is_recorded:
