@@ -18,5 +18,5 @@ def ratio(ours: Sequence[float], plain: Sequence[float]) -> Cell:
 
 
 def cpu_s(host: ServiceProcess) -> float:
-    """Return the CPU time of a service so far, in seconds. The clock of Linux for a process has steps of nanoseconds."""
+    """Return the CPU time of a service so far, in seconds. Linux's clock of a process has steps of nanoseconds."""
     return time.clock_gettime(~host.pid << 3 | _SCHEDULED)

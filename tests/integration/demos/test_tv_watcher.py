@@ -1,4 +1,4 @@
-"""The whole TV watcher: a real film goes through a real cluster for a few seconds. The demo always ends in order."""
+"""The whole TV watcher: a real film goes through a real cluster for a few seconds. The demo ends all its processes."""
 
 import contextlib
 import io
@@ -149,7 +149,7 @@ def test_the_death_of_a_role_ends_the_demo_with_one_sentence_and_leaves_no_proce
 
 
 @needs_proc
-def test_ctrl_c_ends_the_demo_in_order_and_leaves_no_process():
+def test_ctrl_c_ends_the_demo_with_status_130_and_leaves_no_process():
     with running_demo(60) as (process, mark):
         wait_for_progress(process)
         assert len(marked_processes(mark)) >= 1 + 6 + 6

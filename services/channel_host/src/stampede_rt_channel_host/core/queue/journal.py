@@ -63,7 +63,7 @@ class QueueStep(NamedTuple):
 
 
 class _PutStep(NamedTuple):
-    """A step that is only a put. A QueueStep of it takes longer to make, and rarely does a replica need one.
+    """A step that is only a put. A QueueStep takes longer to make, and a replica rarely needs it.
 
     `tally`, `next_delivery_id`: the values before the step.
     """
