@@ -217,7 +217,7 @@ class Group(Reference):
         self, per: NamedChannel | str, tolerance: DurationLike, *, unique: bool = ..., lateness: DurationLike = ...,
         partial: bool = ..., payloads: bool = ..., reconnect: DurationLike | None = ..., start: BoundLike | None = ...,
         as_of: InstantLike,
-    ) -> PastMatches: ...  # fmt: skip
+    ) -> PastMatches[Channel]: ...  # fmt: skip
     def match(
         self,
         per: NamedChannel | str,
@@ -230,7 +230,7 @@ class Group(Reference):
         reconnect: DurationLike | None = None,
         start: BoundLike | None = None,
         as_of: InstantLike | None = None,
-    ) -> MatchSubscription | PastMatches:
+    ) -> MatchSubscription | PastMatches[Channel]:
         """Match each new item of `per` with the nearest item of every other member. Returns an iterator over `Matched`.
 
         The nearest item must be at most `tolerance` before or after the item of `per`. The host sends a match as soon

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import functools
 
-from stampede_rt._async.archived_matches import ArchivedMatches
+from stampede_rt._async.archived_matches import ArchivedMatches, Key
 from stampede_rt._async.archived_matching import ArchivedMatching, ArchivedMember
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.group_members import GroupMembers
 from stampede_rt._async.present_cuts import confirm_members
+from stampede_rt._async.reader import Reader
 from stampede_rt._async.reads import read_as_of
 from stampede_rt.cluster.tracing import span
 from stampede_rt.errors import ChannelNotFound, GroupNotFound, InvalidArgument
@@ -16,7 +17,7 @@ from stampede_rt.transports.concurrency_async import begin_if_blocking
 from stampede_rt.values.match_rule import MatchRule
 
 
-class PastMatches(ArchivedMatches[Channel]):
+class PastMatches(ArchivedMatches[Key]):
     """The matches that a subscription would have got immediately at an instant (see `Group.match` with `as_of`).
 
     A step raises PermissionDenied if the caller may not read a member, and Unavailable.
@@ -49,4 +50,8 @@ class PastMatches(ArchivedMatches[Channel]):
         return matching
 
     def _member(self, channel: Channel) -> ArchivedMember:
-        return ArchivedMember(channel, functools.partial(read_as_of, self._group.session, channel._state))
+        return ArchivedMember(self._shown(channel), functools.partial(read_as_of, self._group.session, channel._state))
+
+    def _shown(self, channel: Channel) -> Reader:
+        """Return the handle that the matches have as a key."""
+        return channel

@@ -9,6 +9,7 @@ from typing import NoReturn
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.group import Group
 from stampede_rt._async.group_channel import read_at_past_cut
+from stampede_rt._async.group_members import GroupMembers
 from stampede_rt._async.past_matches import PastMatches
 from stampede_rt._async.reader import Reader
 from stampede_rt._async.replayed_channel import ReplayedChannel, as_known
@@ -36,6 +37,12 @@ class ReplayedGroup:
 
     def __getattr__(self, name: str) -> NoReturn:
         raise not_replayed("Group", name, self)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ReplayedGroup) and other.info.group_id == self.info.group_id
+
+    def __hash__(self) -> int:
+        return hash(self.info.group_id)
 
     def __repr__(self) -> str:
         return f"<ReplayedGroup {self.name!r} of {', '.join(one.name for one in self.channels)}>"
@@ -87,21 +94,29 @@ class ReplayedGroup:
         newest_first: bool = False,
         payloads: bool = True,
         as_of: InstantLike | None = None,
-    ) -> ByChannel[Channel, Items]:
+    ) -> ByChannel[ReplayedChannel, Items]:
         """Return for each member the items in an interval, at the cut of the clock's instant (see `Group.get`)."""
         read = functools.partial(
             self._group.get, start, end, bounds=bounds, match=match, limit=limit, newest_first=newest_first,
             payloads=payloads,
         )  # fmt: skip
+        self._clock.check_open()
         if as_of is not None:
-            return await read(as_of=as_of)
-        return await as_known(lambda instant: read(as_of=instant), self._clock.now)
+            found = await read(as_of=as_of)
+        else:
+            found = await as_known(lambda instant: read(as_of=instant), self._clock.now)
+        return found.with_handles(self.channels)
 
-    async def newest(self, *, payloads: bool = True, as_of: InstantLike | None = None) -> NewestItems[Channel]:
+    async def newest(self, *, payloads: bool = True, as_of: InstantLike | None = None) -> NewestItems[ReplayedChannel]:
         """Return the newest visible item of each member, at the cut of the clock's instant (see `Group.newest`)."""
+        self._clock.check_open()
         if as_of is not None:
-            return await self._group.newest(payloads=payloads, as_of=as_of)
-        return await as_known(lambda instant: self._group.newest(payloads=payloads, as_of=instant), self._clock.now)
+            found = await self._group.newest(payloads=payloads, as_of=as_of)
+        else:
+            found = await as_known(
+                lambda instant: self._group.newest(payloads=payloads, as_of=instant), self._clock.now
+            )
+        return found.with_handles(self.channels)
 
     def match(
         self,
@@ -115,15 +130,31 @@ class ReplayedGroup:
         reconnect: DurationLike | None = None,
         start: BoundLike | None = None,
         as_of: InstantLike | None = None,
-    ) -> ReplayedMatches | PastMatches:
+    ) -> ReplayedMatches | ReplayedPastMatches:
         """Match each new item of `per` (see `Group.match`), from the clock's instant on. Raises InvalidArgument."""
         rule = MatchRule.parse(tolerance, lateness, unique=unique, partial=partial, payloads=payloads, start=start)
         member, past = self._group._members.member(per), parse_as_of(as_of)
         if past is not None:
-            return PastMatches(self._group._members, member, rule, past)
+            return ReplayedPastMatches(self._group._members, member, rule, past, self._clock, self._end)
         channels = self.channels
         matched = next(one for one in channels if is_named_by(member, one))
         return ReplayedMatches(self._clock, self.info, channels, matched, rule)
+
+
+class ReplayedPastMatches(PastMatches[ReplayedChannel]):
+    """The matches of a replayed group as of an explicit instant."""
+
+    def __init__(
+        self, group: GroupMembers, per: Channel, rule: MatchRule, as_of: int, clock: VirtualClock, end: int
+    ) -> None:
+        self._clock, self._end = clock, end
+        super().__init__(group, per, rule, as_of)
+
+    def _shown(self, channel: Channel) -> ReplayedChannel:
+        return ReplayedChannel(channel, self._clock, self._end)
+
+    async def _reach(self) -> None:
+        self._clock.check_open()
 
 
 class ReplayedGroupChannel(ReplayedChannel):
@@ -135,6 +166,7 @@ class ReplayedGroupChannel(ReplayedChannel):
 
     async def read_as_of(self, query: ReadQuery, as_of: int) -> Items:
         """Return the answer at the cut of an instant, or of the host's clock if that is earlier."""
+        self._clock.check_open()
         read = functools.partial(read_at_past_cut, self._group._members, self._state, query)
         items, past = await as_known(read, as_of)
         changes = [one for one in (past.next_change, items.past and items.past.next_change) if one is not None]

@@ -85,8 +85,9 @@ class ReplayedChannel(Reader):
     def read_as_of(self, query: ReadQuery, as_of: int) -> Items:
         """Return the answer as of an instant, or as of the host's clock if that is earlier.
 
-        Raises VersionMismatch if the host does not know the past.
+        Raises VersionMismatch if the host does not know the past; Unavailable if the replay is closed.
         """
+        self._clock.check_open()
         return as_known(lambda instant: read_as_of(self._session, self._state, query, instant), as_of)
 
     def _subscribe(  # type: ignore[override]

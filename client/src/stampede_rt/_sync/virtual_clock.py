@@ -28,8 +28,7 @@ class VirtualClock:
         """
         while True:
             moved = self._moved
-            if self._closed:
-                raise Unavailable("this replay, or its connection, is closed; call replay() again")
+            self.check_open()
             if self.now >= instant:
                 return
             left_s = self._left_s(instant)
@@ -37,6 +36,11 @@ class VirtualClock:
                 self.move(instant)
             else:
                 moved.wait(left_s)
+
+    def check_open(self) -> None:
+        """Raise Unavailable if the replay or its connection is closed."""
+        if self._closed:
+            raise Unavailable("this replay, or its connection, is closed; call replay() again")
 
     def _left_s(self, instant: int) -> float | None:
         """Return the real time until the clock reaches `instant`; None: the clock moves only by `move`."""

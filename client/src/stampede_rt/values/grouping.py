@@ -36,6 +36,7 @@ class NamedChannel(Protocol):
 
 
 Key = TypeVar("Key", bound=NamedChannel)
+OtherKey = TypeVar("OtherKey", bound=NamedChannel)
 
 
 @dataclass(slots=True)
@@ -73,6 +74,11 @@ class ByChannel(Mapping[Key, Value], Generic[Key, Value]):
     def __len__(self) -> int:
         return len(self._channels)
 
+    def with_handles(self, channels: Sequence[OtherKey]) -> ByChannel[OtherKey, Value]:
+        """Return the same values with other handles of their channels as keys. Each channel needs such a handle."""
+        handles = {one.info.channel_id: one for one in channels}
+        return ByChannel([handles[one.info.channel_id] for one in self._channels], self._values)
+
     def __repr__(self) -> str:
         return repr({one.info.name: self._values[one.info.channel_id] for one in self._channels})
 
@@ -104,6 +110,14 @@ class NewestItems(ByChannel[Key, Item | None]):
         told = {one: items.reason for one, items in answers.items() if reason is not None or not items}
         reasons = {one: reason for one, reason in told.items() if reason is not None}
         self.reasons: ByChannel[Key, Reason] = ByChannel(channels, reasons)
+
+    def with_handles(self, channels: Sequence[OtherKey]) -> NewestItems[OtherKey]:
+        """See `ByChannel.with_handles`."""
+        found = NewestItems(channels, {})
+        shown = super().with_handles(channels)
+        found._channels, found._values = shown._channels, shown._values
+        found.reasons = self.reasons.with_handles(channels)
+        return found
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
