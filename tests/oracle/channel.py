@@ -354,7 +354,9 @@ class OracleChannel:
             self.came_up_to = max(item.time for item in items)
             self.consumed_times += [item.time for item in items]
         else:
-            self.collected_ends += [max(self.known_end(item, clock), item.time + self.overlap) for item in items]
+            self.collected_ends += [
+                max(self.known_end(item, clock), item.time + max(1, self.overlap)) for item in items
+            ]
             self.collected_times += [item.time for item in items]
         self.collected[cause] += len(items)
         self.held = [item for item in self.held if item not in items]

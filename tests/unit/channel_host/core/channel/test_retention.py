@@ -62,6 +62,15 @@ def test_a_stricter_policy_collects_immediately_and_the_reason_names_its_limit()
     assert "max_items (2)" in answer.reason.detail
 
 
+@pytest.mark.parametrize("duration", [0, 1, -1])
+def test_a_read_of_the_instant_of_a_collected_item_says_collected_for_each_duration(duration: int) -> None:
+    channel = a_channel(max_items=1)
+    put(channel, 10, 20, durations=[duration, -1])
+    answer = get(channel, 10, 10)
+    assert (answer.reason, answer.truncated) == ("COLLECTED", True)
+    assert get(channel, 11, 15).reason == ("COLLECTED" if duration < 0 else "NEVER")
+
+
 def test_a_late_item_may_be_stored_between_collected_and_held_items() -> None:
     channel = a_channel(max_items=2)
     put(channel, 10, 20, 40)

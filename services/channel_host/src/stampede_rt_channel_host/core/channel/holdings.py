@@ -284,7 +284,7 @@ class Holdings(HeldItems):
             newest_end = self.newest_end(now)
             assert newest_end is not None, "`oldest` is not empty"
             end = end_of_newest(bucket, time, now, newest_end)
-        end = max(end, time + self.overlap_nanos)
+        end = max(end, time + max(1, self.overlap_nanos))  # a span without a length also has the instant `time`
         if self.collected_end is None or end >= self.collected_end:
             self.collected_end = end
             self.collected_by = cause
