@@ -16,7 +16,7 @@ from stampede_rt.files.cells import BOOL, FLOAT, FLOATS, INT, INTS, LONG, LONGS,
 from stampede_rt.files.entries import FileEntry
 from stampede_rt.files.names import channel_name
 from stampede_rt.files.sources import FileSource, none_chosen
-from stampede_rt.files.writing import opened_new, replaced, write_fault
+from stampede_rt.files.writing import PART_SUFFIX, opened_new, replaced, write_fault
 from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap
 
 ROWS_PER_WRITE = 4096
@@ -144,7 +144,7 @@ def export_tables(
             try:
                 rows[str(path)] = _export(_Topic(source, name, start, end, gaps), path, form, overwrite)
             except OSError as error:
-                raise write_fault(path, error) from error
+                raise write_fault(f"{path}{PART_SUFFIX}", error) from error
     return ExportSummary(rows=rows, gaps=tuple(gaps[:GAPS_KEPT_MAX]), damaged=tuple(source.damaged))
 
 

@@ -61,12 +61,14 @@ def _exists(path: str | os.PathLike[str]) -> FileError:
 
 
 def write_fault(path: str | os.PathLike[str], error: OSError) -> FileError:
-    """Return the error for a file that cannot be written."""
-    remedy = _REMEDIES.get(error.errno or 0)
-    advice = f"{remedy}; `stampede file recover` reads the items of a recording so far" if remedy else (
-        "name a file in a folder that exists and that you may write to"
-    )  # fmt: skip
-    return FileError(f"the file {os.fspath(path)!r} cannot be written: {error.strerror}; {advice}")
+    """Return the error for a file that cannot be written. A file whose name ends with PART_SUFFIX does not stay."""
+    name, remedy = os.fspath(path), _REMEDIES.get(error.errno or 0)
+    if name.endswith(PART_SUFFIX):
+        name, stays = name.removesuffix(PART_SUFFIX), "no new file was written"
+    else:
+        stays = "`stampede file recover` reads the items of a recording so far"
+    advice = f"{remedy}; {stays}" if remedy else "name a file in a folder that exists and that you may write to"
+    return FileError(f"the file {name!r} cannot be written: {error.strerror}; {advice}")
 
 
 @contextmanager
