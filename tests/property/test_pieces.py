@@ -121,7 +121,7 @@ def test_an_answer_built_in_pieces_shows_the_channel_at_its_first_piece(name: st
                 unfinished += 1
                 found = busy.finish(found.rest)
             assert shown(found) == shown(expected), f"seed {seed}"
-            assert not busy.channel.look(busy.now)[0]._snapshots, "the channel keeps no snapshot any more"
+            assert not busy.channel.look(busy.now)[0]._snapshots, "the channel still keeps a snapshot"
     assert unfinished > SEEDS // 10
 
 
@@ -142,16 +142,16 @@ def test_a_group_answer_built_in_pieces_shows_the_group_at_its_first_piece() -> 
 
 
 def polled(
-    where: ChannelCore | ChannelSnapshot, query: Query, horizon: Horizon | None, now: int
+    source: ChannelCore | ChannelSnapshot, query: Query, horizon: Horizon | None, now: int
 ) -> ReadAnswer | WakeAt:
     pending = PendingGet(query, None)
-    return run_to_end(where.polling(pending, now) if horizon is None else polling(where, pending, horizon, now))
+    return run_to_end(source.polling(pending, now) if horizon is None else polling(source, pending, horizon, now))
 
 
 @pytest.mark.parametrize("name", POLICIES)
 def test_a_snapshot_gives_the_same_answer_later(name: str) -> None:
-    """Gets of the channel alone, and through a group."""
-    released = {False: 0, True: 0}
+    """Each get reads the channel alone, and then through a group."""
+    answered = {False: 0, True: 0}
     for seed in range(SEEDS):
         busy = BusyChannel(POLICIES[name], seed)
         query = replace(busy.query(), complete=busy.rng.random() < 0.3)
@@ -165,13 +165,13 @@ def test_a_snapshot_gives_the_same_answer_later(name: str) -> None:
         snapshot.close()
         for through_group, before, later in zip((False, True), expected, found, strict=True):
             if isinstance(before, ReadAnswer):
-                released[through_group] += 1
+                answered[through_group] += 1
                 assert isinstance(later, ReadAnswer), f"seed {seed}"
                 assert shown(later) == shown(before), f"seed {seed}"
             else:
                 assert later == before, f"seed {seed}"
-        assert not busy.channel.look(busy.now)[0]._snapshots, "the channel keeps no snapshot any more"
-    assert min(released.values()) > SEEDS // 10
+        assert not busy.channel.look(busy.now)[0]._snapshots, "the channel still keeps a snapshot"
+    assert min(answered.values()) > SEEDS // 10
 
 
 @pytest.mark.parametrize("name", POLICIES)
@@ -183,10 +183,10 @@ def test_a_subscription_that_begins_in_pieces_yields_the_items_held_at_its_begin
             start = parse_interval(time, busy.now).start
             held, _ = busy.channel.look(busy.now)
             expected = {seq for place_time, seq in places([*held.slices()]) if place_time >= time}
-            begun = busy.channel.next_seq
+            first_later_seq = busy.channel.next_seq
             opening = first_of(busy.channel.subscribing_all(busy.now, start=start))
             cursor = busy.finish(opening.rest) if isinstance(opening, UnfinishedWork) else opening
-            expected |= set(range(begun, busy.channel.next_seq))
+            expected |= set(range(first_later_seq, busy.channel.next_seq))
             given: list[int] = []
             lost = 0
             while not (part := busy.channel.since(cursor, busy.now, 10**6)).is_empty:

@@ -18,12 +18,12 @@ PAUSE_S_MAX = 0.25  # between cuts
 REFUSES_SHARE = 0.1  # the share of cuts after which no connection succeeds for a while
 READY_S = 40.0
 HOST_NAME = "relayed"
-INNER = "127.0.0.2"
+INNER = "127.0.0.2"  # the address of the host itself, behind the relay
 
 
 @dataclass(frozen=True, slots=True)
 class RelayedCluster:
-    """`host` is the name under which channels and queues are opened behind the relay."""
+    """`host`: the name of the host behind the relay. Tests open channels and queues at this host by its name."""
 
     cluster: LocalCluster
     relay: CuttingRelay
@@ -35,7 +35,7 @@ class RelayedCluster:
         return self.cluster.address
 
     async def cut(self, rng: random.Random) -> None:
-        """Cut connections again and again until cancelled. Later connections succeed again."""
+        """Cut connections at random times until this task is cancelled. Then the relay accepts connections again."""
         try:
             while True:
                 await asyncio.sleep(rng.random() * PAUSE_S_MAX)

@@ -1,4 +1,4 @@
-"""The findings of `stampede doctor` from given answers. No real clock or certificate is wrong here."""
+"""The findings of `stampede doctor` about parts whose answers are made up here."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def seen(kind: str, name: str, **facts: Any) -> Observation:
     return Observation(kind=kind, name=name, address=f"{name}:1", **facts)
 
 
-WELL = [
+HEALTHY = [
     seen(FRONTEND, "f1"),
     seen(SUPERNODE, "s1"),
     seen(SUPERNODE, "s2"),
@@ -35,16 +35,16 @@ def found(observations: list[Observation], part: str) -> CheckResult:
 
 
 def changed(name: str, **facts: Any) -> list[Observation]:
-    return [replace(one, **facts) if one.name == name else one for one in WELL]
+    return [replace(one, **facts) if one.name == name else one for one in HEALTHY]
 
 
 def test_a_healthy_cluster_gets_no_advice() -> None:
-    findings = diagnose(WELL, own_version="1.0", certificate_s_min=14 * DAY_S)
+    findings = diagnose(HEALTHY, own_version="1.0", certificate_s_min=14 * DAY_S)
     assert [finding for finding in findings if finding.advice] == []
 
 
 def test_a_service_that_refuses_the_caller_is_not_reported_as_down() -> None:
-    refusing = [replace(one, failure="another secret", refuses_caller=True) for one in WELL]
+    refusing = [replace(one, failure="another secret", refuses_caller=True) for one in HEALTHY]
     assert found(refusing, "supernode s1").state == "refused"
     for part in ("quorum", "front-ends"):
         finding = found(refusing, part)
@@ -54,11 +54,11 @@ def test_a_service_that_refuses_the_caller_is_not_reported_as_down() -> None:
 def test_a_removed_supernode_does_not_count_for_the_majority() -> None:
     gone = seen(SUPERNODE, "s0", failure="nobody is there", is_member=False)
     also_gone = replace(gone, name="s4")
-    assert found([*WELL, gone, also_gone], "quorum") == CheckResult("quorum", "-", "3 of 3 serve")
-    assert found([*WELL, gone], "supernode s0").state == "no member"
+    assert found([*HEALTHY, gone, also_gone], "quorum") == CheckResult("quorum", "-", "3 of 3 serve")
+    assert found([*HEALTHY, gone], "supernode s0").state == "no member"
 
 
-def test_doctor_says_to_start_or_replace_a_supernode_that_a_majority_misses() -> None:
+def test_the_advice_about_a_supernode_that_does_not_answer_is_to_start_or_replace_it() -> None:
     quorum = found(changed("s2", failure="nobody is there"), "quorum")
     assert quorum.state == "2 of 3 serve"
     assert quorum.advice.startswith("start s2 again with its data folder. If the folder is lost, replace the supernode")
@@ -68,11 +68,11 @@ def test_doctor_says_to_start_or_replace_a_supernode_that_a_majority_misses() ->
 def test_the_report_of_a_wrong_clock_names_its_owner_its_offset_and_the_allowed_offset(nanos: int, how: str) -> None:
     clocks = found(changed("h1", clock_offset_nanos=nanos), "clocks")
     assert clocks.advice == f"the clock of host h1 is {how} the others'; synchronise it (chrony, ntpd)"
-    assert "apart, +/- 1 ms, 50 ms are allowed" in clocks.state
+    assert "s +/- 1 ms apart; 50 ms are allowed" in clocks.state
 
 
 def test_doctor_reports_the_clock_of_this_machine_if_all_others_differ_from_it_equally() -> None:
-    clocks = found([replace(one, clock_offset_nanos=-2000 * MS) for one in WELL], "clocks")
+    clocks = found([replace(one, clock_offset_nanos=-2000 * MS) for one in HEALTHY], "clocks")
     assert (
         clocks.advice == "this machine's clock is 2 s ahead of the cluster's; synchronise this machine's (chrony, ntpd)"
     )
@@ -83,9 +83,9 @@ def test_a_long_round_trip_widens_the_tolerance_for_a_clock() -> None:
     assert found(changed("h1", clock_offset_nanos=90 * MS, round_trip_nanos=30 * MS), "clocks").advice
 
 
-def test_an_answer_that_took_two_seconds_gives_no_clock_offset() -> None:
+def test_an_answer_that_took_two_seconds_is_too_slow_for_a_clock_offset() -> None:
     slow = changed("f1", clock_offset_nanos=1000 * MS, round_trip_nanos=2000 * MS)
-    assert found(slow, "clocks") == CheckResult("clocks", "-", "0 s apart, +/- 1 ms, 50 ms are allowed")
+    assert found(slow, "clocks") == CheckResult("clocks", "-", "0 s +/- 1 ms apart; 50 ms are allowed")
     alone = [one for one in slow if one.name == "f1"]
     clocks = found(alone, "clocks")
     assert (clocks.state, clocks.advice) == ("unknown: answers took 2 s or longer, too long to compare clocks", "")
@@ -97,32 +97,32 @@ def test_a_clock_that_is_off_by_more_than_a_slow_answer_can_explain_is_reported(
 
 
 def test_a_peer_whose_clock_is_off_is_reported_as_a_host_would_be() -> None:
-    clocks = found([*WELL, seen(PEER, "robot/3", clock_offset_nanos=-1500 * MS)], "clocks")
+    clocks = found([*HEALTHY, seen(PEER, "robot/3", clock_offset_nanos=-1500 * MS)], "clocks")
     assert clocks.advice == "the clock of peer robot/3 is 1.5 s behind the others'; synchronise it (chrony, ntpd)"
-    assert clocks.state == "1.5 s apart, +/- 1 ms, 50 ms are allowed"
+    assert clocks.state == "1.5 s +/- 1 ms apart; 50 ms are allowed"
 
 
 def test_clocks_of_peers_do_not_decide_which_clocks_are_right() -> None:
     peers = [seen(PEER, f"phone/{number}", clock_offset_nanos=200 * MS) for number in range(20)]
-    advice = found([*WELL, *peers], "clocks").advice
+    advice = found([*HEALTHY, *peers], "clocks").advice
     assert (advice.count("the clock of peer phone/"), "host" in advice, "this machine" in advice) == (20, False, False)
 
 
 def test_only_a_peer_with_imprecise_measurements_gets_more_tolerance() -> None:
     vague = seen(PEER, "far", clock_offset_nanos=300 * MS, round_trip_nanos=800 * MS)
-    off = replace(WELL[-1], clock_offset_nanos=300 * MS)
-    assert found([*WELL[:-1], off, vague], "clocks").advice.startswith(
+    off = replace(HEALTHY[-1], clock_offset_nanos=300 * MS)
+    assert found([*HEALTHY[:-1], off, vague], "clocks").advice.startswith(
         "the clock of host h1 is 300 ms ahead of the others'"
     )
-    assert "far" not in found([*WELL[:-1], off, vague], "clocks").advice
+    assert "far" not in found([*HEALTHY[:-1], off, vague], "clocks").advice
 
 
 def test_a_peer_without_a_measured_clock_is_not_judged() -> None:
     peer = seen(PEER, "older", clock_offset_nanos=None, round_trip_nanos=None, version="0.7 of something else")
-    findings = diagnose([*WELL, peer], own_version="1.0", certificate_s_min=14 * DAY_S)
+    findings = diagnose([*HEALTHY, peer], own_version="1.0", certificate_s_min=14 * DAY_S)
     assert [finding for finding in findings if finding.advice] == []
-    assert found([*WELL, peer], "clocks").state.startswith("0 s apart")
-    assert found([*WELL, peer], "peer older").state == "ok"
+    assert found([*HEALTHY, peer], "clocks").state.startswith("0 s +/- 1 ms apart")
+    assert found([*HEALTHY, peer], "peer older").state == "ok"
 
 
 def test_two_versions_are_reported_with_the_parts_that_run_them() -> None:
@@ -153,15 +153,15 @@ def test_a_short_lived_certificate_is_reported_when_a_third_of_its_life_is_left(
         ({"alive": False, "lost_for_nanos": 11_000 * MS}, "lost 11 s ago"),
         ({"alive": False}, "gone"),
         ({"lease_held": False}, "fenced"),
-        ({"failure": "gone"}, "unreachable"),
+        ({"failure": "nobody is there"}, "unreachable"),
     ],
 )
-def test_a_host_without_its_lease_or_out_of_reach_is_reported(facts: dict[str, Any], state: str) -> None:
+def test_a_host_that_is_lost_or_fenced_or_unreachable_is_reported(facts: dict[str, Any], state: str) -> None:
     host = found(changed("h1", **facts), "host h1")
     assert (host.state, bool(host.advice)) == (state, True)
 
 
-def test_the_report_of_refused_puts_has_the_memory_of_the_host_and_counts_older_refusals() -> None:
+def test_recently_refused_puts_get_advice_about_memory_and_older_refusals_are_only_counted() -> None:
     facts = {"refused_items": 12, "held_bytes": 2**30, "memory_bytes_max": 2**30}
     host = found(changed("h1", refused_ago_nanos=3000 * MS, **facts), "host h1")
     assert host.state == "12 puts refused"
@@ -204,40 +204,41 @@ def test_doctor_counts_calls_beyond_quotas_and_names_callers_with_recent_refusal
 def test_lost_channels_and_queues_are_reported_by_name_and_host() -> None:
     lost = [(f"cam/{number}", "host h7") for number in range(7)]
     held = [Inventory(kind="channel", count=9, lost=lost), Inventory(kind="queue", count=4)]
-    findings = diagnose(WELL, held, own_version="1.0", certificate_s_min=14 * DAY_S)
+    findings = diagnose(HEALTHY, held, own_version="1.0", certificate_s_min=14 * DAY_S)
     [channels, queues] = [finding for finding in findings if finding.part in ("channels", "queues")]
     assert (channels.state, queues) == ("7 of 9 lost", CheckResult("queues", "-", "4, none lost"))
     assert channels.advice.startswith(
-        "cam/0, cam/1, cam/2, cam/3, cam/4 and 2 more belonged to host h7, now lost with the items"
+        "the items of cam/0, cam/1, cam/2, cam/3, cam/4 and 2 more were lost with host h7"
     )
 
 
 def test_recorded_channels_of_absent_hosts_are_not_reported_as_lost() -> None:
     held = [Inventory(kind="channel", count=3, lost=[("live", "host h7")], recorded=[("rec", "host h8")])]
-    [channels] = [one for one in diagnose(WELL, held, own_version="1.0", certificate_s_min=0) if one.part == "channels"]
-    assert channels.state == "1 of 3 lost, 1 of 3 away"
-    assert "live belonged to host h7, now lost with the items" in channels.advice
+    findings = diagnose(HEALTHY, held, own_version="1.0", certificate_s_min=0)
+    [channels] = [one for one in findings if one.part == "channels"]
+    assert channels.state == "1 of 3 lost, 1 of 3 recorded at an absent host"
+    assert "the items of live were lost with host h7" in channels.advice
     assert "start host h8 again with the same archive, which has the recorded items of rec." in channels.advice
     gone = found(changed("h1", alive=False), "host h1")
     assert (gone.state, "open them again" in gone.advice) == ("gone", False)
 
 
 def test_a_running_majority_without_a_leader_is_not_reported_as_missing_supernodes() -> None:
-    observations = [replace(one, ready=False) if one.kind == SUPERNODE else one for one in WELL]
+    observations = [replace(one, ready=False) if one.kind == SUPERNODE else one for one in HEALTHY]
     quorum = found(observations, "quorum")
     assert quorum.state == "3 of 3 run, 0 serve"
     assert "has no leader; look again in 5 s, then check the network" in quorum.advice
-    down = [replace(one, failure="gone") if one.name == "s1" else one for one in observations]
+    down = [replace(one, failure="nobody is there") if one.name == "s1" else one for one in observations]
     assert "has no leader; look again in 5 s, then start s1 again with its data folder" in found(down, "quorum").advice
 
 
-def test_a_cluster_without_folders_is_reported_but_not_as_a_fault() -> None:
-    quorum = found([replace(one, in_memory=one.kind == SUPERNODE) for one in WELL], "quorum")
+def test_doctor_reports_supernodes_without_data_folders_and_gives_no_advice() -> None:
+    quorum = found([replace(one, in_memory=one.kind == SUPERNODE) for one in HEALTHY], "quorum")
     assert (quorum.state, quorum.advice) == ("3 of 3 serve, only in memory", "")
 
 
-def test_the_advice_after_the_loss_of_all_supernodes_names_its_chapter() -> None:
-    observations = [replace(one, failure="gone") if one.kind == SUPERNODE else one for one in WELL]
+def test_the_advice_after_the_loss_of_all_supernodes_names_the_chapter_of_the_runbook() -> None:
+    observations = [replace(one, failure="nobody is there") if one.kind == SUPERNODE else one for one in HEALTHY]
     assert (
         "start s1, s2 and s3 with their data folders. If the folders are lost" in found(observations, "quorum").advice
     )
@@ -245,7 +246,7 @@ def test_the_advice_after_the_loss_of_all_supernodes_names_its_chapter() -> None
 
 
 def test_doctor_advises_to_start_a_host_if_there_is_none() -> None:
-    assert "stampede host" in found(WELL[:-1], "host").advice
+    assert "stampede host" in found(HEALTHY[:-1], "host").advice
 
 
 @pytest.mark.parametrize(

@@ -147,7 +147,7 @@ def test_no_verb_writes_control_characters_of_others_to_a_terminal(verb: str, fo
         assert screen.written, words
         assert "\x1b]" not in screen.written, words
         moves = {"\r"} if "\x1b[K" in screen.written else set()  # the line that shows progress
-        assert screen.controls(screen=bool(moves) or verb == "top") <= moves, words
+        assert screen.controls(moves_cursor=bool(moves) or verb == "top") <= moves, words
         assert "\x1b[2J" not in screen.written.replace("\x1b[2J", "", 1 if verb == "top" else 0), words
         assert "a defect" not in screen.written, words
 

@@ -14,12 +14,12 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from tests.support.command_line.terminal import Screen, run_in_terminal
+from tests.support.command_line.terminal import TerminalRun, run_in_terminal
 from tests.support.sharing.shared_cluster import shared_cluster_fixture
 from tests.support.waiting import wait_until
 
 cluster = shared_cluster_fixture(hosts=1)
-Terminal = Callable[..., Screen]
+Terminal = Callable[..., TerminalRun]
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +39,11 @@ def terminal(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> Terminal
     monkeypatch.delenv("COLUMNS", raising=False)
     monkeypatch.delenv("LINES", raising=False)
 
-    def run(*words: str, status: int = 0, progress: bool = False, **terminal: Any) -> Screen:
+    def run(*words: str, status: int = 0, progress: bool = False, **terminal: Any) -> TerminalRun:
         screen = run_in_terminal(words, **terminal)
         assert screen.status == status, screen
         moves = {"\r"} if progress else set()
-        assert screen.controls(screen=progress or words[0] == "top") <= moves, screen
+        assert screen.controls(moves_cursor=progress or words[0] == "top") <= moves, screen
         return screen
 
     return run
@@ -79,9 +79,9 @@ def test_configure_changes_the_stated_settings_and_prints_the_policy(rt: st.Conn
     assert "there is no channel absent" in terminal("configure", "absent", "--max-age", "1s", status=1).text
 
 
-def while_something_happens(happen: Callable[[int], object], look: Callable[[], Screen]) -> Screen:
+def while_something_happens(happen: Callable[[int], object], look: Callable[[], TerminalRun]) -> TerminalRun:
     """The end of the command `look`. Meanwhile `happen` is called again and again, with 0, 1, 2, ..."""
-    screens: list[Screen] = []
+    screens: list[TerminalRun] = []
     thread = threading.Thread(target=lambda: screens.append(look()))
     thread.start()
     numbers = count()

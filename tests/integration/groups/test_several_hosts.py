@@ -53,7 +53,7 @@ async def test_a_host_learns_of_a_group_from_another_host_that_serves_it(named_a
         t = pair.start
         await pair.left.put(t, t + 2, t + 4)
         await pair.right.put(t + 3)
-        assert (await pair.left.get(pair.group, wait_nanos=-1))[0] == [t, t + 2]  # no read asked the other host
+        assert (await pair.left.get(pair.group, wait_nanos=-1))[0] == [t, t + 2]  # no caller has read at the other host
 
 
 async def test_a_put_at_one_host_moves_the_cut_at_the_other(pair: Pair) -> None:
@@ -99,7 +99,7 @@ async def test_one_cut_serves_a_read_over_both_hosts(pair: Pair) -> None:
     assert (await pair.right.get(pair.group, cut_unix_nano=cut))[0] == [t + 1, t + 3]
 
 
-async def test_cut_events_begin_before_anything_is_visible(pair: Pair) -> None:
+async def test_cut_events_may_begin_before_any_item_is_visible(pair: Pair) -> None:
     t = pair.start
     decider = CutReader(pair.left.host, pair.group, decides=True)
     begun = await decider.opened()
@@ -116,14 +116,14 @@ async def test_cut_events_begin_before_anything_is_visible(pair: Pair) -> None:
         right += (await other.event()).times(pair.right)
 
 
-async def test_cut_events_over_two_hosts_fit_together(pair: Pair) -> None:
+async def test_cut_events_of_two_hosts_have_the_same_cuts(pair: Pair) -> None:
     t = pair.start
     decider = CutReader(pair.left.host, pair.group, decides=True)
     other = CutReader(pair.right.host, pair.group)
     await asyncio.gather(decider.opened(), other.opened())
     await pair.left.put(t, t + 2)
     await pair.right.put(t + 1, t + 3)
-    brought: dict[str, list[int]] = {"left": [], "right": []}
+    shown: dict[str, list[int]] = {"left": [], "right": []}
     for last in (t + 2, t + 12):
         while True:
             event = await decider.event()
@@ -131,17 +131,17 @@ async def test_cut_events_over_two_hosts_fit_together(pair: Pair) -> None:
             answer = await other.event()
             assert answer.boundary.cut_unix_nano == event.boundary.cut_unix_nano
             assert list(event.boundary.incomplete_channel_ids) == []
-            brought["left"] += event.times(pair.left)
-            brought["right"] += answer.times(pair.right)
+            shown["left"] += event.times(pair.left)
+            shown["right"] += answer.times(pair.right)
             if event.boundary.cut_unix_nano >= last:
                 break
         if last == t + 2:
             await pair.left.put(t + 12)
             await pair.right.put(t + 13)
-    assert brought == {"left": [t, t + 2], "right": [t + 1, t + 3]}
+    assert shown == {"left": [t, t + 2], "right": [t + 1, t + 3]}
 
 
-async def test_cut_events_end_when_another_member_comes_to_their_host(pair: Pair) -> None:
+async def test_cut_events_end_when_their_host_becomes_the_owner_of_another_member(pair: Pair) -> None:
     reader = CutReader(pair.left.host, pair.group, decides=True)
     assert [one.channel_id for one in (await reader.opened()).channels] == [pair.left.channel_id]
     await pair.cluster.directory.called("Watch", times=2)
@@ -179,7 +179,7 @@ async def test_a_host_that_regains_its_lease_sends_its_times_again(pair: Pair) -
     await pair.right.put(t + 1)
     await pair.synced(t)
     for fenced in (pair.right.host.host.store, pair.right.host.host.groups):
-        fenced.fence()  # no reader uses the group at this host, but other hosts wait for its channel
+        fenced.fence()  # this host has no reader of the group, but the other host needs the times of its channel
     await pair.left.put(t + 20)
     await pair.right.put(t + 10)
     await pair.left.host.until_cut(pair.group, t + 10)
@@ -208,7 +208,7 @@ async def test_the_cut_of_a_restarted_host_does_not_go_back(pair: Pair) -> None:
     await pair.right.put(t + 9)
     await pair.synced(t + 5)
     await pair.left.host.stop()
-    restarted = await pair.cluster.start("h0", LOWER, boot=8)
+    restarted = await pair.cluster.start("h0", LOWER, boot=8)  # a new process of the same host
     left = await restarted.bound(pair.cluster.directory.channels[pair.left.channel_id])
     times, summary = await left.get(pair.group, wait_nanos=100 * MS)
     assert (times, summary.cut_unix_nano) == ([], t + 5)
@@ -227,6 +227,7 @@ async def test_a_host_shows_no_item_before_it_knows_the_cuts_of_the_others(pair:
     assert not summary.HasField("cut_unix_nano")
     assert "h1" in summary.detail
     assert list((await pair.left.host.status(pair.group)).waiting_on_channel_ids) == [pair.right.channel_id]
+    # The left host shows the group when the other host is lost, and the left channel alone decides the cut.
     pair.cluster.directory.hosts[HIGHER].alive = False
     pair.cluster.directory.groups[pair.group.group_id].spec.reference = group_pb2.GROUP_REFERENCE_CHANNEL
     pair.cluster.directory.groups[pair.group.group_id].spec.reference_channel_id = pair.left.channel_id
@@ -250,7 +251,7 @@ async def test_a_member_that_is_added_holds_the_cut_back_at_every_host(pair: Pai
     await pair.synced(t + 4)
 
 
-async def test_a_floor_of_a_group_that_is_new_here_is_kept_until_the_group_is_learned(pair: Pair) -> None:
+async def test_a_host_keeps_the_cut_floor_of_an_unknown_group_until_it_learns_of_the_group(pair: Pair) -> None:
     t = pair.start
     floors = [
         group_pb2.CutFloor(group_id=pair.group.group_id, incarnation=pair.group.incarnation, cut_unix_nano=t + at)
@@ -258,10 +259,10 @@ async def test_a_floor_of_a_group_that_is_new_here_is_kept_until_the_group_is_le
     ]
     pair.right.host.host.groups.exchange.hear(LOWER, pb.TimesUpdate(floors=floors), is_first=False)
     assert (await pair.right.host.until_cut(pair.group, t)).cut_unix_nano == t + 50
-    assert (await pair.left.host.until_cut(pair.group, t)).cut_unix_nano == t + 50  # the message named the group's id
+    assert (await pair.left.host.until_cut(pair.group, t)).cut_unix_nano == t + 50  # by the right host
 
 
-async def test_a_host_with_a_false_identity_gets_no_times(pair: Pair) -> None:
+async def test_a_host_that_does_not_name_itself_gets_no_times(pair: Pair) -> None:
     call = pair.left.host.groups.ExchangeTimes()
     await call.write(pb.ExchangeTimesRequest(update=pb.TimesUpdate()))
     async with asyncio.timeout(45):
@@ -274,11 +275,11 @@ async def test_a_message_about_a_channel_that_its_sender_does_not_own_changes_no
     await pair.left.put(t)
     await pair.right.put(t + 1)
     await pair.synced(t)
-    host = pair.right.host.host.groups.exchange
-    lie = group_pb2.ChannelTimes(
+    exchange = pair.right.host.host.groups.exchange
+    false_times = group_pb2.ChannelTimes(
         channel_id=pair.right.channel_id, epoch=9, incarnation=pair.right.record.incarnation, newest_unix_nano=t + 99
     )
-    host.hear(LOWER, pb.TimesUpdate(times=[lie]), is_first=False)
+    exchange.hear(LOWER, pb.TimesUpdate(times=[false_times]), is_first=False)
     await pair.left.put(t + 50)
     await pair.synced(t + 1)
     status = await pair.right.host.until_cut(pair.group, t + 1)

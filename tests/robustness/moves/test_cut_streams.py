@@ -36,7 +36,7 @@ BYTES_LOG2_MAX = 15  # a fault comes after 1 to 2**15 bytes
 NAMES = ("left", "middle", "right")
 LEASED_MAX = 20
 LEASE = "30s"  # shorter than `wait_until` waits: a message whose delivery was lost comes again when its lease ends
-INNER = "127.0.0.2"
+INNER = "127.0.0.2"  # the address of the hosts themselves, behind the relay
 
 
 class RelayedHosts(NamedTuple):

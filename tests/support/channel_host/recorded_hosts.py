@@ -16,7 +16,7 @@ from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.disk_use import DiskUse
 from stampede_rt_channel_host.archive.host_archive import HostArchive
-from stampede_rt_channel_host.archive.objects import former_owners, guarded_store
+from stampede_rt_channel_host.archive.objects import guarded_store, listing_schedule
 from stampede_rt_channel_host.archive.objects.object_archive import ObjectArchive, ObjectSettings
 from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
@@ -46,7 +46,7 @@ EVERYTHING = WantedWindow(WantedItems(FIRST_KEY[0], LAST_KEY, 0, 2**30), FIRST_K
 def no_pauses_after_failures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the hosts ask a failing store again without a pause."""
     monkeypatch.setattr(guarded_store, "PAUSE_SECONDS", 0.0)
-    monkeypatch.setattr(former_owners, "WAIT_SECONDS_MIN", 0.0)
+    monkeypatch.setattr(listing_schedule, "WAIT_SECONDS_MIN", 0.0)
 
 
 def record(epoch: int) -> RecordedChannel:

@@ -18,13 +18,13 @@ import pytest
 
 from stampede_rt.cli.commands import run
 
-_STYLES = re.compile(r"\x1b\[[0-9;]*m")  # colours and weights
-_SCREEN = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # colours, and moves of the cursor
+_STYLES = re.compile(r"\x1b\[[0-9;]*m")  # colours, and bold or dim text
+_STYLES_AND_MOVES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # colours, and moves of the cursor
 
 
 @dataclass(frozen=True)
-class Screen:
-    """The end of a command: its status, and all that it has written to the terminal, both outputs together."""
+class TerminalRun:
+    """A finished command: its exit status, and all text that it wrote to the terminal on both outputs."""
 
     status: int
     written: str
@@ -32,25 +32,26 @@ class Screen:
     @property
     def text(self) -> str:
         """The written text without styles and moves of the cursor, with plain ends of lines."""
-        return _SCREEN.sub("", self.written).replace("\r\n", "\n")
+        return _STYLES_AND_MOVES.sub("", self.written).replace("\r\n", "\n")
 
     @property
     def lines(self) -> list[str]:
         """The lines of `text`."""
         return self.text.splitlines()
 
-    def controls(self, *, screen: bool = False) -> set[str]:
+    def controls(self, *, moves_cursor: bool = False) -> set[str]:
         """The characters that could control the terminal, except ends of lines and styles.
 
-        `screen`: the command may also move the cursor, as a live view does.
+        `moves_cursor`: the command may also move the cursor, as a live view does.
         """
-        rest = (_SCREEN if screen else _STYLES).sub("", self.written).replace("\r\n", "").replace("\t", "")
+        allowed = _STYLES_AND_MOVES if moves_cursor else _STYLES
+        rest = allowed.sub("", self.written).replace("\r\n", "").replace("\t", "")
         return {one for one in rest if not one.isprintable()}
 
 
 def run_in_terminal(
     words: Sequence[str], *, columns: int = 100, rows: int = 40, typed: bytes = b"", answered: bytes = b""
-) -> Screen:
+) -> TerminalRun:
     """Run one command in this process on a terminal of that size.
 
     `typed`: the user's input before the command begins. `answered`: the user's input after the first output.
@@ -68,7 +69,7 @@ def run_in_terminal(
             status = int(end.code or 0)
         for name in ("stdin", "stdout", "stderr"):
             getattr(sys, name).close()
-    return Screen(status, b"".join(pieces).decode("utf-8", "backslashreplace"))
+    return TerminalRun(status, b"".join(pieces).decode("utf-8", "backslashreplace"))
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""The methods of a service: errors, ended callers and idle streams."""
+"""The status of failed calls, the streams of disconnected callers, and coroutines that begin immediately."""
 
 from __future__ import annotations
 
@@ -84,20 +84,20 @@ async def test_the_stream_of_a_disconnected_caller_is_closed_immediately() -> No
     assert servicer.closed
 
 
-async def test_the_first_step_runs_immediately_and_the_rest_when_it_is_awaited() -> None:
+async def test_a_started_coroutine_runs_to_its_first_wait_and_the_rest_runs_when_it_is_awaited() -> None:
     steps: list[str] = []
-    waits = asyncio.get_running_loop().create_future()
+    gate = asyncio.get_running_loop().create_future()
 
     async def work() -> None:
         steps.append("first")
-        await waits
+        await gate
         steps.append("second")
         await asyncio.sleep(0)
         steps.append("third")
 
     begun = StartedCoroutine(work())
     assert (steps, begun.is_done) == (["first"], False)
-    waits.set_result(None)
+    gate.set_result(None)
     await begun
     assert (steps, begun.is_done) == (["first", "second", "third"], True)
     await begun
@@ -111,30 +111,30 @@ async def _nothing() -> None:
     pass
 
 
-async def _fail(waits: asyncio.Future[None] | None) -> None:
-    if waits is not None:
-        await waits
+async def _fail(gate: asyncio.Future[None] | None) -> None:
+    if gate is not None:
+        await gate
     raise ValueError
 
 
 @pytest.mark.parametrize("is_late", [False, True])
 async def test_an_error_comes_when_the_rest_is_awaited(is_late: bool) -> None:
-    waits = asyncio.get_running_loop().create_future() if is_late else None
-    begun = StartedCoroutine(_fail(waits))
-    assert not begun.is_done
-    if waits is not None:
-        waits.set_result(None)
+    gate = asyncio.get_running_loop().create_future() if is_late else None
+    begun = StartedCoroutine(_fail(gate))
+    assert not begun.is_done  # also with the error, which an await raises
+    if gate is not None:
+        gate.set_result(None)
     with pytest.raises(ValueError):
         await begun
 
 
 async def test_a_cancellation_reaches_the_coroutine() -> None:
     ended: list[str] = []
-    waits = asyncio.get_running_loop().create_future()
+    gate = asyncio.get_running_loop().create_future()
 
     async def work() -> None:
         try:
-            await waits
+            await gate
         except asyncio.CancelledError:
             ended.append("cancelled")
             raise

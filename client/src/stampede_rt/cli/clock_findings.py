@@ -52,7 +52,7 @@ def _apart(offsets: Mapping[Observation, int]) -> str:
     known = [(offset, one.clock_doubt_nanos) for one, offset in offsets.items()] + [(0, 0)]
     (high, high_doubt), (low, low_doubt) = max(known), min(known, key=lambda one: (one[0], -one[1]))
     return (
-        f"{roughly(high - low)} apart, +/- {roughly(high_doubt + low_doubt)}, "
+        f"{roughly(high - low)} +/- {roughly(high_doubt + low_doubt)} apart; "
         f"{format_duration(CLOCK_OFFSET_NANOS_MAX)} are allowed"
     )
 

@@ -226,12 +226,12 @@ def _holdings(held: Inventory) -> CheckResult:
         names, hosts = _names(held.lost)
         states.append(f"{len(held.lost)} of {count} lost")
         advice.append(
-            f"{names} belonged to {hosts}, now lost with the items; start {hosts} again, or open the {held.kind}s at "
+            f"the items of {names} were lost with {hosts}; start {hosts} again, or open the {held.kind}s at "
             f"another host: the next put into a {held.kind} does that"
         )
     if held.recorded:
         names, hosts = _names(held.recorded)
-        states.append(f"{len(held.recorded)} of {count} away")
+        states.append(f"{len(held.recorded)} of {count} recorded at an absent host")
         advice.append(
             f"start {hosts} again with the same archive, which has the recorded items of {names}. Another host that "
             "takes a channel over has these items only if the archive is in an object store"

@@ -17,29 +17,29 @@ from stampede_rt.escaping import escaped
 from stampede_rt.values.timeline import format_duration
 from stampede_rt.version import VERSION
 
-CERTIFICATE_S_MIN = 14 * 86400.0  # a certificate that ends within two weeks gives advice
+CERTIFICATE_S_MIN = 14 * 86400.0  # doctor advises to renew a certificate that ends within two weeks
 
 
 def add_verbs(subparsers: Any) -> None:
     """Add the verbs of this module."""
     doctor = add_verb(subparsers, "doctor", "check every part of the cluster, and say what to fix", run_doctor)
-    doctor.add_argument("--member", metavar="HOST:PORT,...", help="the supernodes to check if no front-end answers")
+    doctor.add_argument("--member", metavar="HOST:PORT,...", help="supernodes that doctor asks if no front-end answers")
 
 
 def run_doctor(arguments: argparse.Namespace) -> int:
     """Examine every part of the cluster. Returns exit status 1 if an operator should fix something."""
-    findings, held = examine(arguments.url or os.environ.get("STAMPEDE_URL"), arguments.member)
+    findings, listed = examine(arguments.url or os.environ.get("STAMPEDE_URL"), arguments.member)
     print_rows([_row(finding, arguments.output) for finding in findings], arguments.output, none="nothing found")
     advice = [f"{_where(finding)}: {finding.advice}" for finding in findings if finding.advice]
     if arguments.output == "table":
-        print("\n" + ("\n".join(map(escaped, advice)) if advice else _all_well(held)))
+        print("\n" + ("\n".join(map(escaped, advice)) if advice else _all_well(listed)))
     return 1 if advice else 0
 
 
 def examine(url: str | None, member: str | None) -> tuple[list[CheckResult], Sequence[Inventory]]:
     """Examine every part of a cluster. Return the findings, and the channels, queues and peers that the parts listed.
 
-    `url` names the front-ends. `member` names the supernodes to ask if no front-end answers. Each part has a few
+    `url` names the front-ends. `member` names the supernodes that it asks if no front-end answers. Each part has a few
     seconds to answer. Raises PermissionDenied, InvalidArgument.
     """
     from stampede_rt._sync.endpoints import EndpointPool
@@ -51,18 +51,18 @@ def examine(url: str | None, member: str | None) -> tuple[list[CheckResult], Seq
     frontends = target.frontends if url or not members else ()
     endpoints = EndpointPool(target.credentials)
     try:
-        seen, held = Examination(endpoints).look(frontends, members)
+        seen, listed = Examination(endpoints).look(frontends, members)
     finally:
         endpoints.close()
-    return diagnose(seen, held, own_version=VERSION, certificate_s_min=CERTIFICATE_S_MIN), held
+    return diagnose(seen, listed, own_version=VERSION, certificate_s_min=CERTIFICATE_S_MIN), listed
 
 
-def _all_well(held: Sequence[Inventory]) -> str:
-    if not any(one.is_partial for one in held):
+def _all_well(listed: Sequence[Inventory]) -> str:
+    if not any(one.is_partial for one in listed):
         return "Everything is well."
     return (
-        "Nothing that this caller may see is wrong. Rules of access hide other channels, queues and peers from it; ask "
-        "an operator to run `stampede doctor`."
+        "This caller sees no fault. Rules of access hide some channels, queues and peers from it; ask an operator to "
+        "run `stampede doctor`."
     )
 
 
@@ -81,11 +81,17 @@ def _row(finding: CheckResult, form: str) -> dict[str, Any]:
         "address": finding.address,
         "state": finding.state,
         "round_trip": duration(seen.round_trip_nanos) if seen else None,
-        "clock_offset": (_vague(seen) if for_people else None)
+        "clock_offset": (_inexact_offset(seen) if for_people else None)
         or (duration(seen.clock_offset_nanos, UNKNOWN if seen.kind == PEER else None) if seen else None),
         "load": (_load(seen) if for_people else seen.busy_permille) if seen else None,
         "version": (seen.version or None) if seen else None,
-    } | ({} if for_people else {"clock_uncertainty": seen and seen.clock_doubt_nanos, "advice": finding.advice})
+    } | ({} if for_people else _for_programs(finding))
+
+
+def _for_programs(finding: CheckResult) -> dict[str, Any]:
+    """Return the fields of a finding that only the output for programs has."""
+    doubt = None if finding.seen is None else finding.seen.clock_doubt_nanos
+    return {"clock_uncertainty": doubt, "advice": finding.advice}
 
 
 def _load(seen: Observation) -> str | None:
@@ -95,7 +101,7 @@ def _load(seen: Observation) -> str | None:
     return ", ".join(filter(None, (busy, memory))) or None
 
 
-def _vague(seen: Observation | None) -> str | None:
+def _inexact_offset(seen: Observation | None) -> str | None:
     """Return a text for the clock offset of a part with a slow answer; None if the answer gives a useful offset."""
     if seen is None or seen.clock_offset_nanos is None or seen.clock_doubt_nanos <= CLOCK_OFFSET_NANOS_MAX:
         return None

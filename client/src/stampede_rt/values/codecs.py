@@ -112,7 +112,9 @@ class HandleCodec:
             )
         label = content_type or codec.content_type
         if not isinstance(label, str) or not (label.isascii() and 0 < len(label) <= 255):
-            raise InvalidArgument(f"the codec's content_type is {label!r}; write a MIME type of at most 255 characters")
+            raise InvalidArgument(
+                f"the codec's content_type is {label!r}; write a MIME type of 1 to 255 ASCII characters"
+            )
         return cls(codec, thing, label)
 
     def encode(self, value: Any) -> bytes:

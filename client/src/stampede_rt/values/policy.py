@@ -14,7 +14,7 @@ NAME_GRAMMAR = r"[A-Za-z0-9][A-Za-z0-9._/-]{0,127}"
 """The pattern of the names of channels, groups, queues, peers and hosts. Upper and lower case differ."""
 _NAME = re.compile(NAME_GRAMMAR)
 MAX_BYTES_MIN = 64
-"""The bytes that an item without payload counts against `max_bytes`."""
+"""The smallest `max_bytes` of a policy: an item without payload counts as this many bytes."""
 FOREVER_NANOS = 2**63 - 1
 """The value of `Policy.archive_nanos` for an archive that keeps its items for ever."""
 ARCHIVE_BYTES_MIN = 2**20
@@ -96,7 +96,7 @@ def ack_of(value: Ack | None) -> Ack | None:
 
 
 def replicas_of(what: str, value: int | None) -> int | None:
-    """Return a number of replicas; None if it is None. Raises InvalidArgument above REPLICAS_MAX."""
+    """Return `value`. Raises InvalidArgument, which names `what`, unless it is None or 0 to REPLICAS_MAX."""
     if value is None:
         return None
     count = whole_number_of(what, value)
@@ -134,14 +134,14 @@ def size_of(what: str, value: int | str) -> int:
             raise InvalidArgument(f'{what} is {value!r}; write a number of bytes, or a size such as "200GiB"')
         value = int(float(found[1]) * _SIZE_UNITS[found[2]])
     count = count_of(what, value)
-    assert count is not None, "only None gives None"
+    assert count is not None, "count_of returns None only for None"
     return count
 
 
 def content_type_of(value: str | None) -> str | None:
     """Return `value`. Raises InvalidArgument unless it is None or ASCII text of 1 to 255 characters."""
     if value is not None and not (isinstance(value, str) and value.isascii() and 0 < len(value) <= 255):
-        raise InvalidArgument(f"content_type is {value!r}; write a MIME type of at most 255 characters")
+        raise InvalidArgument(f"content_type is {value!r}; write a MIME type of 1 to 255 ASCII characters")
     return value
 
 

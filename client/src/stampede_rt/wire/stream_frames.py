@@ -206,6 +206,6 @@ class FrameReader:
         length, kind = _HEAD.unpack_from(data, at)
         allowed = self._bytes_max.get(kind, -1)
         if length > allowed:
-            what = f"of {length} bytes; it has at most {allowed}" if allowed >= 0 else "which may not come here"
-            raise InvalidArgument(f"a frame of kind {kind} came, {what}; see socket_stream.proto")
+            why = f"has {length} bytes; at most {allowed} are allowed" if allowed >= 0 else "may not come here"
+            raise InvalidArgument(f"a frame of kind {kind} {why}; see socket_stream.proto")
         return int(length)

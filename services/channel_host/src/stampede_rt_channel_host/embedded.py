@@ -116,13 +116,13 @@ class EmbeddedHost:
         Its result is None if the put may have to wait for room.
         """
 
-        def perform(store: ChannelStore, told: Future[pb.PutAck | None]) -> None:
+        def perform(store: ChannelStore, answer: Future[pb.PutAck | None]) -> None:
             ack = put_here(store, channel_id, epoch, put)
             if ack is None or isinstance(ack, pb.PutAck):
-                _tell(told, ack)
+                _tell(answer, ack)
             elif self._loop is not None:
-                waiting = self._loop.create_task(_tell_when_due(told, ack))
-                told.add_done_callback(partial(_cancel, self._loop, waiting))
+                waiting = self._loop.create_task(_tell_when_due(answer, ack))
+                answer.add_done_callback(partial(_cancel, self._loop, waiting))
 
         return self._on_loop(perform)
 
@@ -174,37 +174,37 @@ class EmbeddedHost:
     def read(self, channel_id: bytes, epoch: int, query: ReadQuery) -> Future[InProcessAnswer | None]:
         """Read by reference, with the wait of the query. None: the answer is long."""
 
-        def perform(store: ChannelStore, told: Future[InProcessAnswer | None]) -> None:
-            waiting = read_here(store, channel_id, epoch, query, lambda found: _tell(told, found))
+        def perform(store: ChannelStore, answer: Future[InProcessAnswer | None]) -> None:
+            waiting = read_here(store, channel_id, epoch, query, lambda found: _tell(answer, found))
             if waiting is not None and self._loop is not None:
-                told.add_done_callback(partial(_cancel, self._loop, waiting))
+                answer.add_done_callback(partial(_cancel, self._loop, waiting))
 
         return self._on_loop(perform)
 
     def _on_loop(self, perform: Callable[[ChannelStore, Future[Any]], None]) -> Future[Any]:
         """Have the host's thread perform a call. Its result is None if the host has ended."""
-        told: Future[Any] = Future()
+        answer: Future[Any] = Future()
         served, loop = self._served, self._loop
         if served is None or loop is None or not self.is_alive:
-            told.set_result(None)
-            return told
+            answer.set_result(None)
+            return answer
         store = served.host.store
-        self._asked.add(told)
-        told.add_done_callback(self._asked.discard)
+        self._asked.add(answer)
+        answer.add_done_callback(self._asked.discard)
 
         def run() -> None:
-            if told.cancelled():
+            if answer.cancelled():
                 return
             try:
-                perform(store, told)
+                perform(store, answer)
             except Exception as error:  # noqa: BLE001  # the caller raises it
-                _tell(told, error)
+                _tell(answer, error)
 
         try:
             loop.call_soon_threadsafe(run)
         except RuntimeError:  # the loop has closed meanwhile
-            told.set_result(None)
-        return told
+            answer.set_result(None)
+        return answer
 
     def ask_to_leave(self) -> None:
         """Begin to leave. Does not wait. Idempotent."""
@@ -238,8 +238,8 @@ class EmbeddedHost:
             self._has_ended = True
             self._turns.loop_ended()
             _here.discard(self)  # another program may have the host's port now
-            for told in [*self._asked]:  # the loop no longer answers these calls
-                _tell(told, None)
+            for answer in [*self._asked]:  # the loop no longer answers these calls
+                _tell(answer, None)
             for stream in [*self._puts]:
                 stream.end(Unavailable("the host of this process has ended"))
 
@@ -275,23 +275,23 @@ class EmbeddedHost:
         self._started.set_result(None)
 
 
-def _tell(told: Future[Any], found: object) -> None:
+def _tell(answer: Future[Any], found: object) -> None:
     """Set the result of a call. Does nothing if its caller has given up."""
     with contextlib.suppress(InvalidStateError):
         if isinstance(found, Exception):
-            told.set_exception(found)
+            answer.set_exception(found)
         else:
-            told.set_result(found)
+            answer.set_result(found)
 
 
-async def _tell_when_due(told: Future[pb.PutAck | None], ack: HeldAck) -> None:
+async def _tell_when_due(answer: Future[pb.PutAck | None], ack: HeldAck) -> None:
     """Set the result of a put that waits for the disk."""
-    _tell(told, await ack.due())
+    _tell(answer, await ack.due())
 
 
-def _cancel(loop: asyncio.AbstractEventLoop, waiting: WaitingGet | asyncio.Task[None], told: Future[Any]) -> None:
+def _cancel(loop: asyncio.AbstractEventLoop, waiting: WaitingGet | asyncio.Task[None], answer: Future[Any]) -> None:
     """End the wait of a call whose caller has given up. The done callback of the future refers to `waiting`."""
-    if told.cancelled():
+    if answer.cancelled():
         with contextlib.suppress(RuntimeError):  # the loop has closed
             loop.call_soon_threadsafe(waiting.cancel)
 

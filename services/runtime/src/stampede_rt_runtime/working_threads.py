@@ -1,4 +1,4 @@
-"""Threads for calls that block, which also work after the main thread of the program has ended."""
+"""Threads for calls that block. They also work after the main thread of the program has ended."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ _Calls = SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None]
 
 
 class WorkingThreads(ThreadPoolExecutor):
-    """As its base class, but it takes calls until `shutdown`, and the interpreter does not wait for its threads.
+    """A pool of threads that takes calls until `shutdown`. The interpreter does not wait for its threads.
 
-    The base class refuses all calls once the main thread has ended. A host inside a program has its last work to do
-    then. (An event loop takes only this base class for its default executor.)
+    The class `ThreadPoolExecutor` refuses all calls after the main thread has ended. A host inside a program leaves the
+    cluster at that time, and still needs threads. This class has `ThreadPoolExecutor` as its base class only because an
+    event loop accepts no other class as its default executor.
     """
 
     def __init__(self, max_workers: int, thread_name_prefix: str) -> None:
@@ -36,14 +37,14 @@ class WorkingThreads(ThreadPoolExecutor):
         self, fn: Callable[Arguments, Result], /, *args: Arguments.args, **kwargs: Arguments.kwargs
     ) -> Future[Result]:
         """See the base class. Raises RuntimeError after `shutdown`."""
-        told: Future[Result] = Future()
+        answer: Future[Result] = Future()
         with self._guard:
             if not self._end.alive:
                 raise RuntimeError(f"the threads {self._name} have been shut down")
-            self._calls.put((told, partial(fn, *args, **kwargs)))
+            self._calls.put((answer, partial(fn, *args, **kwargs)))
             if len(self._made) < self._most and not self._free.acquire(blocking=False):
                 self._make_thread()
-        return told
+        return answer
 
     def _make_thread(self) -> None:
         made = threading.Thread(
@@ -56,7 +57,10 @@ class WorkingThreads(ThreadPoolExecutor):
         made.start()
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the threads after the calls that have come. With `cancel_futures`, leaves out those that wait."""
+        """End the threads after they have performed all submitted calls.
+
+        `cancel_futures`: cancel the calls that no thread has begun.
+        """
         with self._guard:
             if cancel_futures:
                 while not self._calls.empty():
@@ -72,12 +76,12 @@ class WorkingThreads(ThreadPoolExecutor):
 def _work(calls: _Calls, free: threading.Semaphore) -> None:
     """Perform calls until None comes."""
     while (taken := calls.get()) is not None:
-        told, call = taken
-        if told.set_running_or_notify_cancel():
+        answer, call = taken
+        if answer.set_running_or_notify_cancel():
             try:
-                told.set_result(call())
+                answer.set_result(call())
             except BaseException as error:  # noqa: BLE001  # the caller raises it
-                told.set_exception(error)
-        del taken, told, call  # the next call may come much later
+                answer.set_exception(error)
+        del taken, answer, call  # the next call may come much later
         free.release()
-    calls.put(None)  # for the next thread
+    calls.put(None)  # the next thread that takes a call ends, too

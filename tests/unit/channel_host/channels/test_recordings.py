@@ -57,7 +57,7 @@ async def finish(former: Host, new: Host) -> None:
     former.archive.forget(former.recorder)
     del former.recorder
     assert not await former.mover.move_all()
-    new.mover._former.hurry()
+    new.mover._listings.hurry()
     assert not await new.mover.move_all()
 
 

@@ -1,4 +1,4 @@
-"""The last step of the source in a move: the message that hands the channel over has everything."""
+"""The last step of the former owner in a move: it hands the channel over only when the copy has everything."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def test_an_idle_channel_is_held_and_handed_over_immediately() -> None:
     source.now += IDLE_NANOS
     source.feed.take(source.now, MOST_BYTES)
     assert source.handoff_decision.next_handoff(source.now) is not None
-    assert source.handoff_decision.next_handoff(source.now) is None, "the channel is handed over only once"
+    assert source.handoff_decision.next_handoff(source.now) is None, "the channel is handed over a second time"
 
 
-def test_the_outcomes_that_the_hold_notes_are_in_the_copy_before_the_channel_is_handed_over() -> None:
+def test_the_copy_gets_the_outcomes_of_waiting_runs_before_the_channel_is_handed_over() -> None:
     """In an earlier version, the next owner did not know a run that waited for room, and accepted its items twice."""
     source = Source()
     source.put(3)

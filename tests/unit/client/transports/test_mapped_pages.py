@@ -1,4 +1,4 @@
-"""Pages of mapped memory that a program takes before it uses them."""
+"""`take_pages`: the system allocates the pages of a mapping before the program uses them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SIZE_BYTES = 2**20
 
 
 def resident_bytes(name: str) -> list[int]:
-    """The mapped pages of each mapping of a file, in bytes."""
+    """Return the allocated bytes of each mapping of the file."""
     lines = iter(Path("/proc/self/smaps").read_text().splitlines())
     return [
         int(next(line for line in lines if line.startswith("Rss:")).split()[1]) * 1024 for line in lines if name in line

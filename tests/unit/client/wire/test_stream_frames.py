@@ -37,10 +37,10 @@ def test_frames_arrive_as_they_were_sent_wherever_their_bytes_are_cut(
 @pytest.mark.parametrize(
     ("frame", "why"),
     [
-        (frame_of(FrameKind.MESSAGE, bytes(301)), "kind 0 came, of 301 bytes; it has at most 300"),
-        (frame_of(FrameKind.END, b"x"), "kind 3 came, of 1 bytes; it has at most 0"),
-        (frame_of(FrameKind.STATUS, b"x"), "kind 2 came, which may not come here"),
-        (b"\x00\x00\x00\x00\xff", "kind 255 came, which may not come here"),
+        (frame_of(FrameKind.MESSAGE, bytes(301)), "kind 0 has 301 bytes; at most 300 are allowed"),
+        (frame_of(FrameKind.END, b"x"), "kind 3 has 1 bytes; at most 0 are allowed"),
+        (frame_of(FrameKind.STATUS, b"x"), "kind 2 may not come here"),
+        (b"\x00\x00\x00\x00\xff", "kind 255 may not come here"),
     ],
 )
 def test_a_frame_that_may_not_come_is_refused_at_its_head(frame: bytes, why: str, cut: int) -> None:
@@ -57,7 +57,10 @@ SIZES = (0, 1, 4, 59, 60, 63, 64, 65, 123, 128, 129, 300)
 
 
 def read_in_parts(stream: bytes, parts: list[int]) -> tuple[list[tuple[int, bytes]], FrameReader]:
-    """The frames that come if each read gives at most so large a part. The last size is for all further reads."""
+    """Return the frames that the reader finds, and the reader. `parts`: the most bytes of each read.
+
+    The last number of `parts` holds for all further reads.
+    """
     reader, short, found, turn = FrameReader(LIMITS), memoryview(bytearray(SHORT_BYTES)), [], 0
     while stream:
         place = reader.place(short)
@@ -116,7 +119,7 @@ def test_later_frames_in_the_same_buffer_do_not_change_earlier_ones(lengths: lis
     assert found == [(FrameKind.MESSAGE, body) for body in bodies]
 
 
-def test_a_reader_keeps_no_room_of_a_longer_frame_than_it_may() -> None:
+def test_a_reader_does_not_keep_the_buffer_of_a_frame_longer_than_its_limit() -> None:
     reader, short = FrameReader({FrameKind.MESSAGE: 2**20}, kept_bytes_max=1000), memoryview(bytearray(10))
     frame = frame_of(FrameKind.MESSAGE, bytes(2**20))
     for begin, end in ((0, 10), (10, len(frame))):
@@ -127,14 +130,14 @@ def test_a_reader_keeps_no_room_of_a_longer_frame_than_it_may() -> None:
     assert sum(sys.getsizeof(kept) for kept in gc.get_referents(reader) if isinstance(kept, bytearray)) < 1000
 
 
-def test_only_the_bytes_that_came_of_an_unfinished_frame_are_kept() -> None:
+def test_a_reader_keeps_only_the_arrived_bytes_of_an_unfinished_frame() -> None:
     reader = FrameReader({FrameKind.MESSAGE: 2**30})
     reader.feed(frame_of(FrameKind.MESSAGE, b"a" * 10) + frame_of(FrameKind.MESSAGE, bytes(2**16))[:105])
     assert reader.unfinished_bytes == 105
 
 
 @given(body=st.binary(min_size=1, max_size=300), begun=st.integers(5, 304), cuts=st.lists(st.integers(1, 100)))
-def test_the_rest_of_a_frame_may_be_written_to_its_room(body: bytes, begun: int, cuts: list[int]) -> None:
+def test_the_rest_of_a_frame_may_be_written_into_its_buffer(body: bytes, begun: int, cuts: list[int]) -> None:
     whole, reader, turn = frame_of(FrameKind.MESSAGE, body), FrameReader(LIMITS), 0
     begun = min(begun, len(whole) - 1)
     assert reader.feed(whole[:begun]) == []

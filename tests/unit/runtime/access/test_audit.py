@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from stampede_rt_runtime.access.audit import SUBJECTS_MAX, AuditLog
+from stampede_rt_runtime.access.audit import CALLERS_MAX, AuditLog
 from stampede_rt_runtime.access.caller import Caller, CallerKind
 from stampede_rt_runtime.identity import Role
 
@@ -59,9 +59,9 @@ def test_a_caller_without_a_credential_is_named_by_its_machine_not_by_each_of_it
 
 def test_the_callers_that_the_audit_log_remembers_are_bounded() -> None:
     log = AuditLog(Clock())
-    for number in range(2 * SUBJECTS_MAX):
+    for number in range(2 * CALLERS_MAX):
         log.denied(None, f"ipv4:10.0.{number // 256}.{number % 256}:5", "x", "")
-    assert len(log._last) == SUBJECTS_MAX
+    assert len(log._last) == CALLERS_MAX
 
 
 def test_changes_are_always_reported(caplog: pytest.LogCaptureFixture) -> None:

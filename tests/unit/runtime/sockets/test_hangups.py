@@ -11,7 +11,7 @@ from collections import Counter
 import pytest
 
 from stampede_rt_runtime.sockets import server
-from stampede_rt_runtime.sockets.hangups import CLOSED_PER_TURN, HangupWatcher
+from stampede_rt_runtime.sockets.hangups import CLOSES_PER_TURN_MAX, HangupWatcher
 from stampede_rt_runtime.sockets.stream_socket import StreamSocket
 from tests.support.raw_stream import raw_stream
 from tests.support.socket_port import ECHO, HOLD, Open, port_fixture, until
@@ -33,7 +33,7 @@ async def test_the_close_of_a_watched_socket_is_reported_once_without_a_read() -
     assert told.empty()
 
 
-async def test_a_socket_with_the_descriptor_of_a_closed_one_is_still_watched() -> None:
+async def test_a_socket_with_the_file_number_of_a_closed_socket_is_watched() -> None:
     hangups = HangupWatcher()
     closed, closed_far = socket.socketpair()
     near, far = socket.socketpair()
@@ -53,7 +53,7 @@ async def test_a_socket_with_the_descriptor_of_a_closed_one_is_still_watched() -
 async def test_a_service_closes_a_few_streams_of_a_disconnected_caller_in_each_turn(
     port: Open, monkeypatch: pytest.MonkeyPatch, method: str, unread: bytes
 ) -> None:
-    """This holds also for streams that the service reads at the moment (ECHO), so that it sees the end of each.
+    """The service is reading from the streams of ECHO, so asyncio notices the end of each. It reads nothing from HOLD.
 
     A connection with bytes that the caller has not read breaks (ECONNRESET) instead of ending.
     """
@@ -87,4 +87,4 @@ async def test_a_service_closes_a_few_streams_of_a_disconnected_caller_in_each_t
             stream.writer.transport.abort()
         await until(lambda: not served)
         assert lost_in.total() == 40
-        assert max(lost_in.values()) <= CLOSED_PER_TURN
+        assert max(lost_in.values()) <= CLOSES_PER_TURN_MAX

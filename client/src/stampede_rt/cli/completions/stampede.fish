@@ -476,7 +476,7 @@ complete -c stampede -n '_shtab_stampede_using doctor' -s h -l help -d 'show thi
 complete -c stampede -n '_shtab_stampede_using doctor' -l url -x -d 'front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580'
 complete -c stampede -n '_shtab_stampede_using doctor' -s o -l output -xka "table json jsonl" -d 'the form of the output; default table'
 complete -c stampede -n '_shtab_stampede_using doctor' -l local -d 'print instants as local time; default: UTC'
-complete -c stampede -n '_shtab_stampede_using doctor' -l member -x -d 'the supernodes to check if no front-end answers'
+complete -c stampede -n '_shtab_stampede_using doctor' -l member -x -d 'supernodes that doctor asks if no front-end answers'
 complete -c stampede -n '_shtab_stampede_using; and test $_shtab_stampede_npos -eq 0' -a acl -d 'rules of access, which say who may do what; for operators and holders of the cluster'"'"'s secret'
 complete -c stampede -n '_shtab_stampede_using acl' -s h -l help -d 'show this help message and exit'
 complete -c stampede -n '_shtab_stampede_using acl; and test $_shtab_stampede_npos -eq 0' -a add -d 'add a rule; if any rule exists, clients may do only what a rule allows'

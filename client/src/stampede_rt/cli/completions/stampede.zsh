@@ -548,7 +548,7 @@ _shtab_stampede_doctor_options=(
   "--url[front-ends, comma-separated\; default \$STAMPEDE_URL, then localhost\:7580]:HOST:PORT:"
   {-o,--output}"[the form of the output\; default table]:output:(table json jsonl)"
   "--local[print instants as local time\; default\: UTC]"
-  "--member[the supernodes to check if no front-end answers]:HOST:PORT,...:"
+  "--member[supernodes that doctor asks if no front-end answers]:HOST:PORT,...:"
 )
 
 # guard to ensure default positional specs are added only once per session

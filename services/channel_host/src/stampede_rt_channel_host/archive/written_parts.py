@@ -9,9 +9,9 @@ from stampede_rt_channel_host.core.archive import ArchivedAdvance, ArchivedRun
 
 
 class SeqGap(NamedTuple):
-    """Seqs whose items are not archived, from `first_seq` up to `end_seq`, exclusive.
+    """Seqs whose items the archive does not have: `first_seq` up to `end_seq`, exclusive.
 
-    `lost_before`: the seqs of the items are not known. A host was lost with them, and they lie before this instant.
+    `lost_before`, if stated: items before this instant were lost with a host, and their seqs are not known.
     """
 
     first_seq: int

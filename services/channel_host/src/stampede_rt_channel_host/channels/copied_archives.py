@@ -32,12 +32,13 @@ def check_read(hosted: HostedChannel, query: Query, now: int, horizon: Horizon |
     if not lacks_archive(hosted):
         return
     held, _ = hosted.channel.look(now)
-    lost_before = hosted.channel.lost_before  # the owner may not know yet which earlier items its archive has
+    lost_before = hosted.channel.lost_before  # the owner's archive may have items from before this instant
     has_earlier = held.newest_collected is not None or lost_before is not None
     span = ArchiveSpan(MIN_INSTANT if has_earlier else None, None, is_cut=False)
     if horizon is not None:
         is_refused = reaches_archive(held, span, query, horizon, now)
     else:
+        # None: a bound is NEWEST or OLDEST, and this copy knows no item
         within = resolved_now(held, span, query, now)
         is_early = within is not None and lost_before is not None and within.start < lost_before
         is_refused = has_earlier if within is None else is_early or needs_archive(held, span, query, within)

@@ -10,7 +10,7 @@ from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 
 
 def queue_status(hosted: HostedQueue, now: int) -> queue_pb2.QueueStatus:
-    """The status of the queue as of `now`, after all due work."""
+    """Perform the due work of the queue, such as the end of leases. Then return its status as of `now`."""
     hosted.tick()
     counters = hosted.queue.counters(now)
     return queue_pb2.QueueStatus(

@@ -1,7 +1,7 @@
-"""The audit log: denied calls, and changes of rights. One line for each event, on the service's log.
+"""The audit log: denied calls, and changes of rights, as lines on the service's log.
 
-The log has at most one line a second about the denials of one caller. The next line says how many denials were left
-out.
+Each change gets a line. Denials of one caller get at most one line a second. The next line about this caller says how
+many denials have no line.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from stampede_rt_runtime.access.caller import Caller
 logger = logging.getLogger("stampede_rt.audit")
 
 LINE_SECONDS_MIN = 1.0
-SUBJECTS_MAX = 1024  # the most callers whose last lines are remembered
+CALLERS_MAX = 1024  # the log remembers the times of the last lines of this many callers
 
 
 class AuditLog:
@@ -34,10 +34,10 @@ class AuditLog:
         return None if self._denied_s is None else round((self._clock_s() - self._denied_s) * 1e9)
 
     def denied(self, caller: Caller | None, address: str, verb: str, name: str) -> None:
-        """Log a denial. `caller`: None if no credential is accepted. `verb`: an access verb, or a method's name."""
+        """Log a denial. `caller`: None if it has no valid credential. `verb`: an access verb, or a method's name."""
         self.denials += 1
         self._denied_s = self._clock_s()
-        left_out = self._turn(address.rpartition(":")[0] if caller is None else caller.name)
+        left_out = self._begin_line(address.rpartition(":")[0] if caller is None else caller.name)
         if left_out is not None:
             facts = {"event": "access_denied", **_facts(caller, address, verb, name, "denied"), "left_out": left_out}
             logger.warning("denied", extra=facts)
@@ -50,16 +50,19 @@ class AuditLog:
         result = "done" if done else "unchanged"
         logger.info("changed", extra={"event": "access_changed", **_facts(caller, address, verb, name, result)})
 
-    def _turn(self, subject: str) -> int | None:
-        """The number of denials left out since the last line; None: it is too early for the next line."""
+    def _begin_line(self, caller: str) -> int | None:
+        """Return how many denials of a caller have no line since its last line. None: it is too early for another line.
+
+        `caller`: the name of the caller, or its address if it has no valid credential.
+        """
         now = self._clock_s()
-        written, left_out = self._last.get(subject, (-LINE_SECONDS_MIN, 0))
+        written, left_out = self._last.get(caller, (-LINE_SECONDS_MIN, 0))
         if now - written < LINE_SECONDS_MIN:
-            self._last[subject] = written, left_out + 1
+            self._last[caller] = written, left_out + 1
             return None
-        self._last[subject] = now, 0
-        self._last.move_to_end(subject)
-        if len(self._last) > SUBJECTS_MAX:
+        self._last[caller] = now, 0
+        self._last.move_to_end(caller)
+        if len(self._last) > CALLERS_MAX:
             self._last.popitem(last=False)
         return left_out
 

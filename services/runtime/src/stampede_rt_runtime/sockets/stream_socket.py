@@ -154,7 +154,7 @@ class StreamSocket(asyncio.BufferedProtocol):
 
     def eof_received(self) -> bool:
         """Close the connection, because the peer has gone. Connections whose peers have gone earlier close first."""
-        self._hangups.gone(self._transport.close)
+        self._hangups.close_soon(self._transport.close)
         return True  # asyncio must not close it now: thousands may end in one turn of the loop
 
     def connection_lost(self, error: Exception | None) -> None:
@@ -168,7 +168,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         if error is None:
             self._end_stream()
         else:  # thousands of connections may break in one turn of the loop
-            self._hangups.gone(self._end_stream)
+            self._hangups.close_soon(self._end_stream)
 
     def _end_stream(self) -> None:
         _wake(self._came)

@@ -11,7 +11,7 @@ import pytest
 
 from stampede_rt._async.session import CALL_TIMEOUT_S
 from stampede_rt.errors import Unavailable
-from stampede_rt_channel_host.archive.objects import former_owners, guarded_store, object_archive, segment_mover
+from stampede_rt_channel_host.archive.objects import guarded_store, listing_schedule, object_archive, segment_mover
 from stampede_rt_channel_host.archive.objects.segment_store import FoundObject, StoreError
 from stampede_rt_channel_host.channels.opened_archives import open_archive
 from stampede_rt_channel_host.core.channel import FIRST_KEY
@@ -26,7 +26,7 @@ def quick_retries(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(segment_mover, "BACK_OFF_SECONDS_MIN", 0.01)
     monkeypatch.setattr(segment_mover, "BACK_OFF_SECONDS_MAX", 0.05)
     monkeypatch.setattr(guarded_store, "PAUSE_SECONDS", 0.0)
-    monkeypatch.setattr(former_owners, "WAIT_SECONDS_MIN", 0.01)
+    monkeypatch.setattr(listing_schedule, "WAIT_SECONDS_MIN", 0.01)
 
 
 async def left(path: Path, store: FakeStore, *, moved: int = 3, local: int = 2) -> None:

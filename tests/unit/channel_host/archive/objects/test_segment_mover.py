@@ -186,11 +186,11 @@ async def test_an_idle_channel_that_moved_here_finds_files_that_are_uploaded_lat
         await former.write()
         recorder = await new.serve(2, next_seq=3)
         new.mover.expect_former(recorder)
-        new.mover._former.hurry()
+        new.mover._listings.hurry()
         assert not await new.mover.move_all()
         assert new.read() == [1]
         assert not await former.mover.move_all()
-        new.mover._former.hurry()
+        new.mover._listings.hurry()
         assert not await new.mover.move_all()
         assert new.read() == [1, 2]
 
@@ -314,7 +314,7 @@ async def test_the_thread_of_writes_does_not_wait_for_the_store_when_a_former_ow
 
         monkeypatch.setattr(recorder.files, "find_again", watched)
         new.mover.expect_former(recorder)
-        new.mover._former.hurry()
+        new.mover._listings.hurry()
         await new.mover._find_again(recorder.files)  # type: ignore[arg-type]
         assert reads == [[]]
         assert new.read() == [1, 2]

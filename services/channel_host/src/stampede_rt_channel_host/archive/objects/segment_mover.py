@@ -9,8 +9,8 @@ from concurrent.futures import Executor
 from typing import NamedTuple, TypeVar
 
 from stampede_rt_channel_host.archive.objects.chunk_cache import ChunkCache
-from stampede_rt_channel_host.archive.objects.former_owners import FormerOwners
 from stampede_rt_channel_host.archive.objects.leftovers import Leftovers
+from stampede_rt_channel_host.archive.objects.listing_schedule import ListingSchedule
 from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.objects.segment_store import SegmentStore, StoreError
 from stampede_rt_channel_host.archive.objects.stored_segments import PackedSegment
@@ -66,7 +66,7 @@ class SegmentMover:
         self._recorders: dict[MovingFiles, ChannelRecorder] = {}
         # the files of channels that are not recorded here any more, and whether a look has found their waiting segments
         self._leaving: dict[MovingFiles, bool] = {}
-        self._former = FormerOwners()
+        self._listings = ListingSchedule()
         self._store_fails = False
         self._moved_bytes = self._failures = self._looks = 0
         self._threads = WorkingThreads(1, "archive-mover")
@@ -88,7 +88,7 @@ class SegmentMover:
         if isinstance(recorder.files, MovingFiles):
             self._recorders[recorder.files] = recorder
             if not recorder.files.is_listed:
-                self._former.expect(recorder.files, is_former=False)
+                self._listings.expect(recorder.files, is_former=False)
                 self._wake.set()
 
     def own(self, epochs: Mapping[bytes, int]) -> None:
@@ -98,13 +98,13 @@ class SegmentMover:
     def expect_former(self, recorder: ChannelRecorder) -> None:
         """Note that a channel has moved here, and that its former owner still moves its last files to the store."""
         if isinstance(recorder.files, MovingFiles):
-            self._former.expect(recorder.files)
+            self._listings.expect(recorder.files)
             self._wake.set()
 
     def forget(self, recorder: ChannelRecorder) -> None:
         """Note that the host no longer records the channel. Its closed segments still move to the store."""
         if isinstance(recorder.files, MovingFiles) and self._recorders.pop(recorder.files, None) is not None:
-            self._former.forget(recorder.files)
+            self._listings.forget(recorder.files)
             recorder.files.is_given_up = True
             self._leaving[recorder.files] = False
             self._wake.set()
@@ -159,7 +159,7 @@ class SegmentMover:
         """How long to wait before the next look, and after the next failure."""
         if failure:
             return back_off, min(2 * back_off, BACK_OFF_SECONDS_MAX)
-        look_s = min(LOOK_SECONDS_MAX, self._seal_nanos / 4e9, self._former.due_s())
+        look_s = min(LOOK_SECONDS_MAX, self._seal_nanos / 4e9, self._listings.due_s())
         return max(LOOK_SECONDS_MIN, look_s), BACK_OFF_SECONDS_MIN
 
     def _note(self, failure: str) -> None:
@@ -177,7 +177,7 @@ class SegmentMover:
         """Do all work that is due now. Returns the reason of a failure, or an empty text."""
         self._store_fails = False
         if self.failure:  # a look without work would not notice that the store fails
-            self._former.hurry()
+            self._listings.hurry()
         failures = [await self._tried(self._look())]
         for files in (*self._recorders, *self._leaving):
             failures.append(await self._tried(self._move_waiting(files)))
@@ -186,7 +186,7 @@ class SegmentMover:
             if self._leftovers_done(files):
                 failures.append(await self._tried(self.in_writer(files.leave)))
                 self._leaving.pop(files, None)
-        for files in self._former.take_due():
+        for files in self._listings.take_due():
             failures.append(await self._tried(self._find_again(files)))
         failures.append(await self._tried(self._leftovers.delete_condemned(self.in_thread)))
         return next((one for one in failures if one), "")
@@ -267,7 +267,7 @@ class SegmentMover:
             return
         archived_to = recorder.archived_to
         recorder.keep(await self.in_writer(lambda: files.find_again(found, archived_to)))
-        self._former.found(files, lacks_items=files.lacks_items(archived_to))
+        self._listings.note_listed(files, lacks_items=files.lacks_items(archived_to))
         recorder.on_listed(files.former_stop)
 
     async def _delete_outdated(self, files: MovingFiles) -> None:
