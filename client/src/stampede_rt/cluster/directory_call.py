@@ -17,6 +17,8 @@ from stampede_rt.version import PROTOCOL_VERSION
 SUPERNODES_MAX = 64
 FRONTEND_TIMEOUT_S_MIN = 0.1
 SHORT_TRY_S = 1.0  # a supernode that must answer sooner may find no majority in time, although there is one
+CUT_SHORT = "cut_short"
+"""A key of the metadata of an error. With this key the attempts had no time to find a majority."""
 
 
 class Attempt(NamedTuple):
@@ -59,13 +61,15 @@ class DirectoryCall:
     def failed(self, target: str, error: StampedeError) -> None:
         """Note that the supernode at `target` did not serve the call. If it named a leader, the leader is next.
 
-        An earlier failure of the same supernode stays if the latest attempt had too little time. The earlier failure
-        says more. Raises `error` if the call would fail at every supernode.
+        An earlier failure of the same supernode stays if the latest attempt had too little time, and has certainly
+        changed nothing. The earlier failure says more. Raises `error` if the call would fail at every supernode.
         """
         if not may_pass(error):
             raise error
-        if target in self._failures and is_cut_short(error, self._timeouts_s.get(target, SHORT_TRY_S)):
-            return
+        if is_cut_short(error, self._timeouts_s.get(target, SHORT_TRY_S)):
+            error.metadata[CUT_SHORT] = "true"
+            if target in self._failures and error.reason != "AMBIGUOUS":
+                return
         self._failures.pop(target, None)
         self._failures[target] = error
         hint = leader_hint(error)
@@ -73,10 +77,21 @@ class DirectoryCall:
             self._waiting.appendleft(hint)
 
     def failure(self, targets: Sequence[str]) -> StampedeError:
-        """Return one error that sums up the failures of the supernodes at `targets`. Call this after a round."""
+        """Return one error that sums up the failures of the supernodes at `targets`. Call this after a round.
+
+        The error has CUT_SHORT if the failures have it.
+        """
         known = {target: error for target, error in self._failures.items() if target in targets}
+        error = self._summed_up(known, targets)
+        if known and all(CUT_SHORT in one.metadata for one in known.values()):
+            error.metadata[CUT_SHORT] = "true"
+        return error
+
+    def _summed_up(self, known: dict[str, StampedeError], targets: Sequence[str]) -> StampedeError:
         if known:
             return why_unserved(known, len(targets))
+        if targets and not self._failures:
+            return DeadlineExceeded("no time was left to ask a supernode; give the call more time")
         return [
             Unavailable("no supernode is known; start a front-end and supernodes, or look with `stampede doctor`"),
             *self._failures.values(),
@@ -90,7 +105,8 @@ def may_pass(error: StampedeError) -> bool:
 
 def is_cut_short(error: StampedeError, timeout_s: float) -> bool:
     """Whether an attempt of at most `timeout_s` seconds failed with `error` because it had too little time."""
-    return timeout_s < SHORT_TRY_S and (isinstance(error, DeadlineExceeded) or error.reason == "NO_QUORUM")
+    is_about_time = isinstance(error, DeadlineExceeded) or error.reason in ("NO_QUORUM", "AMBIGUOUS")
+    return CUT_SHORT in error.metadata or (is_about_time and timeout_s < SHORT_TRY_S)
 
 
 def leader_hint(error: StampedeError) -> str:

@@ -10,6 +10,7 @@ import stampede_rt as st
 from stampede_rt._async import attempts
 from stampede_rt._async.attempts import TRY_S_MIN, attempt
 from stampede_rt.cluster.binding import Binding
+from stampede_rt.cluster.directory_call import CUT_SHORT
 from stampede_rt.errors import error_for
 from stampede_rt.pacing.retry import OPEN_STREAMS_S
 
@@ -98,6 +99,19 @@ async def test_a_majority_that_is_not_found_at_the_very_end_does_not_hide_the_fa
         raise st.Unavailable("no majority", reason="NO_QUORUM")
 
     with pytest.raises(st.Unavailable, match=told):
+        await attempt(FixedLocator(), fail, 10)
+
+
+async def test_a_call_to_the_directory_without_enough_time_does_not_hide_the_failure_of_the_earlier_tries(
+    clock: Clock,
+) -> None:
+    async def fail(binding: Binding, timeout_s: float) -> str:
+        if clock.now_s < 105:
+            raise st.Unavailable("gone")
+        clock.now_s = 110  # a first call has taken all the time, and a second one found no majority
+        raise st.Unavailable("no majority", reason="NO_QUORUM", metadata={CUT_SHORT: "true"})
+
+    with pytest.raises(st.Unavailable, match="gone"):
         await attempt(FixedLocator(), fail, 10)
 
 

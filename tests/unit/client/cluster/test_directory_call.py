@@ -7,6 +7,7 @@ from stampede_rt.cluster.directory_call import (
     DirectoryCall,
     check_frontend,
     frontend_timeout_s,
+    is_cut_short,
     leader_hint,
     may_pass,
 )
@@ -96,6 +97,33 @@ def test_an_attempt_with_too_little_time_does_not_hide_the_failure_of_an_earlier
         call.begin_round(["a"], float("inf"))
         asked(call, {"a": error}, began_s)
     assert call.failure(["a"]).message == told
+
+
+def test_an_error_says_that_no_attempt_had_enough_time() -> None:
+    call = DirectoryCall(deadline_s=10.0)
+    for now_s in (9.5, 9.9):
+        call.begin_round(["a"], float("inf"))
+        asked(call, {"a": Unavailable("no majority", reason="NO_QUORUM")}, now_s)
+    assert is_cut_short(call.failure(["a"]), timeout_s=10.0)
+
+
+def test_an_attempt_with_too_little_time_whose_update_may_be_done_is_told_and_marked() -> None:
+    call = DirectoryCall(deadline_s=10.0)
+    for now_s, error in [
+        (0.0, Unavailable("its host is away", reason="NO_HOST")),
+        (9.9, Unavailable("perhaps done", reason="AMBIGUOUS")),
+    ]:
+        call.begin_round(["a"], float("inf"))
+        asked(call, {"a": error}, now_s)
+    assert call.failure(["a"]).reason == "AMBIGUOUS"
+    assert is_cut_short(call.failure(["a"]), timeout_s=10.0)
+
+
+def test_a_call_whose_time_is_over_before_it_begins_says_so() -> None:
+    call = DirectoryCall(deadline_s=10.0)
+    call.begin_round(["a"], 2.5)
+    assert asked(call, {}, now_s=10.0) == []
+    assert isinstance(call.failure(["a"]), DeadlineExceeded)
 
 
 def test_without_a_supernode_the_error_names_the_service_to_start() -> None:
