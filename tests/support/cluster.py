@@ -51,6 +51,17 @@ def secured_cluster_fixture(**settings: Any) -> Callable[..., Iterator[LocalClus
     return cluster
 
 
+def recorded_cluster_fixture() -> Callable[..., Iterator[LocalCluster]]:
+    """Return a module's fixture with a running LocalCluster of one host with an archive. Clients state its secret."""
+
+    @pytest.fixture(scope="module")
+    def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalCluster]:
+        with LocalCluster(hosts=1, supernodes=1, archive=tmp_path_factory.mktemp("archive")) as running:
+            yield running
+
+    return cluster
+
+
 def judges_tests() -> bool:
     """Whether the tests run as a client to which rules of access apply (`make test-acl`)."""
     return bool(os.environ.get("STAMPEDE_TEST_ACL"))

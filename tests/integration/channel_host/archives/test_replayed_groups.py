@@ -9,15 +9,11 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import recorded_cluster_fixture
 
 MS, SECOND = 10**6, 10**9
 
-
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalCluster]:
-    """One host with an archive."""
-    with LocalCluster(hosts=1, supernodes=1, archive=tmp_path_factory.mktemp("archive")) as running:
-        yield running
+cluster = recorded_cluster_fixture()
 
 
 @pytest.fixture
