@@ -187,7 +187,7 @@ async def test_puts_do_not_wait_for_a_stream_that_was_given_up_while_it_opened(c
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/given-up", max_age="60s")
         await channel.stats()
-        put = asyncio.ensure_future(channel.put(b"x", timeout=1))
+        put = asyncio.ensure_future(channel.put(b"x", timeout=LIMIT_S))
         (stream,) = (await until_put_streams(rt)).values()
         stream.exchange.cancel()
         async with asyncio.timeout(LIMIT_S):

@@ -59,7 +59,7 @@ def test_an_older_descriptor_shows_a_group_that_began_anew(cluster: LocalCluster
         host.restart()
     for at in (0, 1):
         put_all(group, b"new", now - FAR_BELOW + at * SECOND)  # below the cut that was shown before
-    assert [item.payload for item in group[first].get(st.OLDEST, st.NEWEST, timeout=3)] == [b"new"]
+    assert [item.payload for item in group[first].get(st.OLDEST, st.NEWEST, timeout=10)] == [b"new"]
     assert group.incarnation != incarnation
 
 

@@ -267,7 +267,7 @@ def test_a_flag_that_is_set_and_then_cleared_wakes_all_waiting_callers() -> None
     signals.set()
     signals.clear()
     for one in waiting:
-        one.join(2)
+        one.join(20)
     assert woken == [True] * 5
     assert not signals.wait(0)
 
