@@ -3,7 +3,7 @@
     python -m tests.benchmarks.charged_calls [--calls 400] [--rounds 60]
 
 One good client puts and gets, one call after the other, on a thread of its own. In each second round the host counts
-nothing, as if the caller were a member of the cluster. The figures are medians of the processor time of the host's
+nothing, as if the caller were a service of the cluster. The figures are medians of the processor time of the host's
 event loop.
 """
 

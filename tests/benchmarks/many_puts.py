@@ -39,7 +39,7 @@ def blocking(address: str, counts: list[int], table: Table) -> None:
 
 
 async def awaited(address: str, counts: list[int], table: Table) -> None:
-    """As `blocking`, through the client on asyncio."""
+    """Like `blocking`, but through the client on asyncio."""
     async with await aio.connect(address) as rt:
         channels = [await rt.channel(f"many/{number}", max_items=10) for number in range(counts[-1])]
         for count in counts:

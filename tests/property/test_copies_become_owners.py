@@ -118,7 +118,7 @@ class Scenario:
         ahead: list[tuple[FedCopy, FedItem]] = []
 
         def send_ahead(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> None:
-            """As `ReplicatedPuts`, to the copies that lack nothing else."""
+            """Like `ReplicatedPuts`, but to the copies that lack nothing else."""
             if len(offer.lengths) < items or kept is not None or first_seq != self.pair.core.next_seq:
                 return
             time = min(offer.times) if offer.times is not None else stamped_time

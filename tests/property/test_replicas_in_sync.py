@@ -126,7 +126,7 @@ def test_every_replica_with_the_flag_holds_all_replicated_items(numbers: list[in
 
 @dataclass
 class LaggingModel(Model):
-    """As `Model`, with puts that do not wait for the replicas."""
+    """Like `Model`, but with puts that do not wait for the replicas."""
 
     accepted: dict[int, int] = field(default_factory=dict)  # the time of each item's acceptance, by seq
     acknowledged_at: int = -(2**62)

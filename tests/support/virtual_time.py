@@ -70,7 +70,7 @@ def _in_place_of(function: Callable[..., Any], clock: VirtualClock) -> Iterator[
 
 
 async def _on_the_loop(work: Callable[..., Any], *arguments: Any) -> Any:
-    """As `asyncio.to_thread`, in a later turn of the loop."""
+    """Like `asyncio.to_thread`, but in a later turn of the loop."""
     await asyncio.sleep(0)
     return work(*arguments)
 

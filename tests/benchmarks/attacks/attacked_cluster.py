@@ -58,7 +58,7 @@ class AttackedCluster:
 
     @property
     def member_metadata(self) -> tuple[tuple[str, str], ...]:
-        """The metadata with the credential of a member of the cluster."""
+        """The metadata with the credential of a service of the cluster."""
         return (("authorization", f"Bearer {self.member_secret}"),) if self.member_secret else ()
 
     @property

@@ -1,4 +1,4 @@
-"""Attacks by a caller with the credential of a member of the cluster, and patterns that take long to match.
+"""Attacks by a caller with the credential of a service of the cluster, and patterns that take long to match.
 
 If the program of an attack notices that the attack has done harm, it ends with an error.
 """

@@ -103,7 +103,7 @@ async def waiting_puts(attacked: AttackedCluster, under_way: Callable[[], None])
 
 
 async def waiting_enqueues(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
-    """As `waiting_puts`, with a queue."""
+    """Like `waiting_puts`, but with a queue."""
     async with attacked.connect() as rt:
         await (await rt.queue(NAME, max_items=1)).put(b"first")
         known = await queue_known(attacked)

@@ -126,7 +126,7 @@ class SimHost:
             binding.discard(channel_id)
 
     async def resolve(self, channel_id: bytes) -> Any:
-        """As `stampede_rt_channel_host.cluster.directory.DirectoryQueries.resolve`."""
+        """Like `stampede_rt_channel_host.cluster.directory.DirectoryQueries.resolve`."""
         response = await ask(
             self.world, "ResolveChannel", pb.ResolveChannelRequest(channel_id=channel_id), 4.0, caller=self
         )

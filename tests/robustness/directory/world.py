@@ -50,7 +50,7 @@ class Clock:
 
 
 class Submission:
-    """As `stampede_rt_supernode.servicers.submission`, in simulated time."""
+    """Submit a command like `stampede_rt_supernode.servicers.submission`, in simulated time."""
 
     def __init__(self, member: DirectoryMember) -> None:
         self._member, self._world = member, member.world

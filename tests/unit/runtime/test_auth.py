@@ -96,7 +96,7 @@ def test_the_clients_secret_needs_one_of_the_cluster_and_differs_from_it(tmp_pat
     clients, cluster = make_secret_file(tmp_path / "clients"), make_secret_file(tmp_path / "cluster")
     assert load_client_secret(None, cluster) is None
     assert load_client_secret(clients.path, cluster) == clients
-    with pytest.raises(PermissionDenied, match="the cluster has none for its members"):
+    with pytest.raises(PermissionDenied, match="the cluster has none for its services"):
         load_client_secret(clients.path, None)
     shared = Secret(text="x", path=cluster.path, other=clients.text)
     with pytest.raises(PermissionDenied, match="hold the same value"):

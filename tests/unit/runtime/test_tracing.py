@@ -85,7 +85,7 @@ def test_a_server_without_an_sdk_has_no_interceptor_for_spans() -> None:
     assert tracing_interceptors() == []
 
 
-def test_streams_that_calls_share_and_calls_of_members_have_no_spans() -> None:
+def test_streams_that_calls_share_and_calls_of_services_have_no_spans() -> None:
     assert is_traced("/stampede_rt.v1.DirectoryService/OpenChannel")
     assert is_traced("/stampede_rt.v1.ChannelService/Subscribe")
     for method in (

@@ -71,7 +71,7 @@ class Files(Moves):
         compression: str,
         overwrite: bool,
     ) -> Recorder:
-        """As `record`, from a bound on, or, with None, with the items that the hosts accept from now on."""
+        """Record the items from `begin` on, like `record`. None: the items that the hosts accept from now on."""
         from stampede_rt._async.recorder import Recorder, parse_globs  # they load mcap
         from stampede_rt.files.writing import FileWriter
 

@@ -99,7 +99,7 @@ def connect(
     tls: TlsFiles | None = None,
     transport: str | None = None,
 ) -> _Connecting:
-    """As `stampede_rt.connect`. Await it, or enter it with `async with`."""
+    """Like `stampede_rt.connect`. Await it, or enter it with `async with`."""
     return _Connecting(_parse_target(url, name=name, secret=secret, zone=zone, tls=tls, transport=transport), proof)
 
 
@@ -122,7 +122,7 @@ def host(
     archive_folder: str | _os.PathLike[str] | None = None,
     max_archive: int | str | None = None,
 ) -> _Connecting:
-    """As `stampede_rt.host`. Await it, or enter it with `async with`. The host has a thread of its own."""
+    """Like `stampede_rt.host`. Await it, or enter it with `async with`. The host has a thread of its own."""
     options = _HostOptions.parse(
         listen, advertise, max_memory, drain, allow_insecure_anywhere, private, archive, archive_folder, max_archive
     )

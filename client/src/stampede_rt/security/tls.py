@@ -137,7 +137,7 @@ def _read(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
 
 
 def _read_patiently(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
-    """As `_read`, but try again after a short wait if it fails, because an operator may be replacing the files."""
+    """Like `_read`, but try again after a short wait if it fails, because an operator may be replacing the files."""
     for _ in range(_PATIENT_TRIES_MAX - 1):
         try:
             return _read(files)

@@ -107,7 +107,7 @@ class ServerEndpoint(Stubs):
         return BidiStream(self._begin_bidi(method), self.target, self._tasks)
 
     def open_read_bidi(self, method: BidiMethod) -> BidiStream[Any]:
-        """As `open_bidi`. The blocking client has a faster stream for a caller that reads after it has sent."""
+        """Like `open_bidi`. The blocking client has a faster stream here, for calls that read after they have sent."""
         return self.open_bidi(method)
 
     def gets(self) -> GetExchange:

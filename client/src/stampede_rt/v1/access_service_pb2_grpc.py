@@ -140,7 +140,7 @@ class AccessServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def GetAccessState(self, request, context):
-        """Get the facts that a service needs to judge its callers. For hosts and other members of the cluster. Hosts learn of
+        """Get the facts that a service needs to judge its callers. For hosts and other services of the cluster. Hosts learn of
         changes by DirectoryService.Watch with include_access, and front-ends by the version in DirectoryService.Ping.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

@@ -59,7 +59,7 @@ class AccessServiceStub:
     ListRevokedCredentials: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.ListRevokedCredentialsRequest, _access_service_pb2.ListRevokedCredentialsResponse]
     """List all revoked certificates and client tokens."""
     GetAccessState: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.GetAccessStateRequest, _access_service_pb2.GetAccessStateResponse]
-    """Get the facts that a service needs to judge its callers. For hosts and other members of the cluster. Hosts learn of
+    """Get the facts that a service needs to judge its callers. For hosts and other services of the cluster. Hosts learn of
     changes by DirectoryService.Watch with include_access, and front-ends by the version in DirectoryService.Ping.
     """
 
@@ -94,7 +94,7 @@ class AccessServiceAsyncStub(AccessServiceStub):
     ListRevokedCredentials: _aio.UnaryUnaryMultiCallable[_access_service_pb2.ListRevokedCredentialsRequest, _access_service_pb2.ListRevokedCredentialsResponse]  # type: ignore[assignment]
     """List all revoked certificates and client tokens."""
     GetAccessState: _aio.UnaryUnaryMultiCallable[_access_service_pb2.GetAccessStateRequest, _access_service_pb2.GetAccessStateResponse]  # type: ignore[assignment]
-    """Get the facts that a service needs to judge its callers. For hosts and other members of the cluster. Hosts learn of
+    """Get the facts that a service needs to judge its callers. For hosts and other services of the cluster. Hosts learn of
     changes by DirectoryService.Watch with include_access, and front-ends by the version in DirectoryService.Ping.
     """
 
@@ -174,7 +174,7 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _access_service_pb2.GetAccessStateRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.GetAccessStateResponse, _abc.Awaitable[_access_service_pb2.GetAccessStateResponse]]:
-        """Get the facts that a service needs to judge its callers. For hosts and other members of the cluster. Hosts learn of
+        """Get the facts that a service needs to judge its callers. For hosts and other services of the cluster. Hosts learn of
         changes by DirectoryService.Watch with include_access, and front-ends by the version in DirectoryService.Ping.
         """
 

@@ -56,8 +56,8 @@ class PeerInfo:
     `clock` is the peer's last measurement. It is None if the peer has not sent a measurement (a peer of an old release
     never does), if the leader of the supernodes did not answer, or if the record comes from a watch.
 
-    `owner` is the caller that registered the peer, by the name that rules of access use. Only this caller, the members
-    of the cluster and operators may renew, replace or end the peer. `owner` is empty if a member or an operator
+    `owner` is the caller that registered the peer, by the name that rules of access use. Only this caller, the services
+    of the cluster and operators may renew, replace or end the peer. `owner` is empty if a service or an operator
     registered the peer, and None if the owner is not known.
 
     `boot_incarnation` is a random number. Each start of the peer's process has a different one.

@@ -143,7 +143,7 @@ class FrameReader:
         return [self._whole()] if self._came_bytes == self._wanted_bytes else []
 
     def filled_buffer(self, more_bytes: int) -> tuple[int, memoryview] | None:
-        """As `filled`. The body of the frame is a view of its buffer, and is not copied. None: the frame is unfinished.
+        """Like `filled`, but the frame's body is a view of the buffer, not a copy. None: the frame is unfinished.
 
         The buffer belongs to the caller from now on.
         """

@@ -59,13 +59,13 @@ def load_client_secret(path: Path | None, secret: Secret | None) -> Secret | Non
     assert found is not None, "an explicit path never gives None"
     if secret is None:
         raise PermissionDenied(
-            f"the clients have a secret, {path}, but the cluster has none for its members; "
+            f"the clients have a secret, {path}, but the cluster has none for its services; "
             "give the services --secret-file, too"
         )
     if set(found.accepted) & set(secret.accepted):
         raise PermissionDenied(
-            f"{path} and {secret.path} hold the same value, so each of its callers would count as a member; make "
-            "another one for the clients"
+            f"{path} and {secret.path} hold the same value, so each of its callers would count as a service of the "
+            "cluster; make another one for the clients"
         )
     return found
 

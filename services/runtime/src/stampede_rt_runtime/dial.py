@@ -60,7 +60,7 @@ def dial(
 def dial_from_any_loop(
     target: str, *, secret: Secret | None, limits: Limits | None = None, tls: TlsReader | None = None
 ) -> grpc.aio.Channel:
-    """As `dial`, but for unary calls that any event loop may make, one at a time.
+    """Like `dial`, but for unary calls that any event loop may make, one at a time.
 
     A blocked event loop does not delay the calls of another event loop, see `AnyLoopChannel`.
     """

@@ -22,8 +22,8 @@ class Limits:
     """The limits of a server and its connections.
 
     A server serves `concurrent_rpcs_max` calls at a time. `streams_max` of them may be streams, which may stay open. In
-    addition it serves `reserved_rpcs_max` calls that only parts of the cluster make. It refuses further calls with
-    RESOURCE_EXHAUSTED. While it is refusing `refusals_max` calls, gRPC itself refuses all others.
+    addition it serves `reserved_rpcs_max` calls that only services of the cluster and operators may make. It refuses
+    further calls with RESOURCE_EXHAUSTED. While it is refusing `refusals_max` calls, gRPC itself refuses all others.
 
     Neither side sends a message of more than `message_bytes_max`, and no client accepts such a message. A server
     accepts messages of `request_bytes_max` at most, or of `socket_request_bytes_max` over a socket. On each stream it

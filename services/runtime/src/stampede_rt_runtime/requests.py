@@ -38,7 +38,7 @@ _turns: WeakKeyDictionary[Account, asyncio.Semaphore] = WeakKeyDictionary()
 
 
 def _turn_to_read() -> contextlib.AbstractAsyncContextManager[Any]:
-    """A context in which the present caller reads one request. Members of the cluster and operators never wait."""
+    """A context in which the present caller reads one request. Services of the cluster and operators never wait."""
     account = current_account()
     if account is unlimited():
         return contextlib.nullcontext()

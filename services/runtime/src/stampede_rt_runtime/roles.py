@@ -20,7 +20,7 @@ _HOSTS = frozenset({Role.HOST})
 _CALLERS = frozenset({Role.CLIENT, Role.OPERATOR, Role.HOST})
 _OPERATORS = frozenset({Role.OPERATOR})
 
-_MEMBERS = frozenset({Role.SUPERNODE, Role.HOST, Role.FRONTEND})
+_CLUSTER_SERVICES = frozenset({Role.SUPERNODE, Role.HOST, Role.FRONTEND})
 
 _SERVICES: Mapping[str, frozenset[Role]] = {
     "AccessService": _OPERATORS,
@@ -44,7 +44,7 @@ _SERVICES: Mapping[str, frozenset[Role]] = {
 }
 
 _METHODS: Mapping[str, frozenset[Role]] = {
-    "AccessService/GetAccessState": _MEMBERS,
+    "AccessService/GetAccessState": _CLUSTER_SERVICES,
     "DirectoryService/Ping": _ALL,
     "DirectoryService/ListSupernodes": _ALL,
     "DirectoryService/RegisterHost": _HOSTS,
@@ -77,7 +77,7 @@ def roles_for(method: str) -> frozenset[Role]:
 
 
 def is_closed_to_clients(method: str) -> bool:
-    """Whether only parts of the cluster and operators may call the method, and clients may not.
+    """Whether only services of the cluster and operators may call the method, and clients may not.
 
     Such methods serve Raft, leases, links between hosts, membership, rules of access and quotas.
     """

@@ -25,7 +25,7 @@ _PERIODIC = frozenset(
 
 
 def is_traced(method: str) -> bool:
-    """Whether calls of the method have spans. Calls between members, checks of health and shared streams have none."""
+    """Whether calls of the method have spans. Calls between services, checks of health and shared streams have none."""
     without = method in _SHARED or method in _PERIODIC or is_closed_to_clients(method)
     return not without and not method.startswith(f"/{HEALTH}/")
 

@@ -54,7 +54,7 @@ class RecordedChannel:
         assert await self.recording.recorder.stored(end_seq - 1, end_seq, 60) == ""
 
     async def read_in_group(self, cut: int | None, *, newest_first: bool = False) -> tuple[list[int], Reason | None]:
-        """As `read` of all items, through a group with this cut."""
+        """Read all items, through a group with this cut."""
         interval, horizon = Interval(Bound(None, 1), Bound(None, CLOCK)), Horizon(cut, lambda: "held back by nobody")
         query = Query(interval=interval, match=Match.START, newest_first=newest_first)
         if self.recording.reaches_in_group(query, horizon, CLOCK):
@@ -72,7 +72,7 @@ class RecordedChannel:
         return await self.answer(Interval(Bound(None, start), Bound(None, end)), newest_first=newest_first)
 
     async def answer(self, interval: Interval, *, newest_first: bool = False) -> tuple[list[int], Reason | None]:
-        """As `read`."""
+        """Like `read`."""
         query = Query(interval=interval, match=Match.START, newest_first=newest_first)
         if self.recording.reaches(query, CLOCK):
             read = await self.recording.read(query, None, PieceScheduler(), lambda: CLOCK)

@@ -88,7 +88,7 @@ def test_a_token_is_valid_only_as_long_as_the_certificate_of_its_connection() ->
     assert identify(ONE, b"Bearer token", None).first_end_unix_nano == 0
 
 
-def test_rules_apply_to_clients_and_neither_to_operators_nor_to_members() -> None:
+def test_rules_apply_to_clients_and_neither_to_operators_nor_to_services() -> None:
     assert TOKEN.is_judged
     assert not ANYONE.is_judged
     for role in Role:

@@ -49,7 +49,7 @@ def test_a_rule_for_one_kind_of_thing_has_no_effect_on_other_kinds() -> None:
     assert not rules.judge(client("a"), LIST, CHANNEL, "q").allowed
 
 
-def test_rules_do_not_judge_members_and_operators() -> None:
+def test_rules_do_not_judge_services_and_operators() -> None:
     rules = AccessRules([deny("*", (), "*"), deny("@*", (), "*")])
     operator = Caller(kind=CallerKind.CERTIFICATE, roles=frozenset({Role.OPERATOR}), name="op")
     for caller in (ANYONE, by_secret(of_cluster=True), operator):

@@ -21,7 +21,7 @@ def test_a_named_client_is_identified_by_its_name_at_every_address(kind: CallerK
 
 
 @pytest.mark.parametrize("role", [Role.HOST, Role.SUPERNODE, Role.FRONTEND, Role.OPERATOR])
-def test_members_of_the_cluster_and_operators_have_no_quota(role: Role) -> None:
+def test_services_of_the_cluster_and_operators_have_no_quota(role: Role) -> None:
     assert subject_of(named(CallerKind.CERTIFICATE, role), PEER) is None
 
 

@@ -77,7 +77,7 @@ async def test_the_next_frame_is_read_when_a_long_frame_stops_waiting() -> None:
     await waits[1]
 
 
-async def test_members_of_the_cluster_never_wait_for_a_buffer() -> None:
+async def test_services_of_the_cluster_never_wait_for_a_buffer() -> None:
     place = FrameBuffers().place(unlimited())
     for _ in range(PLACES + 1):
         assert place.take_now(PLACE_BYTES)

@@ -90,7 +90,7 @@ def read_now(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuer
     if _reads_archive(hosted, query, asked, now):
         return None
     found = first_of(hosted.channel.reading(asked, now))
-    return None if isinstance(found, UnfinishedWork) else _told(hosted, found, payloads=query.payloads)
+    return None if isinstance(found, UnfinishedWork) else _in_process_answer(hosted, found, payloads=query.payloads)
 
 
 def at_now(store: ChannelStore, channel_id: bytes, epoch: int, instant: int) -> InProcessAnswer | None:
@@ -106,7 +106,7 @@ def at_now(store: ChannelStore, channel_id: bytes, epoch: int, instant: int) -> 
         if hosted.recording.reaches(Query(interval=Interval(bound, bound)), now):
             return None
     found = hosted.channel.at(instant, now)
-    return None if found is None else _one_told(hosted, found)
+    return None if found is None else _single_slice_answer(hosted, found)
 
 
 def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> InProcessAnswer | None:
@@ -144,7 +144,7 @@ def read_here(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQue
         return None
     if query.wait.seconds == 0:
         found = first_of(hosted.channel.reading(asked, now))
-        tell(None if isinstance(found, UnfinishedWork) else _told(hosted, found, payloads=query.payloads))
+        tell(None if isinstance(found, UnfinishedWork) else _in_process_answer(hosted, found, payloads=query.payloads))
         return None
     pending = hosted.channel.begin(asked, now)
     polled = first_of(hosted.channel.polling(pending, now))
@@ -153,7 +153,7 @@ def read_here(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQue
         if isinstance(found, StampedeError):
             tell(found)
         elif isinstance(found, ReadAnswer):
-            tell(_told(hosted, found, payloads=query.payloads))
+            tell(_in_process_answer(hosted, found, payloads=query.payloads))
         else:
             tell(None)
 
@@ -191,7 +191,7 @@ def _position(after: Item | int | None) -> Position | None:
     return Position(after, None, 0)
 
 
-def _told(hosted: HostedChannel, answer: ReadAnswer, *, payloads: bool = True) -> InProcessAnswer:
+def _in_process_answer(hosted: HostedChannel, answer: ReadAnswer, *, payloads: bool = True) -> InProcessAnswer:
     slices = [*answer.slices]
     ends = [answer.next_times.get((part.last_time, part.end_seq)) for part in slices[:-1]]
     runs = [_run(part, end, payloads=payloads) for part, end in zip(slices, [*ends, answer.next_time], strict=False)]
@@ -202,8 +202,8 @@ def _told(hosted: HostedChannel, answer: ReadAnswer, *, payloads: bool = True) -
     )  # fmt: skip
 
 
-def _one_told(hosted: HostedChannel, answer: ReadAnswer) -> InProcessAnswer:
-    """As `_told`, for an answer that is one slice."""
+def _single_slice_answer(hosted: HostedChannel, answer: ReadAnswer) -> InProcessAnswer:
+    """Do the same as `_in_process_answer`, for an answer of one slice."""
     part = answer.slices[0]
     hosted.count_delivered(part.items, part.payload_bytes)
     run = _run(part, answer.next_time, payloads=True)

@@ -178,7 +178,7 @@ class SharedDeliveries:
         return shared.delivery
 
     def encode_once(self, slices: Sequence[DeliveredSlice], about: bytes) -> Delivery:
-        """As `encode`, for a message that no other reader gets."""
+        """Like `encode`, but for a message that no other reader gets."""
         return self._encode(slices, about, without_payloads=False)
 
     def _encode(self, slices: Sequence[DeliveredSlice], about: bytes, without_payloads: bool) -> Delivery:

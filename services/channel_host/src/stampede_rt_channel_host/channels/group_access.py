@@ -55,7 +55,7 @@ class Cursor(Protocol):
     async def from_archive(
         self, recording: Recording, limit_bytes: int, now: Callable[[], int]
     ) -> SubscriptionBatch | None:
-        """As `take`, if memory does not have the next items any more; otherwise None. Raises Unavailable."""
+        """Take the next items from the archive if memory no longer has them; otherwise None. Raises Unavailable."""
 
     def is_held(self, now: int) -> bool:
         """Whether memory has the next items. False if an archive may have some of them."""

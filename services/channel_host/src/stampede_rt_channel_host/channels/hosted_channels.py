@@ -243,7 +243,7 @@ class HostedChannel:
             yield from self._gets.ending(error)
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
-        """As `ending`, and then free the items, because the host gives the channel up. Its memory no longer counts."""
+        """End like `ending`, and then free the items. The host gives the channel up, and stops counting its memory."""
         yield from self.replaced(error)
         yield  # afterwards the interrupted calls do not use the channel any more
         if self.core is not self.channel:
@@ -252,7 +252,7 @@ class HostedChannel:
             yield from self.core.emptying()
 
     def replaced(self, error: StampedeError) -> Pieces[None]:
-        """As `ending`, because another object serves the channel with these items. Its memory no longer counts here."""
+        """End like `ending`, but keep the items for the object that replaces this one. Stops counting their memory."""
         if self.copy is not None:
             self.copy.on_dropped()
         if self.moving is not None:

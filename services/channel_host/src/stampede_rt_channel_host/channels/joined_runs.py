@@ -38,7 +38,7 @@ def joined_slices(slices: Iterable[Slice], ends: Container[ItemKey] = ()) -> Ite
 
 
 def joined_deliveries(slices: Sequence[DeliveredSlice]) -> Iterator[DeliveredSlice]:
-    """As `joined_slices`, for the slices of a subscription. Each keeps the time of the next bucket after it.
+    """Join the slices of a subscription. Each keeps the time of the next bucket after it.
 
     A slice ends where the next bucket of the channel is not in the next slice: there the reader would compute another
     end of a span from the joined run.
@@ -56,7 +56,7 @@ def _continues(one: DeliveredSlice, other: DeliveredSlice) -> bool:
 
 
 def joined_runs(runs: Iterable[Run]) -> list[Run]:
-    """As `joined_slices`, for whole runs in the order of their seqs."""
+    """Join whole runs, in the order of their seqs."""
     joining, found = _Joining(), list[Run]()
     for run in runs:
         if not joining.take(run):

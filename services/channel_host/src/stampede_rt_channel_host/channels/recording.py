@@ -155,7 +155,7 @@ class Recording:
 
     @property
     def _expected_span(self) -> ArchiveSpan:
-        """As `_span`. Before the first write: the times of the lost items that the write under way may save."""
+        """The span after the write under way. Before the first write: the lost items that this write may save."""
         span, backlog = self._span, self._channel.backlog
         if span.oldest is not None or not backlog.at_risk or backlog.lost_times is None:
             return span
@@ -196,7 +196,7 @@ class Recording:
             raise self._unknown.move_error()
 
     def check_start(self, start: Bound, now: int, horizon: Horizon | None = None) -> None:
-        """As `check_known`, for a reader that begins at `start`."""
+        """Check a reader that begins at `start`, like `check_known`."""
         self.check_known(Query(interval=Interval(start, start), match=Match.START), now, horizon)
 
     def reaches_in_group(self, query: Query, horizon: Horizon, now: int) -> bool:

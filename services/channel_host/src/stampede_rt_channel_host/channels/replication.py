@@ -184,7 +184,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
             former.end(error)
 
     def hear(self, host_id: bytes, feed: ReplicaFeed, next_seq: int) -> None:
-        """As `report`, from the replica itself. `next_seq` 0: it has not opened the feed.
+        """Take a report that came from the replica itself, like `report`. `next_seq` 0: it has not opened the feed.
 
         A replica that has opened the feed holds no item that this owner lacks: the feed of a stray begins anew.
         """

@@ -64,7 +64,10 @@ def _loss(
 
 
 def loss_after(stop: CleanStop, since: int | None, end_seq: int) -> tuple[int | None, int | None]:
-    """As `_loss`, if the last owner stopped cleanly. `since`: from which instant on items behind `end_seq` may lie."""
+    """Return `lost_from` and `lost_before` after a clean stop of the last owner.
+
+    `since`: the instant from which on items behind `end_seq` may lie.
+    """
     if stop.newest is None or end_seq >= stop.end_seq:
         return stop.lost_from, stop.lost_before
     if stop.lost_before is None:  # the last block is damaged, or the last object is missing
@@ -85,8 +88,9 @@ def lost_since(segments: Sequence[Segment]) -> int | None:
 
 
 def _lost_since(segments: Sequence[Segment], window: ArchiveWindow) -> int | None:
-    """As `lost_since`. `window`: the newest items. The latest item that has no time in the future gives a better
-    answer.
+    """Return `lost_since`, or a later instant: the time of the latest item in `window` that is not in the future.
+
+    `window`: the newest items.
     """
     since = lost_since(segments)
     earlier = None if since is None else window.items.last_time_up_to(since)

@@ -44,7 +44,7 @@ class RingMemory:
         self._close_file()
 
     def close_soon(self) -> None:
-        """As `close`, on a worker thread, because the system takes milliseconds for it. The event loop calls this."""
+        """Close on a worker thread, because the system takes milliseconds for it. Call this on the event loop."""
         try:
             asyncio.get_running_loop().run_in_executor(None, self.close)
         except RuntimeError:  # the loop ends, and gives no thread

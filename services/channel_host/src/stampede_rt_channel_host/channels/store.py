@@ -144,7 +144,7 @@ class ChannelStore:
         return self.find_readable(channel_id, epoch, Freshness())
 
     async def bind_for_feed(self, channel_id: bytes, epoch: int) -> HostedChannel:
-        """As `bind`, for a feed. Does not wait for the replicas: the feed may belong to a replica.
+        """Bind the channel for a feed. Unlike `bind`, does not wait for the replicas: the feed may belong to a replica.
 
         Raises the errors of `bind`.
         """

@@ -176,7 +176,7 @@ class HostedGroup:
         self._begin(self.ending(error))
 
     def ending(self, error: StampedeError) -> Pieces[None]:
-        """As `end`, in pieces, for the callers and readers that are there when it begins."""
+        """Like `end`, but in pieces, for the callers and readers that are there when it begins."""
         if self._idle_timer is not None:
             self._idle_timer.cancel()
         for gets in [*self.gets.values()]:

@@ -34,5 +34,5 @@ def check_queue_known(queue: RecordedQueue) -> None:
 
 
 def _is_owned(queue: RecordedQueue) -> bool:
-    """Whether the caller registered the mailbox's peer. Always False for members of the cluster and operators."""
+    """Whether the caller registered the mailbox's peer. Always False for services of the cluster and operators."""
     return bool(queue.mailbox_owner) and queue.mailbox_owner == owner_name()

@@ -290,7 +290,7 @@ class HostedQueue(ReplicatedQueue):
                 yield
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
-        """As `ending`, and then free the messages, because the host gives the queue up. Its memory no longer counts."""
+        """End like `ending`, and then free the messages. The host gives the queue up, and stops counting its memory."""
         self._is_forgotten = True
         if self._timer is not None:
             self._timer.cancel()

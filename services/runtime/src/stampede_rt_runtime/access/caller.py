@@ -51,7 +51,7 @@ class Caller:
 
     @property
     def is_judged(self) -> bool:
-        """Whether rules decide what the caller may do. Members of the cluster, and operators, may do everything."""
+        """Whether rules decide what the caller may do. Services of the cluster, and operators, may do everything."""
         return not self.roles & UNJUDGED
 
     @property

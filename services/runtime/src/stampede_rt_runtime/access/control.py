@@ -315,11 +315,11 @@ def allowed_to(verb: AccessVerb, kind: AccessKind) -> Callable[[str], bool]:
 def check_not_judged(what: str) -> None:
     """Raises PermissionDenied for a caller whom rules judge.
 
-    `what` is for members of the cluster, and no rule allows it.
+    `what`: an action of services of the cluster, which no rule can allow to others.
     """
     caller = current_caller()
     if caller is not None and caller.is_judged:
-        raise PermissionDenied(f"{caller} may not {what}, which is for members of the cluster; leave it to them")
+        raise PermissionDenied(f"{caller} may not {what}, which is for services of the cluster; leave it to them")
 
 
 def audit_change(what: str, name: str, *, done: bool = True) -> None:

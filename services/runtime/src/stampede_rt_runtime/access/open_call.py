@@ -89,7 +89,7 @@ class OpenCall:
             self._granted[grant] = None
 
     def check_now(self, grant: Grant) -> None:
-        """As `check`, but the call continues if the caller loses the right later."""
+        """Like `check`, but the call continues if the caller loses the right later."""
         if not self._is_judged:
             return
         rules = self.rules()

@@ -17,7 +17,8 @@ STREAMS_OPEN = gauge(
 )
 CALLS_OPEN = gauge("stampede_calls_open", "Calls other than streams that are under way now.")
 MEMBER_CALLS_OPEN = gauge(
-    "stampede_member_calls_open", "Calls of the cluster's own members, such as Raft and leases, that are under way now."
+    "stampede_member_calls_open",
+    "Calls that only services of the cluster and operators may make, such as Raft and leases, that are under way now.",
 )
 CALLS_REFUSED = counter("stampede_calls_refused_total", "Calls that the service refused because a limit was reached.")
 CALLS_DENIED = counter("stampede_calls_denied_total", "Calls of callers that had no valid credential, role or right.")

@@ -11,7 +11,7 @@ _NAMED = (CallerKind.CERTIFICATE, CallerKind.TOKEN)
 
 
 def subject_of(caller: Caller, peer: str) -> str | None:
-    """The name of a caller in quotas. None: a member of the cluster or an operator, who has no quotas.
+    """The name of a caller in quotas. None: a service of the cluster or an operator, who has no quotas.
 
     A caller whose credential has no name gets its address, such as "@10.0.0.3", or "@localhost" on this machine.
     `peer`: the other side in gRPC's form.

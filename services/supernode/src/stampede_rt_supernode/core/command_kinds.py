@@ -64,7 +64,7 @@ def on_tables(transition: Callable[[Tables, Op], Done]) -> Callable[[DirectorySt
 
 
 def on_tables_with_creator(transition: Callable[[Tables, Made], Done]) -> Callable[[DirectoryState, Made, int], Done]:
-    """As `on_tables`, for a command that may create a thing. Below OWNERS_LEVEL no replica keeps the creator."""
+    """Like `on_tables`, but for a command that may create a thing. Below OWNERS_LEVEL no replica keeps the creator."""
 
     def apply(state: DirectoryState, operation: Made, time_unix_nano: int) -> Done:
         if state.feature_level < OWNERS_LEVEL:

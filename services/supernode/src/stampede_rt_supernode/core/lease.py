@@ -111,7 +111,7 @@ class LeaseTable:
             pass
 
     def following(self, live: Sequence[RegisteredHolder], as_of_index: int, now: int) -> Iterator[None]:
-        """As `follow`, in pieces. `live`: the holders that live at log position `as_of_index`.
+        """Do the work of `follow` in pieces. `live`: the holders that live at log position `as_of_index`.
 
         The caller reports later changes by `note` and `note_gone`.
         """

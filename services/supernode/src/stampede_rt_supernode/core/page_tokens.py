@@ -52,7 +52,7 @@ def read_listing(token: str, listing: str) -> str:
 
 
 def write_position(listing: str, position: tuple[bool, str] | None) -> str:
-    """As `write_listing`, for a listing in two parts.
+    """Write the token of a position in a listing of two parts.
 
     A position has two values: whether it is in the second part, and a name.
     """
@@ -66,7 +66,7 @@ def read_position(token: str, listing: str) -> tuple[bool, str]:
 
 
 def write_peer(listing: str, key: tuple[bool, str, bytes] | None) -> str:
-    """As `write_listing`, for the page after a peer. `key`: whether the peer has no name, its name, and its id."""
+    """Write the token of the page after a peer. `key`: whether the peer has no name, its name, and its id."""
     return write_listing(listing, None if key is None else f"{int(key[0])}{key[2].hex()}{key[1]}")
 
 

@@ -184,7 +184,7 @@ class DirectoryCalls:
         return verb is not None
 
     async def check_thing(self, context: Context, verb: AccessVerb, kind: AccessKind, thing_id: bytes) -> None:
-        """As `check_access`, for the thing with that id. For a mailbox, checks that the caller owns its peer instead.
+        """Check the access to the thing with that id. For a mailbox, check instead that the caller owns its peer.
 
         Ignores a missing thing, for which the operation itself has an error. A thing that this replica does not know
         yet counts as missing only after a confirmed read, because the operation may find it. Raises PermissionDenied,
@@ -195,7 +195,7 @@ class DirectoryCalls:
     async def check_things(
         self, context: Context, verb: AccessVerb, kind: AccessKind, thing_ids: Sequence[bytes]
     ) -> None:
-        """As `check_thing`, for a limited number of things, with one confirmed read at most."""
+        """Check a limited number of things like `check_thing`, with one confirmed read at most."""
 
         def find(directory: Directory) -> list[str | PeerRecord | None]:
             return [thing_with(directory.tables, kind, one) for one in thing_ids]

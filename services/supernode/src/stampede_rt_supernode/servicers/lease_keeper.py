@@ -214,7 +214,7 @@ class LeaseKeeper:
     async def renew_peer(
         self, peer_id: bytes, boot_incarnation: int, clock: ClockOffset | None, *, seconds: float
     ) -> PeerRenewal:
-        """As `renew`, for a peer. `clock`: the peer's report of its clock; None if the peer did not report it."""
+        """Renew the lease of a peer. `clock`: the peer's report of its clock; None if the peer did not report it."""
         received = self._clock.boottime_nanos()
         ttl_nanos, tenure = await self._renew(
             self._peers, lambda: self._registered_peer(peer_id, boot_incarnation), seconds, clock

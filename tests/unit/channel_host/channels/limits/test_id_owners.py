@@ -52,7 +52,7 @@ def test_an_id_that_members_use_belongs_to_no_other_caller(caller: list[str]) ->
     caller.append("")
     use(owners, QUEUE, 7, "consumer")
     caller.append("thief")
-    with pytest.raises(PermissionDenied, match="belongs to a member or an operator"):
+    with pytest.raises(PermissionDenied, match="belongs to a service or an operator"):
         use(owners, QUEUE, 7, "consumer")
 
 

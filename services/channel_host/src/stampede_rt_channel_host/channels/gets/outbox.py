@@ -119,7 +119,7 @@ class Outbox:
         await self.room()
 
     def flush_now(self, write: Callable[[bytes], None]) -> None:
-        """As `flush`, but never wait for room, and use `write` for the message that `flush` would write itself."""
+        """Like `flush`, but never wait for room, and use `write` for the message that `flush` would write itself."""
         if len(self._answers) == 1 and not self._writing:
             answer = self._answers.popleft()
             message = next(answer.messages)

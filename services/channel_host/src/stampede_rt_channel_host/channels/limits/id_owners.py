@@ -23,7 +23,7 @@ class IdOwners:
     """
 
     def __init__(self) -> None:
-        self._owners: OrderedDict[Key, str] = OrderedDict()  # the oldest key first; "": a member or an operator
+        self._owners: OrderedDict[Key, str] = OrderedDict()  # the oldest key first; "": a service or an operator
         self._of_owner: dict[str, OrderedDict[Key, None]] = {}  # the same keys by owner, the oldest key first
         self._unused: set[Key] = set()  # keys whose first use is still under way
 
@@ -36,7 +36,7 @@ class IdOwners:
 
         The first caller that uses an id owns the id. If the block of this first use fails, the id has no owner again.
         `check` raises PermissionDenied if the caller may not use the channel or queue at all; the caller then loses the
-        id. Members of the cluster and operators may act under every id. `what` is the word for the id in the error,
+        id. Services of the cluster and operators may act under every id. `what` is the word for the id in the error,
         such as "consumer". Raises PermissionDenied.
         """
         key, caller = (thing_id, used_id), owner_name()
@@ -50,7 +50,7 @@ class IdOwners:
         if owner is None:
             self._note(key, caller)
         elif caller and owner != caller:
-            whose = owner or "a member or an operator"
+            whose = owner or "a service or an operator"
             raise PermissionDenied(
                 f"{what} {used_id:#x} belongs to {whose}, and {caller} may not act for it; use a number of your own"
             )

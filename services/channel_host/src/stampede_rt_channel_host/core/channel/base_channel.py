@@ -94,7 +94,7 @@ class BaseChannel:
         return self.latest_counters()
 
     def latest_counters(self) -> Counters:
-        """As `counters`, as of the last call that took the time. Changes nothing."""
+        """Like `counters`, but as of the last call that took the time. Changes nothing."""
         held = self._held
         return Counters(
             accepted=held.accepted,

@@ -93,7 +93,7 @@ class ChannelCore(ConsumedChannel):
         return run_to_end(self.reading(query, now))
 
     def reading(self, query: Query, now: int) -> Pieces[ReadAnswer]:
-        """As `read`, in pieces. The answer is as of `now`."""
+        """Like `read`, but in pieces. The answer is as of `now`."""
         self.check_positions(query)
         clock = self._age_and_free(self._tick(now))
         return self._reading.answer(query, self._reading.resolve(query, clock), clock)
@@ -121,7 +121,7 @@ class ChannelCore(ConsumedChannel):
         return run_to_end(self.polling(pending, now))
 
     def polling(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer | WakeAt]:
-        """As `poll`, in pieces. The result is as of `now`."""
+        """Like `poll`, but in pieces. The result is as of `now`."""
         clock = self._age_and_free(self._tick(now))
         found = yield from self._reading.poll(pending, clock)
         return WakeAt(found.instant, self._reading.needs(pending)) if isinstance(found, WakeAt) else found
@@ -131,7 +131,7 @@ class ChannelCore(ConsumedChannel):
         return run_to_end(self.giving_up(pending, now))
 
     def giving_up(self, pending: PendingGet, now: int) -> Pieces[ReadAnswer]:
-        """As `give_up`, in pieces. The answer is as of `now`."""
+        """Like `give_up`, but in pieces. The answer is as of `now`."""
         clock = self._age_and_free(self._tick(now))
         return self._reading.answer(pending.query, pending.interval, clock)
 
@@ -156,7 +156,7 @@ class ChannelCore(ConsumedChannel):
         self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None,
         saved: SavedCursor | None = None, archived_from: int | None = None,
     ) -> Pieces[AllCursor]:  # fmt: skip
-        """As `subscribe_all`, in pieces. The cursor is as of `now`. `archived_from`: see `open_all`."""
+        """Like `subscribe_all`, but in pieces. The cursor is as of `now`. `archived_from`: see `open_all`."""
         if saved is not None:
             self._check_saved(saved)
             self._age_and_free(self._tick(now))

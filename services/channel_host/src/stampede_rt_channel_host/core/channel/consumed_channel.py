@@ -80,7 +80,7 @@ class ConsumedChannel(BaseChannel):
         return run_to_end(self.counting_consumers(now))
 
     def counting_consumers(self, now: int) -> Pieces[list[ConsumerStanding]]:
-        """As `consumers`, in pieces. A consumer's number of waiting items is as of the piece that counted them."""
+        """Like `consumers`, but in pieces. A consumer's waiting items are counted at different moments."""
         yield from self.catching_up(now)
         clock = self._age_and_free(self._tick(now))
         consumers = self._retention.consumers

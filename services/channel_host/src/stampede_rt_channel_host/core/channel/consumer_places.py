@@ -104,7 +104,7 @@ class PlaceTable:
         return CONSUMER_BYTES * len(self._taken) + CONSUMED_RANGE_BYTES * self._ranges
 
     def footprint_bytes_of(self, owner: str) -> int:
-        """As `footprint_bytes`, for the places of one caller."""
+        """The bytes of the places of one caller."""
         return self._bytes_of[owner]
 
     @property

@@ -153,7 +153,7 @@ class Consumers:
         self._collected.add(first, end)
 
     def note_some_collected(self, first: int, end: int, ranges_max: int) -> int:
-        """As `note_collected`, for a bounded part of these seqs, from `first` on. Returns the end of the part."""
+        """Note a bounded part of these seqs, from `first` on, like `note_collected`. Returns the end of the part."""
         end = min(self._collected.until(first, end, ranges_max), first + SEQS_PER_LOOK_MAX)
         self._collected.add(first, end)
         return end

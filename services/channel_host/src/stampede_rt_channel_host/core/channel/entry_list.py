@@ -144,7 +144,7 @@ class EntryList:
         return self._range(begin, self._place(high, bisect_right))
 
     def between_down(self, low: int, high: int, seq: int | None = None) -> Iterator[Entry]:
-        """As `between`, the last entry first. `seq`: leaves out the entries of `high` that begin above this seq."""
+        """Like `between`, but the last entry first. `seq`: leave out the entries of `high` that begin above it."""
         begin, end = self._place(low, bisect_left), self._place(high, bisect_right)
         if seq is not None and begin < end:
             number, at = self._place_in_bucket(high, seq)
@@ -191,7 +191,7 @@ class EntryList:
         return chain(map(get, range(at, len(self._chunks[first]))), whole, rest)
 
     def _range_down(self, begin: Place, end: Place) -> Iterator[Entry]:
-        """As `_range`, the last entry first."""
+        """Like `_range`, but the last entry first."""
         (first, at), (last, before) = begin, end
         if begin >= end:
             return iter(())

@@ -34,7 +34,7 @@ class FedChannel(ChannelCore):
         self, policy: Policy, *, incarnation: int, name: str = "", lost_before: int | None = None,
         cut: Cut | None = None, knows_owner: bool = False, held: FedHoldings | None = None,
     ) -> None:  # fmt: skip
-        """As `ChannelCore`.
+        """Make an empty copy. The other arguments are those of `ChannelCore`.
 
         `knows_owner`: the copy holds the facts that only the owner knows, and can become the owner. `held`: the items
         with which it begins; None: it has none.

@@ -197,7 +197,7 @@ class HeldItems:
         return self.index.slices(max(low, self.floor), high)
 
     def slices_down(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY) -> Iterator[Slice]:
-        """As `slices`, the last slice first."""
+        """Like `slices`, but the last slice first."""
         return self.index.slices_down(max(low, self.floor), high)
 
     @property

@@ -100,7 +100,7 @@ class IndexSnapshot:
         yield from self._index.slices(max(low, self.kept_from), high)
 
     def slices_down(self, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
-        """As `slices`, the last slice first."""
+        """Like `slices`, but the last slice first."""
         low = max(low, self.floor)
         yield from self._index.slices_down(max(low, self.kept_from), high)
         for at in range(min(bisect_left(self._copy_ends, high), len(self._copies) - 1), -1, -1):

@@ -92,7 +92,7 @@ class AllCursor:
         return self._owed
 
     def owed_before_loss(self, next_seq: int) -> Range | None:
-        """As `owed`, up to the place of the next loss that the reader does not know yet."""
+        """Return the owed seqs before the next loss that the reader does not know yet."""
         owed = self.owed(next_seq)
         if owed is None or not self.losses:
             return owed

@@ -210,7 +210,7 @@ class GroupCut:
         return cut is None or (self._floor is not None and cut <= self._floor)
 
     def _lowest_of_all(self) -> int | None:
-        """As `_reached`, for "oldest" without `idle_after_nanos` and without `by_end`.
+        """Return the same as `_reached`. Only for "oldest" without `idle_after_nanos` and without `by_end`.
 
         Then the cut of a member falls only at a setback (see `TimesBoard`). So the first member of the heap whose
         present cut equals its cut in the heap has the lowest cut. Costs one step for each member whose cut has risen

@@ -213,7 +213,7 @@ class VisibleChannel:
         return run_to_end(self.reading(query, horizon, now))
 
     def reading(self, query: Query, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:
-        """As `read`, in pieces. The answer is as of `now`."""
+        """Like `read`, but in pieces. The answer is as of `now`."""
         reading = self._reading(query, horizon, now)
         return reading.answer(query, reading.resolve(query, now), now)
 
@@ -226,7 +226,7 @@ class VisibleChannel:
         return run_to_end(self.polling(pending, horizon, now))
 
     def polling(self, pending: PendingGet, horizon: Horizon, now: int) -> Pieces[ReadAnswer | WakeAt]:
-        """As `poll`, in pieces. The result is as of `now`."""
+        """Like `poll`, but in pieces. The result is as of `now`."""
         return polling(self._channel, pending, horizon, now)
 
     def give_up(self, pending: PendingGet, horizon: Horizon, now: int) -> ReadAnswer:
@@ -234,7 +234,7 @@ class VisibleChannel:
         return run_to_end(self.giving_up(pending, horizon, now))
 
     def giving_up(self, pending: PendingGet, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:
-        """As `give_up`, in pieces. The answer is as of `now`."""
+        """Like `give_up`, but in pieces. The answer is as of `now`."""
         return VisibleQueryReader(self._channel, horizon, now).answer(pending.query, pending.interval, now)
 
     def stalled(self, floor: int, horizon: Horizon) -> ReadAnswer:

@@ -94,7 +94,7 @@ class QueueCore:
 
     @classmethod
     def restored(cls, limits: QueueLimits, state: QueueHandoff, now: int, **about: Any) -> QueueCore:
-        """As `restore`, for a copy: the queue does no work that is due, because its owner does it."""
+        """Like `restore`, but for a copy: the queue does no work that is due, because its owner does it."""
         queue = cls(limits, **about)
         handoff.restore(state, queue._queue_items, queue._queue_leases, queue._enqueue_line, now)
         return queue
@@ -306,7 +306,7 @@ class QueueCore:
         return self.latest_counters()
 
     def latest_counters(self) -> QueueCounters:
-        """As `counters`, as of the last call that took the time. Changes nothing."""
+        """Like `counters`, but as of the last call that took the time. Changes nothing."""
         tally, queue_items = self._queue_items.tally, self._queue_items
         return QueueCounters(
             held=queue_items.items,

@@ -110,7 +110,7 @@ def check_owner(peer: PeerRecord, owner: str | None) -> None:
     if owner and peer.owner is not None and peer.owner != owner:
         shown = peer.name or peer.peer_id.hex()
         raise PermissionDenied(
-            f"peer {shown} belongs to {peer.owner or 'a member or an operator'}, and {owner} may not act for it; "
+            f"peer {shown} belongs to {peer.owner or 'a service or an operator'}, and {owner} may not act for it; "
             "choose another name, or use the credential of its owner",
             metadata={"peer": shown},
         )

@@ -181,7 +181,7 @@ class RaftLog:
         return (self._kept[0] if self._kept else self._entries[0]).log_index if self._entries else 0
 
     def sendable_at(self, log_index: int) -> Entry | None:
-        """As `entry_at`, but also finds the entries that are kept for slow members."""
+        """The entry at this position, also if the log keeps it only for slow members."""
         first = self.first_sendable
         return (
             self._kept[log_index - first] if first <= log_index < first + len(self._kept) else self.entry_at(log_index)
