@@ -48,7 +48,9 @@ demos: setup  ## all demos; the TV watcher and stereo run twice with rules of ac
 	for name in tv-watcher stereo; do for with in "" --certificates; do $(RUN)/stampede demo $$name $$with; done; done
 	$(RUN)/stampede demo rover
 
+# The tests of object stores need an S3 server. Go builds it once for each machine, which may take longer than a test may.
 test: setup  ## the whole test suite
+	-$(RUN)/python -m tests.support.channel_host.s3_server
 	timeout --kill-after=30 3000 $(RUN)/pytest -n 5 --dist loadfile --no-loadscope-reorder $(END_HANGS)
 
 test-acl: setup  ## the tests with a whole cluster; rules of access restrict the client of the tests
