@@ -185,8 +185,8 @@ async def _read(address: str, name: str, readers: int) -> None:
         for subscription in subscriptions:
             await subscription.__aenter__()
         print("ready", flush=True)
-        told = await asyncio.gather(*map(_ages, subscriptions))
-        print(json.dumps([one for ages in told for one in ages]), flush=True)
+        ages_by_reader = await asyncio.gather(*map(_ages, subscriptions))
+        print(json.dumps([one for ages in ages_by_reader for one in ages]), flush=True)
 
 
 async def _ages(subscription: Any) -> list[Age]:

@@ -28,13 +28,13 @@ EVERY_S = 0.005
 WAYS: tuple[Literal["multicast"] | None, ...] = (None, "multicast")
 
 
-def read(namespace: NetworkNamespace, address: str, name: str, readers: int, via: Any, tell: Any) -> None:
+def read(namespace: NetworkNamespace, address: str, name: str, readers: int, via: Any, sender: Any) -> None:
     """Read the channel with all readers. Sends "begun" when all readers follow it, and the counts at the end."""
     namespace.enter()
-    asyncio.run(_read(address, name, readers, via, tell))
+    asyncio.run(_read(address, name, readers, via, sender))
 
 
-async def _read(address: str, name: str, readers: int, via: Literal["multicast"] | None, tell: Any) -> None:
+async def _read(address: str, name: str, readers: int, via: Literal["multicast"] | None, sender: Any) -> None:
     begun = 0
 
     async def one(channel: Any) -> tuple[int, int]:
@@ -47,7 +47,7 @@ async def _read(address: str, name: str, readers: int, via: Literal["multicast"]
                         begun_by[id(subscription)] = True
                         begun += 1
                         if begun == readers:
-                            tell.send("begun")
+                            sender.send("begun")
                     continue
                 if item.payload == b"end":
                     break
@@ -58,7 +58,7 @@ async def _read(address: str, name: str, readers: int, via: Literal["multicast"]
     async with aio.connect(address, transport="grpc") as rt:
         channel = await rt.channel(name, create=False)
         found = await asyncio.gather(*(one(channel) for _ in range(readers)))
-    tell.send((min(count for count, _ in found), sum(repairs for _, repairs in found)))
+    sender.send((min(count for count, _ in found), sum(repairs for _, repairs in found)))
 
 
 def measure(rig: tuple[LocalCluster, Any, list[NetworkNamespace]], readers: int, via: Any, size: int) -> str:
@@ -66,18 +66,18 @@ def measure(rig: tuple[LocalCluster, Any, list[NetworkNamespace]], readers: int,
     cluster, rt, (host, other) = rig
     channel = rt.channel(f"bench/{readers}-{via}-{size}", max_items=10**5)
     spawn = multiprocessing.get_context("spawn")
-    told, tell = spawn.Pipe(duplex=False)
-    process = spawn.Process(target=read, args=(other, cluster.address, channel.name, readers, via, tell))
+    receiver, sender = spawn.Pipe(duplex=False)
+    process = spawn.Process(target=read, args=(other, cluster.address, channel.name, readers, via, sender))
     process.start()
-    while not told.poll(0.05):
+    while not receiver.poll(0.05):
         channel.put(b"warm")
-    told.recv()
+    receiver.recv()
     with counted(host, cluster.hosts[0].pid) as used:
         for _ in range(ITEMS):
             channel.put(os.urandom(size))
             time.sleep(EVERY_S)
         channel.put(b"end")
-        count, repairs = told.recv()
+        count, repairs = receiver.recv()
     process.join(20)
     megabytes, cpu_s = used
     return (

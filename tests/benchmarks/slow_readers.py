@@ -68,8 +68,10 @@ def main() -> None:
             until_s = time.monotonic() + asked.seconds
             ages: dict[str, list[float]] = {name: [] for name in made}
             threads = [threading.Thread(target=produce, args=([left, right], until_s))]
-            for name, (stream, told) in made.items():
-                threads.append(threading.Thread(target=read, args=(map(told, stream), asked.rest, until_s, ages[name])))
+            for name, (stream, age_of) in made.items():
+                threads.append(
+                    threading.Thread(target=read, args=(map(age_of, stream), asked.rest, until_s, ages[name]))
+                )
             for thread in threads:
                 thread.start()
             for thread in threads:

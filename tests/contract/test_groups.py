@@ -85,7 +85,7 @@ async def test_deleting_a_group_keeps_its_channels(surface: Surface) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "expected"),
     [
         ({"bound": "middle"}, "bound"),
         ({"reference": "contract/elsewhere"}, "not a member"),
@@ -93,10 +93,10 @@ async def test_deleting_a_group_keeps_its_channels(surface: Surface) -> None:
     ],
 )
 async def test_an_impossible_policy_of_a_group_is_refused_with_its_reason(
-    surface: Surface, settings: dict[str, Any], said: str
+    surface: Surface, settings: dict[str, Any], expected: str
 ) -> None:
     left, right = await two_channels(surface)
-    with pytest.raises(st.InvalidArgument, match=said):
+    with pytest.raises(st.InvalidArgument, match=expected):
         await surface.group(group_name(), [left, right], **settings)
 
 

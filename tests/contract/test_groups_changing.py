@@ -168,7 +168,7 @@ async def test_a_group_made_of_descriptors_has_their_channels(surface: Surface) 
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("call", "expected"),
     [
         (lambda group, left: group.add("a name"), "'a name' is not a channel"),
         (lambda group, left: group.remove(None), "None is not a channel"),
@@ -178,18 +178,18 @@ async def test_a_group_made_of_descriptors_has_their_channels(surface: Surface) 
     ],
 )
 async def test_a_channel_that_cannot_be_a_member_is_refused_and_named(
-    other: aio.Connection, call: Any, said: str
+    other: aio.Connection, call: Any, expected: str
 ) -> None:
     left = await other.channel(f"changing/{next(_names)}-{st.now()}")
     group = await other.group(group_name(), [left])
-    with pytest.raises(st.InvalidArgument, match=said):
+    with pytest.raises(st.InvalidArgument, match=expected):
         await call(group, left)
 
 
 async def test_a_cross_section_accepts_only_channels_and_the_error_says_so(surface: Surface) -> None:
     left, right = await channel_at_each_host(surface)
-    for others, said in ((right, "give a list"), (["a name"], "'a name' is not a channel")):
-        with pytest.raises(st.InvalidArgument, match=said):
+    for others, expected in ((right, "give a list"), (["a name"], "'a name' is not a channel")):
+        with pytest.raises(st.InvalidArgument, match=expected):
             await surface.cross_section(left, others)
 
 

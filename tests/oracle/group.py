@@ -70,21 +70,21 @@ class OracleHeard:
         return max((one for one in (self.said.newest, self.said.advance) if one is not None), default=None)
 
     def cut(self, *, by_end: bool, max_lead: int) -> int | None:
-        said = self.said
-        cuts = [one for one in (said.newest, said.advance) if one is not None]
-        if by_end and said.newest is not None and said.end is not None:
-            cuts.append(min(said.end, said.newest + max_lead))
+        times = self.said
+        cuts = [one for one in (times.newest, times.advance) if one is not None]
+        if by_end and times.newest is not None and times.end is not None:
+            cuts.append(min(times.end, times.newest + max_lead))
         return max(cuts, default=None)
 
 
-def all_in_all(told: list[ReportedTimes]) -> ReportedTimes:
+def combined(reports: list[ReportedTimes]) -> ReportedTimes:
     """The times of a channel from all reports about its present incarnation.
 
     Items of earlier incarnations are lost.
     """
-    epoch = max(one.epoch for one in told)
-    life = next(one.incarnation for one in told if one.epoch == epoch)
-    valid = [one for one in told if one.incarnation == life]
+    epoch = max(one.epoch for one in reports)
+    life = next(one.incarnation for one in reports if one.epoch == epoch)
+    valid = [one for one in reports if one.incarnation == life]
     newest = max((one.newest for one in valid if one.newest is not None), default=None)
     end = max((one.end for one in valid if one.end is not None and one.newest == newest), default=None)
     advance = max((one.advance for one in valid if one.advance is not None), default=None)
@@ -104,17 +104,17 @@ class OracleBoard:
         """Note that the owner has told all that it knows."""
         self._enter(channel_id, owner.said, owner.silent_since, clock)
 
-    def _enter(self, channel_id: bytes, told: ReportedTimes, silent_since: int, known_until: int | None) -> None:
-        heard = self.heard.setdefault(channel_id, OracleHeard(told, silent_since, known_until))
-        heard.silent_since, heard.known_until = silent_since, known_until
-        if told not in heard.told:
-            heard.told.append(told)
-            heard.said = all_in_all(heard.told)
+    def _enter(self, channel_id: bytes, report: ReportedTimes, silent_since: int, known_until: int | None) -> None:
+        received = self.heard.setdefault(channel_id, OracleHeard(report, silent_since, known_until))
+        received.silent_since, received.known_until = silent_since, known_until
+        if report not in received.told:
+            received.told.append(report)
+            received.said = combined(received.told)
 
     def disown(self, channel_id: bytes, clock: int) -> None:
-        heard = self.heard.get(channel_id)
-        if heard is not None and heard.known_until is None:
-            heard.known_until = clock
+        received = self.heard.get(channel_id)
+        if received is not None and received.known_until is None:
+            received.known_until = clock
 
 
 @dataclass
@@ -149,23 +149,23 @@ class OracleGroup:
         return self.board.heard.get(channel_id)
 
     def cut_of(self, channel_id: bytes) -> int | None:
-        heard = self.heard(channel_id)
-        return None if heard is None else heard.cut(by_end=self.by_end, max_lead=self.max_lead)
+        received = self.heard(channel_id)
+        return None if received is None else received.cut(by_end=self.by_end, max_lead=self.max_lead)
 
     def mark_of(self, channel_id: bytes) -> int | None:
-        heard = self.heard(channel_id)
-        return None if heard is None else heard.mark
+        received = self.heard(channel_id)
+        return None if received is None else received.mark
 
     def is_idle(self, channel_id: bytes, clock: int) -> bool:
         """Whether the channel was silent for the idle time, as far as the host knows.
 
         It is not idle before the host has heard of it.
         """
-        heard = self.heard(channel_id)
-        if heard is None or self.idle_after is None:
+        received = self.heard(channel_id)
+        if received is None or self.idle_after is None:
             return False
-        until = clock if heard.known_until is None else heard.known_until
-        return max(0, until - heard.silent_since) >= self.idle_after
+        until = clock if received.known_until is None else received.known_until
+        return max(0, until - received.silent_since) >= self.idle_after
 
     def next_idle(self, clock: int) -> int | None:
         """The instant at which the next of this host's own members becomes idle, and no longer counts.
@@ -185,7 +185,7 @@ class OracleGroup:
         if self.reference is not None:
             return [self.reference]
         awake = [one for one in self.members if not self.is_idle(one, clock)]
-        spoke = {one: heard.silent_since for one in self.members if (heard := self.heard(one)) is not None}
+        spoke = {one: received.silent_since for one in self.members if (received := self.heard(one)) is not None}
         return awake or [one for one in spoke if spoke[one] == max(spoke.values())]
 
     def reached(self, clock: int) -> int | None:
@@ -206,10 +206,10 @@ class OracleGroup:
 
     def _is_at(self, channel_id: bytes, cut: int, lateness: int) -> bool:
         """Whether no further item can come before the cut, except one that is later than `lateness` allows."""
-        heard = self.heard(channel_id)
-        if heard is None:
+        received = self.heard(channel_id)
+        if received is None:
             return False
-        newest, advance = heard.said.newest, heard.said.advance
+        newest, advance = received.said.newest, received.said.advance
         return (newest is not None and newest >= cut + lateness) or (advance is not None and advance >= cut)
 
     def between(self, low: int | None, high: int, lateness: int, clock: int) -> int | None:
@@ -219,8 +219,8 @@ class OracleGroup:
         """
         awake = [one for one in sorted(self.members) if not self.is_idle(one, clock)]
         tried = [one.said for one in (self.heard(each) for each in awake) if one is not None]
-        marks = [said.newest - lateness for said in tried if said.newest is not None]
-        marks += [said.advance for said in tried if said.advance is not None]
+        marks = [times.newest - lateness for times in tried if times.newest is not None]
+        marks += [times.advance for times in tried if times.advance is not None]
         fit = [mark for mark in marks if mark < high and all(self._is_at(one, mark, lateness) for one in awake)]
         latest = max(fit, default=None)
         return None if latest is None or (low is not None and latest <= low) else latest

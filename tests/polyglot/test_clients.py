@@ -41,13 +41,13 @@ def test_a_client_puts_gets_the_last_30_s_and_subscribes(
     language: str, client_in: ClientIn, cluster: LocalCluster
 ) -> None:
     began = time.time_ns()
-    said = report(client_in(language), cluster, f"polyglot/{language}", "one", "two", "drei ≠ trois")
-    first, *_ = seqs = said["put"]
+    facts = report(client_in(language), cluster, f"polyglot/{language}", "one", "two", "drei ≠ trois")
+    first, *_ = seqs = facts["put"]
     assert seqs == [first, first + 1, first + 2]
-    assert texts_of(said["last"]) == texts_of(said["subscribed"]) == ["one", "two", "drei ≠ trois"]
-    assert [item["Seq"] for item in said["last"]] == [item["Seq"] for item in said["subscribed"]] == seqs
+    assert texts_of(facts["last"]) == texts_of(facts["subscribed"]) == ["one", "two", "drei ≠ trois"]
+    assert [item["Seq"] for item in facts["last"]] == [item["Seq"] for item in facts["subscribed"]] == seqs
     # Node's clock reading has milliseconds, so that an item may seem to be a little older than the test.
-    assert all(began - 1_000_000 <= int(item["Time"]) <= time.time_ns() for item in said["last"])
+    assert all(began - 1_000_000 <= int(item["Time"]) <= time.time_ns() for item in facts["last"])
 
 
 def test_items_of_a_client_in_one_language_are_read_by_clients_in_the_others(
@@ -59,9 +59,9 @@ def test_items_of_a_client_in_one_language_are_read_by_clients_in_the_others(
         channel = rt.channel("polyglot/shared", max_age="60s")  # as the clients state it
         channel.put(b"from python")
         for client in clients:
-            said = report(client, cluster, "polyglot/shared", f"from {client.language}")
-            assert texts_of(said["subscribed"]) == [f"from {client.language}"]
-        assert texts_of(said["last"]) == expected
+            facts = report(client, cluster, "polyglot/shared", f"from {client.language}")
+            assert texts_of(facts["subscribed"]) == [f"from {client.language}"]
+        assert texts_of(facts["last"]) == expected
         assert [item.payload.decode() for item in channel.get(*st.last("30s"))] == expected
 
 

@@ -31,7 +31,7 @@ Metadata = tuple[tuple[str, str], ...]
 def services_marked(mark: str) -> list[str]:
     """The services of the page's table that are served ("yes") or not ("not yet")."""
     rows = ROW.findall((ROOT / "docs" / "wire.md").read_text())
-    return sorted(name for names, said in rows if said == mark for name in re.findall(r"`(\w+)`", names))
+    return sorted(name for names, shown in rows if shown == mark for name in re.findall(r"`(\w+)`", names))
 
 
 def methods_of(service: str) -> list[str]:

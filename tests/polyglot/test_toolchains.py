@@ -21,25 +21,25 @@ def test_a_missing_tool_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    "said",
+    "output",
     [
         "go: module example.org/x: Get: dial tcp: lookup proxy: no such host",
         "npm error code EAI_AGAIN",
         "npm error code ECONNREFUSED",
     ],
 )
-def test_an_unreachable_registry_is_a_reason_to_skip(said: str, tmp_path: Path) -> None:
+def test_an_unreachable_registry_is_a_reason_to_skip(output: str, tmp_path: Path) -> None:
     with pytest.raises(toolchains.Unavailable, match="cannot reach"):
-        toolchains.step(printing(said), tmp_path, dict(os.environ))
+        toolchains.step(printing(output), tmp_path, dict(os.environ))
 
 
 @pytest.mark.parametrize(
-    "said",
+    "output",
     ["main.go:3:2: undefined: v1.Nothing", "SECURITY ERROR: checksum mismatch", "npm error code ETARGET"],
 )
-def test_a_broken_client_or_pin_is_a_failure(said: str, tmp_path: Path) -> None:
+def test_a_broken_client_or_pin_is_a_failure(output: str, tmp_path: Path) -> None:
     with pytest.raises(toolchains.BuildFailed):
-        toolchains.step(printing(said), tmp_path, dict(os.environ))
+        toolchains.step(printing(output), tmp_path, dict(os.environ))
 
 
 def test_a_fetched_toolchain_is_not_fetched_again_unless_the_pins_change(tmp_path: Path) -> None:

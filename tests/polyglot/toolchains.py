@@ -92,13 +92,13 @@ def step(command: list[str], folder: Path, environment: dict[str, str]) -> None:
         )
     except subprocess.TimeoutExpired as error:
         raise Unavailable(f"`{shown}` was not done within {STEP_SECONDS_MAX:.0f} s") from error
-    said = done.stdout + done.stderr
+    output = done.stdout + done.stderr
     if done.returncode == 0:
         return
-    reasons = [line for line in said.splitlines() if NO_WAY_THROUGH.search(line)]
+    reasons = [line for line in output.splitlines() if NO_WAY_THROUGH.search(line)]
     if reasons:
         raise Unavailable(f"`{shown}` cannot reach its package registry: {reasons[0].strip()}")
-    raise BuildFailed(f"`{shown}` failed:\n{said}")
+    raise BuildFailed(f"`{shown}` failed:\n{output}")
 
 
 def once(stamp: Path, key: str) -> bool:

@@ -228,8 +228,8 @@ class QueuePair:
         found: list[PendingDelivery] = []
         while page := self.core.pending(found[-1].delivery_id if found else 0, 2, self.clock):
             found += page
-        told = [(one.delivery_id, one.seq, one.taker_id, one.number, one.leased_at, one.expires) for one in found]
-        assert told == self.oracle.pending()
+        pending = [(one.delivery_id, one.seq, one.taker_id, one.number, one.leased_at, one.expires) for one in found]
+        assert pending == self.oracle.pending()
         assert all(one.taker_name == f"taker {one.taker_id}" for one in found)
 
     def _agree(self, mine: Enqueue, other: oracle.Run) -> None:

@@ -213,6 +213,6 @@ def test_a_read_that_lacks_items_says_lost(seed: int, tmp_path: Path, monkeypatc
         answer = one.read(query, as_of)
         lacks = one.lacks(query, as_of, answer)
         # without the head of the first block the host does not know whether the limits have removed the first items
-        told = answer.reason == "LOST" or (one.span.is_cut and answer.reason == "COLLECTED")
-        assert not lacks or told, (query, as_of, lacks, answer.reason, seed)
+        reports_loss = answer.reason == "LOST" or (one.span.is_cut and answer.reason == "COLLECTED")
+        assert not lacks or reports_loss, (query, as_of, lacks, answer.reason, seed)
         assert not one.is_whole or answer.reason != "LOST", (query, as_of, answer.reason, seed)

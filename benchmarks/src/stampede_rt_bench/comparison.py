@@ -114,10 +114,10 @@ def _run(
         rounds=arguments.rounds,
         seconds=arguments.seconds,
         done=done,
-        say=say,
+        report=say,
     )
     for table in [table for _, table in report.readers(results)] + ([table_of_goals(results)] if report.ours else []):
         show(table, arguments.output, "")
-    told = f"\nThe report is in {folder}: {report.name}.md, {report.name}.json and the charts."
-    finish(report.values(results), told, arguments.output)
+    closing_line = f"\nThe report is in {folder}: {report.name}.md, {report.name}.json and the charts."
+    finish(report.values(results), closing_line, arguments.output)
     return 1 if results.failures else 0

@@ -77,15 +77,15 @@ class Container:
     def wait_healthy(self) -> float:
         """Run the health check until it succeeds; returns the seconds that it took. Raises ProofFailed."""
         began = time.monotonic()
-        said = "the health check never ran"
+        output = "the health check never ran"
         while time.monotonic() - began < HEALTH_SECONDS:
             if self.exit_code is not None:
                 raise ProofFailed(f"{self.plan.service} ended with code {self.exit_code}; {self.story()}")
-            healthy, said = self.check_health()
+            healthy, output = self.check_health()
             if healthy:
                 return time.monotonic() - began
             time.sleep(HEALTH_EVERY_SECONDS)
-        raise ProofFailed(f"{self.plan.service} is not healthy: {said}; {self.story()}")
+        raise ProofFailed(f"{self.plan.service} is not healthy: {output}; {self.story()}")
 
     def check_health(self) -> tuple[bool, str]:
         """Run the command of the health check in the container, as its user.

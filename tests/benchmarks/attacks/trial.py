@@ -251,8 +251,8 @@ async def _program(words: tuple[str, ...], line: str, good: GoodCalls) -> AsyncI
     try:
         process.stdin.write(line.encode() + b"\n")
         async with asyncio.timeout(UNDER_WAY_SECONDS):
-            told = await process.stdout.readline()
-        assert told.decode().strip() == UNDER_WAY, f"{' '.join(words)} failed"
+            first_line = await process.stdout.readline()
+        assert first_line.decode().strip() == UNDER_WAY, f"{' '.join(words)} failed"
         good.calls = len(good.failures)  # calls before the attack was under way do not count
         good.puts_ms.clear()
         yield process

@@ -35,14 +35,14 @@ async def late_items(rig: Rig, items: int) -> tuple[str, Work]:
 async def group_readers(rig: Rig, count: int) -> tuple[str, Work]:
     """Subscriptions to cuts wait for a group, which moves, and is then deleted."""
     hosted = group_of(rig)
-    heard = 0
+    events = 0
 
     async def wait(waiter: Waiter) -> None:
-        nonlocal heard
+        nonlocal events
         for _ in range(2):
             with contextlib.suppress(StampedeError):
                 await waiter.wait(None)
-            heard += 1
+            events += 1
 
     waiters = [Waiter() for _ in range(count)]
     waiting = [asyncio.create_task(wait(one)) for one in waiters]
@@ -53,15 +53,15 @@ async def group_readers(rig: Rig, count: int) -> tuple[str, Work]:
     async def work() -> None:
         hosted.generation += 1
         hosted.changed()
-        await until(lambda: heard == count)
+        await until(lambda: events == count)
         hosted.end(Unavailable("gone"))
-        await until(lambda: heard == count + len(waiting))
+        await until(lambda: events == count + len(waiting))
 
     return f"a group with {count:,} readers moves, and ends", work
 
 
 def group_of(rig: Rig) -> HostedGroup:
     group = RecordedGroup(group_id=b"g" * 16, name="g", definition=GroupDefinition(members=frozenset()), message=b"")
-    told = ResolvedGroup(group=group, channels={}, targets={}, host_names={})
+    resolved = ResolvedGroup(group=group, channels={}, targets={}, host_names={})
     begin = rig.host.store.scheduler.begin
-    return HostedGroup(told, TimesBoard(), rig.now, on_moved=lambda _: None, on_idle=lambda _: None, begin=begin)
+    return HostedGroup(resolved, TimesBoard(), rig.now, on_moved=lambda _: None, on_idle=lambda _: None, begin=begin)

@@ -29,8 +29,8 @@ async def registration(rig: Rig, channels: int) -> tuple[str, Work]:
 
     async def work() -> None:
         do, last = rig.host.store.scheduler.do, channels - CHANNELS_TOLD
-        told = (channel(number, epoch=2) for number in range(last, channels))
-        await do(rig.host.store.registering(told, is_complete=False))
+        new_channels = (channel(number, epoch=2) for number in range(last, channels))
+        await do(rig.host.store.registering(new_channels, is_complete=False))
         queues = (queue(number, epoch=2) for number in range(last, channels))
         await do(rig.host.queues.registering(queues, is_complete=False))
         await idle(rig)

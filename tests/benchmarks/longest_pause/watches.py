@@ -46,10 +46,10 @@ async def watch(target: str, count: int) -> None:
     """Open `count` watches, each of which gets all changes."""
 
     async def one(connection: grpc.aio.Channel) -> None:
-        heard = 0
+        events = 0
         async for response in DirectoryServiceStub(connection).Watch(pb.WatchRequest()):
-            heard += len(response.changes)
-            if heard >= WATCHED_CHANGES:
+            events += len(response.changes)
+            if events >= WATCHED_CHANGES:
                 return
 
     options = [("grpc.use_local_subchannel_pool", 1)]

@@ -96,9 +96,9 @@ async def test_a_queue_without_enough_replicas_acknowledges_no_put_and_delivers_
     """The cluster of these tests has one host, so no replica can be in sync."""
     queue = await rig.queue(replicas=1, ack="replica")
     assert (queue.info.policy.replicas, queue.info.policy.ack) == (1, "replica")
-    with pytest.raises(st.NotReplicated, match="min_replicas is 1") as told:
+    with pytest.raises(st.NotReplicated, match="min_replicas is 1") as caught:
         await queue.put(b"1", timeout=0)
-    assert (told.value.metadata["seq"], told.value.metadata["copies"]) == ("1", "1")
+    assert (caught.value.metadata["seq"], caught.value.metadata["copies"]) == ("1", "1")
     assert await queue.get(timeout=0) is None
     await queue.configure(min_replicas=0)
     message = await queue.get(timeout=40)

@@ -155,7 +155,7 @@ async def test_a_reader_that_half_closes_its_stream_gets_the_items_of_its_credit
 
 
 @pytest.mark.parametrize(
-    ("requests", "said"),
+    ("requests", "expected"),
     [
         ([], "no open"),
         ([pb.SubscribeRequest(credit_bytes=5)], "no open"),
@@ -163,12 +163,12 @@ async def test_a_reader_that_half_closes_its_stream_gets_the_items_of_its_credit
     ],
 )
 async def test_a_stream_that_does_not_begin_with_open_or_opens_twice_is_refused(
-    rig: Rig, requests: list[Any], said: str
+    rig: Rig, requests: list[Any], expected: str
 ) -> None:
     channel = await rig.open()
     opening = channel.subscribe_request()
     call = rig.channels.Subscribe(iter([opening if one == "open" else one for one in requests]))
-    with pytest.raises(grpc.aio.AioRpcError, match=said):
+    with pytest.raises(grpc.aio.AioRpcError, match=expected):
         async for _ in call:
             pass
 

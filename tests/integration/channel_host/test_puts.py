@@ -298,8 +298,8 @@ async def test_a_retry_of_a_partly_accepted_run_continues_after_a_lost_lease(rig
     await waiting.write(pb.PutRequest(**head, puts=[run_of(b"x", b"y", b"z")]))
     await channel.until(lambda status: status.waiting_puts == 1)
     rig.host.store.fence()
-    (told,) = (await waiting.read()).acks
-    assert told.error.reason == error_pb2.ERROR_REASON_NOT_HERE, "the whole run is to be sent again"
+    (ack,) = (await waiting.read()).acks
+    assert ack.error.reason == error_pb2.ERROR_REASON_NOT_HERE, "the whole run is to be sent again"
     waiting.cancel()
     await make_room(rig, channel)
     (again,) = await channel.put(run_of(b"x", b"y", b"z"), producer_id=77)

@@ -35,13 +35,13 @@ def test_every_waiting_thread_gets_an_error_when_the_connection_is_closed(cluste
         "complete": lambda: channel.get(st.now(), st.now() + 60 * SECOND, complete=True, timeout=LIMIT_S),
         "peers": lambda: next(iter(rt.watch_peers())),
     }
-    heard: dict[str, str] = {}
+    errors: dict[str, str] = {}
 
     def wait(name: str) -> None:
         try:
-            heard[name] = f"returned {waits[name]()!r}"
+            errors[name] = f"returned {waits[name]()!r}"
         except Exception as error:  # noqa: BLE001  # the test compares it
-            heard[name] = f"{type(error).__name__}: {error}"
+            errors[name] = f"{type(error).__name__}: {error}"
 
     threads = [threading.Thread(target=wait, args=(name,), daemon=True) for name in CALLS]
     for thread in threads:
@@ -51,11 +51,11 @@ def test_every_waiting_thread_gets_an_error_when_the_connection_is_closed(cluste
             other.channel("closing/sync").stats().waiting_gets < 2
             or other.queue("closing/sync").stats().waiting_gets < 2
         ):
-            assert not heard
+            assert not errors
     rt.close()
     for thread in threads:
         thread.join(LIMIT_S)
-    assert heard == dict.fromkeys(CALLS, f"Unavailable: {SENTENCE}")
+    assert errors == dict.fromkeys(CALLS, f"Unavailable: {SENTENCE}")
 
 
 async def test_every_waiting_task_gets_an_error_when_the_connection_is_closed(cluster: LocalCluster) -> None:
@@ -79,9 +79,9 @@ async def test_every_waiting_task_gets_an_error_when_the_connection_is_closed(cl
             assert not any(task.done() for task in tasks.values())
     await rt.aclose()
     async with asyncio.timeout(LIMIT_S):
-        heard = await asyncio.gather(*tasks.values(), return_exceptions=True)
-    told = {name: f"{type(one).__name__}: {one}" for name, one in zip(CALLS, heard, strict=True)}
-    assert told == dict.fromkeys(CALLS, f"Unavailable: {SENTENCE}")
+        outcomes = await asyncio.gather(*tasks.values(), return_exceptions=True)
+    errors = {name: f"{type(one).__name__}: {one}" for name, one in zip(CALLS, outcomes, strict=True)}
+    assert errors == dict.fromkeys(CALLS, f"Unavailable: {SENTENCE}")
 
 
 @pytest.mark.parametrize("kind", ["items", "cuts", "matches", "peers"])

@@ -108,14 +108,14 @@ def test_a_producers_put_does_not_wait_for_ever(cluster: LocalCluster) -> None:
         producer.flush()
         frozen = owner(cluster, channel)
         payload, handed_over = pause_with_large_payload(frozen), 0
-        told = ""
-        while not told:
+        error_text = ""
+        while not error_text:
             try:
                 producer.put(payload, timeout=0.2)
                 handed_over += 1
             except st.DeadlineExceeded as error:
-                told = error.message
-        assert "the host of channel 'cam/a' did not acknowledge" in told
+                error_text = error.message
+        assert "the host of channel 'cam/a' did not acknowledge" in error_text
         assert handed_over >= 8
         frozen.resume()
         producer.flush(30)
@@ -131,14 +131,14 @@ async def test_an_awaited_producers_put_does_not_wait_for_ever(cluster: LocalClu
         await producer.flush()
         frozen = owner(cluster, channel)
         payload, handed_over = pause_with_large_payload(frozen), 0
-        told = ""
-        while not told:
+        error_text = ""
+        while not error_text:
             try:
                 await producer.put(payload, timeout=0.2)
                 handed_over += 1
             except st.DeadlineExceeded as error:
-                told = error.message
-        assert "the host of channel 'cam/a' did not acknowledge" in told
+                error_text = error.message
+        assert "the host of channel 'cam/a' did not acknowledge" in error_text
         assert handed_over >= 8
         frozen.resume()
         await producer.flush(30)

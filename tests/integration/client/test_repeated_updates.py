@@ -167,7 +167,7 @@ async def test_the_age_of_an_update_includes_the_time_that_the_machine_slept(
         assert servicer.seen[-1][1] >= FAILURES * 60 * 10**9
 
 
-@pytest.mark.parametrize("told", ["-1", "1.5", "", "٣", "9" * 13])
-def test_an_invalid_age_of_an_update_is_refused(told: str) -> None:
+@pytest.mark.parametrize("stated_age", ["-1", "1.5", "", "٣", "9" * 13])
+def test_an_invalid_age_of_an_update_is_refused(stated_age: str) -> None:
     with pytest.raises(stampede_rt.InvalidArgument, match="whole milliseconds"):
-        request_age_nanos([(METADATA_KEY, told)])
+        request_age_nanos([(METADATA_KEY, stated_age)])

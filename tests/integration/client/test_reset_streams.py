@@ -89,8 +89,8 @@ async def test_a_reset_stream_is_internal_for_grpc_and_unavailable_for_the_clien
         with pytest.raises(grpc.RpcError) as caught:
             await reading
         assert caught.value.code() is grpc.StatusCode.INTERNAL
-        told = from_rpc_error(caught.value, world.host)
-        assert (type(told), told.retryable) == (st.Unavailable, True)
+        error = from_rpc_error(caught.value, world.host)
+        assert (type(error), error.retryable) == (st.Unavailable, True)
 
 
 async def test_puts_and_gets_continue_after_resets(world: World, rt: Any) -> None:

@@ -231,10 +231,10 @@ def test_the_error_names_a_front_end_in_place_of_a_supernode_and_the_reverse(
     stampede: Run, cluster: LocalCluster
 ) -> None:
     [member] = json.loads(stampede("supernode", "status", "-o", "json").stdout)
-    said = stampede("supernode", "status", "--member", cluster.address, status=1).stderr
-    assert "no supernode answers there, but another service does; name a front-end with --url" in said
-    said = stampede("supernode", "status", "--url", member["address"], status=1).stderr
-    assert "no front-end answers there, but another service does; name a supernode with --member" in said
+    error_output = stampede("supernode", "status", "--member", cluster.address, status=1).stderr
+    assert "no supernode answers there, but another service does; name a front-end with --url" in error_output
+    error_output = stampede("supernode", "status", "--url", member["address"], status=1).stderr
+    assert "no front-end answers there, but another service does; name a supernode with --member" in error_output
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["get", "--help"]])
@@ -320,7 +320,7 @@ def test_doctor_reports_a_healthy_cluster(stampede: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "said"),
+    ("arguments", "status", "expected"),
     [
         (["get", "no/such/channel"], 1, "`stampede ls` lists"),
         (["put", "Wrong Name", "x"], 2, "not allowed; use"),
@@ -341,9 +341,9 @@ def test_doctor_reports_a_healthy_cluster(stampede: Run) -> None:
         (["hz", "cli/wrong", "--every", "0"], 2, "0.05 to 3600"),
     ],
 )
-def test_wrong_usage_is_answered_with_advice(stampede: Run, arguments: list[str], status: int, said: str) -> None:
+def test_wrong_usage_is_answered_with_advice(stampede: Run, arguments: list[str], status: int, expected: str) -> None:
     stampede("put", "cli/wrong", "x", "--max-age", "60s")
-    assert said in stampede(*arguments, status=status).stderr
+    assert expected in stampede(*arguments, status=status).stderr
 
 
 def test_standard_input_larger_than_one_item_is_refused(stampede: Run) -> None:

@@ -36,9 +36,9 @@ class Doctor:
         """Run the command. Returns its exit status and its output. pytest shows the last output if a test fails."""
         self._capsys.readouterr()
         code = stampede(["doctor", *words])
-        said = self._capsys.readouterr().out
-        print(said)
-        return code, said
+        report = self._capsys.readouterr().out
+        print(report)
+        return code, report
 
 
 @pytest.fixture
@@ -50,24 +50,24 @@ def doctor(capsys: pytest.CaptureFixture[str]) -> Doctor:
 def test_doctor_names_the_supernodes_to_start_after_a_lost_quorum_also_without_a_front_end(
     cluster: LocalCluster, doctor: Doctor
 ) -> None:
-    code, said = doctor("--url", cluster.address)
-    assert (code, "3 of 3 serve" in said, "Everything is well." in said) == (0, True, True)
+    code, report = doctor("--url", cluster.address)
+    assert (code, "3 of 3 serve" in report, "Everything is well." in report) == (0, True, True)
     for supernode in cluster.supernodes[1:]:
         supernode.kill()
-    code, said = doctor("--url", cluster.address)
-    assert (code, "1 of 3 run" in said) == (1, True)
-    assert "start s2 and s3 with their data folders. If the folders are lost, see the runbook: lose two" in said
-    assert "Hosts cannot renew their leases: within 5 s they refuse all calls. They keep their items" in said
+    code, report = doctor("--url", cluster.address)
+    assert (code, "1 of 3 run" in report) == (1, True)
+    assert "start s2 and s3 with their data folders. If the folders are lost, see the runbook: lose two" in report
+    assert "Hosts cannot renew their leases: within 5 s they refuse all calls. They keep their items" in report
 
     cluster.frontends[0].stop()
-    code, said = doctor("--url", cluster.address)
-    assert (code, "0 of 1 serve" in said) == (1, True)
-    assert "connected clients go on, but no new client can connect; start a front-end" in said
-    assert "stampede doctor --member HOST:PORT" in said
-    code, said = doctor("--url", cluster.address, "--member", cluster.supernodes[0].address)
-    assert (code, "start s2 and s3" in said, "host h1" in said) == (1, True, True)
+    code, report = doctor("--url", cluster.address)
+    assert (code, "0 of 1 serve" in report) == (1, True)
+    assert "connected clients go on, but no new client can connect; start a front-end" in report
+    assert "stampede doctor --member HOST:PORT" in report
+    code, report = doctor("--url", cluster.address, "--member", cluster.supernodes[0].address)
+    assert (code, "start s2 and s3" in report, "host h1" in report) == (1, True, True)
     for supernode in cluster.supernodes:
-        assert supernode.address in said.partition("start a front-end: stampede frontend --supernodes ")[2]
+        assert supernode.address in report.partition("start a front-end: stampede frontend --supernodes ")[2]
 
 
 @pytest.mark.without_rules("a client token cannot host channels")
@@ -80,11 +80,11 @@ def test_doctor_and_errors_say_who_has_the_items_of_a_recorded_channel_whose_pro
             channel = other.channel("cam/rec", create=False)
         with pytest.raises(st.Unavailable, match=r"host of the recorded channel 'cam/rec' \(ended\) is away; start it"):
             channel.newest()
-    code, said = doctor("--url", cluster.address)
-    assert (code, "with its items" in said) == (1, False)
-    assert "1 of 1 recorded at an absent host" in row(said, "channels")
+    code, report = doctor("--url", cluster.address)
+    assert (code, "with its items" in report) == (1, False)
+    assert "1 of 1 recorded at an absent host" in row(report, "channels")
     named = f"start host ended (archive: {tmp_path}) again"
-    assert f"{named} with the same archive, which has the recorded items of cam/rec" in said
+    assert f"{named} with the same archive, which has the recorded items of cam/rec" in report
 
 
 @pytest.mark.without_rules("doctor tells an operator more")
@@ -93,36 +93,36 @@ def test_doctor_reports_a_killed_host_and_its_channels_until_it_restarts(cluster
     with st.connect(cluster.address) as rt:
         rt.channel("cam/left", max_age="10s", host="h1").put(b"gone soon")
         rt.queue("jobs", host="h1").put(b"gone soon")
-        code, said = doctor("--url", cluster.address)
-        assert (code, "1, none lost" in said) == (0, True)
+        code, report = doctor("--url", cluster.address)
+        assert (code, "1, none lost" in report) == (0, True)
         for host in cluster.hosts:
             host.kill()
         wait_until(lambda: doctor("--url", cluster.address)[1].count(" ago") == 2)
-    code, said = doctor("--url", cluster.address)
-    assert (code, "Everything is well." in said) == (1, False)
-    assert re.search(r"^host h2 +\S+ +lost \S+ m?s ago", said, re.M), "h2 held nothing, but doctor reports it, too"
-    assert "channels: the items of cam/left were lost with host h1" in said
-    assert "queues: the items of jobs were lost with host h1" in said
+    code, report = doctor("--url", cluster.address)
+    assert (code, "Everything is well." in report) == (1, False)
+    assert re.search(r"^host h2 +\S+ +lost \S+ m?s ago", report, re.M), "h2 held nothing, but doctor reports it, too"
+    assert "channels: the items of cam/left were lost with host h1" in report
+    assert "queues: the items of jobs were lost with host h1" in report
     empty.restart()
-    code, said = doctor("--url", cluster.address)
-    assert (code, "lost" in row(said, "host h2"), "lost" in row(said, "host h1")) == (1, False, True)
+    code, report = doctor("--url", cluster.address)
+    assert (code, "lost" in row(report, "host h2"), "lost" in row(report, "host h1")) == (1, False, True)
     cluster.hosts[0].restart()  # without its data folder h1 comes back as another host
-    code, said = doctor("--url", cluster.address)
-    assert (code, "came back without its data folder" in said) == (1, True)
+    code, report = doctor("--url", cluster.address)
+    assert (code, "came back without its data folder" in report) == (1, True)
     with st.connect(cluster.address) as rt:
         rt.channel("cam/left").put(b"anew")
         rt.queue("jobs").put(b"anew")
-    code, said = doctor("--url", cluster.address)
-    assert (code, "Everything is well." in said, row(said, "channels").split()[2]) == (0, True, "1,"), said
+    code, report = doctor("--url", cluster.address)
+    assert (code, "Everything is well." in report, row(report, "channels").split()[2]) == (0, True, "1,"), report
 
 
 def put_until_refused(handle: st.Channel | st.Queue) -> None:
     """Put once. The client repeats the put for some seconds. Put again if a busy host did not answer the last try."""
-    told: st.StampedeError | None = None
-    while not isinstance(told, st.Overloaded):
+    refusal: st.StampedeError | None = None
+    while not isinstance(refusal, st.Overloaded):
         with pytest.raises((st.Overloaded, st.Unavailable)) as raised:
             handle.put(bytes(200_000), timeout=2)
-        told = raised.value
+        refusal = raised.value
 
 
 def test_puts_that_a_full_host_refuses_are_counted_logged_and_reported(cluster: LocalCluster, doctor: Doctor) -> None:
@@ -141,12 +141,14 @@ def test_puts_that_a_full_host_refuses_are_counted_logged_and_reported(cluster: 
                     refusing.result()
             refused = [one.stats().rejected["overloaded"] for one in (channel, jobs)]
             assert min(refused) > 1, "each try counts"
-        code, said = doctor("--url", cluster.address)
-        assert (code, f"{sum(refused)} puts refused" in row(said, "host small")) == (1, True)
-        assert re.search(r"refused puts as Overloaded, the last one \S+ m?s ago; it holds \S+ KiB of 1.0 MiB", said)
-        told = [line for line in small.last_lines if "puts are refused" in line]
-        assert 1 <= len(told) < sum(refused), "the host logs the first refusal immediately, and then one line for many"
-        assert "last_for=big" in told[0] or "big-jobs" in told[0]
+        code, report = doctor("--url", cluster.address)
+        assert (code, f"{sum(refused)} puts refused" in row(report, "host small")) == (1, True)
+        assert re.search(r"refused puts as Overloaded, the last one \S+ m?s ago; it holds \S+ KiB of 1.0 MiB", report)
+        refusal_lines = [line for line in small.last_lines if "puts are refused" in line]
+        assert 1 <= len(refusal_lines) < sum(refused), (
+            "the host logs the first refusal immediately, and then one line for many"
+        )
+        assert "last_for=big" in refusal_lines[0] or "big-jobs" in refusal_lines[0]
     finally:
         small.stop()
 
@@ -160,17 +162,17 @@ def test_doctor_does_not_report_a_front_end_as_down_if_its_seeds_do_not_answer(
     lost.start()
     try:
         lost.wait_ready(PATIENCE_SECONDS)
-        code, said = doctor("--url", lost.address)
+        code, report = doctor("--url", lost.address)
     finally:
         lost.stop()
-    assert (code, "no supernode" in said) == (1, True)
-    assert f"no supernode answers this front-end ({NOBODY}" in said
-    assert "they run, but reach no supernode" in said
+    assert (code, "no supernode" in report) == (1, True)
+    assert f"no supernode answers this front-end ({NOBODY}" in report
+    assert "they run, but reach no supernode" in report
 
 
 def test_doctor_names_the_service_to_start_where_nothing_listens(doctor: Doctor) -> None:
-    code, said = doctor("--url", NOBODY)
-    assert (code, f"front-end {NOBODY}" in said, "start a front-end: stampede frontend" in said) == (1, True, True)
+    code, report = doctor("--url", NOBODY)
+    assert (code, f"front-end {NOBODY}" in report, "start a front-end: stampede frontend" in report) == (1, True, True)
 
 
 @pytest.fixture
@@ -180,9 +182,9 @@ def secured(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalCluster]:
         yield made
 
 
-def row(said: str, part: str) -> str:
+def row(report: str, part: str) -> str:
     """The line of the table about that part."""
-    return next((line for line in said.splitlines() if line.startswith(f"{part} ")), "")
+    return next((line for line in report.splitlines() if line.startswith(f"{part} ")), "")
 
 
 def use(files: st.TlsFiles, patch: pytest.MonkeyPatch) -> None:
@@ -197,8 +199,8 @@ def test_certificates_that_end_soon_or_have_ended_are_reported_with_their_owners
     assert certificates is not None
     soon = certificates.issue(Role.CLIENT, "soon", begins=datetime.now(UTC) - 27 * DAY, lifetime=30 * DAY)
     use(soon, monkeypatch)
-    code, said = doctor("--url", secured.address)
-    assert (code, f"this caller {soon.certificate}: its certificate ends in 3.0 days; issue it anew" in said) == (
+    code, report = doctor("--url", secured.address)
+    assert (code, f"this caller {soon.certificate}: its certificate ends in 3.0 days; issue it anew" in report) == (
         1,
         True,
     )
@@ -207,9 +209,9 @@ def test_certificates_that_end_soon_or_have_ended_are_reported_with_their_owners
     well = certificates.issue(Role.CLIENT, "well")
     use(well, monkeypatch)
     wait_until(lambda: explain_refusal(secured.address, TlsReader(well)) is not None)
-    code, said = doctor("--url", secured.address)
-    assert (code, f"the certificate of {secured.address} has expired; issue it anew" in said) == (1, True)
+    code, report = doctor("--url", secured.address)
+    assert (code, f"the certificate of {secured.address} has expired; issue it anew" in report) == (1, True)
 
     use(certificates.issue(Role.CLIENT, "late", begins=datetime.now(UTC) - 2 * DAY, lifetime=DAY), monkeypatch)
-    code, said = doctor("--url", secured.address)
-    assert (code, "has expired; issue it anew (stampede certs issue)" in said) == (1, True)
+    code, report = doctor("--url", secured.address)
+    assert (code, "has expired; issue it anew (stampede certs issue)" in report) == (1, True)

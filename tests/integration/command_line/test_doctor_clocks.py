@@ -108,43 +108,43 @@ async def running(everything: WholeClusterServer) -> AsyncIterator[None]:
         yield
 
 
-async def said_of(everything: WholeClusterServer, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+async def doctor_report(everything: WholeClusterServer, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
     async with running(everything):
         code = await asyncio.to_thread(stampede, ["doctor", "--url", everything.address])
     return code, capsys.readouterr().out
 
 
 async def test_doctor_has_no_finding_if_all_clocks_agree(capsys: pytest.CaptureFixture[str]) -> None:
-    code, said = await said_of(WholeClusterServer(), capsys)
-    assert (code, "Everything is well." in said) == (0, True), said
+    code, report = await doctor_report(WholeClusterServer(), capsys)
+    assert (code, "Everything is well." in report) == (0, True), report
 
 
 async def test_a_host_whose_clock_is_ahead_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     everything = WholeClusterServer()
     everything.host_ahead_nanos = HOUR_NANOS
-    code, said = await said_of(everything, capsys)
-    assert code == 1, said
-    assert re.search(r"clocks: the clock of host h1 is \S+ [mh] ahead of the others'; synchronise it", said), said
-    assert "50 ms are allowed" in said
+    code, report = await doctor_report(everything, capsys)
+    assert code == 1, report
+    assert re.search(r"clocks: the clock of host h1 is \S+ [mh] ahead of the others'; synchronise it", report), report
+    assert "50 ms are allowed" in report
 
 
 async def test_doctor_names_this_machine_if_all_clocks_disagree_with_it(capsys: pytest.CaptureFixture[str]) -> None:
     everything = WholeClusterServer()
     everything.all_ahead_nanos = HOUR_NANOS
-    code, said = await said_of(everything, capsys)
-    assert code == 1, said
+    code, report = await doctor_report(everything, capsys)
+    assert code == 1, report
     assert re.search(
-        r"clocks: this machine's clock is \S+ [mh] behind the cluster's; synchronise this machine's", said
-    ), said
+        r"clocks: this machine's clock is \S+ [mh] behind the cluster's; synchronise this machine's", report
+    ), report
 
 
 async def test_a_host_of_another_version_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     everything = WholeClusterServer()
     everything.host_version = "9.9.9"
-    code, said = await said_of(everything, capsys)
-    assert code == 1, said
-    assert "9.9.9: host h1" in said
-    assert f"{VERSION}: this caller, front-end and supernode s1" in said
+    code, report = await doctor_report(everything, capsys)
+    assert code == 1, report
+    assert "9.9.9: host h1" in report
+    assert f"{VERSION}: this caller, front-end and supernode s1" in report
 
 
 def peer(name: str, *, ahead_nanos: int | None = None, supernode: str = "s1") -> peer_pb2.PeerRecord:
@@ -152,8 +152,8 @@ def peer(name: str, *, ahead_nanos: int | None = None, supernode: str = "s1") ->
     return peer_pb2.PeerRecord(name=name, alive=True, version="3.1", clock=None if ahead_nanos is None else clock)
 
 
-def row(said: str, part: str) -> str:
-    [found] = [line for line in said.splitlines() if line.startswith(f"{part} ")]
+def row(report: str, part: str) -> str:
+    [found] = [line for line in report.splitlines() if line.startswith(f"{part} ")]
     return found
 
 
@@ -167,15 +167,15 @@ async def test_every_peer_is_shown_with_its_clock_and_one_that_is_off_is_named(
         peer("robot/new"),
         peer("robot/stray", ahead_nanos=5 * HOUR_NANOS, supernode="s9"),  # no supernode has pinged s9
     )
-    code, said = await said_of(everything, capsys)
-    assert code == 1, said
+    code, report = await doctor_report(everything, capsys)
+    assert code == 1, report
     assert re.search(
-        r"^clocks: the clock of peer robot/late is (2|1.9\d+|2.0\d+) h behind the others'; sync", said, re.M
-    ), said
-    assert re.search(r"^peer robot/late +- +ok .* -(2|1.9\d+|2.0\d+) h +- +3\.1$", said, re.M), said
-    assert re.search(r" (ns|us|ms) +- +3\.1$", row(said, "peer robot/good")), said
+        r"^clocks: the clock of peer robot/late is (2|1.9\d+|2.0\d+) h behind the others'; sync", report, re.M
+    ), report
+    assert re.search(r"^peer robot/late +- +ok .* -(2|1.9\d+|2.0\d+) h +- +3\.1$", report, re.M), report
+    assert re.search(r" (ns|us|ms) +- +3\.1$", row(report, "peer robot/good")), report
     for unknown in ("robot/new", "robot/stray"):
-        assert re.search(r"ok +- +unknown +- +3\.1$", row(said, f"peer {unknown}")), said
+        assert re.search(r"ok +- +unknown +- +3\.1$", row(report, f"peer {unknown}")), report
 
 
 async def test_doctor_names_this_machine_if_all_clocks_also_of_peers_disagree_with_it(
@@ -184,14 +184,14 @@ async def test_doctor_names_this_machine_if_all_clocks_also_of_peers_disagree_wi
     everything = WholeClusterServer()
     everything.all_ahead_nanos = HOUR_NANOS
     everything.peers = (peer("robot/good", ahead_nanos=0),)
-    code, said = await said_of(everything, capsys)
-    assert (code, said.count("synchronise")) == (1, 1), said
-    assert re.search(r" (1|1.0\d+|0.9\d+|59.\d+) [hm] +- +3\.1$", row(said, "peer robot/good")), said
+    code, report = await doctor_report(everything, capsys)
+    assert (code, report.count("synchronise")) == (1, 1), report
+    assert re.search(r" (1|1.0\d+|0.9\d+|59.\d+) [hm] +- +3\.1$", row(report, "peer robot/good")), report
 
 
 async def test_without_a_leader_peers_are_shown_without_their_clocks(capsys: pytest.CaptureFixture[str]) -> None:
     everything = WholeClusterServer()
     everything.leads = False
     everything.peers = (peer("robot/good", ahead_nanos=0), peer("robot/late", ahead_nanos=-2 * HOUR_NANOS))
-    code, said = await said_of(everything, capsys)
-    assert (code, said.count("unknown")) == (0, 2), said
+    code, report = await doctor_report(everything, capsys)
+    assert (code, report.count("unknown")) == (0, 2), report

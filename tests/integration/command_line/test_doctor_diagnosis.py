@@ -143,8 +143,8 @@ def test_a_certificate_that_ends_soon_or_has_ended_is_reported(left_s: float, ad
 def test_a_short_lived_certificate_is_reported_when_a_third_of_its_life_is_left() -> None:
     short = {"certificate_lasts_s": DAY_S}
     assert found(changed("h1", certificate_left_s=DAY_S / 2, **short), "host h1").advice == ""
-    told = found(changed("h1", certificate_left_s=DAY_S / 4, **short), "host h1").advice
-    assert told.startswith("its certificate ends in 6.0 hours; issue it anew")
+    advice = found(changed("h1", certificate_left_s=DAY_S / 4, **short), "host h1").advice
+    assert advice.startswith("its certificate ends in 6.0 hours; issue it anew")
 
 
 @pytest.mark.parametrize(
@@ -274,11 +274,11 @@ def test_doctor_advises_to_start_a_host_if_there_is_none() -> None:
 def test_the_report_names_the_feature_level_and_the_supernodes_that_hold_it_down(
     levels: dict[str, tuple[int, int]], state: str, advice: str
 ) -> None:
-    told = [
+    findings = [
         seen(SUPERNODE, name, feature_level=level, highest_feature_level=highest)
         for name, (level, highest) in levels.items()
     ]
-    finding = found(told, "feature level")
+    finding = found(findings, "feature level")
     assert finding.state == state
     assert finding.advice.startswith(advice)
     assert bool(finding.advice) == bool(advice)

@@ -38,9 +38,9 @@ def test_events_go_on_after_the_loss_of_their_host_and_no_file_of_an_event_is_ov
             events.put(b"crash", timeout=20)
             wait_until(lambda: (tmp_path / "crash-000001-2.mcap").exists())
             process.send_signal(signal.SIGTERM)
-            _, told = process.communicate(timeout=30)
+            _, error_output = process.communicate(timeout=30)
     assert process.returncode == 3
-    assert "events may be missing: channel 'crash'" in told
+    assert "events may be missing: channel 'crash'" in error_output
     assert seqs_of(read(tmp_path / "crash-000001.mcap")[0], "data") == [1]
     assert seqs_of(read(tmp_path / "crash-000001-2.mcap")[0], "data") == [1, 2]
 
@@ -56,9 +56,9 @@ def test_the_end_of_the_events_finishes_the_files_that_are_under_way(cluster: Lo
             events.put(b"crash")
             wait_until(lambda: any(tmp_path.iterdir()))
             events.delete()
-            _, told = process.communicate(timeout=30)
+            _, error_output = process.communicate(timeout=30)
     assert process.returncode == 1
-    assert "channel ends/crash was deleted" in told
+    assert "channel ends/crash was deleted" in error_output
     assert (tmp_path / "crash-000001.mcap").read_bytes().endswith(b"MCAP0\r\n")
 
 

@@ -127,10 +127,10 @@ def test_ctrl_c_ends_every_endless_command(printed_things: Stage) -> None:
             wait_until(lambda process=process: has_loaded_grpc(process.pid), command)  # type: ignore[misc]
             process.send_signal(signal.SIGINT)
         for command, process in processes.items():
-            said = process.communicate(timeout=100)[1]
-            assert process.returncode in UNENDING[command], (command, said)
-            assert "Traceback" not in said, command
-            assert "a defect" not in said, command
+            error_output = process.communicate(timeout=100)[1]
+            assert process.returncode in UNENDING[command], (command, error_output)
+            assert "Traceback" not in error_output, command
+            assert "a defect" not in error_output, command
 
 
 def has_loaded_grpc(pid: int) -> bool:
@@ -150,7 +150,7 @@ def test_a_verb_ends_quietly_with_status_0_when_nothing_reads_its_pipe(
         os.close(reading)  # as `head` does when it has read its line
         status = status_of(words, name, piped_things)
         monkeypatch.undo()
-    said = capfd.readouterr().err
-    assert status == 0, said
+    error_output = capfd.readouterr().err
+    assert status == 0, error_output
     for word in ("Broken pipe", "BrokenPipe", "Traceback", "a defect", "Exception ignored"):
-        assert word not in said
+        assert word not in error_output

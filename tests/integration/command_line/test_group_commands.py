@@ -61,19 +61,19 @@ def test_a_group_is_made_listed_and_deleted(run: Command, base: int) -> None:
     assert run("remove", "short", "rig/right")[1] == "short: rig/left\n"
     assert run("add", "short", "rig/right")[1] == "short: rig/left, rig/right\n"
     assert "its channels stay" in run("delete", "short")[1]
-    status, _, told = run("status", "short")
+    status, _, error_output = run("status", "short")
     assert status == 1
-    assert "short" in told
+    assert "short" in error_output
 
 
 def test_the_status_of_a_group_names_the_channel_that_holds_it_back(run: Command, rt: st.Connection, base: int) -> None:
     run("create", "rig", "rig/left", "rig/right")
     rt.group("rig")["rig/left"].get(base + SECOND, base + SECOND, match="start", timeout=10)
-    status, said, _ = run("status", "rig")
+    status, printed, _ = run("status", "rig")
     assert status == 0
-    assert "rig/right holds it back" in said
+    assert "rig/right holds it back" in printed
     left, right = (
-        next(line for line in said.splitlines() if line.startswith(f"rig/{side} ")) for side in ("left", "right")
+        next(line for line in printed.splitlines() if line.startswith(f"rig/{side} ")) for side in ("left", "right")
     )
     assert ("at the cut" in left, "at the cut" in right) == (False, True)
     newest = json.loads(run("newest", "rig", "-o", "json")[1])
@@ -87,11 +87,12 @@ def test_a_group_without_visible_items_has_a_reason_for_each_channel(run: Comman
         rt.channel(name, max_age="60s", host=host).put(b"first")
     run("create", "young", "early", "late")
     for words in (("newest", "young"), ("get", "young", "oldest", "newest"), ("newest", "young", "-o", "json")):
-        status, _, told = run(*words)
+        status, _, error_output = run(*words)
         assert status == 3
         for name in ("early", "late"):
             assert any(
-                line.startswith(f"stampede: {name}: HIDDEN: the group hides items") for line in told.splitlines()
+                line.startswith(f"stampede: {name}: HIDDEN: the group hides items")
+                for line in error_output.splitlines()
             )
 
 
@@ -130,5 +131,5 @@ def test_cuts_and_matches_are_printed_when_they_arrive(
 @pytest.mark.parametrize("words", [["status"], ["newest"], ["get", "oldest", "newest"], ["watch"], ["delete"]])
 def test_an_unknown_group_is_reported_with_advice_for_the_shell(run: Command, words: list[str]) -> None:
     verb, *rest = words
-    status, _, said = run(verb, "rig/nowhere", *rest)
-    assert (status, "`stampede group ls` lists" in said) == (1, True)
+    status, _, error_output = run(verb, "rig/nowhere", *rest)
+    assert (status, "`stampede group ls` lists" in error_output) == (1, True)

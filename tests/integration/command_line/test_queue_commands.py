@@ -40,8 +40,8 @@ def test_a_queued_message_is_delivered_once(stampede: Run) -> None:
     shown, _ = stampede("queue", "get", "cli/jobs", "-n", "5", "--timeout", "0.1")
     assert shown.endswith("#1 (delivery 2) by=me  do it\n")
     assert stampede("queue", "get", "cli/jobs", "--timeout", "0", status=3) == ("", "stampede: there is no message\n")
-    _, said = stampede("queue", "get", "cli/jobs", "--timeout", "0.1", status=3)
-    assert said == "stampede: no message came within 0.1 s\n"
+    _, error_output = stampede("queue", "get", "cli/jobs", "--timeout", "0.1", status=3)
+    assert error_output == "stampede: no message came within 0.1 s\n"
 
 
 def test_programs_read_and_write_json(stampede: Run) -> None:
@@ -90,8 +90,8 @@ def test_pending_messages_are_listed(stampede: Run, cluster: LocalCluster) -> No
         rt.send("cli-taker", b"x")
         assert rt.mailbox.get(timeout=10)
         assert "cli-taker" in stampede("mailbox", "pending", "cli-taker")[0]
-    _, said = stampede("mailbox", "pending", "cli-taker", status=1)
-    assert "no live peer is named cli-taker" in said
+    _, error_output = stampede("mailbox", "pending", "cli-taker", status=1)
+    assert "no live peer is named cli-taker" in error_output
 
 
 def test_a_message_is_terminated_with_a_reason_and_its_dead_letter_has_it(stampede: Run) -> None:
@@ -135,14 +135,14 @@ def test_a_queue_is_deleted(stampede: Run) -> None:
     stampede("queue", "put", "cli/gone", "x")
     assert stampede("queue", "delete", "cli/gone") == ("cli/gone is deleted\n", "")
     for verb in ("get", "info", "delete"):
-        _, said = stampede("queue", verb, "cli/gone", status=1)
-        assert said.startswith("stampede: there is no queue cli/gone; `stampede queue ls` lists the queues")
+        _, error_output = stampede("queue", verb, "cli/gone", status=1)
+        assert error_output.startswith("stampede: there is no queue cli/gone; `stampede queue ls` lists the queues")
 
 
 def test_a_policy_that_differs_from_the_present_policy_of_the_queue_is_refused(stampede: Run) -> None:
     stampede("queue", "put", "cli/stated", "x", "--max-items", "5")
-    _, said = stampede("queue", "put", "cli/stated", "x", "--max-items", "6", status=1)
-    assert "max_items 5" in said
+    _, error_output = stampede("queue", "put", "cli/stated", "x", "--max-items", "6", status=1)
+    assert "max_items 5" in error_output
 
 
 def test_a_peer_takes_a_message_that_was_sent_to_it(stampede: Run, cluster: LocalCluster) -> None:
@@ -162,17 +162,17 @@ def test_a_peer_takes_a_message_that_was_sent_to_it(stampede: Run, cluster: Loca
         (row,) = json.loads(stampede("peers", "cli/*", "-o", "json")[0])
         assert (row["peer"], row["alive"], row["mailbox"], row["zone"]) == ("cli/robot", True, True, "lab")
         assert abs(row["clock"]["offset_nanos"]) <= row["clock"]["uncertainty_nanos"]
-        _, said = stampede("mailbox", "get", "cli/robot", status=1)
-        assert "another live peer has the name" in said
+        _, error_output = stampede("mailbox", "get", "cli/robot", status=1)
+        assert "another live peer has the name" in error_output
 
 
 def test_sending_to_an_absent_peer_fails(stampede: Run) -> None:
     for verb in (("send", "cli/nobody", "x"), ("info", "cli/nobody")):
-        _, said = stampede("mailbox", *verb, status=1)
-        assert said == "stampede: no live peer is named cli/nobody; `stampede peers` lists the live ones\n"
+        _, error_output = stampede("mailbox", *verb, status=1)
+        assert error_output == "stampede: no live peer is named cli/nobody; `stampede peers` lists the live ones\n"
     assert stampede("peers", "nothing/*")[0] == "no peer matches 'nothing/*'\n"
 
 
 def test_a_command_is_a_peer_while_it_runs(stampede: Run) -> None:
-    _, said = stampede("mailbox", "get", "cli/short", "--timeout", "0.1", status=3)
-    assert said == "stampede: no message came within 0.1 s\n"
+    _, error_output = stampede("mailbox", "get", "cli/short", "--timeout", "0.1", status=3)
+    assert error_output == "stampede: no message came within 0.1 s\n"

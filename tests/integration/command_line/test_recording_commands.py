@@ -53,9 +53,9 @@ def test_the_held_items_of_a_channel_are_recorded_to_a_file(run: Command, rt: st
     channel, path = rt.channel("flight", max_age="60s"), tmp_path / "a.mcap"
     for number in range(5):
         channel.put(b"%d" % number)
-    status, out, told = run("record", "fli*", "--since", "30s", "--for", "0s", "-o", path)
+    status, out, error_output = run("record", "fli*", "--since", "30s", "--for", "0s", "-o", path)
     assert (status, out.splitlines()[1].split()[:4]) == (0, ["flight", "5", "5", "0"])
-    assert "recording flight" in told
+    assert "recording flight" in error_output
     status, out, _ = run("file", "info", path)
     assert status == 0
     assert "stampede-rt" in out
@@ -111,17 +111,19 @@ def test_a_recording_that_is_killed_can_be_recovered(
         wait_until(lambda: path.exists() and path.stat().st_size > 20 * 100_000)  # an empty file cannot be read
         wait_until(lambda: len(seqs_of(read(path)[0], "killed")) >= 20)
         process.send_signal(signal.SIGKILL)
-    status, out, told = run("file", "recover", path, "-o", saved)
+    status, out, error_output = run("file", "recover", path, "-o", saved)
     assert status == 3  # the file does not say whether later items existed
     seqs = seqs_of(read(saved)[0], "killed")
     assert seqs == list(range(1, len(seqs) + 1))
     assert len(seqs) >= 20
     assert f"killed: an unknown number of items, seq {len(seqs) + 1} to ?: DAMAGED" in out
-    assert "the file ends without its end mark" in told
+    assert "the file ends without its end mark" in error_output
     (tmp_path / "begun.mcap").write_bytes(path.read_bytes()[:40])
-    status, out, told = run("file", "recover", tmp_path / "begun.mcap", "-o", tmp_path / "c.mcap", "--output", "json")
+    status, out, error_output = run(
+        "file", "recover", tmp_path / "begun.mcap", "-o", tmp_path / "c.mcap", "--output", "json"
+    )
     assert (status, out, (tmp_path / "c.mcap").exists()) == (1, "", False)
-    assert "begun.mcap" in told
+    assert "begun.mcap" in error_output
     held = {one.seq: one.payload for one in channel.get(st.OLDEST, st.NOW)}
     assert all(held[one.seq or 0] == one.data for one in read(saved)[0] if getattr(one, "seq", None))
     assert run("file", "verify", saved)[0] == 3
@@ -159,10 +161,10 @@ def test_an_event_above_the_limit_is_named_and_the_status_is_3(
     rt: st.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(record, "PARALLEL_RECORDINGS_MAX", 1)
-    events, said = rt.channel("limit/events"), []
+    events, notes = rt.channel("limit/events"), []
     words = ["record", "limit/*", "--on", "limit/events", "--for", "1h", "-o", str(tmp_path / "a.mcap")]
     recordings = record._EventRecordings(rt, parser_of("record").parse_args(words))
-    thread = threading.Thread(target=lambda: said.append(recordings.run()))
+    thread = threading.Thread(target=lambda: notes.append(recordings.run()))
     thread.start()
     wait_until(lambda: events.stats().subscriptions == 1)
     events.put(b"1")
@@ -170,18 +172,18 @@ def test_an_event_above_the_limit_is_named_and_the_status_is_3(
     wait_until(lambda: recordings._incomplete)
     recordings._stop()
     thread.join(30)
-    assert said == [3]
+    assert notes == [3]
     assert "event #2 has no file: 1 recordings are under way" in capsys.readouterr().err
     assert _is_finished(tmp_path / "a-000001.mcap")
 
 
 def test_wrong_usage_names_the_right_usage(run: Command, tmp_path: Path) -> None:
-    status, _, told = run("record", "any", "--on", "event", "-o", tmp_path / "a.mcap")
-    assert (status, "--on needs --for" in told) == (2, True)
-    status, _, told = run("record", "any", "--since", "30", "-o", tmp_path / "a.mcap")
-    assert (status, "--since" in told) == (2, True)
-    status, _, told = run("file", "info", tmp_path / "none.mcap")
-    assert (status, "No such file" in told) == (1, True)
+    status, _, error_output = run("record", "any", "--on", "event", "-o", tmp_path / "a.mcap")
+    assert (status, "--on needs --for" in error_output) == (2, True)
+    status, _, error_output = run("record", "any", "--since", "30", "-o", tmp_path / "a.mcap")
+    assert (status, "--since" in error_output) == (2, True)
+    status, _, error_output = run("file", "info", tmp_path / "none.mcap")
+    assert (status, "No such file" in error_output) == (1, True)
     assert not list(tmp_path.iterdir())
 
 
@@ -203,17 +205,17 @@ def test_names_in_a_hostile_file_are_escaped_at_the_terminal(run: Command, tmp_p
     bad = Topic("\x1b]0;title\x07cam", "json\x1b[2J", INCARNATION)
     path = write(tmp_path / "a.mcap", [item_entry(bad, item(1)), gap("\x1b[31mgap", 1, 2)])
     for verb in ("info", "verify"):
-        _, out, told = run("file", verb, path)
-        assert "\x1b" not in out + told
+        _, out, error_output = run("file", verb, path)
+        assert "\x1b" not in out + error_output
         assert "\\x1b" in out
 
 
 def test_info_on_a_torn_file_gives_advice(run: Command, tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", entries("cam", range(1, 30)), finish=False)
-    status, _, told = run("file", "info", path)
-    assert (status, "`stampede file recover`" in told) == (1, True)
-    status, _, told = run("file", "verify", path)
-    assert (status, "ends without its end mark" in told) == (1, True)
+    status, _, error_output = run("file", "info", path)
+    assert (status, "`stampede file recover`" in error_output) == (1, True)
+    status, _, error_output = run("file", "verify", path)
+    assert (status, "ends without its end mark" in error_output) == (1, True)
 
 
 def test_the_help_loads_no_library_of_files() -> None:
@@ -231,8 +233,8 @@ def test_without_the_library_the_error_names_the_extra(
     for name in [one for one in sys.modules if one.startswith(loaded)]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    status, _, told = run("record", "any", "--for", "0s", "-o", tmp_path / "a.mcap")
-    assert (status, "pip install 'stampede-rt[files]'" in told) == (1, True)
+    status, _, error_output = run("record", "any", "--for", "0s", "-o", tmp_path / "a.mcap")
+    assert (status, "pip install 'stampede-rt[files]'" in error_output) == (1, True)
 
 
 def test_two_threads_of_a_recording_do_not_share_a_turn(rt: st.Connection, tmp_path: Path) -> None:
@@ -251,10 +253,10 @@ def test_a_file_is_replayed_and_imported(run: Command, rt: st.Connection, tmp_pa
     path = write(
         tmp_path / "a.mcap", [*entries("cam", range(1, 11)), gap("cam", 11, 12), *entries("cam", range(13, 15))]
     )
-    status, out, told = run("replay", path, "--as", "played/", "--speed", "max", "--shift", "now")
+    status, out, error_output = run("replay", path, "--as", "played/", "--speed", "max", "--shift", "now")
     assert (status, out.splitlines()[1].split()) == (3, ["played/cam", "12"])
     assert "missing in the file: cam: 2 items, seq 11 to 12: COLLECTED: too slow" in out
-    assert "into played/cam" in told
+    assert "into played/cam" in error_output
     words = ("import", path, "--as", "kept/", "--channel", "c*", "--from", item(5).time, "--summary", "json")
     status, out, _ = run(*words)
     assert (status, json.loads(out)["items"], json.loads(out)["complete"]) == (3, {"kept/cam": 8}, False)
@@ -275,9 +277,9 @@ def test_the_commands_that_copy_a_recovered_file_name_everything_that_it_may_lac
         ("file", "cut", saved, "-o", tmp_path / "cut.mcap"),
         ("file", "merge", saved, "-o", tmp_path / "merged.mcap"),
     ):
-        status, out, told = run(*words)
+        status, out, error_output = run(*words)
         assert (status, "had no end, so items of channels that it does not name may be missing" in out) == (3, True), (
-            told
+            error_output
         )
 
 
@@ -291,9 +293,9 @@ def test_channels_are_replayed_with_their_durations_attributes_advances_and_gaps
         right.put(b"%d" % number, time=began + number * 10**7 + 10**6)
     right.advance(began + 10**9)
     words = ("--as", "again/", "--speed", "max", "--shift", "now")
-    status, out, told = run("replay", "lab/*", "--from", str(began), *words)
+    status, out, error_output = run("replay", "lab/*", "--from", str(began), *words)
     assert status == 3  # the host had collected two items before the replay
-    assert "into again/lab/left and again/lab/right" in told
+    assert "into again/lab/left and again/lab/right" in error_output
     assert "missing in the file: lab/left: " in out
     played, other = (rt.channel(f"again/lab/{side}", create=False) for side in ("left", "right"))
     items, others = played.get(st.OLDEST, st.NEWEST), other.get(st.OLDEST, st.NEWEST)
@@ -316,9 +318,9 @@ def test_an_import_that_a_channel_would_refuse_ends_with_one_sentence(
 ) -> None:
     rt.channel("window/cam", max_age="5s")
     path = write(tmp_path / "a.mcap", entries("cam", range(1, 11)))
-    status, _, told = run("import", path, "--as", "window/")
-    assert (status, told.count("\n")) == (2, 1)
-    assert "channel 'window/cam' would refuse items of the file: it keeps items for 5 s" in told
+    status, _, error_output = run("import", path, "--as", "window/")
+    assert (status, error_output.count("\n")) == (2, 1)
+    assert "channel 'window/cam' would refuse items of the file: it keeps items for 5 s" in error_output
     assert rt.channel("window/cam").stats().accepted == 0
 
 
@@ -364,8 +366,8 @@ def test_the_items_of_channels_are_exported(run: Command, rt: st.Connection, tmp
 
 
 def test_an_export_without_a_format_or_a_source_is_refused(run: Command, tmp_path: Path) -> None:
-    status, _, told = run("export", "cam", "-o", tmp_path / "a.txt")
-    assert (status, "give --format" in told) == (2, True)
-    status, _, told = run("export", "nobody", "-o", tmp_path / "a.csv")
-    assert (status, "there is no file and no channel nobody" in told) == (2, True)
+    status, _, error_output = run("export", "cam", "-o", tmp_path / "a.txt")
+    assert (status, "give --format" in error_output) == (2, True)
+    status, _, error_output = run("export", "nobody", "-o", tmp_path / "a.csv")
+    assert (status, "there is no file and no channel nobody" in error_output) == (2, True)
     assert not list(tmp_path.iterdir())

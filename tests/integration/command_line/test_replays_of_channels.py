@@ -45,8 +45,8 @@ def test_a_replay_ignores_later_items_when_it_checks_which_items_the_channel_tak
     for number in range(10):
         channel.put(b"%d" % number, time=began + number * 10**9)
     words = ("--from", str(began), "--to", str(began + 2 * 10**9), "--as", "cut/", "--speed", "max", "--shift", "now")
-    status, out, told = run("replay", "until/cam", *words, "-o", "json")
-    assert (status, json.loads(out)["items"]) == (0, {"cut/until/cam": 2}), told
+    status, out, error_output = run("replay", "until/cam", *words, "-o", "json")
+    assert (status, json.loads(out)["items"]) == (0, {"cut/until/cam": 2}), error_output
 
 
 def test_a_replay_makes_no_channel_for_a_topic_without_items_in_its_interval(
@@ -60,8 +60,8 @@ def test_a_replay_makes_no_channel_for_a_topic_without_items_in_its_interval(
     late.advance(began + 20 * 10**9)
     assert run("record", "some/*", "--since", "60s", "--for", "0s", "-o", str(path))[0] == 0
     words = ("--to", str(began + 10**9), "--as", "part/", "--speed", "max", "--shift", "now")
-    status, out, told = run("replay", str(path), *words, "-o", "json")
-    assert (status, json.loads(out)["items"]) == (0, {"part/some/early": 4}), told
+    status, out, error_output = run("replay", str(path), *words, "-o", "json")
+    assert (status, json.loads(out)["items"]) == (0, {"part/some/early": 4}), error_output
     assert "part/some/late" not in [one.name for one in rt.channels()]
 
 
@@ -74,12 +74,13 @@ def test_a_replay_of_a_time_between_two_items_says_so_and_makes_no_channel(
     start, end = began + 5 * 10**9, began + 6 * 10**9
     window = f"from {format_instant(start)} on and before {format_instant(end)}"
     words = ("--from", str(start), "--to", str(end), "--as", "hole/", "--speed", "max", "--shift", "now")
-    status, _, told = run("replay", "pause/cam", *words)
-    assert (status, told) == (2, f"stampede: channel 'pause/cam' has no items {window}\n")
+    status, _, error_output = run("replay", "pause/cam", *words)
+    assert (status, error_output) == (2, f"stampede: channel 'pause/cam' has no items {window}\n")
     path = tmp_path / "pause.mcap"
     assert run("record", "pause/cam", "--since", "60s", "--for", "0s", "-o", str(path))[0] == 0
-    status, _, told = run("replay", str(path), *words)
-    assert (status, told) == (2, f"stampede: the file {str(path)!r} has no items of the chosen topics {window}\n")
+    status, _, error_output = run("replay", str(path), *words)
+    expected = f"stampede: the file {str(path)!r} has no items of the chosen topics {window}\n"
+    assert (status, error_output) == (2, expected)
     assert "hole/pause/cam" not in [one.name for one in rt.channels()]
 
 
@@ -90,10 +91,14 @@ def test_a_replay_of_channels_without_items_names_them_and_the_instants(run: Com
     channel.advance(began + 20 * 10**9)
     late, end = began + 40 * 10**9, began + 50 * 10**9
     text = f"stampede: channel 'none/cam' has no items from {format_instant(late)} on and before "
-    status, _, told = run("replay", "none/cam", "--from", str(late), "--to", str(end), "--shift", "now")
-    assert (status, told) == (2, f"{text}{format_instant(end)}\n")
-    status, _, told = run("replay", "none/cam", "--from", str(began), "--to", str(began + 1), "--shift", "now")
-    assert (status, "channel 'none/cam' has no items from" in told, "COLLECTED" in told) == (2, True, True)
+    status, _, error_output = run("replay", "none/cam", "--from", str(late), "--to", str(end), "--shift", "now")
+    assert (status, error_output) == (2, f"{text}{format_instant(end)}\n")
+    status, _, error_output = run("replay", "none/cam", "--from", str(began), "--to", str(began + 1), "--shift", "now")
+    assert (status, "channel 'none/cam' has no items from" in error_output, "COLLECTED" in error_output) == (
+        2,
+        True,
+        True,
+    )
     rt.channel("none/too")
-    status, _, told = run("replay", "none/too", "--shift", "now")
-    assert (status, told) == (2, "stampede: channel 'none/too' has no items\n")
+    status, _, error_output = run("replay", "none/too", "--shift", "now")
+    assert (status, error_output) == (2, "stampede: channel 'none/too' has no items\n")

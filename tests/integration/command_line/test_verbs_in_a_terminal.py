@@ -52,18 +52,18 @@ def terminal(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> Terminal
 def test_rm_deletes_channels_and_names_the_unknown_ones(rt: st.Connection, terminal: Terminal) -> None:
     rt.channel("rm/a")
     rt.channel("rm/b")
-    said = terminal("rm", "rm/a", "rm/none", "rm/b", status=1).text
-    assert "rm/a is deleted" in said
-    assert "there is no channel rm/none" in said
-    assert "rm/b is deleted" in said
+    text = terminal("rm", "rm/a", "rm/none", "rm/b", status=1).text
+    assert "rm/a is deleted" in text
+    assert "there is no channel rm/none" in text
+    assert "rm/b is deleted" in text
     assert rt.channels("rm/*") == []
 
 
 def test_rm_of_a_glob_deletes_nothing_without_yes(rt: st.Connection, terminal: Terminal) -> None:
     rt.channel("rm/glob/a")
     rt.channel("rm/glob/b")
-    said = terminal("rm", "rm/glob/*", status=2).text
-    assert "matches 2 channels (rm/glob/a, rm/glob/b); nothing is deleted; --yes deletes them" in " ".join(said.split())
+    text = terminal("rm", "rm/glob/*", status=2).text
+    assert "matches 2 channels (rm/glob/a, rm/glob/b); nothing is deleted; --yes deletes them" in " ".join(text.split())
     assert len(rt.channels("rm/glob/*")) == 2
     rows = json.loads(terminal("rm", "rm/glob/*", "--yes", "-o", "json").text)
     assert rows == [{"channel": f"rm/glob/{name}", "deleted": True} for name in "ab"]
@@ -135,15 +135,15 @@ def test_sub_joins_channels_that_appear_later(rt: st.Connection, terminal: Termi
 def test_put_takes_one_item_for_each_line_of_standard_input(
     rt: st.Connection, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    said = terminal("put", "lines", "--lines", "--max-age", "1h", typed=b"one\ntwo\nlast\n\x04")
-    assert said.text == "lines: 3 items put\n"
+    output = terminal("put", "lines", "--lines", "--max-age", "1h", typed=b"one\ntwo\nlast\n\x04")
+    assert output.text == "lines: 3 items put\n"
     assert terminal("put", "lines", "--lines", "--max-age", "1h", typed=b"one\n\x04").text == "lines: 1 item put\n"
     assert [item.payload for item in rt.channel("lines").get(st.OLDEST, st.NEWEST)] == [b"one", b"two", b"last", b"one"]
 
 
 def test_put_repeats_an_item_at_a_rate(rt: st.Connection, terminal: Terminal) -> None:
-    said = terminal("put", "rated", "again", "--rate", "200", "--count", "20", "--max-age", "1h", "-o", "json").text
-    assert json.loads(said) == {"channel": "rated", "accepted": 20, "rejected": 0}
+    text = terminal("put", "rated", "again", "--rate", "200", "--count", "20", "--max-age", "1h", "-o", "json").text
+    assert json.loads(text) == {"channel": "rated", "accepted": 20, "rejected": 0}
     assert [item.payload for item in rt.channel("rated").get(st.OLDEST, st.NEWEST)] == [b"again"] * 20
 
 
@@ -177,9 +177,9 @@ def test_put_refuses_options_that_exclude_each_other(terminal: Terminal, words: 
 def test_a_wrong_argument_is_reported_in_one_sentence(
     terminal: Terminal, words: list[str], status: int, complaint: str
 ) -> None:
-    said = terminal(*words, status=status, progress=words[0] == "replay", columns=300).text
-    assert complaint in said
-    assert "expected one argument" not in said
+    text = terminal(*words, status=status, progress=words[0] == "replay", columns=300).text
+    assert complaint in text
+    assert "expected one argument" not in text
 
 
 def test_items_can_be_printed_for_people_in_a_given_format_and_in_local_time(
@@ -197,11 +197,11 @@ def test_items_can_be_printed_for_people_in_a_given_format_and_in_local_time(
     monkeypatch.setenv("TZ", "Asia/Tokyo")
     time.tzset()
     try:
-        said = terminal("get", "readable/text", "--all", "--local", "--format", form).text
+        text = terminal("get", "readable/text", "--all", "--local", "--format", form).text
     finally:
         monkeypatch.undo()
         time.tzset()
-    assert said == "2023-11-15T07:13:20.000000000+09:00|001|readable/text\thi|2|x\\x1b||-\n"
+    assert text == "2023-11-15T07:13:20.000000000+09:00|001|readable/text\thi|2|x\\x1b||-\n"
     assert "the format has no field 'no'" in terminal("get", "readable/text", "--format", "{no}", status=2).text
 
 

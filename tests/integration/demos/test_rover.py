@@ -27,10 +27,10 @@ def test_the_rover_loses_no_pair_and_makes_no_wrong_pair(report: RoverReport) ->
 
 
 def test_a_planner_joins_and_one_host_is_drained_and_another_killed(report: RoverReport) -> None:
-    told = " ".join(what for _, what in report.events)
-    assert "planner joins" in told
-    assert "2 channels move away" in told
-    assert "is killed" in told
+    event_texts = " ".join(what for _, what in report.events)
+    assert "planner joins" in event_texts
+    assert "2 channels move away" in event_texts
+    assert "is killed" in event_texts
     assert 0 < report.planner_pairs < report.pairs
 
 

@@ -142,9 +142,9 @@ def test_the_death_of_a_role_ends_the_demo_with_one_sentence_and_leaves_no_proce
         wait_for_progress(process)
         (viewer,) = (pid for pid, line in marked_processes(mark).items() if "tv_watcher.viewer" in line)
         os.kill(viewer, signal.SIGKILL)
-        said = process.communicate(timeout=END_SECONDS)[1]
+        error_output = process.communicate(timeout=END_SECONDS)[1]
         assert process.returncode == 1
-        assert said == "stampede demo tv-watcher: the viewer was killed by signal 9 before its work was done\n"
+        assert error_output == "stampede demo tv-watcher: the viewer was killed by signal 9 before its work was done\n"
         assert marked_processes(mark) == {}
 
 
@@ -154,7 +154,7 @@ def test_ctrl_c_ends_the_demo_with_status_130_and_leaves_no_process():
         wait_for_progress(process)
         assert len(marked_processes(mark)) >= 1 + 6 + 6
         process.send_signal(signal.SIGINT)
-        said = process.communicate(timeout=END_SECONDS)[1]
+        error_output = process.communicate(timeout=END_SECONDS)[1]
         assert process.returncode == 130
-        assert "Traceback" not in said
+        assert "Traceback" not in error_output
         assert marked_processes(mark) == {}

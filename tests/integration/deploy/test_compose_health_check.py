@@ -32,9 +32,9 @@ async def test_the_health_command_of_the_images_prints_its_finding() -> None:
             env={"STAMPEDE_LISTEN": server.address},
             stdout=asyncio.subprocess.PIPE,
         )
-        said, _ = await process.communicate()
+        output, _ = await process.communicate()
     assert process.returncode == 0
-    assert said.decode().strip() == f"{server.address}: SERVING"
+    assert output.decode().strip() == f"{server.address}: SERVING"
 
 
 def test_an_address_without_a_service_is_not_healthy(capsys: pytest.CaptureFixture[str]) -> None:

@@ -69,12 +69,12 @@ async def until(met: Callable[[frontend_service_pb2.BindResponse], bool], cluste
 
 async def test_a_killed_supernode_is_listed_last_until_it_answers_again(cluster: LocalCluster) -> None:
     victim = cluster.supernodes[0]
-    await until(lambda said: all(one.healthy for one in said.supernodes), cluster)
+    await until(lambda answer: all(one.healthy for one in answer.supernodes), cluster)
     victim.kill()
-    await until(lambda said: [one.healthy for one in said.supernodes] == [True, True, False], cluster)
+    await until(lambda answer: [one.healthy for one in answer.supernodes] == [True, True, False], cluster)
     assert (await bind(cluster)).supernodes[-1].supernode_id == "s1"
     victim.restart()
-    await until(lambda said: all(one.healthy for one in said.supernodes), cluster)
+    await until(lambda answer: all(one.healthy for one in answer.supernodes), cluster)
 
 
 async def test_a_killed_host_returns_with_its_id_and_name(cluster: LocalCluster) -> None:

@@ -148,8 +148,8 @@ def test_the_screen_shows_the_faults_of_archives_that_hosts_log_during_the_start
     words = ("--archive", "s3://away/x", "--archive-folder", str(home / "kept"), "--log-format", form)
     with running(*words) as dev:
         dev.process.send_signal(signal.SIGTERM)
-        _, said = dev.process.communicate(timeout=READY_SECONDS)
-    assert "the object store of the archive cannot be reached; the host tries again" in said
+        _, error_output = dev.process.communicate(timeout=READY_SECONDS)
+    assert "the object store of the archive cannot be reached; the host tries again" in error_output
 
 
 def test_each_object_store_has_a_directory_of_its_own(home: Path) -> None:
@@ -166,27 +166,27 @@ def test_another_number_of_supernodes_than_in_the_folder_is_refused(
     home: Path, complaint: Callable[..., tuple[int, str]]
 ) -> None:
     members_in(home / "kept" / "directory", 1, "localhost")
-    code, said = complaint("--listen", "localhost:0", "--archive", str(home / "kept"), "--supernodes", "3")
-    assert (code, said.count("\n")) == (1, 1)
-    assert "has a directory for --supernodes 1 at localhost; start with --supernodes 1" in said
+    code, error_output = complaint("--listen", "localhost:0", "--archive", str(home / "kept"), "--supernodes", "3")
+    assert (code, error_output.count("\n")) == (1, 1)
+    assert "has a directory for --supernodes 1 at localhost; start with --supernodes 1" in error_output
 
 
 def test_fewer_hosts_than_the_folder_has_archives_of_are_refused(
     home: Path, complaint: Callable[..., tuple[int, str]]
 ) -> None:
     (home / "kept" / "h2").mkdir(parents=True)
-    code, said = complaint("--listen", "localhost:0", "--archive", str(home / "kept"))
-    assert (code, said.count("\n")) == (1, 1)
-    assert "has archives of more hosts than 1; start with --hosts as before" in said
+    code, error_output = complaint("--listen", "localhost:0", "--archive", str(home / "kept"))
+    assert (code, error_output.count("\n")) == (1, 1)
+    assert "has archives of more hosts than 1; start with --hosts as before" in error_output
 
 
 def test_the_last_lines_of_a_service_that_does_not_start_are_lines(
     home: Path, complaint: Callable[..., tuple[int, str]]
 ) -> None:
     (home / "kept").write_bytes(b"")
-    code, said = complaint("--listen", "localhost:0", "--archive", str(home / "kept"))
+    code, error_output = complaint("--listen", "localhost:0", "--archive", str(home / "kept"))
     assert code == 1
-    assert "\\n" not in said
+    assert "\\n" not in error_output
 
 
 def test_stampede_dev_with_web_serves_the_page_and_ends_it(home: Path) -> None:
@@ -240,12 +240,12 @@ def test_stampede_dev_stops_when_its_last_host_dies(home: Path) -> None:
         one, two = (pid for pid in dev.children if "stampede_rt_channel_host" in command_of(pid))
         os.kill(one, signal.SIGKILL)
         assert dev.process.stderr is not None
-        told = ""
-        while "the others go on" not in told:
+        output = ""
+        while "the others go on" not in output:
             line = dev.process.stderr.readline()
-            assert line, told
-            told += line
-        assert "ended with exit code -9" in told
+            assert line, output
+            output += line
+        assert "ended with exit code -9" in output
         assert dev.process.poll() is None
         os.kill(two, signal.SIGKILL)
         _, err = dev.process.communicate(timeout=READY_SECONDS)
@@ -258,9 +258,9 @@ def test_stampede_dev_stops_when_its_last_host_dies(home: Path) -> None:
 def complaint(home: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
     def complaint_of(*arguments: str) -> tuple[int, str]:
         code = main(arguments)
-        said = capsys.readouterr()
-        assert said.out == ""
-        return code, said.err
+        output = capsys.readouterr()
+        assert output.out == ""
+        return code, output.err
 
     return complaint_of
 
@@ -270,9 +270,9 @@ def test_stampede_dev_reports_a_port_in_use_in_one_line_and_ends_with_code_1(
 ) -> None:
     with socket.create_server(("localhost", 0)) as holder:
         port = holder.getsockname()[1]
-        code, said = complaint("--listen", f"localhost:{port}")
+        code, error_output = complaint("--listen", f"localhost:{port}")
     assert code == 1
-    assert said == (
+    assert error_output == (
         f"stampede dev: localhost:{port} is in use by another process; stop that one, or choose another port with "
         "--listen\n"
     )
@@ -291,16 +291,16 @@ def test_stampede_dev_reports_a_port_in_use_in_one_line_and_ends_with_code_1(
 def test_stampede_dev_reports_a_bad_flag_in_one_line_and_ends_with_code_2(
     complaint: Callable[..., tuple[int, str]], arguments: tuple[str, ...], message: str
 ) -> None:
-    code, said = complaint(*arguments)
+    code, error_output = complaint(*arguments)
     assert code == 2
-    assert message in said
-    assert said.count("\n") == 1
+    assert message in error_output
+    assert error_output.count("\n") == 1
 
 
 def test_a_secret_that_others_can_read_is_refused(home: Path, complaint: Callable[..., tuple[int, str]]) -> None:
     place = home / "secret"
     place.write_text("known to all")
     place.chmod(0o644)
-    code, said = complaint("--listen", "localhost:0", "--secret-file", str(place))
+    code, error_output = complaint("--listen", "localhost:0", "--secret-file", str(place))
     assert code == 1
-    assert said == f"stampede dev: the secret file {place} can be read by every user; run: chmod 600 {place}\n"
+    assert error_output == f"stampede dev: the secret file {place} can be read by every user; run: chmod 600 {place}\n"

@@ -64,11 +64,11 @@ def test_each_service_exports_all_its_metrics(cluster: LocalCluster) -> None:
     }
     for title, address in cluster.metrics.items():
         lines = page(address).splitlines()
-        told = {line.split()[2] for line in lines if line.startswith("# TYPE ")}
+        exported = {line.split()[2] for line in lines if line.startswith("# TYPE ")}
         own = of_each[title.split()[0]]
         expected = {one.name for one in {*own, *service_metrics.METRICS} - of_parts_that_are_not_here}
-        assert expected <= told, expected - told
-        assert {one for one in told if not one.startswith("process_")} == expected
+        assert expected <= exported, expected - exported
+        assert {one for one in exported if not one.startswith("process_")} == expected
 
 
 @needs_prometheus

@@ -165,9 +165,9 @@ def ready_address(dev: subprocess.Popen[str]) -> str:
     assert dev.stdout is not None
     readable, _, _ = select.select([dev.stdout], [], [], SECONDS)
     line = dev.stdout.readline() if readable else ""
-    told = re.match(r"Stampede RT is ready at (\S+) ", line)
-    assert told is not None, line
-    return told[1]
+    found = re.match(r"Stampede RT is ready at (\S+) ", line)
+    assert found is not None, line
+    return found[1]
 
 
 def described_program(installed: Path) -> str:

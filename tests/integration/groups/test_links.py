@@ -45,8 +45,8 @@ async def heard(at: GroupedChannel, channel: GroupedChannel, group: group_pb2.Gr
     """Wait until the host of `at` has heard the newest time of `channel`."""
 
     def is_heard(status: group_pb2.GroupStatus) -> bool:
-        told = {one.times.channel_id: one.times.newest_unix_nano for one in status.members}
-        return told.get(channel.channel_id) == newest
+        newest_times = {one.times.channel_id: one.times.newest_unix_nano for one in status.members}
+        return newest_times.get(channel.channel_id) == newest
 
     await at.host.until(group, is_heard)
 

@@ -86,12 +86,12 @@ def machines(network: NamespaceNetwork, tmp_path: Path) -> list[Machine]:
 
 
 @pytest.mark.parametrize(
-    ("walk", "told"),
+    ("walk", "sentence"),
     [(WITH_SECRET, "hello from the second machine"), (WITH_CERTIFICATES, "client-laptop.pem")],
     ids=["secret", "certificates"],
 )
 def test_the_recipe_for_two_machines_works_as_it_stands(
-    walk: dict[str, list[int]], told: str, machines: list[Machine], monkeypatch: pytest.MonkeyPatch
+    walk: dict[str, list[int]], sentence: str, machines: list[Machine], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     services: list[ServiceProcess] = []
     printed = ""
@@ -109,7 +109,7 @@ def test_the_recipe_for_two_machines_works_as_it_stands(
         machine.namespace.address for machine in machines
     ]
     assert "Everything is well." in printed
-    assert told in printed
+    assert sentence in printed
 
 
 def start(machine: Machine, words: list[str], monkeypatch: pytest.MonkeyPatch) -> ServiceProcess:
@@ -123,7 +123,7 @@ def start(machine: Machine, words: list[str], monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         ((), "so this host must listen at {own}, where others can call it, and without certificates everything"),
         (("--listen", "localhost:0"), "listen at {own} (--listen {own}:"),
@@ -131,7 +131,7 @@ def start(machine: Machine, words: list[str], monkeypatch: pytest.MonkeyPatch) -
     ],
 )
 def test_a_host_that_others_cannot_call_or_only_without_certificates_does_not_register(
-    network: NamespaceNetwork, words: tuple[str, ...], told: str
+    network: NamespaceNetwork, words: tuple[str, ...], expected: str
 ) -> None:
     front, own = network.namespaces
     host = ServiceProcess("h", MODULES["host"], ["--frontend", f"{front.address}:7580", *words], namespace=own)
@@ -140,7 +140,7 @@ def test_a_host_that_others_cannot_call_or_only_without_certificates_does_not_re
         host.wait_ready(READY_SECONDS)
     host.stop()
     assert host.exit_code == 2
-    assert told.format(own=own.address) in host.last_lines[-1]
+    assert expected.format(own=own.address) in host.last_lines[-1]
 
 
 def test_a_front_end_tells_callers_elsewhere_that_the_supernodes_cannot_be_called(network: NamespaceNetwork) -> None:

@@ -26,18 +26,18 @@ SIZES = (60, 700, 9000, 200)
 READERS = 3
 
 
-def read(namespace: NetworkNamespace, address: str, name: str, tell: Any) -> None:
-    """Read a channel to its end in this process. Sends each seq to `tell`, and the checks and counts at the end."""
+def read(namespace: NetworkNamespace, address: str, name: str, sender: Any) -> None:
+    """Read a channel to its end in this process. Sends each seq to `sender`, and the checks and counts at the end."""
     namespace.enter()
     with st.connect(address, transport="grpc") as rt:
         subscription = rt.channel(name, create=False).subscribe(st.OLDEST, via="multicast")
         damaged = 0
         for item in subscription:
             damaged += item.payload != payload_of(item.seq)
-            tell.send((item.seq, subscription.multicast.following))
+            sender.send((item.seq, subscription.multicast.following))
             if item.attributes.get("last"):
                 break
-        tell.send((subscription.multicast, subscription.dropped, damaged))
+        sender.send((subscription.multicast, subscription.dropped, damaged))
 
 
 def payload_of(seq: int) -> bytes:
@@ -74,10 +74,10 @@ class Rig:
     def begin(self, name: str) -> list[Reader]:
         spawn, readers = multiprocessing.get_context("spawn"), []
         for namespace in self.namespaces:
-            told, tell = spawn.Pipe(duplex=False)
-            process = spawn.Process(target=read, args=(namespace, self.cluster.address, name, tell), daemon=True)
+            receiver, sender = spawn.Pipe(duplex=False)
+            process = spawn.Process(target=read, args=(namespace, self.cluster.address, name, sender), daemon=True)
             process.start()
-            readers.append(Reader(process, told))
+            readers.append(Reader(process, receiver))
         return readers
 
 

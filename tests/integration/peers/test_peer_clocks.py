@@ -96,14 +96,14 @@ def test_every_leader_reports_the_clock_offset_of_a_peer(
 
         wait_until(lambda: shown(-7200 * SECOND) and is_off(rt.peer("robot/well").clock, 0))
         assert stampede(["peers", "robot/*", "--url", cluster.address]) == 0
-        said = capsys.readouterr().out
-        assert "robot/late: its clock is 2 h behind that of supernode s" in said, said
-        assert said.count("synchronise it") == 1, said
+        printed = capsys.readouterr().out
+        assert "robot/late: its clock is 2 h behind that of supernode s" in printed, printed
+        assert printed.count("synchronise it") == 1, printed
         assert stampede(["doctor", "--url", cluster.address]) == 1
-        said = capsys.readouterr().out
+        printed = capsys.readouterr().out
         assert (
-            "clocks: the clock of peer robot/late is 2 h behind the others'; synchronise it (chrony, ntpd)" in said
-        ), said
+            "clocks: the clock of peer robot/late is 2 h behind the others'; synchronise it (chrony, ntpd)" in printed
+        ), printed
 
         late.step(3600 * SECOND)
         wait_until(lambda: shown(3600 * SECOND))
@@ -112,8 +112,8 @@ def test_every_leader_reports_the_clock_offset_of_a_peer(
         process.kill()
         wait_until(lambda: shown(3600 * SECOND))
         wait_until(lambda: any(not peer.alive for peer in rt.peers("robot/*", include_dead=True)))
-        told = {peer.name: (peer.alive, peer.clock is None) for peer in rt.peers("robot/*", include_dead=True)}
-        assert told["robot/gone"] == (False, True)
+        states = {peer.name: (peer.alive, peer.clock is None) for peer in rt.peers("robot/*", include_dead=True)}
+        assert states["robot/gone"] == (False, True)
 
 
 async def test_the_asyncio_client_reports_the_clock_offset_of_a_peer(

@@ -113,12 +113,12 @@ def test_a_peer_that_left_and_registered_again_is_found(cluster: LocalCluster) -
 
 def test_closing_the_connection_wakes_the_caller_that_waits_at_its_mailbox(cluster: LocalCluster) -> None:
     rt = st.connect(cluster.address, name="waiter")
-    told: list[st.Unavailable] = []
+    errors: list[st.Unavailable] = []
 
     def wait() -> None:
         with pytest.raises(st.Unavailable) as caught:
             rt.mailbox.get()
-        told.append(caught.value)
+        errors.append(caught.value)
 
     waiting = threading.Thread(target=wait)
     waiting.start()
@@ -127,7 +127,7 @@ def test_closing_the_connection_wakes_the_caller_that_waits_at_its_mailbox(clust
             assert other.peer("waiter").alive
     rt.close()
     waiting.join(10)
-    assert [error.message for error in told] == ["this connection is closed; call connect() again"]
+    assert [error.message for error in errors] == ["this connection is closed; call connect() again"]
 
 
 async def test_a_mailbox_of_the_asyncio_client_gets_and_acknowledges_a_message(cluster: LocalCluster) -> None:

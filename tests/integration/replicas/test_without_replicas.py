@@ -19,9 +19,9 @@ cluster = shared_cluster_fixture(hosts=1)
 def test_a_put_that_is_not_replicated_in_time_fails_and_stays_hidden(cluster: LocalCluster, transport: Any) -> None:
     with st.connect(cluster.address, transport=transport) as rt:
         channel = rt.channel(f"waits/{transport}", max_items=10, replicas=1, ack="replica")
-        with pytest.raises(st.NotReplicated) as told:
+        with pytest.raises(st.NotReplicated) as caught:
             channel.put(b"an item", timeout=0.2)
-        assert (told.value.metadata["seq"], told.value.metadata["copies"]) == ("1", "1")
+        assert (caught.value.metadata["seq"], caught.value.metadata["copies"]) == ("1", "1")
         assert channel.newest() is None
         stats = channel.stats()
         assert (stats.accepted, stats.replicated, stats.not_replicated) == (1, 1, 1)

@@ -137,14 +137,14 @@ def test_no_error_shows_a_hidden_name_to_a_caller_that_gave_only_an_id(
                 (peers.ResolvePeer, peer_pb.ResolvePeerRequest(peer_id=peer.peer_id)),
                 (peers.DeregisterPeer, peer_pb.DeregisterPeerRequest(peer_id=peer.peer_id, **asked)),
             ]
-            told = [denied(method, request, operator) for method, request in calls]
+            error_texts = [denied(method, request, operator) for method, request in calls]
         with grpc.insecure_channel(host.endpoints[0]) as at:
             bind = gatekeeper_grpc.GatekeeperServiceStub(at).BindChannel
             status = channel_grpc.ChannelServiceStub(at).GetChannelStatus
-            told.append(denied(bind, gatekeeper_pb.BindChannelRequest(channel_id=channel, epoch=1), operator))
-            told.append(denied(status, channel_pb.GetChannelStatusRequest(channel_id=channel), operator))
-    assert {text for text in told if "unseen" in text} == set()
-    assert all("client cam may do nothing with this" in text for text in told), told
+            error_texts.append(denied(bind, gatekeeper_pb.BindChannelRequest(channel_id=channel, epoch=1), operator))
+            error_texts.append(denied(status, channel_pb.GetChannelStatusRequest(channel_id=channel), operator))
+    assert {text for text in error_texts if "unseen" in text} == set()
+    assert all("client cam may do nothing with this" in text for text in error_texts), error_texts
 
 
 def denied(method: Any, request: Any, operator: Operator) -> str:
@@ -230,7 +230,7 @@ def test_listings_and_watches_hide_things_that_the_caller_may_not_list(
         rt.queue("shown").put(b"x")
         operator.add("dash", "list", "shown")
         bearer = call_metadata(operator.token("dash"))
-        told = [
+        pages = [
             *listed(
                 directory_grpc.DirectoryServiceStub(supernode).ListChannels, directory_pb.ListChannelsRequest, bearer
             ),
@@ -242,8 +242,8 @@ def test_listings_and_watches_hide_things_that_the_caller_may_not_list(
             ),
             *listed(peer_grpc.PeerServiceStub(supernode).ListPeers, peer_pb.ListPeersRequest, bearer),
         ]
-        assert [len(page.queues) for page in told if isinstance(page, queue_pb.ListQueuesResponse)] == [1]
-        assert [page.next_page_token for page in told] == [""] * 4
+        assert [len(page.queues) for page in pages if isinstance(page, queue_pb.ListQueuesResponse)] == [1]
+        assert [page.next_page_token for page in pages] == [""] * 4
         watch = directory_grpc.DirectoryServiceStub(supernode).Watch(
             directory_pb.WatchRequest(include_queues=True), timeout=20, metadata=bearer
         )
@@ -290,18 +290,18 @@ def test_an_operator_sees_the_effect_of_a_rule_and_the_reason_of_a_denial(
     assert operator.run("acl", "check", "cam", "put", "video/1") == 0
     assert "there are no rules" in capsys.readouterr().out
     assert operator.run("acl", "add", "cam", "put", "video/*", "--kind", "channel", "--dry-run") == 0
-    told = capsys.readouterr().out
-    assert "would be added: allow cam put video/* (kind channel)" in told
-    assert "It is the first rule" in told
+    printed = capsys.readouterr().out
+    assert "would be added: allow cam put video/* (kind channel)" in printed
+    assert "It is the first rule" in printed
     assert operator.run("acl", "ls") == 0
     assert "no rules" in capsys.readouterr().out
     operator.add("cam", "put", "video/*")
     operator.add("cam", "put", "video/1", "--deny")
     capsys.readouterr()
     assert operator.run("acl", "check", "cam", "put", "video/1") == 3
-    said = capsys.readouterr().out
-    assert "may not put channel video/1: the rule: deny cam put video/1" in said
-    assert "Rules limit clients only. If cam is an operator or a part of the cluster, rules do not limit it." in said
+    explanation = capsys.readouterr().out
+    assert "may not put channel video/1: the rule: deny cam put video/1" in explanation
+    assert "If cam is an operator or a service of the cluster, rules do not limit it." in explanation
     # In an earlier version, the command answered as for a thing of that name.
     for words in (("cam", "put", "video/*"), ("cam-*", "put", "video/1")):
         assert operator.run("acl", "check", *words) == 2
@@ -335,9 +335,9 @@ def test_doctor_says_that_rules_hide_things_from_its_caller(
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(secret))
     capsys.readouterr()
     assert run(["doctor", "--url", cluster.address]) == 0
-    said = capsys.readouterr().out
-    assert "0 that this caller may list, none lost" in said
-    assert "This caller sees no fault. Rules of access hide some channels" in said
+    printed = capsys.readouterr().out
+    assert "0 that this caller may list, none lost" in printed
+    assert "This caller sees no fault. Rules of access hide some channels" in printed
 
 
 def test_a_serial_number_with_leading_zeros_revokes_the_certificate_that_has_it(cluster: LocalCluster) -> None:
@@ -384,9 +384,9 @@ def test_the_removal_of_an_unknown_rule_says_how_to_write_the_rule(
     operator.add("cam", "put", "video/9", "--kind", "channel")
     capsys.readouterr()
     assert operator.run("acl", "rm", "cam", "put", "video/9") == 0
-    told = capsys.readouterr().out
-    assert "The rule was not there: allow cam put video/9." in told
-    assert "Write it as `stampede acl ls` shows it, with --kind KIND" in told
+    printed = capsys.readouterr().out
+    assert "The rule was not there: allow cam put video/9." in printed
+    assert "Write it as `stampede acl ls` shows it, with --kind KIND" in printed
 
 
 @pytest.mark.without_rules("it makes the rules itself")
@@ -397,13 +397,13 @@ def test_an_operator_sees_which_service_has_not_received_a_rule_yet(
     cluster.hosts[1].pause()
     try:
         assert operator.run("acl", "add", "late", "put", "video/1") == 0
-        told = capsys.readouterr()
+        printed = capsys.readouterr()
     finally:
         cluster.hosts[1].resume()
         assert operator.run("acl", "rm", "late", "put", "video/1") == 0
-    assert "The rule is added" in told.out
-    assert "not in force yet at host h2: " in told.err
-    assert "host h1" not in told.err
+    assert "The rule is added" in printed.out
+    assert "not in force yet at host h2: " in printed.err
+    assert "host h1" not in printed.err
 
 
 def test_doctor_counts_the_denials_of_each_part(

@@ -36,7 +36,7 @@ class Load:
     def running(self) -> Iterator[None]:
         with st.connect(self._address, tls=self._tls) as rt:
             channel = rt.channel("rotation", max_items=100_000, max_age="1h")
-            heard = channel.subscribe()
+            subscription = channel.subscribe()
             jobs: list[tuple[str, Callable[[], object]]] = [
                 ("put", lambda: channel.put(b"x")),
                 ("get", lambda: channel.newest()),
@@ -44,7 +44,7 @@ class Load:
                 ("connect", lambda: st.connect(self._address, tls=self._tls).close()),
             ]
             threads = [threading.Thread(target=self._repeat, args=job) for job in jobs]
-            listener = threading.Thread(target=self._listen, args=(heard,))
+            listener = threading.Thread(target=self._listen, args=(subscription,))
             for thread in (*threads, listener):
                 thread.start()
             try:
@@ -54,7 +54,7 @@ class Load:
                 for thread in threads:
                     thread.join()
                 wait_until(lambda: self.counts["heard"] >= self.counts["put"], "every put is heard")
-                heard.close()
+                subscription.close()
                 listener.join()
 
     def _repeat(self, name: str, job: Callable[[], object]) -> None:
@@ -66,8 +66,8 @@ class Load:
                 return
             self.counts[name] += 1
 
-    def _listen(self, heard: st.Subscription) -> None:
-        for _ in heard:
+    def _listen(self, subscription: st.Subscription) -> None:
+        for _ in subscription:
             self.counts["heard"] += 1
 
     def go_on(self) -> None:

@@ -84,12 +84,12 @@ def test_a_token_is_revoked_by_its_file_or_its_serial_number_and_other_texts_are
         st.connect(cluster.address, secret=token)
     capsys.readouterr()
     assert run(["token", "issue", "printed", "--url", cluster.address]) == 0
-    told = capsys.readouterr()
-    serial = told.err.split()[1]
+    printed = capsys.readouterr()
+    serial = printed.err.split()[1]
     assert run(["token", "revoke", serial.upper(), "--url", cluster.address]) == 0
     assert f"{serial} is revoked" in capsys.readouterr().out
     with pytest.raises(PermissionDenied, match="of client printed was revoked"):
-        st.connect(cluster.address, secret=told.out.strip())
+        st.connect(cluster.address, secret=printed.out.strip())
     (tmp_path / "other").write_text("no.token")
     for text in ("abc", "f" * 40, str(tmp_path / "other"), str(tmp_path / "missing")):
         assert run(["token", "revoke", text, "--url", cluster.address]) == 1
@@ -124,7 +124,7 @@ def test_an_operator_that_revokes_its_own_token_gets_a_warning(
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(own))
     capsys.readouterr()
     assert run(["token", "revoke", str(own), "--url", cluster.address]) == 0
-    told = capsys.readouterr()
-    assert "is revoked" in told.out
-    assert "this command used the revoked credential, and services refuse it now" in told.err
-    assert "not in force" not in told.err
+    printed = capsys.readouterr()
+    assert "is revoked" in printed.out
+    assert "this command used the revoked credential, and services refuse it now" in printed.err
+    assert "not in force" not in printed.err

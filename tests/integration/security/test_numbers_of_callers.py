@@ -96,8 +96,8 @@ def test_no_caller_opens_a_stream_with_the_taker_id_of_another_caller(operator: 
 
 def test_no_caller_settles_the_delivery_of_another_caller_on_its_own_stream(operator: Operator) -> None:
     with robbed(operator) as (thief, _):
-        told = thief.take(OWN_NUMBER, thief.pending().delivery_id)
-        [result] = [one for response in told for one in response.results]
+        answer = thief.take(OWN_NUMBER, thief.pending().delivery_id)
+        [result] = [one for response in answer for one in response.results]
         assert result.error.reason == ERROR_REASON_LEASE_EXPIRED
         assert thief.pending().taker_id != OWN_NUMBER
 

@@ -140,10 +140,10 @@ def test_a_client_makes_no_more_channels_and_no_faster_than_its_quotas_allow(
         open_channel: Any = DirectoryServiceStub(connection).OpenChannel
         operator.set("maker", "channels=2")
         assert [make(f"quotas/made/{number}") for number in range(3)] == ["", "", "channels"]
-        told = [row for row in operator.rows("use", "maker") if row["quota"] == "channels"]
-        assert len(told) == len(cluster.supernodes)
-        assert {(row["used"], row["limit"]) for row in told} == {(2, 2)}
-        assert sum(row["refused"] for row in told) == 1
+        rows = [row for row in operator.rows("use", "maker") if row["quota"] == "channels"]
+        assert len(rows) == len(cluster.supernodes)
+        assert {(row["used"], row["limit"]) for row in rows} == {(2, 2)}
+        assert sum(row["refused"] for row in rows) == 1
         assert make("quotas/made/1") == ""  # this channel exists already
         operator.set("maker", "channels=unlimited", "changes-per-second=1")
         refusals = [make(f"quotas/faster/{number}") for number in range(40)]
@@ -196,8 +196,8 @@ def test_a_client_has_no_more_groups_and_peers_than_its_quotas_allow(cluster: Lo
 
 
 def test_a_quota_above_the_whole_event_loop_is_refused(operator: Operator) -> None:
-    said = operator.says("quota", "set", "cam", "cpu-percent=300", status=2)
-    assert "cpu-percent is 300; a service has 100 % of its event loop" in said
+    error_output = operator.says("quota", "set", "cam", "cpu-percent=300", status=2)
+    assert "cpu-percent is 300; a service has 100 % of its event loop" in error_output
 
 
 def test_settings_are_listed_with_the_defaults_and_checked_for_one_caller(operator: Operator) -> None:

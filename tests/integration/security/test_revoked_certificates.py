@@ -81,6 +81,6 @@ def test_a_front_end_ends_the_open_streams_of_a_revoked_certificate(cluster: Loc
 
     assert ask(cluster.address, files, bound) == ""
     for call in (watch, bound):
-        told = ask(cluster.address, files, call)
-        assert told.startswith("UNAUTHENTICATED: the certificate ")
-        assert "of client watcher was revoked" in told
+        error = ask(cluster.address, files, call)
+        assert error.startswith("UNAUTHENTICATED: the certificate ")
+        assert "of client watcher was revoked" in error

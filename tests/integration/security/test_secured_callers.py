@@ -72,8 +72,8 @@ def test_a_certificate_of_the_cluster_is_enough(connect: Connect, cluster: Local
 def test_the_error_of_a_caller_without_a_certificate_says_that_it_needs_one(
     connect: Connect, cluster: LocalCluster
 ) -> None:
-    told = refusal(connect, cluster.address, None)
-    assert told.startswith(f"{cluster.address} asks for certificates (TLS), and this caller has none; name yours with")
+    error = refusal(connect, cluster.address, None)
+    assert error.startswith(f"{cluster.address} asks for certificates (TLS), and this caller has none; name yours with")
 
 
 @both_surfaces
@@ -91,8 +91,8 @@ def test_an_expired_certificate_is_refused(
 def test_a_caller_of_another_authority_does_not_trust_the_cluster(
     connect: Connect, cluster: LocalCluster, foreign: ClusterCertificates
 ) -> None:
-    told = refusal(connect, cluster.address, foreign.issue(Role.CLIENT, "cam"))
-    assert told.startswith(
+    error = refusal(connect, cluster.address, foreign.issue(Role.CLIENT, "cam"))
+    assert error.startswith(
         f"the certificate of {cluster.address} is of an authority that {foreign.ca} does not contain"
     )
 
@@ -103,8 +103,8 @@ def test_a_foreign_certificate_is_refused_also_with_the_right_authority_file(
 ) -> None:
     stranger = foreign.issue(Role.CLIENT, "cam")
     mixed = st.TlsFiles(ca=certificates.ca, certificate=stranger.certificate, key=stranger.key)
-    told = refusal(connect, cluster.address, mixed)
-    assert f"refused this caller: the certificate {stranger.certificate} is not of an authority in" in told
+    error = refusal(connect, cluster.address, mixed)
+    assert f"refused this caller: the certificate {stranger.certificate} is not of an authority in" in error
 
 
 @both_surfaces
@@ -136,5 +136,5 @@ def test_a_cluster_can_require_both_a_certificate_and_the_secret(
     wrong.write_text("another one")
     wrong.chmod(0o600)
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(wrong))
-    told = refusal(connect, secret_cluster.address, secret_cluster.tls_files())
-    assert told.startswith("the call brought a secret that differs from the service's; ")
+    error = refusal(connect, secret_cluster.address, secret_cluster.tls_files())
+    assert error.startswith("the call brought a secret that differs from the service's; ")

@@ -66,9 +66,10 @@ def test_every_verb_of_supernode_tells_a_caller_that_it_needs_a_certificate(
     joining = ("--data-dir", str(tmp_path / "x"), "--listen", "localhost:7599")
     words = {"remove": ("s1",), "add": ("localhost:7599",), "join": joining}.get(verb, ())
     code, printed = supernode_command(cluster, None, verb, *words)
-    told = f"stampede supernode: {cluster.supernodes[0].address} asks for certificates (TLS), and this caller has none"
+    address = cluster.supernodes[0].address
+    expected = f"stampede supernode: {address} asks for certificates (TLS), and this caller has none"
     assert (code, printed.count("\n")) == (1, 1)
-    assert printed.startswith(told)
+    assert printed.startswith(expected)
 
 
 def test_doctor_finds_a_secured_cluster_healthy_and_names_the_missing_certificate_of_a_caller(
@@ -85,6 +86,6 @@ def test_doctor_finds_a_secured_cluster_healthy_and_names_the_missing_certificat
     monkeypatch.setattr("stampede_rt.cli.doctor.CERTIFICATE_S_MIN", 365 * 86400.0)
     monkeypatch.setattr("stampede_rt.cli.diagnosis.SHORT_PART", 0.1)
     assert stampede(["doctor", "--url", cluster.address]) == 1
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for process in cluster.processes():
-        assert f"{process.address}: its certificate ends in 30.0 days; issue it anew" in told
+        assert f"{process.address}: its certificate ends in 30.0 days; issue it anew" in printed

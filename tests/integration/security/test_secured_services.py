@@ -116,10 +116,10 @@ def greeting(member: str, to: str) -> Callable[[grpc.aio.Channel], Any]:
 
 def test_only_a_host_registers_and_only_under_its_own_name(cluster: LocalCluster) -> None:
     supernode = cluster.supernodes[0].address
-    told = ask(supernode, cluster.tls_files("cam"), registering("cam"))
-    assert told.startswith("PERMISSION_DENIED: client cam may not call DirectoryService/RegisterHost")
-    told = ask(supernode, cluster.tls_files("h9", Role.HOST), registering("h1"))
-    assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot speak for host h1")
+    error = ask(supernode, cluster.tls_files("cam"), registering("cam"))
+    assert error.startswith("PERMISSION_DENIED: client cam may not call DirectoryService/RegisterHost")
+    error = ask(supernode, cluster.tls_files("h9", Role.HOST), registering("h1"))
+    assert error.startswith("PERMISSION_DENIED: host h9 of cluster local cannot speak for host h1")
     assert ask(supernode, cluster.tls_files("h9", Role.HOST), registering("h9")) == ""
     assert ask(supernode, cluster.tls_files("h9", Role.HOST), leaving("h9")) == ""
 
@@ -134,8 +134,8 @@ def test_a_host_cannot_end_or_prolong_the_lease_of_another(cluster: LocalCluster
         def call(channel: grpc.aio.Channel, name: str = name, request: Any = request) -> Any:
             return getattr(directory_service_pb2_grpc.DirectoryServiceStub(channel), name)(request, timeout=5)
 
-        told = ask(cluster.supernodes[0].address, cluster.tls_files("h9", Role.HOST), call)
-        assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot speak for host h1"), name
+        error = ask(cluster.supernodes[0].address, cluster.tls_files("h9", Role.HOST), call)
+        assert error.startswith("PERMISSION_DENIED: host h9 of cluster local cannot speak for host h1"), name
 
 
 @pytest.mark.parametrize("is_move", [False, True])
@@ -154,11 +154,11 @@ def test_a_host_cannot_open_a_feed_under_the_id_of_another_host(cluster: LocalCl
         await call.read()
         raise AssertionError(f"the feed was not refused: {await call.code()}")
 
-    told = ask(cluster.hosts[0].address, cluster.tls_files("h9", Role.HOST), feed)
-    assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot act as host h1: its certificate must")
+    error = ask(cluster.hosts[0].address, cluster.tls_files("h9", Role.HOST), feed)
+    assert error.startswith("PERMISSION_DENIED: host h9 of cluster local cannot act as host h1: its certificate must")
     opening.host_id = b"n" * 16
-    told = ask(cluster.hosts[0].address, cluster.tls_files("h9", Role.HOST), feed)
-    assert told.startswith("NOT_FOUND: ")
+    error = ask(cluster.hosts[0].address, cluster.tls_files("h9", Role.HOST), feed)
+    assert error.startswith("NOT_FOUND: ")
 
 
 def test_a_replica_of_a_queue_is_fed_only_by_the_owner_that_the_certificate_names(cluster: LocalCluster) -> None:
@@ -174,14 +174,14 @@ def test_a_replica_of_a_queue_is_fed_only_by_the_owner_that_the_certificate_name
             raise AssertionError(f"the feed was not refused: {await call.code()}")
 
         address = cluster.hosts[0].address
-        told = ask(address, cluster.tls_files("cam"), feed)
-        assert told.startswith("PERMISSION_DENIED: client cam may not call MigrationService/FeedQueue")
-        told = ask(address, cluster.tls_files("h9", Role.HOST), feed)
-        assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot act as host h1: its certificate")
-        told = ask(
+        error = ask(address, cluster.tls_files("cam"), feed)
+        assert error.startswith("PERMISSION_DENIED: client cam may not call MigrationService/FeedQueue")
+        error = ask(address, cluster.tls_files("h9", Role.HOST), feed)
+        assert error.startswith("PERMISSION_DENIED: host h9 of cluster local cannot act as host h1: its certificate")
+        error = ask(
             address, cluster.tls_files("h1", Role.HOST), feed
         )  # the certificate is right, but no replica is here
-        assert told.startswith("FAILED_PRECONDITION: ")
+        assert error.startswith("FAILED_PRECONDITION: ")
         first.owner_host_id = b"short"
         assert ask(address, cluster.tls_files("h9", Role.HOST), feed).startswith("INVALID_ARGUMENT: ")
         assert queue.put(b"kept").copies == 1
@@ -202,10 +202,10 @@ def test_a_queue_is_handed_over_only_to_the_host_that_the_certificate_names(clus
             raise AssertionError(f"the queue was not kept: {await call.code()}")
 
         address = cluster.hosts[0].address
-        told = ask(address, cluster.tls_files("cam"), take_over)
-        assert told.startswith("PERMISSION_DENIED: client cam may not call MigrationService/HandOverQueue")
-        told = ask(address, cluster.tls_files("h9", Role.HOST), take_over)
-        assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot act as host h1: its certificate")
+        error = ask(address, cluster.tls_files("cam"), take_over)
+        assert error.startswith("PERMISSION_DENIED: client cam may not call MigrationService/HandOverQueue")
+        error = ask(address, cluster.tls_files("h9", Role.HOST), take_over)
+        assert error.startswith("PERMISSION_DENIED: host h9 of cluster local cannot act as host h1: its certificate")
         opening.host_id = b"n" * 16
         assert ask(address, cluster.tls_files("h9", Role.HOST), take_over).startswith("NOT_FOUND: ")
         queue.put(b"kept")
@@ -261,16 +261,17 @@ def test_a_supernode_neither_adds_nor_removes_another(cluster: LocalCluster) -> 
         def call(channel: grpc.aio.Channel, name: str = name, request: Any = request) -> Any:
             return getattr(membership_service_pb2_grpc.MembershipServiceStub(channel), name)(request, timeout=5)
 
-        told = ask(cluster.supernodes[0].address, own, call)
-        assert told.startswith("PERMISSION_DENIED: supernode s9 of cluster local may not add or remove supernode"), told
+        error = ask(cluster.supernodes[0].address, own, call)
+        refused = "PERMISSION_DENIED: supernode s9 of cluster local may not add or remove supernode"
+        assert error.startswith(refused), error
 
 
 def test_only_the_member_that_a_certificate_names_opens_its_stream(cluster: LocalCluster) -> None:
     first = cluster.supernodes[0].address
-    told = ask(first, cluster.tls_files("h9", Role.HOST), knock)
-    assert told.startswith("PERMISSION_DENIED: host h9 may not call RaftService/Exchange, which is for supernode")
-    told = ask(first, cluster.tls_files("s9", Role.SUPERNODE), greeting("s2", "s1"))
-    assert "'s2' uses the certificate of supernode s9 of cluster local" in told
+    error = ask(first, cluster.tls_files("h9", Role.HOST), knock)
+    assert error.startswith("PERMISSION_DENIED: host h9 may not call RaftService/Exchange, which is for supernode")
+    error = ask(first, cluster.tls_files("s9", Role.SUPERNODE), greeting("s2", "s1"))
+    assert "'s2' uses the certificate of supernode s9 of cluster local" in error
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def test_streams_end_with_their_certificate_and_continue_with_the_renewed_one(
             assert channel.stats().transport == transport
             assert jobs.get(timeout=0) is None
             certificates.issue(Role.CLIENT, "cam")
-            heard: list[bytes] = []
+            payloads: list[bytes] = []
 
             def goes_on() -> int:
                 channel.put(b"next")
@@ -66,11 +66,11 @@ def test_streams_end_with_their_certificate_and_continue_with_the_renewed_one(
                 message = jobs.get(timeout=10)
                 assert message is not None
                 message.ack()
-                heard.append(next(items).payload)
+                payloads.append(next(items).payload)
                 return items.reconnects
 
             wait_until(goes_on, "the subscription has come back over a new connection")
-            assert set(heard) == {b"next"}
+            assert set(payloads) == {b"next"}
 
 
 async def test_waiting_calls_continue_with_the_renewed_certificate(

@@ -42,7 +42,7 @@ def upgrade(cluster: LocalCluster, number: int) -> None:
 def test_rules_are_refused_while_a_member_does_not_know_them_and_accepted_after_its_upgrade(
     cluster: LocalCluster, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def told(*words: str) -> tuple[int, str]:
+    def output_of(*words: str) -> tuple[int, str]:
         capsys.readouterr()
         status = run([*words, "--url", cluster.address])
         out, err = capsys.readouterr()
@@ -56,26 +56,27 @@ def test_rules_are_refused_while_a_member_does_not_know_them_and_accepted_after_
 
     serves()
     for words in CHANGES:
-        status, said = told(*words)
+        status, output = output_of(*words)
         assert status == 1, words
-        assert "no supernode that answers has rules of access and client tokens: all are of an earlier release" in said
+        reason = "no supernode that answers has rules of access and client tokens: all are of an earlier release"
+        assert reason in output
     for number in (0, 1):
         upgrade(cluster, number)
         serves()
 
     def names_the_member_to_upgrade(words: list[str]) -> bool:
-        status, said = told(*words)
+        status, output = output_of(*words)
         assert status == 1, words
         # Until the front-end finds the upgraded supernodes again, only s3 answers, and it does not know the call.
-        return "needs feature level 2, the cluster is at level 1, and nothing was done; upgrade s3 (" in said
+        return "needs feature level 2, the cluster is at level 1, and nothing was done; upgrade s3 (" in output
 
     for words in CHANGES:
         wait_until(lambda words=words: names_the_member_to_upgrade(words))
-    assert told("acl", "check", "cam", "put", "video")[0] == 0
+    assert output_of("acl", "check", "cam", "put", "video")[0] == 0
     upgrade(cluster, 2)
-    wait_until(lambda: told("acl", "add", "cam", "put", "video")[0] == 0, "the level has risen")
+    wait_until(lambda: output_of("acl", "add", "cam", "put", "video")[0] == 0, "the level has risen")
     serves()
-    status, token = told("token", "issue", "cam")
+    status, token = output_of("token", "issue", "cam")
     assert status == 0
     with st.connect(cluster.address, secret=token.split()[0]) as rt:
         video = rt.channel("video")
@@ -83,5 +84,5 @@ def test_rules_are_refused_while_a_member_does_not_know_them_and_accepted_after_
         video.put(b"frame")
         with pytest.raises(st.PermissionDenied, match="client cam may not read channel video"):
             video.newest()
-    assert told("token", "revoke", "a1" * 8)[0] == 0
-    assert told("acl", "rm", "cam", "put", "video")[0] == 0
+    assert output_of("token", "revoke", "a1" * 8)[0] == 0
+    assert output_of("acl", "rm", "cam", "put", "video")[0] == 0

@@ -103,8 +103,8 @@ class World:
             directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(one, server)
             peer_service_pb2_grpc.add_PeerServiceServicer_to_server(one, server)
 
-        server = await self._stack.enter_async_context(serving(register, judge_cluster=lambda told: one.judge(told)))
-        return server.address
+        serves = serving(register, judge_cluster=lambda cluster_id: one.judge(cluster_id))
+        return (await self._stack.enter_async_context(serves)).address
 
     async def frontend(self, one: FakeFrontend) -> str:
         def register(server: Any) -> None:

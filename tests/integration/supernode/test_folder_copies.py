@@ -24,8 +24,8 @@ async def test_a_copy_of_a_running_supernode_exits_with_the_reason(tmp_path: Pat
     try:
         await original.start()
         running.append(copied(original, tmp_path, ports[1]))
-        code, said = await running[1].refused()
-        assert (code, f"supernode a runs at {original.address} already" in said) == (1, True), said
+        code, output = await running[1].refused()
+        assert (code, f"supernode a runs at {original.address} already" in output) == (1, True), output
         await register(original, 1)
     finally:
         for one in running:

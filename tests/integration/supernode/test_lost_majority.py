@@ -58,15 +58,15 @@ def test_without_a_majority_errors_name_the_reason_and_doctor_does_not_judge_clo
         assert re.match("the directory has no majority: [01] of 3 supernodes answer, 2 must", str(raised.value))
         assert "is the address right" not in str(raised.value)
         assert stampede(["ls", "--url", cluster.address]) == 1
-        said = capsys.readouterr().err
+        error_output = capsys.readouterr().err
         # On a busy machine, the front-end may not have heard of the last supernode in time.
-        assert "the directory has no majority" in said or "no supernode answers this front-end" in said
+        assert "the directory has no majority" in error_output or "no supernode answers this front-end" in error_output
         member = cluster.supernodes[0].address
         assert stampede(["doctor", "--url", cluster.address, "--member", member]) == 1
-        told = capsys.readouterr().out
-        assert "the directory has no majority and refuses all changes" in told
-        assert "synchronise" not in told
-        [clocks] = [line for line in told.splitlines() if line.startswith("clocks ")]
+        printed = capsys.readouterr().out
+        assert "the directory has no majority and refuses all changes" in printed
+        assert "synchronise" not in printed
+        [clocks] = [line for line in printed.splitlines() if line.startswith("clocks ")]
         assert clocks.split()[2] in ("0", "unknown:") or clocks.split()[3] in ("us", "ms", "ns")
         for words in ("the lease could not be renewed", LOST):
             wait_for(cluster, words, more_than=before.get(words, 0))

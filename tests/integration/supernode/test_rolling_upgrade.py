@@ -82,9 +82,9 @@ async def test_members_are_upgraded_one_by_one_and_the_new_command_works_when_al
             await cap(one)
         assert third.name in caught.value.metadata["supernodes_behind"].split(",")
     assert await asyncio.to_thread(administer, ["status", "--member", first.address]) == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     advice = f"upgrade {third.name}; the level then rises by itself"
-    assert f"Feature level {OLD_LEVEL}, and not all supernodes know {NEW_LEVEL}; {advice}" in said
+    assert f"Feature level {OLD_LEVEL}, and not all supernodes know {NEW_LEVEL}; {advice}" in printed
 
     await upgraded(third, 2)
     await risen(cluster)
@@ -112,12 +112,12 @@ async def only_newer_ones_restore(one: Supernode, folder: Path) -> None:
     arguments = ["snapshot", one.name, "--member", one.address, "--out", str(backup)]
     assert await asyncio.to_thread(administer, arguments) == 0
     restore = ["init", "--data-dir", str(new), "--listen", "127.0.0.1:7999", "--restore", str(backup)]
-    code, said = await ran("stampede_rt_supernode", *restore)
+    code, output = await ran("stampede_rt_supernode", *restore)
     assert code == 1
-    assert f"holds a directory at feature level {NEW_LEVEL}, and this release knows level {OLD_LEVEL}" in said
+    assert f"holds a directory at feature level {NEW_LEVEL}, and this release knows level {OLD_LEVEL}" in output
     assert not new.exists()
-    code, said = await ran(NEWER, *restore)
-    assert (code, said) == (0, "")
+    code, output = await ran(NEWER, *restore)
+    assert (code, output) == (0, "")
 
 
 async def ran(module: str, *arguments: str) -> tuple[int | None, str]:
@@ -128,5 +128,5 @@ async def ran(module: str, *arguments: str) -> tuple[int | None, str]:
         stderr=asyncio.subprocess.PIPE,
         env=clean_environment(),
     )
-    _, said = await process.communicate()
-    return process.returncode, said.decode()
+    _, output = await process.communicate()
+    return process.returncode, output.decode()

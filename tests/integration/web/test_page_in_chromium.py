@@ -82,7 +82,7 @@ class Tab:
         self.page.set_default_timeout(WAIT_MILLIS)
         self.troubles: list[str] = []
         self.page.on("pageerror", lambda error: self.troubles.append(str(error)))
-        self.page.on("console", lambda said: self.troubles.append(said.text) if said.type == "error" else None)
+        self.page.on("console", lambda message: self.troubles.append(message.text) if message.type == "error" else None)
 
     def show(self, url: str) -> None:
         self.page.goto(url)
@@ -119,8 +119,8 @@ def test_control_characters_and_marks_of_direction_are_shown_as_escapes(tab: Tab
     shown = tab.page.wait_for_selector("article[aria-label=tricky] pre")
     assert shown.text_content() == r"\u{1b}[31mred\u{202e}exe.txt" + "\n" + "second\tline" + r"\u{0}"
     assert r"a\u{202e}b\u{200b}c" in tab.page.locator("article[aria-label=tricky] dl").inner_text()
-    told = [{"part": "host\u202e", "address": "[::1]:1", "state": "lost\x1b", "advice": "a\u2028b"}]
-    tab.page.route("**/api/doctor*", lambda route: route.fulfill(json={"findings": told}))
+    findings = [{"part": "host\u202e", "address": "[::1]:1", "state": "lost\x1b", "advice": "a\u2028b"}]
+    tab.page.route("**/api/doctor*", lambda route: route.fulfill(json={"findings": findings}))
     tab.page.reload()
     tab.page.wait_for_selector(r"td >> text=host\u{202e} [::1]:1")
     tab.page.wait_for_selector(r"td >> text=a\u{2028}b")
@@ -218,9 +218,9 @@ def test_the_page_fits_and_is_readable_in_both_themes(
 def test_no_panel_breaks_a_word_of_the_doctors_findings(browser: Any, page_server: LivePage, width: int) -> None:
     context = browser.new_context(viewport={"width": width, "height": 800})
     advice = "start it again, or remove it with `stampede supernode remove s2`"
-    told = [{"part": "supernode", "address": "localhost:30000", "state": "unreachable", "advice": advice}]
+    findings = [{"part": "supernode", "address": "localhost:30000", "state": "unreachable", "advice": advice}]
     tab = Tab(context)
-    tab.page.route("**/api/doctor*", lambda route: route.fulfill(json={"findings": told}))
+    tab.page.route("**/api/doctor*", lambda route: route.fulfill(json={"findings": findings}))
     tab.show(page_server.url)
     tab.page.wait_for_selector("td >> text=unreachable")
     assert tab.page.evaluate(BROKEN_WORDS) == []

@@ -199,7 +199,7 @@ def change_member(rng: RandomSource, scenario: Scenario) -> None:
 
 def migrate(rng: RandomSource, scenario: Scenario) -> None:
     channel_id = rng.pick(CHANNELS)
-    if scenario.world.migrate(channel_id, rng.below(len(scenario.world.hosts)), heard=bool(rng.below(2))):
+    if scenario.world.migrate(channel_id, rng.below(len(scenario.world.hosts)), is_received=bool(rng.below(2))):
         scenario.listeners.channel_moved(channel_id)
         scenario.readers.channels_gone([channel_id])
 

@@ -80,11 +80,11 @@ def cut_of(small: dict[bytes, ArchivedChannel], as_of: int) -> int | None:
 @pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_a_past_cut_from_archives_that_have_dropped_items_is_right_or_names_the_missing_items(seed: int) -> None:
     draw = random.Random(seed)
-    told = {name: put_in_both(draw, advances=True) for name in NAMES}
-    large, small = {name: one[0] for name, one in told.items()}, {name: one[1] for name, one in told.items()}
+    pairs = {name: put_in_both(draw, advances=True) for name in NAMES}
+    large, small = {name: one[0] for name, one in pairs.items()}, {name: one[1] for name, one in pairs.items()}
     for channel in small.values():
         channel.archive()
-    first, last = max(one.first_accepted for one in small.values()), max(one[3] for one in told.values())
+    first, last = max(one.first_accepted for one in small.values()), max(one[3] for one in pairs.values())
     for _ in range(4):
         draw.choice(list(small.values())).drop_segments(draw.randrange(3))
         for _ in range(3):
@@ -107,17 +107,17 @@ def has_lost_its_newest(channel: ArchivedChannel, as_of: int) -> bool:
 @pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_a_group_read_as_of_an_instant_equals_the_read_at_that_instant(seed: int) -> None:
     draw = random.Random(seed)
-    told = {name: put_in_both(draw, advances=True) for name in NAMES}
-    large, small = {name: one[0] for name, one in told.items()}, {name: one[1] for name, one in told.items()}
+    pairs = {name: put_in_both(draw, advances=True) for name in NAMES}
+    large, small = {name: one[0] for name, one in pairs.items()}, {name: one[1] for name, one in pairs.items()}
     for channel in small.values():
         channel.archive()
-    first, last = max(one.first_accepted for one in small.values()), max(one[3] for one in told.values())
+    first, last = max(one.first_accepted for one in small.values()), max(one[3] for one in pairs.values())
     for _ in range(READS):
         as_of, name = draw.randrange(first, max(first, last) + 2), draw.choice(NAMES)
         then = PastGroup(large, small, as_of)
         cut = cut_of(small, as_of)
         assert cut == then.cut.cut
-        query, horizon = query_of(draw, last, told[name][2]), Horizon(cut, lambda: "held back by nobody")
+        query, horizon = query_of(draw, last, pairs[name][2]), Horizon(cut, lambda: "held back by nobody")
         overlap = large[name].policy.overlap_nanos or 0
         try:
             expected = VisibleChannel(then.channels[name]).read(query, horizon, as_of)

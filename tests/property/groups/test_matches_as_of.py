@@ -88,11 +88,11 @@ def decided(then: PastGroup, rule: MatchRule, start: int, as_of: int) -> tuple[l
 @pytest.mark.parametrize("seed", range(SCENARIOS))
 def test_matches_as_of_an_instant_equal_the_matches_that_a_host_decides_then(seed: int) -> None:
     draw = random.Random(seed)
-    told = {name: put_in_both(draw, advances=True) for name in NAMES}
-    large, small = {name: one[0] for name, one in told.items()}, {name: one[1] for name, one in told.items()}
+    pairs = {name: put_in_both(draw, advances=True) for name in NAMES}
+    large, small = {name: one[0] for name, one in pairs.items()}, {name: one[1] for name, one in pairs.items()}
     for channel in small.values():
         channel.archive()
-    first, last = max(one.first_accepted for one in small.values()), max(one[3] for one in told.values())
+    first, last = max(one.first_accepted for one in small.values()), max(one[3] for one in pairs.values())
     for _ in range(6):
         as_of, start = draw.randrange(first, max(first, last) + 2), draw.randrange(last + 1)
         rule = MatchRule(
@@ -115,7 +115,7 @@ def test_matches_as_of_an_instant_equal_the_matches_that_a_host_decides_then(see
 
 
 def test_matches_whose_archive_has_dropped_items_say_so() -> None:
-    told = 0
+    reported_losses = 0
     for seed in range(20):
         draw = random.Random(seed)
         small = {name: put_in_both(draw, advances=True) for name in NAMES}
@@ -132,5 +132,5 @@ def test_matches_whose_archive_has_dropped_items_say_so() -> None:
         if channels[NAMES[1]].is_cut and matching.reason is not None:
             assert matching.reason == "COLLECTED"
             assert "right" in matching.reason.detail
-            told += 1
-    assert told > 5
+            reported_losses += 1
+    assert reported_losses > 5

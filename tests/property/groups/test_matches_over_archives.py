@@ -37,10 +37,10 @@ class Pair:
     """The same channels twice: in memory, and recorded with a small memory. Each has its matcher."""
 
     def __init__(self, draw: random.Random) -> None:
-        told = {name: put_in_both(draw) for name in (OWN, OTHER, THIRD)}
-        self.large: dict[bytes, ChannelCore] = {name: one[0] for name, one in told.items()}
-        self.small: dict[bytes, ArchivedChannel] = {name: one[1] for name, one in told.items()}
-        self.now = max(one[3] for one in told.values())
+        pairs = {name: put_in_both(draw) for name in (OWN, OTHER, THIRD)}
+        self.large: dict[bytes, ChannelCore] = {name: one[0] for name, one in pairs.items()}
+        self.small: dict[bytes, ArchivedChannel] = {name: one[1] for name, one in pairs.items()}
+        self.now = max(one[3] for one in pairs.values())
         self.tolerance = draw.choice([0, 1, 3, 8, 50])
         self.begin(Position(draw.randrange(-1, self.now + 1)), None, {} if draw.random() < 0.5 else None)
 

@@ -170,8 +170,8 @@ class World:
         for host in self.hosts:
             for channel_id in self.placed.keys() - followed:
                 host.board.forget(channel_id)
-            heard = host.oracle_board.heard
-            host.oracle_board.heard = {one: heard[one] for one in heard if one in followed}
+            received = host.oracle_board.heard
+            host.oracle_board.heard = {one: received[one] for one in received if one in followed}
 
     def note_change(self, channel_id: bytes) -> None:
         """Note that the channel may have got items or an advance."""
@@ -271,16 +271,16 @@ class World:
             host.define(group, definition)
         self.follow()
 
-    def migrate(self, channel_id: bytes, to: int, *, heard: bool) -> bool:
+    def migrate(self, channel_id: bytes, to: int, *, is_received: bool) -> bool:
         """Move a channel to another host.
 
-        Unless `heard`, the former owner learns of the move from the new owner. Returns whether the channel moved.
+        Unless `is_received`, the former owner learns of the move from the new owner. Returns whether the channel moved.
         """
         one = self.placed[channel_id]
         if to == one.owner or not self.hosts[to].is_up:
             return False
         former = self.hosts[one.owner]
-        if heard:
+        if is_received:
             former.board.disown(channel_id, self.clock)
             former.oracle_board.disown(channel_id, self.clock)
         else:

@@ -212,17 +212,17 @@ def play(
     surface: Surface,
     host: SteeredHost,
     numbers: Sequence[int],
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
     steps: Sequence[Step] = STEPS,
 ) -> None:
-    """Run the steps that `numbers` choose among `steps`. `tell` gets their names."""
+    """Run the steps that `numbers` choose among `steps`. `report` gets their names."""
     pair = PathPair(surface, host, RandomSource(numbers[0]).pick(POLICIES))
     try:
         for number in numbers[1:]:
             rng = RandomSource(number)
             counts = pair.oracle.consumers is not None
             step = consume if counts and rng.one_in(4) else rng.pick(steps)
-            tell(step.__name__)
+            report(step.__name__)
             step(rng, pair)
     finally:
         pair.end()

@@ -152,8 +152,8 @@ async def memory_back(
         if now <= most:
             return now
         if time.monotonic() > until_s:
-            told = f"{watched.name} has {now / MIB:.0f} MiB after {name}, and had {calm / MIB:.0f}"
-            raise TimeoutError(f"{told}; its channels and queues hold {(held or 0) / MIB:.0f}")
+            finding = f"{watched.name} has {now / MIB:.0f} MiB after {name}, and had {calm / MIB:.0f}"
+            raise TimeoutError(f"{finding}; its channels and queues hold {(held or 0) / MIB:.0f}")
         await asyncio.sleep(PERIOD_SECONDS)
 
 
@@ -249,18 +249,18 @@ def _used(scene: Scene) -> list[PartUse]:
         return [part for who in (ATTACKER, f"@{scene.cluster.outside.address}") for part in operator.quota_uses(who)]
 
 
-def _refusals(earlier: list[PartUse], told: list[PartUse], quota: Quota) -> str:
+def _refusals(earlier: list[PartUse], later: list[PartUse], quota: Quota) -> str:
     """The evidence that the attacker met its limit. Raises FaultHadNoEffect if there is none."""
     before = {part: use.refused for part, use in _uses(earlier, quota)}
-    for part, use in _uses(told, quota):
+    for part, use in _uses(later, quota):
         refused = use.refused - before.get(part, 0)
         if refused or (quota is Quota.CPU_PERCENT and use.used):
             return f"{part}: {use.used} of {use.limit} used, {refused} refused"
     raise FaultHadNoEffect(f"the quota {quota} has refused no call")
 
 
-def _uses(told: list[PartUse], quota: Quota) -> Iterator[tuple[str, quota_pb2.QuotaUse]]:
-    yield from ((part.part, use) for part in told for use in part.uses if quota_from(use.kind) is quota)
+def _uses(later: list[PartUse], quota: Quota) -> Iterator[tuple[str, quota_pb2.QuotaUse]]:
+    yield from ((part.part, use) for part in later for use in part.uses if quota_from(use.kind) is quota)
 
 
 async def _forget(scene: Scene, thing: str) -> None:

@@ -120,9 +120,9 @@ async def test_a_host_may_keep_the_bytes_of_its_channels_but_not_a_megabyte_for_
     monkeypatch.setattr(hostile_callers, "BACK_SECONDS", 0.0)
     calm, cached, held, leaked = 68 * MIB, 55 * MIB, 40 * MIB, 60 * MIB
 
-    async def after(memory: int, told: int | None) -> int:
+    async def after(memory: int, rss_bytes: int | None) -> int:
         async def held_bytes() -> int | None:
-            return told
+            return rss_bytes
 
         watched: Any = SimpleNamespace(name="h1", memory_bytes=lambda: memory)
         return await hostile_callers.memory_back(watched, calm, "silent-gets", held_bytes)

@@ -135,9 +135,9 @@ def _count(source: ByteSource) -> int:
 
 
 def _scalar(source: ByteSource, field: FieldDescriptor, known: KnownValues) -> Any:
-    told = known.of(field.name)
-    if told and source.chance(75):
-        value = source.choice(told)
+    known_values = known.of(field.name)
+    if known_values and source.chance(75):
+        value = source.choice(known_values)
         if _fits(field, value):
             return value
     if field.cpp_type in _BITS:

@@ -67,13 +67,13 @@ def run_detector(detector: str, *, package_path: Path | None, seeds: int = SEEDS
         )
     except subprocess.TimeoutExpired:
         return False, f"{NO_VERDICT}: the run took more than {SECONDS_MAX:.0f} s"
-    said = (done.stdout.strip() or done.stderr.strip()).splitlines()
-    last = said[-1] if said else ""
+    lines = (done.stdout.strip() or done.stderr.strip()).splitlines()
+    last = lines[-1] if lines else ""
     if simulated and done.returncode == 0:
         found, _, why = last.partition(" ")
         return True, f"seed {int(found) - 1}, the {found}. of {seeds}: {why}"
     if not simulated and done.returncode == TESTS_FAILED:
-        return True, next((line.split("::")[-1] for line in said if line.startswith("FAILED")), last)
+        return True, next((line.split("::")[-1] for line in lines if line.startswith("FAILED")), last)
     if done.returncode not in (0, 1) or "Traceback" in done.stderr:
         return False, f"{NO_VERDICT}: exit code {done.returncode}: {(done.stderr.strip().splitlines() or [last])[-1]}"
     return False, f"{seeds} seeds found nothing" if simulated else "the test passes"

@@ -97,8 +97,8 @@ class Certificates:
 
 def _run(*words: str) -> None:
     """Run `stampede certs`. Raises OSError with its output if it fails."""
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
         code = stampede_certs(words)
     if code != 0:
-        raise OSError(f"stampede certs {' '.join(words)} failed: {said.getvalue().strip()}")
+        raise OSError(f"stampede certs {' '.join(words)} failed: {output.getvalue().strip()}")

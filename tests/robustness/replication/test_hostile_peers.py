@@ -141,8 +141,8 @@ class Victim:
     def hear(self, sender: str, message: pb.RaftMessage) -> None:
         """Take a message as the servicer does: an unreadable or too large one ends the stream."""
         try:
-            told = decode_message(pb.RaftMessage.FromString(message.SerializeToString()))
-            self.replica.deliver(MessageReceived(sender, told, message.ByteSize()))
+            decoded = decode_message(pb.RaftMessage.FromString(message.SerializeToString()))
+            self.replica.deliver(MessageReceived(sender, decoded, message.ByteSize()))
         except (MalformedMessage, InboxFull):
             self.replica.deliver(StreamOpened(sender))
 

@@ -26,22 +26,22 @@ def in_a_forked_child(function: Callable[[], Any]) -> Any:
     os.close(writable)
     status = None
     try:
-        told = _read(readable)
+        result = _read(readable)
         status = os.waitpid(pid, 0)[1]  # the child has closed the pipe, and is ending
     finally:
         os.close(readable)
         if status is None:
             os.kill(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
-    assert told, f"the child died without a result, with status {status}"
-    return pickle.loads(told)
+    assert result, f"the child died without a result, with status {status}"
+    return pickle.loads(result)
 
 
 def _be_the_child(function: Callable[[], Any], writable: int) -> None:
     try:
-        told = pickle.dumps(function())
+        result = pickle.dumps(function())
         with os.fdopen(writable, "wb") as pipe:
-            pipe.write(told)
+            pipe.write(result)
     except BaseException:  # noqa: BLE001  # a child must not go on as pytest
         traceback.print_exc(file=sys.__stderr__)
     finally:
@@ -49,10 +49,10 @@ def _be_the_child(function: Callable[[], Any], writable: int) -> None:
 
 
 def _read(readable: int) -> bytes:
-    told = b""
+    result = b""
     while select.select([readable], [], [], LIMIT_S)[0]:
         part = os.read(readable, 65536)
         if not part:
-            return told
-        told += part
+            return result
+        result += part
     raise AssertionError(f"the child did not end within {LIMIT_S} s")

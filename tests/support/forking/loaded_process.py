@@ -27,20 +27,20 @@ def serve(calls: socket.socket) -> None:
         request, streams, _, _ = socket.recv_fds(calls, REQUEST_BYTES_MAX, 3)
         if not request:
             sys.exit()
-        told, tell = os.pipe()
+        readable, sender = os.pipe()
         between = os.fork()
         if between == 0:
             # The process of the tests becomes the parent of this process's child, and can then wait for the child's
             # end.
             if child := os.fork():
-                os.write(tell, str(child).encode())
+                os.write(sender, str(child).encode())
                 os._exit(0)
-            return become(json.loads(request), streams, unused=(told, tell, calls.detach()))
-        for file in (*streams, tell):
+            return become(json.loads(request), streams, unused=(readable, sender, calls.detach()))
+        for file in (*streams, sender):
             os.close(file)
         os.waitpid(between, 0)
-        calls.send(os.read(told, 32))
-        os.close(told)
+        calls.send(os.read(readable, 32))
+        os.close(readable)
 
 
 def become(request: dict[str, Any], streams: list[int], *, unused: tuple[int, ...]) -> None:

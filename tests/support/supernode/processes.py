@@ -66,12 +66,12 @@ class Supernode:
         )
         try:
             async with asyncio.timeout(PATIENCE_SECONDS):
-                _, said = await process.communicate()
+                _, output = await process.communicate()
         finally:
             if process.returncode is None:
                 process.kill()
         assert process.returncode is not None
-        return process.returncode, said.decode()
+        return process.returncode, output.decode()
 
     async def end(self, number: signal.Signals) -> tuple[int, bytes]:
         """Send the process a signal, and wait for its end.

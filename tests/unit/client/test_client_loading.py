@@ -23,7 +23,7 @@ sys.meta_path.insert(0, Watch())
 """
 
 
-def said_by(code: str) -> str:
+def output_of(code: str) -> str:
     command = [sys.executable, "-c", WATCH + code]
     done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS_MAX, check=True)
     return done.stdout
@@ -33,7 +33,7 @@ def said_by(code: str) -> str:
     "module", ["stampede_rt", "stampede_rt.cli.main", "stampede_rt.values.timeline", "stampede_rt.errors"]
 )
 def test_modules_that_need_no_connection_do_not_load_grpc(module: str) -> None:
-    assert said_by(f"import {module}") == ""
+    assert output_of(f"import {module}") == ""
 
 
 def test_the_public_names_are_loaded_on_first_use() -> None:
@@ -43,13 +43,15 @@ print("connect" in dir(st), "Mailbox" in st.__all__)
 from stampede_rt import *
 print(connect is st.connect, st.errors.TooOld is TooOld, hasattr(st, "nothing"), hasattr(st, "surface"))
 """
-    said = said_by(code)
-    assert said.splitlines()[-2:] == ["True True", "True True False True"], said
+    output = output_of(code)
+    assert output.splitlines()[-2:] == ["True True", "True True False True"], output
 
 
 def test_the_asyncio_client_does_not_load_the_blocking_one() -> None:
-    said = said_by("from stampede_rt import aio; print([name for name in sys.modules if 'stampede_rt._sync' in name])")
-    assert said.splitlines()[-1] == "[]", said
+    output = output_of(
+        "from stampede_rt import aio; print([name for name in sys.modules if 'stampede_rt._sync' in name])"
+    )
+    assert output.splitlines()[-1] == "[]", output
 
 
 @pytest.mark.parametrize(
@@ -68,8 +70,8 @@ def test_the_asyncio_client_does_not_load_the_blocking_one() -> None:
     ],
 )
 def test_grpc_is_loaded_so_that_it_logs_errors_only(code: str) -> None:
-    said = said_by(f"try:\n    {code}\nexcept SystemExit:\n    pass")
-    assert "grpc ERROR" in said.splitlines(), said
+    output = output_of(f"try:\n    {code}\nexcept SystemExit:\n    pass")
+    assert "grpc ERROR" in output.splitlines(), output
 
 
 class Interrupted:
@@ -103,4 +105,4 @@ try:
 except InvalidArgument as error:
     print("told:", error)
 """
-    assert "pip install 'stampede-rt[multicast]'" in said_by(without).partition("told:")[2]
+    assert "pip install 'stampede-rt[multicast]'" in output_of(without).partition("told:")[2]

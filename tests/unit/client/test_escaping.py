@@ -38,8 +38,8 @@ def test_no_verb_prints_control_characters_of_its_arguments(
         status = stampede(words)
     except SystemExit as end:
         status = int(end.code or 0)
-    said = "".join(capsys.readouterr())
+    output = "".join(capsys.readouterr())
     assert status != 0
-    assert "forged" in said, "the error names the argument"
-    assert said == "\n".join(map(escaped, said.split("\n")))
-    assert not any(line.startswith("forged") for line in said.split("\n"))
+    assert "forged" in output, "the error names the argument"
+    assert output == "\n".join(map(escaped, output.split("\n")))
+    assert not any(line.startswith("forged") for line in output.split("\n"))

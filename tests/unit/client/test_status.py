@@ -48,9 +48,9 @@ def test_a_connection_that_broke_is_reported_as_unavailable(code: grpc.StatusCod
     ],
 )
 def test_a_defect_of_the_service_is_not_retryable(error: grpc.aio.AioRpcError) -> None:
-    told = from_rpc_error(error, "h:1")
-    assert type(told) is st.StampedeError
-    assert not told.retryable
+    decoded = from_rpc_error(error, "h:1")
+    assert type(decoded) is st.StampedeError
+    assert not decoded.retryable
 
 
 def test_the_error_of_a_service_has_no_traceback_of_grpc() -> None:
@@ -63,6 +63,6 @@ def test_the_error_of_a_service_has_no_traceback_of_grpc() -> None:
                 raise error
             except grpc.RpcError as caught:
                 raise_from_rpc_error(caught, "h:1")
-        except st.StampedeError as told:
-            shown[error] = told.from_service, "AioRpcError" in "".join(traceback.format_exception(told))
+        except st.StampedeError as raised:
+            shown[error] = raised.from_service, "AioRpcError" in "".join(traceback.format_exception(raised))
     assert shown == {refused: (True, False), broken: (False, True)}

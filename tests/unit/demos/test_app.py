@@ -28,9 +28,9 @@ def test_a_failure_is_one_sentence_and_exit_code_1(monkeypatch, capsys):
     monkeypatch.setattr(film, "_LIBRARIES", {"no_such_decoder": "no-such-decoder"})
     monkeypatch.setattr(app, "require_libraries", film.require_libraries)
     assert app.main(["tv-watcher"]) == 1
-    said = capsys.readouterr().err
-    assert said.startswith("stampede demo tv-watcher: the package no-such-decoder")
-    assert said.count("\n") == 1
+    error_output = capsys.readouterr().err
+    assert error_output.startswith("stampede demo tv-watcher: the package no-such-decoder")
+    assert error_output.count("\n") == 1
 
 
 def test_an_interruption_is_reported_and_has_the_shells_exit_code(monkeypatch, capsys):

@@ -30,39 +30,40 @@ class SupernodeAnswers(access_service_pb2_grpc.AccessServiceServicer):
 
 @asynccontextmanager
 async def followed() -> AsyncIterator[tuple[SupernodeAnswers, AccessControl, AccessFollower, grpc.aio.Channel]]:
-    told, control = SupernodeAnswers(), AccessControl()
+    supernode, control = SupernodeAnswers(), AccessControl()
+    register = access_service_pb2_grpc.add_AccessServiceServicer_to_server
     async with (
-        serving(lambda server: access_service_pb2_grpc.add_AccessServiceServicer_to_server(told, server)) as server,
+        serving(lambda server: register(supernode, server)) as server,
         dial(server.address, secret=None) as channel,
     ):
-        yield told, control, AccessFollower(control), channel
+        yield supernode, control, AccessFollower(control), channel
 
 
 async def test_a_front_end_asks_for_a_later_version_once_and_for_an_earlier_one_never() -> None:
-    async with followed() as (told, control, follower, channel):
+    async with followed() as (supernode, control, follower, channel):
         for version in (7, 7, 6, 0):
             await follower.heard("c", version, channel)
-        assert (told.asked, control.version) == (1, 7)
-        told.version = 9
+        assert (supernode.asked, control.version) == (1, 7)
+        supernode.version = 9
         await follower.heard("c", 8, channel)
         state = control.refresh()
         assert state is not None
-        assert (told.asked, state.version, state.revoked_serials) == (2, 9, frozenset({"a1"}))
+        assert (supernode.asked, state.version, state.revoked_serials) == (2, 9, frozenset({"a1"}))
 
 
 async def test_a_cluster_that_takes_the_place_of_another_has_versions_of_its_own() -> None:
-    async with followed() as (told, control, follower, channel):
+    async with followed() as (supernode, control, follower, channel):
         await follower.heard("former", 0, channel)
-        assert (told.asked, control.version) == (0, 0)
+        assert (supernode.asked, control.version) == (0, 0)
         await follower.heard("c", 7, channel)
-        assert (told.asked, control.version) == (1, 7)
+        assert (supernode.asked, control.version) == (1, 7)
 
 
 async def test_a_front_end_asks_again_if_a_supernode_does_not_answer() -> None:
-    async with followed() as (told, control, follower, channel):
-        told.version = 0
+    async with followed() as (supernode, control, follower, channel):
+        supernode.version = 0
         await follower.heard("c", 7, channel)
         assert control.refresh() is None
-        told.version = 7
+        supernode.version = 7
         await follower.heard("c", 7, channel)
-        assert (told.asked, control.version) == (2, 7)
+        assert (supernode.asked, control.version) == (2, 7)

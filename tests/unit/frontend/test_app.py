@@ -21,7 +21,7 @@ def test_a_front_end_with_bad_settings_prints_one_line_and_exits_with_2(
 ) -> None:
     monkeypatch.setattr("stampede_rt_runtime.main.set_up_logging", lambda level, form: None)
     assert main(argv) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("stampede frontend: ")
-    assert message in said
-    assert said.count("\n") == 1
+    error_output = capsys.readouterr().err
+    assert error_output.startswith("stampede frontend: ")
+    assert message in error_output
+    assert error_output.count("\n") == 1

@@ -27,7 +27,7 @@ async def test_a_supernode_of_another_authority_is_named_with_the_reason(tmp_pat
     frontend = Dialer(secret=None, tls=load_tls(ours.issue(Role.FRONTEND, "f1"), Role.FRONTEND))
     supernode = load_tls(theirs.issue(Role.SUPERNODE, "s1"), Role.SUPERNODE)
     async with serving(lambda _: None, tls=supernode) as server:
-        told = await why_it_failed(server.address, frontend)
-        assert f"the certificate of {server.address} is of an authority that {ours.ca} does not contain" in told
-        told = await why_it_failed(server.address, Dialer(secret=None))
-        assert f"{server.address} asks for certificates (TLS), and this caller has none" in told
+        reason = await why_it_failed(server.address, frontend)
+        assert f"the certificate of {server.address} is of an authority that {ours.ca} does not contain" in reason
+        reason = await why_it_failed(server.address, Dialer(secret=None))
+        assert f"{server.address} asks for certificates (TLS), and this caller has none" in reason

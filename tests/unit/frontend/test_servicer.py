@@ -118,7 +118,7 @@ async def test_members_are_learned_from_one_seed() -> None:
     one, two = FakeSupernode("s1"), FakeSupernode("s2")
     async with supernode(one) as first, supernode(two) as second, frontend(first.address) as bind:
         one.members = two.members = {"s1": first.address, "s2": second.address}
-        await bind_until(bind, lambda said: [node.healthy for node in said.supernodes] == [True, True])
+        await bind_until(bind, lambda answer: [node.healthy for node in answer.supernodes] == [True, True])
 
 
 async def test_a_dead_supernode_goes_to_the_end_and_comes_back() -> None:
@@ -129,18 +129,18 @@ async def test_a_dead_supernode_goes_to_the_end_and_comes_back() -> None:
             one.members = two.members = {"s1": place, "s2": second.address}
             stack = AsyncExitStack()
             bind = await stack.enter_async_context(frontend(place, second.address))
-            await bind_until(bind, lambda said: [node.healthy for node in said.supernodes] == [True, True])
+            await bind_until(bind, lambda answer: [node.healthy for node in answer.supernodes] == [True, True])
         async with stack:
-            await bind_until(bind, lambda said: said.supernodes[-1].supernode_id == "s1"
-                             and [node.healthy for node in said.supernodes] == [True, False])  # fmt: skip
+            await bind_until(bind, lambda answer: answer.supernodes[-1].supernode_id == "s1"
+                             and [node.healthy for node in answer.supernodes] == [True, False])  # fmt: skip
             async with supernode(one, place):
-                await bind_until(bind, lambda said: all(node.healthy for node in said.supernodes))
+                await bind_until(bind, lambda answer: all(node.healthy for node in answer.supernodes))
 
 
 async def test_a_member_that_was_removed_is_not_probed_any_more() -> None:
     one, two = FakeSupernode("s1"), FakeSupernode("s2")
     async with supernode(one) as first, supernode(two) as second, frontend(first.address) as bind:
         one.members = two.members = {"s1": first.address, "s2": second.address}
-        await bind_until(bind, lambda said: len(said.supernodes) == 2)
+        await bind_until(bind, lambda answer: len(answer.supernodes) == 2)
         one.members = two.members = {"s1": first.address}
-        await bind_until(bind, lambda said: len(said.supernodes) == 1)
+        await bind_until(bind, lambda answer: len(answer.supernodes) == 1)

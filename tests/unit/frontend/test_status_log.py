@@ -37,8 +37,8 @@ def test_the_loss_of_a_supernode_and_its_return_are_reported_once_each() -> None
     ]
     for _ in range(3):
         roster.failed("b:1", "connection refused")
-        said = list(status_log.changes(roster, LATER_S))
-    assert said == []
+        changes = list(status_log.changes(roster, LATER_S))
+    assert changes == []
     roster.answered("b:1", answer(ready=True))
     assert [(note.text, note.facts) for note in status_log.changes(roster, LATER_S)] == [
         ("a supernode can serve", {"supernode": "b:1"})
@@ -50,12 +50,12 @@ def test_the_loss_of_the_majority_and_its_return_are_reported_once_each() -> Non
     for target in roster.targets():
         roster.answered(target, answer(ready=True))
     list(status_log.changes(roster, LATER_S))
-    told: list[str] = []
+    lines: list[str] = []
     for _ in range(3):
         roster.failed("b:1", "connection refused")
         roster.answered("a:1", answer(ready=False))
-        told += [f"{note.text} {note.facts.get('why', '')}" for note in status_log.changes(roster, LATER_S)]
-    assert [line.partition(":")[0] for line in told] == [
+        lines += [f"{note.text} {note.facts.get('why', '')}" for note in status_log.changes(roster, LATER_S)]
+    assert [line.partition(":")[0] for line in lines] == [
         "a supernode cannot serve it knows no leader with a majority",
         "a supernode cannot serve connection refused",
         "no supernode can serve this front-end",

@@ -122,9 +122,9 @@ async def test_every_kind_of_call_is_allowed_only_to_its_roles(
         async with dial(server.address, secret=None, tls=client) as channel:
             with pytest.raises(grpc.aio.AioRpcError) as caught:
                 await answer(channel, kind, no_request)
-    told = from_rpc_error(caught.value, "it")
-    assert isinstance(told, PermissionDenied)
-    assert str(told) == (
+    error = from_rpc_error(caught.value, "it")
+    assert isinstance(error, PermissionDenied)
+    assert str(error) == (
         "client cam may not call DirectoryService/RegisterHost, which is for host; use a certificate of that role"
     )
     assert handlers.called == 1
@@ -159,9 +159,9 @@ async def test_a_port_with_a_secret_and_certificates_requires_both(
         async with dial(server.address, secret=secret, tls=client) as channel:
             with pytest.raises(grpc.aio.AioRpcError) as caught:
                 await health_pb2_grpc.HealthStub(channel).Watch(ask, timeout=5).read()
-    told = from_rpc_error(caught.value, "it")
-    assert isinstance(told, PermissionDenied)
-    assert what in str(told)
+    error = from_rpc_error(caught.value, "it")
+    assert isinstance(error, PermissionDenied)
+    assert what in str(error)
 
 
 async def test_new_connections_get_the_new_certificate_and_open_ones_continue(
@@ -251,8 +251,8 @@ async def test_the_error_of_a_client_names_the_fault_of_the_services_certificate
 
 async def test_the_error_of_a_client_says_that_the_service_uses_plain_text(made: ClusterCertificates) -> None:
     async with serving(lambda _: None) as server:
-        told = await refusal(server.address, made.issue(Role.CLIENT, "cam"))
-        assert told == (
+        error = await refusal(server.address, made.issue(Role.CLIENT, "cam"))
+        assert error == (
             f"{server.address} speaks plain text, not TLS; "
             "leave the certificates out, or give that service certificates"
         )

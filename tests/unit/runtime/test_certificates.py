@@ -33,12 +33,12 @@ def made(tmp_path: Path) -> ClusterCertificates:
 def test_a_certificate_holds_its_name_its_addresses_and_its_end() -> None:
     authority = make_authority("lab", now=NOW, lifetime=10 * DAY)
     one = issue(authority, HOST, ("rig", "10.0.0.1", "[::1]"), now=NOW, lifetime=DAY)
-    (told,) = describe(one.certificate)
-    assert told.identity == HOST
-    assert told.addresses == ("rig", "10.0.0.1", "::1")
-    assert told.not_before < NOW
-    assert told.not_after == NOW + DAY
-    assert not told.is_authority
+    (contents,) = describe(one.certificate)
+    assert contents.identity == HOST
+    assert contents.addresses == ("rig", "10.0.0.1", "::1")
+    assert contents.not_before < NOW
+    assert contents.not_after == NOW + DAY
+    assert not contents.is_authority
     assert describe(authority.certificate)[0].is_authority
     assert b"PRIVATE" not in repr(one).encode()
 
@@ -68,13 +68,13 @@ def test_the_commands_make_files_that_work_together(tmp_path: Path, capsys: pyte
         assert stat.S_IMODE(secret.stat().st_mode) == 0o600
     tls = load_tls(TlsFiles(ca=ca, certificate=certificate, key=key), Role.SUPERNODE)
     assert tls.identity == Identity("lab", Role.SUPERNODE, "s1")
-    told = capsys.readouterr().out
-    assert f"stampede certs issue --dir {folder} --name NAME" in told
-    assert f"stampede supernode --id s1 --tls-ca {ca} --tls-certificate {certificate} --tls-key {key}" in told
+    printed = capsys.readouterr().out
+    assert f"stampede certs issue --dir {folder} --name NAME" in printed
+    assert f"stampede supernode --id s1 --tls-ca {ca} --tls-certificate {certificate} --tls-key {key}" in printed
     assert stampede(["certs", "show", str(certificate), str(ca)]) == 0
-    told = capsys.readouterr().out
-    assert "supernode s1 of cluster lab, called at s1, 10.0.0.1; valid until" in told
-    assert "(an authority)" in told
+    printed = capsys.readouterr().out
+    assert "supernode s1 of cluster lab, called at s1, 10.0.0.1; valid until" in printed
+    assert "(an authority)" in printed
 
 
 def test_names_that_differ_in_case_or_in_a_slash_have_files_of_their_own(tmp_path: Path) -> None:
@@ -134,9 +134,9 @@ def test_a_wrong_command_prints_one_sentence(
     (tmp_path / "ca.key").write_bytes((tmp_path / "certs" / "ca.key").read_bytes())
     capsys.readouterr()
     assert stampede(["certs", *words]) == status
-    said = capsys.readouterr().err
-    assert complaint in said
-    assert "Traceback" not in said
+    error_output = capsys.readouterr().err
+    assert complaint in error_output
+    assert "Traceback" not in error_output
 
 
 def test_show_reports_an_expired_certificate(made: ClusterCertificates, capsys: pytest.CaptureFixture[str]) -> None:
@@ -193,8 +193,8 @@ def test_a_certificate_is_due_for_renewal_two_weeks_before_its_end_or_when_a_thi
     lifetime: timedelta, left: timedelta, soon: bool
 ) -> None:
     authority = make_authority("lab", now=NOW, lifetime=999 * DAY)
-    [told] = describe(issue(authority, HOST, ("rig",), now=NOW, lifetime=lifetime).certificate)
-    assert told.ends_soon(NOW + lifetime - left, 14 * DAY) is soon
+    [contents] = describe(issue(authority, HOST, ("rig",), now=NOW, lifetime=lifetime).certificate)
+    assert contents.ends_soon(NOW + lifetime - left, 14 * DAY) is soon
 
 
 def test_a_service_does_not_start_with_an_invalid_certificate(made: ClusterCertificates, tmp_path: Path) -> None:
@@ -270,8 +270,8 @@ def test_a_reader_retries_if_a_replacement_of_the_files_ends_while_it_reads(
 
 
 def test_the_standard_library_shows_our_own_certificate(made: ClusterCertificates) -> None:
-    told = check_own_certificate(TlsReader(made.issue(Role.CLIENT, "cam")))
-    assert ("URI", "stampede://local/client/cam") in told["subjectAltName"]  # type: ignore[operator]
+    own = check_own_certificate(TlsReader(made.issue(Role.CLIENT, "cam")))
+    assert ("URI", "stampede://local/client/cam") in own["subjectAltName"]  # type: ignore[operator]
 
 
 def test_the_environment_names_all_three_files_or_none(made: ClusterCertificates) -> None:

@@ -94,9 +94,9 @@ def test_the_log_has_no_line_for_a_caller_that_has_gone_before_its_answer(capsys
     finally:
         root.handlers[:] = handlers
         root.setLevel(level)
-    told = capsys.readouterr().err
-    assert "ExecuteBatchError" not in told
-    assert "a defect" in told
+    logged = capsys.readouterr().err
+    assert "ExecuteBatchError" not in logged
+    assert "a defect" in logged
 
 
 def test_an_unhandled_error_is_one_line_in_the_main_thread_and_in_others() -> None:

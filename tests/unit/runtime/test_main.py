@@ -57,9 +57,9 @@ def test_a_service_ignores_the_certificate_settings_of_clients_and_logs_it(
 ) -> None:
     monkeypatch.setenv("STAMPEDE_TLS_CERTIFICATE", "/nowhere/client.pem")
     assert run_service(Settings, "sample", (), serve) == 0
-    told = capsys.readouterr().err
-    assert "no certificates are used: $STAMPEDE_TLS_CERTIFICATE are for clients" in told
-    assert "$STAMPEDE_SAMPLE_TLS_CA" in told
+    logged = capsys.readouterr().err
+    assert "no certificates are used: $STAMPEDE_TLS_CERTIFICATE are for clients" in logged
+    assert "$STAMPEDE_SAMPLE_TLS_CA" in logged
     monkeypatch.setenv("STAMPEDE_SAMPLE_TLS_CERTIFICATE", "/nowhere/own.pem")
     assert run_service(Settings, "sample", (), lambda settings: serve(_with_certificates(settings))) == 2
     assert "--tls-ca and --tls-key must be given, too" in capsys.readouterr().err
@@ -90,11 +90,11 @@ def test_a_service_ends_with_a_code_and_at_most_one_line(
         return await serve(settings)
 
     assert run_service(Settings, "sample", argv, with_secret) == code
-    said = capsys.readouterr().err
-    assert said.count("\n") <= 1
-    assert "Traceback" not in said
+    error_output = capsys.readouterr().err
+    assert error_output.count("\n") <= 1
+    assert "Traceback" not in error_output
     if complaint is not None:
-        assert said == complaint
+        assert error_output == complaint
 
 
 def test_a_service_raises_an_unexpected_error() -> None:
@@ -114,9 +114,9 @@ def test_a_service_that_cannot_listen_at_its_address_ends_with_code_1(capsys: py
 
 def test_help_goes_to_standard_output_and_ends_with_code_0(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_service(Settings, "sample", ["--help"], serve) == 0
-    said = capsys.readouterr()
-    assert "usage: stampede sample" in said.out
-    assert said.err == ""
+    output = capsys.readouterr()
+    assert "usage: stampede sample" in output.out
+    assert output.err == ""
 
 
 def test_services_run_on_uvloop(capsys: pytest.CaptureFixture[str]) -> None:

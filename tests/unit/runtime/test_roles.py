@@ -81,8 +81,8 @@ def test_a_method_without_a_row_is_for_no_role(method: str) -> None:
 
 
 def test_a_refusal_names_the_caller_the_call_and_the_role() -> None:
-    told = why_refused(RAFT, caller(Role.CLIENT, name="cam"))
-    assert told == (
+    reason = why_refused(RAFT, caller(Role.CLIENT, name="cam"))
+    assert reason == (
         "client cam may not call RaftService/Exchange, which is for supernode; use a certificate of that role"
     )
 

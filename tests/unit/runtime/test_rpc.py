@@ -32,18 +32,18 @@ class Servicer:
 
     @errors_as_status
     async def answer(self, request: Exception | str, context: Context) -> str:
-        return _said(request)
+        return _response_to(request)
 
     @errors_as_status
     async def stream(self, request: Exception | str, context: Context) -> AsyncIterator[str]:
         try:
             yield "first"
-            yield _said(request)
+            yield _response_to(request)
         finally:
             self.closed = True
 
 
-def _said(request: Exception | str) -> str:
+def _response_to(request: Exception | str) -> str:
     if isinstance(request, Exception):
         raise request
     return request

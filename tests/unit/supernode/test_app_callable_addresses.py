@@ -52,10 +52,10 @@ def test_a_newcomer_that_others_cannot_call_may_not_join_members_elsewhere(
     cluster_at(ELSEWHERE, monkeypatch=monkeypatch)
     words = ("--listen", address) if option == "--listen" else ("--listen", "0.0.0.0:7590", "--advertise", address)
     assert join(tmp_path / "s9", *words) == 2
-    said = capsys.readouterr().err
-    assert f"{address} can be called only from its own machine" in said
-    assert f"s1 at {ELSEWHERE}" in said
-    assert "give --listen or --advertise the address at which they reach this supernode" in said
+    error_output = capsys.readouterr().err
+    assert f"{address} can be called only from its own machine" in error_output
+    assert f"s1 at {ELSEWHERE}" in error_output
+    assert "give --listen or --advertise the address at which they reach this supernode" in error_output
     assert not (tmp_path / "s9").exists()
 
 
@@ -65,9 +65,9 @@ def test_a_newcomer_elsewhere_may_not_join_members_that_it_cannot_call(
 ) -> None:
     cluster_at(address, monkeypatch=monkeypatch)
     assert join(tmp_path / "s9", "--listen", ELSEWHERE) == 2
-    said = capsys.readouterr().err
-    assert f"s1 at {address} can be called only from its own machine" in said
-    assert "stampede supernode init --advertise" in said
+    error_output = capsys.readouterr().err
+    assert f"s1 at {address} can be called only from its own machine" in error_output
+    assert "stampede supernode init --advertise" in error_output
     assert not (tmp_path / "s9").exists()
 
 
@@ -76,9 +76,9 @@ def test_either_all_or_no_addresses_of_a_list_of_members_are_loopback_addresses(
 ) -> None:
     words = ["--id", "s1", "--listen", "localhost:7581", "--members", f"s1=localhost:7581,s2={ELSEWHERE}"]
     assert main(words) == 2
-    said = capsys.readouterr().err
-    assert "--members names s1=localhost:7581, which only its own machine can call" in said
-    assert "give each the address at which the others reach it" in said
+    error_output = capsys.readouterr().err
+    assert "--members names s1=localhost:7581, which only its own machine can call" in error_output
+    assert "give each the address at which the others reach it" in error_output
 
 
 @pytest.mark.parametrize("source", ["flag", "variable", "file"])

@@ -187,9 +187,9 @@ def test_a_supernode_with_bad_settings_prints_one_line_and_exits_with_2(
 ) -> None:
     monkeypatch.setattr("stampede_rt_runtime.main.set_up_logging", lambda level, form: None)
     assert main(argv) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
+    error_output = capsys.readouterr().err
+    assert message in error_output
+    assert error_output.count("\n") == 1
 
 
 def test_a_data_folder_of_another_member_is_refused_in_one_line(
@@ -206,14 +206,14 @@ def test_a_data_folder_of_another_member_is_refused_in_one_line(
     monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     assert main(("--listen", "localhost:0", "--id", "stranger", "--data-dir", str(tmp_path / "s1"))) == 1
-    said = capsys.readouterr().err
-    assert said.startswith("stampede supernode: ")
-    assert said.count("\n") == 1
+    error_output = capsys.readouterr().err
+    assert error_output.startswith("stampede supernode: ")
+    assert error_output.count("\n") == 1
 
 
 def test_the_supernode_program_refuses_client_verbs_and_names_the_client_program(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["status"]) == 2
-    said = "stampede supernode: the client runs 'status'; write: stampede supernode status\n"
-    assert capsys.readouterr().err == said
+    expected = "stampede supernode: the client runs 'status'; write: stampede supernode status\n"
+    assert capsys.readouterr().err == expected

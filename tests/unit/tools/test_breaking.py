@@ -39,7 +39,7 @@ def guard(source: Path, stable: Path) -> int:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "expected"),
     [
         ("int64 max_age_nanos = 1", "string max_age_nanos = 1", "max_age_nanos"),
         ("int64 max_age_nanos = 1", "int64 max_age_nanos = 3", "was deleted"),
@@ -50,14 +50,14 @@ def guard(source: Path, stable: Path) -> int:
     ],
 )
 def test_a_breaking_change_fails_and_is_named(
-    contract: tuple[Path, Path], capsys: pytest.CaptureFixture[str], old: str, new: str, told: str
+    contract: tuple[Path, Path], capsys: pytest.CaptureFixture[str], old: str, new: str, expected: str
 ) -> None:
     source, stable = contract
     assert old in FIRST_PROTO
     source.write_text(FIRST_PROTO.replace(old, new))
     assert guard(source, stable) == 1
     printed = capsys.readouterr().out
-    assert told in printed
+    assert expected in printed
     assert "--accept" in printed
 
 

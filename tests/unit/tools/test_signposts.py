@@ -63,7 +63,7 @@ def test_a_new_picture_takes_the_place_of_the_old_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("index", "told"),
+    ("index", "expected"),
     [
         ("| [0001](0001-a.md) | A | a |", "0002-b.md is not in the index"),
         ("| [0001](0001-a.md) | A | a |\n| [0002](0002-b.md) | B | b |\n| [0003](0003-c.md) | C | c |", "0003-c.md"),
@@ -71,9 +71,9 @@ def test_a_new_picture_takes_the_place_of_the_old_one() -> None:
         ("| [0002](0002-b.md) | B | b |\n| [0001](0001-a.md) | A | a |", "not in the order"),
     ],
 )
-def test_an_index_that_is_not_complete_and_in_order_is_reported(index: str, told: str) -> None:
+def test_an_index_that_is_not_complete_and_in_order_is_reported(index: str, expected: str) -> None:
     (line,) = index_complaints(index, {"0001-a.md": "", "0002-b.md": ""})
-    assert told in line
+    assert expected in line
 
 
 def test_a_page_with_the_marks_of_a_merge_conflict_is_reported() -> None:

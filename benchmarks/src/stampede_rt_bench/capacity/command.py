@@ -56,7 +56,7 @@ def measure_capacity(arguments: argparse.Namespace) -> int:
         report.write(folder)  # after each workload, so that an interrupted run keeps its figures
 
     chosen = [workload for workload in capacity_workloads() if not only or workload.name in only]
-    compare([system], chosen, rounds=arguments.rounds, seconds=arguments.seconds, done=done, say=say)
+    compare([system], chosen, rounds=arguments.rounds, seconds=arguments.seconds, done=done, report=say)
     for table in report.tables():
         show(table, arguments.output, "")
     finish(report.values(), f"\nThe report is in {folder}: capacity.md and capacity.json.", arguments.output)

@@ -43,7 +43,7 @@ IN_PAPER = {
     (LARGE, 12): PaperDrops("9.5", "not told", None),
     (LARGE, 16): PaperDrops("about 17 % of all", "549", 549),
 }
-NOT_TOLD = PaperDrops("", "", None)
+NOT_REPORTED = PaperDrops("", "", None)
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def measure(effort: Effort, chart: Path) -> Table:
 
 
 def _row(item_bytes: int, consumers: int, runs: Sequence[Sequence[int]]) -> list[str]:
-    paper = IN_PAPER.get((item_bytes, consumers), NOT_TOLD)
+    paper = IN_PAPER.get((item_bytes, consumers), NOT_REPORTED)
     by_all = Spread.of([sum(lost) for lost in runs])
     mean = statistics.fmean(sum(lost) for lost in runs)
     return [

@@ -58,7 +58,7 @@ def compare(
     rounds: int,
     seconds: float,
     done: Callable[[Results, Workload], None],
-    say: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> Results:
     """Measure every available system with every workload that it can run. Calls `done` after each workload."""
     results = Results()
@@ -69,13 +69,13 @@ def compare(
             present.append(system)
         else:
             results.absent[system.name] = reason
-            say(f"{system.name} is not measured: {reason}")
+            report(f"{system.name} is not measured: {reason}")
     for workload in workloads:
         able = [system for system in present if _can(system, workload.kind)]
         for turn in range(rounds):
             first = turn % max(1, len(able))
             for system in [*able[first:], *able[:first]]:
-                _measure(results, system, workload, seconds, say)
+                _measure(results, system, workload, seconds, report)
         done(results, workload)
     return results
 
@@ -85,12 +85,12 @@ def _can(system: MeasuredSystem, kind: Kind) -> bool:
 
 
 def _measure(
-    results: Results, system: MeasuredSystem, workload: Workload, seconds: float, say: Callable[[str], None]
+    results: Results, system: MeasuredSystem, workload: Workload, seconds: float, report: Callable[[str], None]
 ) -> None:
     try:
         measured = measure(system, workload, seconds)
     except (RunFailed, ServerFailed) as error:
         results.failures.append(f"{system.name}, {workload.title}: {error}")
-        say(f"failed: {results.failures[-1]}")
+        report(f"failed: {results.failures[-1]}")
         return
     results.runs.setdefault(workload, {}).setdefault(system.name, []).append(measured)

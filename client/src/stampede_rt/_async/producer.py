@@ -273,8 +273,8 @@ class Producer(BoundToProcess):
 
         async def open_at(binding: Binding, _: float) -> None:  # awaits nothing, so no cancellation can interrupt it
             generation = self._generation
-            told = partial(weakly(self._acked), generation), partial(weakly(self._ended), generation)
-            stream = open_run_stream(self._session, binding, self._producer_id, self._ack, *told)
+            callbacks = partial(weakly(self._acked), generation), partial(weakly(self._ended), generation)
+            stream = open_run_stream(self._session, binding, self._producer_id, self._ack, *callbacks)
             self._do(partial(self._begin, stream, generation))
 
         await self._session.perform(self._state, open_at, timeout_s)

@@ -212,7 +212,7 @@ class Taker:
                 return
         endpoint = self._session.endpoints.to(binding.target)
         stream: BidiStream[queue_pb.TakeResponse] = endpoint.open_bidi(endpoint.queues.Take)
-        heard = False
+        has_response = False
         opening = queue_pb.TakeOpen(
             queue_id=binding.subject_id,
             epoch=binding.epoch,
@@ -222,12 +222,12 @@ class Taker:
         try:
             await stream.send(queue_pb.TakeRequest(open=opening, credit=self._credit))
             async for response in stream:  # the first response says that the stream is open
-                if not heard:
-                    heard = True
+                if not has_response:
+                    has_response = True
                     await self._begin(stream)
                 await self._receive(stream, response)
         except StampedeError as error:
-            if not (error.retryable and heard):
+            if not (error.retryable and has_response):
                 raise
             self._locator.forget()
             await sleep(FIRST_DELAY_S)

@@ -195,10 +195,10 @@ class ChannelRecording:
         first, gaps = self._first, list(batch.gaps)
         if first is not None and (read_to >= first.seq or batch.items):
             self._first = None
-            told = any(item.seq == first.seq for item in batch.items) or any(
+            is_reported = any(item.seq == first.seq for item in batch.items) or any(
                 (gap.first_seq or 0) <= first.seq <= (gap.last_seq or 0) for gap in gaps
             )
-            if not told and first.incarnation == tally.incarnation:
+            if not is_reported and first.incarnation == tally.incarnation:
                 self._first = first if batch.items and batch.items[-1].seq < first.seq else None
                 gaps += [] if self._first else [self._edge_gap(first)]
         batch.gaps = gaps

@@ -63,8 +63,8 @@ def open_run_stream(
     """
     here = session.here
     if here is not None and binding.target == here.target:
-        told = from_any_thread(on_acks), from_any_thread(on_end)
-        stream = here.puts(binding.subject_id, binding.epoch, producer_id, ack, *told)
+        callbacks = from_any_thread(on_acks), from_any_thread(on_end)
+        stream = here.puts(binding.subject_id, binding.epoch, producer_id, ack, *callbacks)
         if stream is not None:
             return stream
     duplex = session.endpoints.to(binding.target).duplex(on_acks, on_end)

@@ -213,7 +213,7 @@ class Taker:
                 return
         endpoint = self._session.endpoints.to(binding.target)
         stream: BidiStream[queue_pb.TakeResponse] = endpoint.open_bidi(endpoint.queues.Take)
-        heard = False
+        has_response = False
         opening = queue_pb.TakeOpen(
             queue_id=binding.subject_id,
             epoch=binding.epoch,
@@ -223,12 +223,12 @@ class Taker:
         try:
             stream.send(queue_pb.TakeRequest(open=opening, credit=self._credit))
             for response in stream:  # the first response says that the stream is open
-                if not heard:
-                    heard = True
+                if not has_response:
+                    has_response = True
                     self._begin(stream)
                 self._receive(stream, response)
         except StampedeError as error:
-            if not (error.retryable and heard):
+            if not (error.retryable and has_response):
                 raise
             self._locator.forget()
             sleep(FIRST_DELAY_S)

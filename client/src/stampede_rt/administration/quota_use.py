@@ -27,8 +27,8 @@ def uses_at(endpoints: EndpointPool, parts: Iterable[EnforcingPart], subject_glo
         endpoint = endpoints.to(part.target)
         stub: Any = endpoint.stub(quota_use_service_pb2_grpc.QuotaUseServiceStub)
         try:
-            told = endpoint.call(stub.ListQuotaUse, request, CALL_SECONDS)
+            response = endpoint.call(stub.ListQuotaUse, request, CALL_SECONDS)
         except StampedeError as error:
             yield PartUse(part.name, failure=error.message)
         else:
-            yield PartUse(part.name, tuple(told.uses))
+            yield PartUse(part.name, tuple(response.uses))

@@ -279,19 +279,19 @@ def _bound(endpoints: EndpointPool, frontends: Sequence[str]) -> list[str]:
 
 def _same_cluster(endpoints: EndpointPool, members: Sequence[str]) -> list[str]:
     """Return the addresses of `members`. Raises WrongCluster if two of them are of different clusters."""
-    told = ""
+    known_by = ""
     for address in members:
         pong = _ping(endpoints, address)
         if pong is not None:
             own = endpoints.metadata.cluster_id
             if own and pong.cluster_id not in ("", own):
                 raise WrongCluster(
-                    f"the supernodes {told} and {address} are of different clusters, {own} and {pong.cluster_id}; "
+                    f"the supernodes {known_by} and {address} are of different clusters, {own} and {pong.cluster_id}; "
                     "name supernodes of one cluster",
                     metadata={"cluster_id": pong.cluster_id},
                 )
             endpoints.metadata.cluster_id = own or pong.cluster_id
-            told = told or address
+            known_by = known_by or address
     return list(members)
 
 

@@ -175,7 +175,7 @@ def run_check(arguments: argparse.Namespace) -> int:
         print(f"A client with the name {arguments.who} {may} {arguments.action} {kind} {arguments.name}: {why}.")
         if not answer.allowed:
             print(
-                f"Rules limit clients only. If {arguments.who} is an operator or a part of the cluster, rules do "
+                f"Rules limit clients only. If {arguments.who} is an operator or a service of the cluster, rules do "
                 "not limit it."
             )
         for one, other in answers.items():

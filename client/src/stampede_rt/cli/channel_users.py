@@ -9,7 +9,7 @@ from typing import Any
 from stampede_rt.values.statistics import ChannelStats, ReaderStats, WriterStats
 from stampede_rt.values.timeline import format_duration
 
-NOT_TOLD = "not known: this needs the right to read the channel, and a host of a release that reports them"
+NOT_KNOWN = "not known: this needs the right to read the channel, and a host of a release that reports them"
 
 
 def user_facts(stats: ChannelStats, for_people: bool) -> dict[str, Any]:
@@ -22,8 +22,8 @@ def user_facts(stats: ChannelStats, for_people: bool) -> dict[str, Any]:
         return {"dropped": stats.dropped, "readers": readers, "writers": writers}
     return {
         "dropped": stats.dropped,
-        "readers": NOT_TOLD if stats.readers is None else readers_text(stats.readers),
-        "writers": NOT_TOLD if stats.writers is None else writers_text(stats.writers, stats.host_time),
+        "readers": NOT_KNOWN if stats.readers is None else readers_text(stats.readers),
+        "writers": NOT_KNOWN if stats.writers is None else writers_text(stats.writers, stats.host_time),
     }
 
 

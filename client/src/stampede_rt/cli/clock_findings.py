@@ -20,8 +20,8 @@ def clock_findings(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     offsets together.
     """
     offsets = {one: one.clock_offset_nanos for one in seen if one.clock_offset_nanos is not None}
-    told = {one: offset for one, offset in offsets.items() if one.clock_doubt_nanos <= CLOCK_OFFSET_NANOS_MAX}
-    services = [one for one in told if one.kind != PEER]
+    certain = {one: offset for one, offset in offsets.items() if one.clock_doubt_nanos <= CLOCK_OFFSET_NANOS_MAX}
+    services = [one for one in certain if one.kind != PEER]
     if not services:
         if offsets:
             quickest = format_duration(2 * min(one.clock_doubt_nanos for one in offsets))
@@ -42,7 +42,7 @@ def clock_findings(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     yield CheckResult(
         "clocks",
         "-",
-        _apart(told | {one: offsets[one] for one in off}),
+        _apart(certain | {one: offsets[one] for one in off}),
         f"{'; '.join(advice)} (chrony, ntpd)" if advice else "",
     )
 

@@ -288,8 +288,8 @@ def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Inventory | None:
 
 def _cluster_of_most(answers: Iterable[PartAnswer]) -> str:
     """Return the id of the cluster to which most of these supernodes belong; empty if no answer names a cluster."""
-    told = Counter(one.response.cluster_id for one in answers if one.response is not None and one.response.cluster_id)
-    return told.most_common(1)[0][0] if told else ""
+    counts = Counter(one.response.cluster_id for one in answers if one.response is not None and one.response.cluster_id)
+    return counts.most_common(1)[0][0] if counts else ""
 
 
 def _of_others(answer: PartAnswer, own_id: str) -> bool:
@@ -326,13 +326,13 @@ def _named(answer: PartAnswer, listed: dict[str, str], refused: Mapping[str, str
     """
     seen = answer.seen
     expected = listed.get(seen.address, "")
-    said = answer.response.supernode_id if answer.response is not None else expected
-    if expected and said != expected:
+    supernode_id = answer.response.supernode_id if answer.response is not None else expected
+    if expected and supernode_id != expected:
         failure = (
-            f"another supernode, {said}, answers there; start the member of this address, {expected}, or remove that "
-            "member from the cluster"
+            f"another supernode, {supernode_id}, answers there; start the member of this address, {expected}, or "
+            "remove that member from the cluster"
         )
         return answer._replace(seen=replace(seen, name=expected, failure=failure))
-    name = said or seen.name
+    name = supernode_id or seen.name
     is_member = not listed or name in listed.values()
     return answer._replace(seen=replace(seen, name=name, is_member=is_member, refused_because=refused.get(name, "")))

@@ -83,8 +83,8 @@ def run_interruptibly(work: Callable[[], int]) -> int:
     second Ctrl-C ends the process immediately. Only the main thread receives signals. If the caller is another thread,
     or if the process ignores all these signals, `work` runs on the caller's thread.
     """
-    heard = [one for one in (*_ENDS, signal.SIGINT) if signal.getsignal(one) is not signal.SIG_IGN]
-    if threading.current_thread() is not threading.main_thread() or not heard:
+    handled = [one for one in (*_ENDS, signal.SIGINT) if signal.getsignal(one) is not signal.SIG_IGN]
+    if threading.current_thread() is not threading.main_thread() or not handled:
         return work()
     interruption.begin()
     events: SimpleQueue[Any] = SimpleQueue()  # `put` is safe inside a signal handler
@@ -99,7 +99,7 @@ def run_interruptibly(work: Callable[[], int]) -> int:
             interruption.asked = True
             events.put(None)
 
-    before = {one: signal.signal(one, interrupt) for one in heard}
+    before = {one: signal.signal(one, interrupt) for one in handled}
     try:
         _begin(work, events)
         outcome, limit_s = _next(events), CLOSE_S

@@ -155,17 +155,17 @@ def run_use(arguments: argparse.Namespace) -> int:
     from stampede_rt.administration.running_cluster import reached
 
     with reached(arguments.url, None) as cluster:
-        told = list(cluster.quota_uses(arguments.who))
-    for part in told:
+        uses = list(cluster.quota_uses(arguments.who))
+    for part in uses:
         if part.failure:
             print(f"stampede: {escaped(part.part)} did not answer: {escaped(part.failure)}", file=sys.stderr)
-    if all(part.failure for part in told):
+    if all(part.failure for part in uses):
         raise StampedeError("no service of the cluster reported the usage of its quotas")
     rows = [
         {"who": use.subject, "at": part.part}
         | _limit_row(use.kind, use.limit)
         | {"used": use.used, "refused": use.refused}
-        for part in told
+        for part in uses
         for use in part.uses
     ]
     nobody = f"no caller that matches {arguments.who!r} uses any quota" if arguments.who else "no caller uses any quota"

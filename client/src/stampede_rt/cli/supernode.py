@@ -100,9 +100,9 @@ def _run_status(arguments: argparse.Namespace) -> int:
         own_id = cluster.cluster_id
         pongs = {record.supernode_id: _ping(cluster, record) for record in listed.supernodes}
     # Leave out an answer at a member's address that comes from a copy of another member's folder.
-    heard = (pong for name, (pong, _) in pongs.items() if pong and pong.supernode_id == name)
-    heard = (pong for pong in heard if pong.cluster_id in ("", own_id))
-    refused = gathered(pong.refused_supernodes for pong in heard)
+    own_pongs = (pong for name, (pong, _) in pongs.items() if pong and pong.supernode_id == name)
+    own_pongs = (pong for pong in own_pongs if pong.cluster_id in ("", own_id))
+    refused = gathered(pong.refused_supernodes for pong in own_pongs)
     rows = [
         _row(record, *pongs[record.supernode_id], refused, own_id, arguments.output) for record in listed.supernodes
     ]
@@ -162,8 +162,8 @@ def _row(
 
 def _highest_level(record: SupernodeRecord, pong: Any) -> int | None:
     """Return the highest level of the supernode's release, from its own answer or from the list; None if not known."""
-    said = pong.highest_feature_level if pong is not None and is_there(record, pong) else 0
-    return said or record.highest_feature_level or None
+    level = pong.highest_feature_level if pong is not None and is_there(record, pong) else 0
+    return level or record.highest_feature_level or None
 
 
 def _is_stranger(pong: Any, own_id: str) -> bool:

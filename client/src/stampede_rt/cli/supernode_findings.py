@@ -37,13 +37,13 @@ REPLACE_ADVICE = (
 )
 
 
-def gathered(told: Iterable[Mapping[str, str]]) -> dict[str, str]:
+def gathered(refusals: Iterable[Mapping[str, str]]) -> dict[str, str]:
     """Return for each refused supernode all reasons that other supernodes give, in one text.
 
-    `told` has the reasons of each other supernode, by the id of the refused supernode.
+    `refusals` has the reasons of each other supernode, by the id of the refused supernode.
     """
     reasons: dict[str, dict[str, None]] = {}
-    for one in told:
+    for one in refusals:
         for name, why in one.items():
             reasons.setdefault(name, {})[why] = None
     return {name: "; ".join(each) for name, each in reasons.items()}

@@ -139,5 +139,5 @@ def _row(kind: str, index: int | None, facts: Facts) -> dict[str, Any]:
 
 def _line(row: dict[str, Any]) -> str:
     lost = "" if row["alive"] or row["change"] == "removed" else "  (lost)"
-    told = f"{SIGNS[row['change']]} {row['kind']:<7} {escaped(row['name'])}{lost}  {escaped(row['detail'])}"
-    return f"{instant_text(row['time'])}  {styled(told.rstrip(), COLOURS[row['change']], sys.stdout)}"
+    text = f"{SIGNS[row['change']]} {row['kind']:<7} {escaped(row['name'])}{lost}  {escaped(row['detail'])}"
+    return f"{instant_text(row['time'])}  {styled(text.rstrip(), COLOURS[row['change']], sys.stdout)}"

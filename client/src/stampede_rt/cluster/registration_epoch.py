@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from stampede_rt.errors import LeaseExpired, StaleRegistration
 
-_TOLD = "registration_epoch"  # the key of the directory's number in the metadata of a refusal
+_EPOCH_KEY = "registration_epoch"  # the key of the directory's number in the metadata of a refusal
 
 
 class RegistrationEpoch:
@@ -28,7 +28,7 @@ class RegistrationEpoch:
         """
         if self._was_registered and refusal.metadata.get("alive") != "false":
             return False
-        self.value = max(self.value, int(refusal.metadata[_TOLD]) + 1)
+        self.value = max(self.value, int(refusal.metadata[_EPOCH_KEY]) + 1)
         return True
 
     def is_overtaken(self, refusal: LeaseExpired) -> bool:
@@ -36,4 +36,4 @@ class RegistrationEpoch:
 
         Returns False if the directory knows only an older process, as after the restore of a backup.
         """
-        return int(refusal.metadata.get(_TOLD, -1)) >= self.value
+        return int(refusal.metadata.get(_EPOCH_KEY, -1)) >= self.value

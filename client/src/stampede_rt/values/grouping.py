@@ -107,8 +107,8 @@ class NewestItems(ByChannel[Key, Item | None]):
     def __init__(self, channels: Sequence[Key], answers: Mapping[bytes, Items], reason: Reason | None = None) -> None:
         """`answers`: for each channel an answer that has the newest item first. `reason`: see `PastCut`."""
         super().__init__(channels, {one: (items[0] if items else None) for one, items in answers.items()})
-        told = {one: items.reason for one, items in answers.items() if reason is not None or not items}
-        reasons = {one: reason for one, reason in told.items() if reason is not None}
+        reasons_by_member = {one: items.reason for one, items in answers.items() if reason is not None or not items}
+        reasons = {one: reason for one, reason in reasons_by_member.items() if reason is not None}
         self.reasons: ByChannel[Key, Reason] = ByChannel(channels, reasons)
 
     def with_handles(self, channels: Sequence[OtherKey]) -> NewestItems[OtherKey]:

@@ -148,8 +148,9 @@ class RoleProcesses:
         role.readers[1].join(END_SECONDS)
         code = role.process.returncode
         how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with exit code {code}"
-        said = next((line for line in reversed(role.last_lines) if line.strip()), None)
-        return f"the {role.name} {how} before its work was done" + (f"; it said last: {said.strip()}" if said else "")
+        last_line = next((line.strip() for line in reversed(role.last_lines) if line.strip()), None)
+        ended = f"the {role.name} {how} before its work was done"
+        return f"{ended}; it said last: {last_line}" if last_line else ended
 
     def _read_events(self, role: _Role) -> None:
         assert role.process.stdout is not None

@@ -68,9 +68,9 @@ def ask(rt: st.Connection, at: int, number: int) -> float | None:
     rt.send(MAPPER, json.dumps(question).encode())
     while (answer := rt.mailbox.get(timeout=ANSWER_SECONDS)) is not None:
         with answer:
-            said = json.loads(answer.payload)
-        if said["number"] == number:
-            median: float | None = said["median"]
+            decoded = json.loads(answer.payload)
+        if decoded["number"] == number:
+            median: float | None = decoded["median"]
             return median
     return None
 

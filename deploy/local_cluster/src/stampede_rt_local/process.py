@@ -171,8 +171,8 @@ class ServiceProcess:
         return self._run
 
     def _story(self, what: str) -> str:
-        said = "\n".join(f"    {line}" for line in self.last_lines[-15:])
-        return f"{self.name} {what}; its last lines:\n{said}" if said else f"{self.name} {what}, and said nothing"
+        lines = "\n".join(f"    {line}" for line in self.last_lines[-15:])
+        return f"{self.name} {what}; its last lines:\n{lines}" if lines else f"{self.name} {what}, and said nothing"
 
 
 class _Run:

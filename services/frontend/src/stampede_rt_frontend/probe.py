@@ -177,26 +177,26 @@ def _log_defect(task: asyncio.Task[None]) -> None:
 async def _ping(channel: grpc.aio.Channel, stub: directory_service_pb2_grpc.DirectoryServiceAsyncStub) -> ProbeAnswer:
     connected = channel.get_state() is grpc.ChannelConnectivity.READY
     began, sent_unix_nano = perf_counter_ns(), time_ns()
-    said = await stub.Ping(directory_service_pb2.DirectoryServicePingRequest(), timeout=PROBE_DEADLINE_SECONDS)
+    pong = await stub.Ping(directory_service_pb2.DirectoryServicePingRequest(), timeout=PROBE_DEADLINE_SECONDS)
     took = perf_counter_ns() - began
     return ProbeAnswer(
-        supernode_id=said.supernode_id,
-        cluster_id=said.cluster_id,
-        ready=said.ready,
+        supernode_id=pong.supernode_id,
+        cluster_id=pong.cluster_id,
+        ready=pong.ready,
         round_trip_nanos=took if connected else None,
-        former_cluster_ids=tuple(said.former_cluster_ids),
-        access_version=said.access.version,
+        former_cluster_ids=tuple(pong.former_cluster_ids),
+        access_version=pong.access.version,
         clock=ClockOffset.measured(
             sent_unix_nano=sent_unix_nano,
             took_nanos=took,
-            told_unix_nano=said.time_unix_nano,
-            supernode=said.supernode_id,
+            told_unix_nano=pong.time_unix_nano,
+            supernode=pong.supernode_id,
         ),
     )
 
 
 async def _list(stub: directory_service_pb2_grpc.DirectoryServiceAsyncStub) -> MemberList:
-    said = await stub.ListSupernodes(directory_service_pb2.ListSupernodesRequest(), timeout=PROBE_DEADLINE_SECONDS)
+    listing = await stub.ListSupernodes(directory_service_pb2.ListSupernodesRequest(), timeout=PROBE_DEADLINE_SECONDS)
     members = tuple(
         Supernode(
             supernode_id=one.supernode_id,
@@ -204,7 +204,7 @@ async def _list(stub: directory_service_pb2_grpc.DirectoryServiceAsyncStub) -> M
             zone=one.endpoint.zone,
             is_leader=one.is_leader,
         )
-        for one in said.supernodes
+        for one in listing.supernodes
         if one.endpoint.target
     )
-    return MemberList(term=said.term, applied_index=said.applied_index, members=members)
+    return MemberList(term=listing.term, applied_index=listing.applied_index, members=members)

@@ -95,6 +95,6 @@ def test_an_export_of_a_channel_that_cannot_be_read_says_why(
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(cluster.secret_file))
     monkeypatch.setattr(channel_recording.Channel, "get", away)
     assert stampede(["export", "lacks/reads", "-o", str(tmp_path / "a.csv"), "--url", cluster.address]) == 1
-    (said,) = capsys.readouterr().err.splitlines()
-    assert "no items of lacks/reads could be read" in said
-    assert said.endswith("the object store says: SignatureDoesNotMatch")
+    (error_line,) = capsys.readouterr().err.splitlines()
+    assert "no items of lacks/reads could be read" in error_line
+    assert error_line.endswith("the object store says: SignatureDoesNotMatch")

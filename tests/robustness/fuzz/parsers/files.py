@@ -104,8 +104,8 @@ def known_stores(source: ByteSource) -> None:
         stores.note("s2", "ab" * 8, ["s1", "s2"])
         body = content(source, (place / KNOWN_STORES_NAME).read_bytes())
         if source.chance(50):
-            _, _, told = body.rstrip(b"\n").partition(b" ")
-            body = b"%08x " % zlib.crc32(told) + told
+            _, _, facts = body.rstrip(b"\n").partition(b" ")
+            body = b"%08x " % zlib.crc32(facts) + facts
         (place / KNOWN_STORES_NAME).write_bytes(body)
         again = KnownStores.open(place, had_store=True)
         again.admits("s2", "x")

@@ -21,13 +21,13 @@ def main() -> int:
     found = 0
     for port in arguments.ports or PORTS:
         wanted = {"seed": arguments.seed, "inputs": arguments.inputs, "seconds": arguments.seconds}
-        outcome = asyncio.run(run(port, **wanted, tls=arguments.tls, told=_tell))
+        outcome = asyncio.run(run(port, **wanted, tls=arguments.tls, report=_report))
         print(outcome, flush=True)
         found += len(outcome.findings)
     return 1 if found else 0
 
 
-def _tell(line: str) -> None:
+def _report(line: str) -> None:
     print(line, flush=True)
 
 

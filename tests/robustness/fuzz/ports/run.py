@@ -40,9 +40,9 @@ async def run(
     seconds: float = 3600.0,
     tls: bool = False,
     commands: bool = True,
-    told: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> Outcome:
-    """Send `inputs` requests, for at most `seconds`. Calls `told` after each 10,000 requests.
+    """Send `inputs` requests, for at most `seconds`. Calls `report` after each 10,000 requests.
 
     With `tls` the connections bring certificates of all roles instead of the secret. `commands`: also check the command
     line afterwards, which takes half a minute.
@@ -55,7 +55,7 @@ async def run(
             keeping = asyncio.create_task(keep_targets(rt, cluster, known))
             outcome.before_mib = cluster.memory_mib()
             good = asyncio.create_task(_good_client(rt, outcome))
-            await _attack(cluster, known, inputs, seconds, told)
+            await _attack(cluster, known, inputs, seconds, report)
             assert not keeping.done(), keeping.exception()
             keeping.cancel()
             _judge_leases(cluster)
@@ -79,7 +79,7 @@ def _judge_leases(cluster: FuzzedCluster) -> None:
 
 
 async def _attack(
-    cluster: FuzzedCluster, known: KnownValues, inputs: int, seconds: float, told: Callable[[str], None]
+    cluster: FuzzedCluster, known: KnownValues, inputs: int, seconds: float, report: Callable[[str], None]
 ) -> None:
     outcome, began = cluster.outcome, time.monotonic()
     methods = methods_of(outcome.port)
@@ -95,7 +95,7 @@ async def _attack(
             await caller.play(channels[number % len(channels)])
             outcome.seconds = time.monotonic() - began
 
-    watching = asyncio.create_task(_watch_memory(cluster, told))
+    watching = asyncio.create_task(_watch_memory(cluster, report))
     with cluster.waits:
         await asyncio.gather(*(calls(number) for number in range(CALLERS)))
     watching.cancel()
@@ -103,14 +103,14 @@ async def _attack(
         await channel.close(None)
 
 
-async def _watch_memory(cluster: FuzzedCluster, told: Callable[[str], None]) -> None:
+async def _watch_memory(cluster: FuzzedCluster, report: Callable[[str], None]) -> None:
     outcome, next_told = cluster.outcome, 10_000
     while True:
         with suppress(OSError):
             now_mib = cluster.memory_mib()
             outcome.most_mib = max(outcome.most_mib, now_mib)
             if outcome.inputs >= next_told:
-                told(f"{outcome.port}: {outcome.inputs:,} inputs, {outcome.seconds:.0f} s, {now_mib:.1f} MiB")
+                report(f"{outcome.port}: {outcome.inputs:,} inputs, {outcome.seconds:.0f} s, {now_mib:.1f} MiB")
                 next_told += 10_000
         await asyncio.sleep(0.25)
 

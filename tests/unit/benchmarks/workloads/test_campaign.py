@@ -48,7 +48,7 @@ class Absent:
 
 
 def test_an_absent_system_is_reported_and_the_others_are_measured() -> None:
-    said: list[str] = []
+    lines: list[str] = []
     finished: list[Workload] = []
     found = compare(
         [cast(MeasuredSystem, Absent())],
@@ -56,9 +56,9 @@ def test_an_absent_system_is_reported_and_the_others_are_measured() -> None:
         rounds=1,
         seconds=1,
         done=lambda _, workload: finished.append(workload),
-        say=said.append,
+        report=lines.append,
     )
-    assert said == ["Absent is not measured: absent-server is not installed; apt-get install absent"]
+    assert lines == ["Absent is not measured: absent-server is not installed; apt-get install absent"]
     assert finished == [PUT]
     assert found.absent == {"Absent": "absent-server is not installed; apt-get install absent"}
 

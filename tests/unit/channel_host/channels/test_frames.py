@@ -148,13 +148,13 @@ def test_a_message_for_other_readers_is_encoded_again() -> None:
     plain = shared.encode(slices, b"", without_payloads=False, readers=2)
     bare = shared.encode(slices, b"", without_payloads=True, readers=2)
     news = pb.SubscribeResponse(gap=pb.SubscriptionGap(first_seq=1, last_seq=2))
-    told = shared.encode(slices, news.SerializeToString(), without_payloads=False, readers=2)
+    encoded = shared.encode(slices, news.SerializeToString(), without_payloads=False, readers=2)
     assert bare.payload_bytes == 0
     assert bare.charge_bytes == plain.charge_bytes
     parsed = raw_run_pb2.RawSubscribeResponse.FromString(bare.encoded)
     assert parsed.runs[0].run == slice_run(stored[0], 0, 1, without_payloads=True)
-    assert len({plain.encoded, bare.encoded, told.encoded}) == 3
-    assert pb.SubscribeResponse.FromString(told.encoded).gap.last_seq == 2
+    assert len({plain.encoded, bare.encoded, encoded.encoded}) == 3
+    assert pb.SubscribeResponse.FromString(encoded.encoded).gap.last_seq == 2
 
 
 def interleaved(items: int) -> tuple[ChannelCore, list[bytes]]:

@@ -71,8 +71,8 @@ class Stream:
         self.store, self.acks, self.ends = Store(), list[pb.PutAck](), list[StampedeError]()
         self.acked: Callable[[], None] = lambda: None
         loop = asyncio.get_running_loop()
-        told = self._on_acks, self.ends.append
-        self.puts = InProcessPutStream(loop, cast(Any, self.store), (b"c", 3), (11, 0), *told)
+        callbacks = self._on_acks, self.ends.append
+        self.puts = InProcessPutStream(loop, cast(Any, self.store), (b"c", 3), (11, 0), *callbacks)
 
     def _on_acks(self, response: pb.PutResponse) -> None:
         self.acks += response.acks

@@ -86,14 +86,14 @@ async def test_only_the_stop_of_the_last_owner_counts_and_the_next_owner_deletes
     first = await owner(tmp_path / "a", store, 1)
     await first.put(1)
     await stop(first)
-    told = {name: store.objects[name] for name in stops(store)}
-    assert len(told) == 1
+    saved = {name: store.objects[name] for name in stops(store)}
+    assert len(saved) == 1
     second = await owner(tmp_path / "b", store, 2)
     await second.put(SINCE + 1)
     await second.find()
     assert not stops(store)
     kill(second)
-    store.objects.update(told)  # as if the second owner had been killed before it deleted the object
+    store.objects.update(saved)  # as if the second owner had been killed before it deleted the object
     third = await owner(tmp_path / "c", store, 3)
     await third.put(2 * SINCE + 1)
     assert (await third.read(ALL)).reason == "LOST"

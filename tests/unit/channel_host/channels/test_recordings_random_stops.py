@@ -21,14 +21,14 @@ pytestmark = pytest.mark.usefixtures("no_pauses_after_failures")
 
 
 class History:
-    """One channel, and its owners. `times` are the times of all items. `told` lists the steps for error texts."""
+    """One channel, and its owners. `times` are the times of all items. `steps` lists the steps for error texts."""
 
     def __init__(self, path: Path, seed: int) -> None:
         self.path, self.dice = path, random.Random(seed)
         self.store = FakeStore()
         self.clock = 0
         self.times: list[int] = []
-        self.told: list[str] = []
+        self.steps: list[str] = []
 
     async def run(self) -> None:
         for epoch in range(1, EPOCHS + 1):
@@ -40,7 +40,7 @@ class History:
         one = Host(self.path / place, self.store)
         one.clock = self.clock = self.clock + 1000
         self.store.failure = "away" if epoch > 1 and self.dice.random() < 0.25 else ""
-        self.told.append(f"epoch {epoch} at {place}, store {self.store.failure or 'here'}")
+        self.steps.append(f"epoch {epoch} at {place}, store {self.store.failure or 'here'}")
         owner = await Owner(one, epoch).serve()
         for _ in range(self.dice.randrange(STEPS)):
             await self._step(owner)
@@ -49,10 +49,10 @@ class History:
         self.clock = one.clock
         is_clean = self.dice.random() < 0.5
         if is_clean:
-            self.told.append(f"stop, store {self.store.failure or 'here'}")
+            self.steps.append(f"stop, store {self.store.failure or 'here'}")
             await owner.recordings.close(0)
         else:
-            self.told.append("kill")
+            self.steps.append("kill")
             owner.recording.recorder.files._end_segment()
             one.archive.folder.close()
 
@@ -61,10 +61,10 @@ class History:
         if what == "put":
             time = owner.host.clock + 1
             self.times.append(time)
-            self.told.append(f"put {time}")
+            self.steps.append(f"put {time}")
             await owner.put(time)
         elif what == "move":
-            self.told.append("move")
+            self.steps.append("move")
             owner.host.clock += LONG
             await owner.host.mover.move_all()
             await owner.host.mover.move_all()
@@ -72,29 +72,29 @@ class History:
             await self._check(owner)
         else:
             self.store.failure = "away" if what == "away" else ""
-            self.told.append(what)
+            self.steps.append(what)
 
     async def _check(self, owner: Owner) -> None:
         """Check that reads find only items that were put, each once, and that each read which lacks such an item
         says why.
         """
         found = await self._read(owner, 0, owner.host.clock) or []
-        assert len(found) == len(set(found)), "\n".join(self.told)
-        assert set(found) <= set(self.times), "\n".join(self.told)
+        assert len(found) == len(set(found)), "\n".join(self.steps)
+        assert set(found) <= set(self.times), "\n".join(self.steps)
         for time in [one for one in self.times if one not in found]:
-            assert await self._read(owner, time, time) in (None, [time]), "\n".join(self.told)
+            assert await self._read(owner, time, time) in (None, [time]), "\n".join(self.steps)
 
     async def _read(self, owner: Owner, start: int, end: int) -> list[int] | None:
         """The times of the items in an interval. None: the owner says that it cannot know them now, or LOST."""
         try:
             answer: ReadAnswer = await owner.read(_between(start, end))
         except Unavailable:
-            assert self.store.failure or owner.recording._unknown is not None, "\n".join(self.told)
+            assert self.store.failure or owner.recording._unknown is not None, "\n".join(self.steps)
             return None
         times = [time for one in answer.slices for time in one.run.times[one.lo : one.hi]]
         found = [one for one in times if start <= one <= end]  # the span of an earlier item may reach into it
         is_lost = answer.reason is not None and answer.reason == "LOST"
-        self.told.append(f"read {start} to {end}: {found} {answer.reason}")
+        self.steps.append(f"read {start} to {end}: {found} {answer.reason}")
         return None if is_lost and not found else found
 
 

@@ -62,9 +62,9 @@ async def test_a_failed_call_fails_its_own_lookups_and_no_later_ones(fails: Exce
     first, later = await asked(calls, 1), await asked(calls, 2, 3)
     directory.fails = fails
     directory.go.set()
-    with pytest.raises(StampedeError, match=str(fails)) as told:
+    with pytest.raises(StampedeError, match=str(fails)) as caught:
         await first[0]
-    assert told.value.retryable, "the directory may have done it, so the caller has to ask again"
+    assert caught.value.retryable, "the directory may have done it, so the caller has to ask again"
     assert await asyncio.gather(*later) == [4, 9]
 
 

@@ -84,8 +84,8 @@ def test_only_a_live_host_has_a_target(alive: bool, targets: list[str], target: 
         host_id=b"h" * 16, name="h", alive=alive, gatekeepers=[directory_pb2.Endpoint(target=one) for one in targets]
     )
     assert resolved_queue(queue_directory_pb.ResolveQueueResponse(queue=QUEUE, host=host)).target == target
-    told = group_directory_service_pb2.ResolveGroupResponse(group=GROUP, channels=[CHANNEL], hosts=[host])
-    group = resolved_group(told)
+    response = group_directory_service_pb2.ResolveGroupResponse(group=GROUP, channels=[CHANNEL], hosts=[host])
+    group = resolved_group(response)
     assert group.targets == ({} if target is None else {b"h" * 16: target})
     assert (group.host_names, [one.name for one in group.channels.values()]) == ({b"h" * 16: "h"}, ["cam"])
 

@@ -204,8 +204,8 @@ async def test_the_loss_of_renewals_and_their_return_are_logged_once_each(caplog
             fake.refuse.clear()
             await host.lease_becomes(True)
             await fake.called("RenewHostLease", times=8)
-    told = [record.getMessage().partition(";")[0] for record in caplog.records if "lease" in record.getMessage()]
-    lines = [line for line in told if "fenced" not in line]
+    messages = [record.getMessage().partition(";")[0] for record in caplog.records if "lease" in record.getMessage()]
+    lines = [line for line in messages if "fenced" not in line]
     assert lines[:2] == ["the lease could not be renewed", "the lease is renewed again"]
     # A busy machine may be late for one more renewal, which has the same line.
     assert all(line != after for line, after in itertools.pairwise(lines))
@@ -235,8 +235,8 @@ async def test_the_end_of_a_lease_and_the_next_registration_are_both_warnings(ca
             fake.hosts[host.identity.host_id].alive = False
             await fake.called("RegisterHost", times=2)
             await fake.called("RenewHostLease", times=2)
-    told = [record.getMessage() for record in caplog.records]
-    assert [line for line in told if line in ("the lease has ended", "registered", "registered again")] == [
+    messages = [record.getMessage() for record in caplog.records]
+    assert [line for line in messages if line in ("the lease has ended", "registered", "registered again")] == [
         "the lease has ended",
         "registered again",
     ]

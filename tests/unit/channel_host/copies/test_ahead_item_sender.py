@@ -203,11 +203,11 @@ async def test_the_owner_tells_its_replica_and_readers_of_all_runs_of_a_request_
         begin(one)
         replication = one.hosted.replication
         assert replication is not None
-        told: list[int] = []
+        next_seqs: list[int] = []
         accepted = replication.accepted
 
         def noted(now: int) -> None:
-            told.append(one.hosted.core.next_seq)
+            next_seqs.append(one.hosted.core.next_seq)
             accepted(now)
 
         monkeypatch.setattr(replication, "accepted", noted)
@@ -224,7 +224,7 @@ async def test_the_owner_tells_its_replica_and_readers_of_all_runs_of_a_request_
         ahead, rest = (await one.feed.until_written(count + 2))[count:]
         assert [item.item.seq for item in items_in([ahead])] == [2]
         assert [(part.fields.state.first_seq, len(part.runs)) for part in parts_in([rest])] == [(4, 2)]
-        assert told == [8]
+        assert next_seqs == [8]
         one.answer()
         if transport == "grpc":
             acks = [ack async for ack in acks_of(call, 3)]

@@ -253,5 +253,5 @@ async def test_a_drain_warns_only_of_items_that_are_lost(
     """In an earlier version, a recorded channel whose host stopped alone gave a warning, although nothing was lost."""
     caplog.set_level("INFO", draining.logger.name)
     assert [*(await drained(1, **state)).left] == ["cam/0"]
-    said = [f"{one.levelname} {one.message}" for one in caplog.records]
-    assert said == [logged][: bool(logged)]
+    messages = [f"{one.levelname} {one.message}" for one in caplog.records]
+    assert messages == [logged][: bool(logged)]

@@ -11,9 +11,9 @@ from stampede_rt_channel_host.groups.cut_events import loss_message
 
 
 @pytest.mark.parametrize(
-    ("before", "told"),
+    ("before", "reported"),
     [(-16_875_299_848_123_760_968, MIN_INSTANT), (MAX_INSTANT + 1, MAX_INSTANT), (5, 5)],
 )
-def test_a_loss_before_or_after_all_times_is_reported_at_the_first_or_last_time(before: int, told: int) -> None:
+def test_a_loss_before_or_after_all_times_is_reported_at_the_first_or_last_time(before: int, reported: int) -> None:
     loss = Loss(before=before, items=1, is_exact=True, reason=Reason("COLLECTED"), first_seq=1, last_seq=1)
-    assert loss_message(loss).before_unix_nano == told
+    assert loss_message(loss).before_unix_nano == reported

@@ -50,18 +50,18 @@ class Groups:
 
     def adopt(self, number: int, *members: tuple[int, bytes], creator: str = "") -> None:
         """Process the directory's record of a group. `members`: the number and the owner of each channel."""
-        told = _told(number, *members, creator=creator)
-        held = self.table.groups.get(told.group.group_id)
+        resolved = resolved_group(number, *members, creator=creator)
+        held = self.table.groups.get(resolved.group.group_id)
         if held is None:
             begin = PieceScheduler().begin
             self.table.enter(
                 HostedGroup(
-                    told, self.table.board, lambda: 0, on_moved=lambda _: None, on_idle=lambda _: None, begin=begin
+                    resolved, self.table.board, lambda: 0, on_moved=lambda _: None, on_idle=lambda _: None, begin=begin
                 )
             )
         else:
-            self.table.adopt(held, told)
-        self.exchange.share(told.group.group_id)
+            self.table.adopt(held, resolved)
+        self.exchange.share(resolved.group.group_id)
 
     def forget(self, number: int) -> None:
         self.table.forget(number.to_bytes(16))
@@ -71,7 +71,7 @@ class Groups:
         return {int.from_bytes(one) for one in self.exchange.sharing_hosts.wanted_of(host_id)}
 
 
-def _told(number: int, *members: tuple[int, bytes], creator: str) -> ResolvedGroup:
+def resolved_group(number: int, *members: tuple[int, bytes], creator: str) -> ResolvedGroup:
     records = {
         channel.to_bytes(16): RecordedChannel(
             channel_id=channel.to_bytes(16), name=f"c{channel}", host_id=host_id, epoch=1, incarnation=1,
@@ -130,8 +130,8 @@ async def test_many_groups_of_one_caller_do_not_displace_the_channels_of_others(
     groups.adopt(good, (good, LEFT), (good + 1, LEFT), creator="good")
     assert {good, good + 1} <= groups.wanted(LEFT)
     assert len(groups.wanted(LEFT)) == INTEREST_MAX
-    [told] = [one for one in caplog.records if getattr(one, "event", "") == "group_too_large"]
-    assert (told.__dict__["created_by"], told.__dict__["most"]) == ("hostile", INTEREST_MAX)
+    [warning] = [one for one in caplog.records if getattr(one, "event", "") == "group_too_large"]
+    assert (warning.__dict__["created_by"], warning.__dict__["most"]) == ("hostile", INTEREST_MAX)
     for number in range(0, INTEREST_MAX + 2000, 64):
         groups.forget(number)
     assert groups.wanted(LEFT) == {good, good + 1}

@@ -34,7 +34,7 @@ class Reader(ChangeObserver):
         self.error = error
 
 
-def told(incarnation: int = 1) -> ResolvedGroup:
+def defined_group(incarnation: int = 1) -> ResolvedGroup:
     definition = GroupDefinition(members=frozenset([MEMBER]), incarnation=incarnation)
     group = RecordedGroup(group_id=b"g" * 16, name="pair", definition=definition, message=b"")
     channel = RecordedChannel(
@@ -49,7 +49,7 @@ class GroupRig:
     def __init__(self) -> None:
         self.board = TimesBoard()
         self.group = HostedGroup(
-            told(), self.board, lambda: NOW, on_moved=_ignore, on_idle=_ignore, begin=PieceScheduler().begin
+            defined_group(), self.board, lambda: NOW, on_moved=_ignore, on_idle=_ignore, begin=PieceScheduler().begin
         )
         self.group.cut.confirm()
 
@@ -125,6 +125,6 @@ async def test_a_reader_of_the_former_incarnation_of_a_group_reads_nothing_of_th
     hosted = GroupRig()
     incarnation = hosted.group.record.incarnation
     hosted.group.check_incarnation(incarnation)
-    hosted.group.adopt(told(incarnation=2))
+    hosted.group.adopt(defined_group(incarnation=2))
     with pytest.raises(IncarnationLost, match="group pair began anew"):
         hosted.group.check_incarnation(incarnation)

@@ -99,19 +99,19 @@ async def test_the_other_host_gets_only_the_newest_state_of_its_wanted_channels(
     wire.link.report_times(b"one")  # the other host has not asked for it
     await wire.say(pb.TimesUpdate(interest=pb.TimesInterest(channel_ids=[b"one", b"two"])))
     update = (await wire.sent.get()).update
-    assert [told.channel_id for told in update.times] == [b"one", b"two"]
+    assert [times.channel_id for times in update.times] == [b"one", b"two"]
     wire.may_write.clear()
     for notebook.newest in range(2, 100):
         wire.link.report_times(b"one")
         wire.link.report_floor(b"group")
         await asyncio.sleep(0)
     wire.may_write.set()
-    said = [(await wire.sent.get()).update]
-    while said[-1].times[0].newest_unix_nano < 99:
-        said.append((await wire.sent.get()).update)
-    assert len(said) <= 2  # one message may have been under way; all later changes became one message
-    assert [len(one.times) for one in said] == [1] * len(said)
-    assert said[-1].floors[0].cut_unix_nano == 99
+    updates = [(await wire.sent.get()).update]
+    while updates[-1].times[0].newest_unix_nano < 99:
+        updates.append((await wire.sent.get()).update)
+    assert len(updates) <= 2  # one message may have been under way; all later changes became one message
+    assert [len(one.times) for one in updates] == [1] * len(updates)
+    assert updates[-1].floors[0].cut_unix_nano == 99
     assert notebook.asked == [{b"one", b"two"}]
     await wire.end()
 

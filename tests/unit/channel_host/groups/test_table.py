@@ -35,7 +35,7 @@ def channel(number: int) -> bytes:
     return number.to_bytes(16)
 
 
-def told(number: int, *members: int, **settings: Any) -> ResolvedGroup:
+def resolved_group(number: int, *members: int, **settings: Any) -> ResolvedGroup:
     ids = frozenset(channel(one) for one in members)
     definition = GroupDefinition(members=ids, incarnation=1, **settings)
     group = RecordedGroup(group_id=number.to_bytes(16), name=f"g{number}", definition=definition, message=b"")
@@ -57,11 +57,11 @@ async def test_a_group_that_loses_members_deletes_their_state_and_looks_at_no_ot
     table.board._known = known = WalkCounter()
     begin = PieceScheduler().begin
     for number in range(GROUPS):
-        one = told(number, number, number + 1)
+        one = resolved_group(number, number, number + 1)
         table.enter(HostedGroup(one, table.board, lambda: NOW, on_moved=ignored, on_idle=ignored, begin=begin))
         table.board.hear(channel(number), ChannelTimes(1, 1, NOW), 0, NOW)
     known.walks = 0
-    table.adopt(table.groups[(7).to_bytes(16)], told(7, 8))
+    table.adopt(table.groups[(7).to_bytes(16)], resolved_group(7, 8))
     assert table.board.find(channel(7)) is not None, "another group has the channel"
     table.forget((6).to_bytes(16))
     assert table.board.find(channel(7)) is None
@@ -79,8 +79,8 @@ class ShownGroups:
     def group(self, number: int, *members: int, **settings: Any) -> HostedGroup:
         begin = PieceScheduler().begin
         one = HostedGroup(
-            told(number, *members, **settings), self.table.board, lambda: NOW, on_moved=ignored, on_idle=ignored,
-            begin=begin,
+            resolved_group(number, *members, **settings), self.table.board, lambda: NOW, on_moved=ignored,
+            on_idle=ignored, begin=begin,
         )  # fmt: skip
         one.cut.confirm()
         self.table.enter(one)

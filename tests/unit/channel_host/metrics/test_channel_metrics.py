@@ -62,7 +62,7 @@ def metrics_of(host: Host, shows: Callable[[str], object] = lambda name: True) -
     return ChannelMetrics(store, shows)
 
 
-def told(families: list[Family]) -> dict[tuple[str, ...], float]:
+def sample_values(families: list[Family]) -> dict[tuple[str, ...], float]:
     return {(one.metric.name, *labels): value for one in families for labels, value in one.samples}
 
 
@@ -74,7 +74,7 @@ def test_the_sums_count_accepted_rejected_and_collected_items() -> None:
         host.put(left, payload)
     host.put(left, b"late", ago_nanos=10 * S)
     left.count_delivered(2, 4)
-    found = told(run_to_end(metrics_of(host).families()))
+    found = sample_values(run_to_end(metrics_of(host).families()))
     assert found["stampede_items_accepted_total",] == found["stampede_channel_items_accepted_total", "left"] == 3
     assert found["stampede_items_accepted_bytes_total",] == 6
     assert found["stampede_items_collected_total", "count"] == 1
@@ -90,7 +90,7 @@ def test_an_item_after_one_with_a_later_time_is_late() -> None:
     left = host.open("left")
     for ago_nanos in (0, 5, 0, 7):
         host.put(left, b"x", ago_nanos=ago_nanos)
-    assert told(run_to_end(metrics_of(host).families()))["stampede_items_late_total",] == 2
+    assert sample_values(run_to_end(metrics_of(host).families()))["stampede_items_late_total",] == 2
 
 
 def test_the_newest_item_has_an_age() -> None:
@@ -98,7 +98,7 @@ def test_the_newest_item_has_an_age() -> None:
     left, _ = host.open("left"), host.open("empty")
     host.put(left, b"x")
     host.clock.advance(3 * S)
-    found = told(run_to_end(metrics_of(host).families()))
+    found = sample_values(run_to_end(metrics_of(host).families()))
     assert found["stampede_channel_newest_item_age_seconds", "left"] == 3
     assert ("stampede_channel_newest_item_age_seconds", "empty") not in found
 
@@ -107,10 +107,10 @@ def test_a_counter_does_not_fall_when_its_channel_leaves() -> None:
     host = Host()
     host.put(host.open("left"), b"x")
     metrics = metrics_of(host)
-    assert told(run_to_end(metrics.families()))["stampede_items_accepted_total",] == 1
+    assert sample_values(run_to_end(metrics.families()))["stampede_items_accepted_total",] == 1
     host.drop("left")
     host.put(host.open("right"), b"y")
-    found = told(run_to_end(metrics.families()))
+    found = sample_values(run_to_end(metrics.families()))
     assert found["stampede_items_accepted_total",] == 2
     assert found["stampede_items_held",] == 1
 
@@ -124,7 +124,7 @@ def test_no_counter_falls_when_a_channel_leaves_during_a_scrape() -> None:
     looking = metrics.families()
     next(looking)
     host.drop(f"{2 * CHANNELS_PER_PIECE - 1:04}")  # the host has not looked at this channel yet
-    found = told(run_to_end(looking))
+    found = sample_values(run_to_end(looking))
     assert found["stampede_items_accepted_total",] == 2 * CHANNELS_PER_PIECE
 
 
@@ -144,7 +144,9 @@ def test_many_channels_are_looked_at_in_pieces_and_only_the_busiest_have_names()
     assert pieces >= 5 * NAMES_MAX // CHANNELS_PER_PIECE
     assert host.looked_at == CHANNELS_PER_PIECE
     assert all(len(one.samples) <= 6 * NAMES_MAX for one in families)
-    names = {name for metric, *rest in told(families) if metric == "stampede_channel_items_held" for name in rest}
+    names = {
+        name for metric, *rest in sample_values(families) if metric == "stampede_channel_items_held" for name in rest
+    }
     assert names == {f"{number:04}" for number in range(4 * NAMES_MAX, 5 * NAMES_MAX)}
 
 
@@ -152,7 +154,7 @@ def test_only_chosen_channels_have_names_but_all_count() -> None:
     host = Host()
     host.put(host.open("cam"), b"x")
     host.put(host.open("secret"), b"y")
-    found = told(run_to_end(metrics_of(host, lambda name: name == "cam").families()))
+    found = sample_values(run_to_end(metrics_of(host, lambda name: name == "cam").families()))
     assert found["stampede_items_accepted_total",] == 2
     assert not [key for key in found if "secret" in key]
 
@@ -161,10 +163,10 @@ def test_subscriptions_that_miss_items_are_named_the_worst_first() -> None:
     host = Host()
     with host.readers.reading("left") as slow, host.readers.reading("left"):
         slow.count(5, 2)
-        found = told(run_to_end(metrics_of(host).families()))
+        found = sample_values(run_to_end(metrics_of(host).families()))
         assert found["stampede_subscription_items_dropped_total", "left", "@anyone#1", "collected"] == 5
         assert found["stampede_subscription_items_dropped_total", "left", "@anyone#1", "skipped"] == 2
         assert not [key for key in found if "@anyone#2" in key]
-    found = told(run_to_end(metrics_of(host).families()))
+    found = sample_values(run_to_end(metrics_of(host).families()))
     assert found["stampede_items_dropped_total", "collected"] == 5  # also after the subscription has ended
     assert not [key for key in found if "@anyone#1" in key]

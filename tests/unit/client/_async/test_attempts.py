@@ -89,16 +89,16 @@ async def test_a_last_try_that_was_cut_short_does_not_hide_the_failure_of_the_ea
         await attempt(FixedLocator(), operation, 10)
 
 
-@pytest.mark.parametrize(("began_s", "told"), [(9.5, "gone"), (5.0, "no majority")])
+@pytest.mark.parametrize(("began_s", "expected"), [(9.5, "gone"), (5.0, "no majority")])
 async def test_a_majority_that_is_not_found_at_the_very_end_does_not_hide_the_failure_of_the_earlier_tries(
-    began_s: float, told: str, clock: Clock
+    began_s: float, expected: str, clock: Clock
 ) -> None:
     async def fail(binding: Binding, timeout_s: float) -> str:
         if clock.now_s < 100 + began_s:
             raise st.Unavailable("gone")
         raise st.Unavailable("no majority", reason="NO_QUORUM")
 
-    with pytest.raises(st.Unavailable, match=told):
+    with pytest.raises(st.Unavailable, match=expected):
         await attempt(FixedLocator(), fail, 10)
 
 

@@ -151,8 +151,8 @@ async def test_many_consumed_items_are_sent_in_requests_within_the_limit_of_host
 
 async def test_consumed_items_of_two_incarnations_are_kept_apart(session: Any, state: ChannelState) -> None:
     await consume(session, state, [*items(1), *items(2, incarnation=8), *items(3)])
-    told = [(request.incarnation, list(request.seqs)) for request in session.host.requests]
-    assert told == [(7, [1, 3]), (8, [2])]
+    acks = [(request.incarnation, list(request.seqs)) for request in session.host.requests]
+    assert acks == [(7, [1, 3]), (8, [2])]
     await session.attached[0].end()
 
 

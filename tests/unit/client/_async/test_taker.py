@@ -39,12 +39,12 @@ class Stream:
     def __init__(self, opens: bool = True, error: st.StampedeError | None = None) -> None:
         self.opens = opens
         self.error = error
-        self.said: list[pb.TakeRequest] = []
+        self.sent_requests: list[pb.TakeRequest] = []
         self.answers: asyncio.Queue[pb.TakeResponse | st.StampedeError | None] = asyncio.Queue()
         self.heard = asyncio.Event()
 
     async def send(self, request: pb.TakeRequest) -> None:
-        self.said.append(request)
+        self.sent_requests.append(request)
         if self.error is not None:
             self.answers.put_nowait(self.error)
         elif self.opens and request.HasField("open"):
@@ -62,7 +62,7 @@ class Stream:
 
     @property
     def credit(self) -> int:
-        return sum(request.credit for request in self.said)
+        return sum(request.credit for request in self.sent_requests)
 
     def deliver(self, *seqs: int, drained: bool = False, lease_s: float = 30) -> None:
         parts = [seqs[at : at + RUN_ITEMS_MAX] for at in range(0, len(seqs), RUN_ITEMS_MAX)]
@@ -139,9 +139,9 @@ def taker_at(host: Host, prefetch: int = 1) -> Taker:
     return Taker(session, QueueLocator(session, state), state, prefetch)
 
 
-async def until_said(stream: Stream, wanted: Any) -> None:
+async def until_sent(stream: Stream, wanted: Any) -> None:
     async with asyncio.timeout(LIMIT_S):
-        while not any(wanted(request) for request in stream.said):
+        while not any(wanted(request) for request in stream.sent_requests):
             stream.heard.clear()
             await stream.heard.wait()
 
@@ -167,9 +167,9 @@ async def test_a_taker_asks_for_one_message_for_each_waiting_caller() -> None:
     taker = taker_at(host)
     first = asyncio.ensure_future(taker.get(FOR_EVER))
     stream = await host.next_stream()
-    assert (stream.said[0].open.epoch, stream.credit) == (3, 1)
+    assert (stream.sent_requests[0].open.epoch, stream.credit) == (3, 1)
     second = asyncio.ensure_future(taker.get(FOR_EVER))
-    await until_said(stream, lambda request: request.credit and not request.HasField("open"))
+    await until_sent(stream, lambda request: request.credit and not request.HasField("open"))
     stream.deliver(1, 2)
     assert (await seq_of(first), await seq_of(second), stream.credit) == (1, 2, 2)
     await taker.end()
@@ -187,7 +187,7 @@ async def test_callers_beyond_the_credit_limit_are_served_after_the_others() -> 
     stream = await host.next_stream()
     assert stream.credit == 1024
     stream.deliver(*range(1, 1025))
-    await until_said(stream, lambda request: request.credit == 2)
+    await until_sent(stream, lambda request: request.credit == 2)
     stream.deliver(1025, 1026)
     assert [await seq_of(get) for get in gets] == list(range(1, 1027))
     await taker.end()
@@ -198,7 +198,7 @@ async def test_a_message_that_comes_during_the_drain_still_belongs_to_the_ended_
     taker = taker_at(host)
     get = asyncio.ensure_future(taker.get(Wait(0)))
     stream = await host.next_stream()
-    await until_said(stream, lambda request: request.drain)
+    await until_sent(stream, lambda request: request.drain)
     assert stream.credit == 1
     stream.deliver(7, drained=True)
     assert await seq_of(get) == 7
@@ -211,7 +211,7 @@ async def test_the_next_stream_serves_a_waiting_caller_after_the_drain_for_anoth
     waiting = asyncio.ensure_future(taker.get(FOR_EVER))
     stream = await host.next_stream()
     leaving = asyncio.ensure_future(taker.get(Wait(0)))
-    await until_said(stream, lambda request: request.drain)
+    await until_sent(stream, lambda request: request.drain)
     stream.deliver(drained=True)
     assert await asyncio.wait_for(leaving, LIMIT_S) is None
     stream = await host.next_stream()
@@ -228,7 +228,7 @@ async def test_a_message_that_arrives_while_its_wait_is_cancelled_is_given_back(
     get.cancel()
     with pytest.raises(asyncio.CancelledError):
         await get
-    await until_said(stream, lambda request: request.drain)
+    await until_sent(stream, lambda request: request.drain)
     stream.deliver(5, drained=True)
     await asyncio.wait_for(host.settled.wait(), LIMIT_S)
     assert host.given_back == [5]
@@ -239,7 +239,7 @@ async def test_a_message_for_a_cancelled_getter_goes_to_the_next_getter_of_the_c
     taker = taker_at(host)
     first, second = (asyncio.ensure_future(taker.get(FOR_EVER)) for _ in range(2))
     stream = await host.next_stream()
-    await until_said(stream, lambda request: stream.credit == 2)
+    await until_sent(stream, lambda request: stream.credit == 2)
     stream.deliver(5)
     await until_handed_over(taker)  # the first getter has the message, and has not run on yet
     first.cancel()
@@ -277,7 +277,7 @@ async def test_a_poll_returns_a_message_immediately_that_another_caller_had_aske
     cancelled = asyncio.ensure_future(taker.get(FOR_EVER))
     stream = await host.next_stream()
     cancelled.cancel()
-    await until_said(stream, lambda request: request.drain)
+    await until_sent(stream, lambda request: request.drain)
     poll = asyncio.ensure_future(taker.get(Wait(0)))
     await asyncio.sleep(0)
     stream.deliver(1, drained=True)
@@ -347,7 +347,7 @@ async def test_a_stream_that_opens_after_its_handle_was_closed_is_drained(monkey
     await taker.end()
     assert await get is None
     stream.deliver()
-    await until_said(stream, lambda request: request.drain)
+    await until_sent(stream, lambda request: request.drain)
     stream.deliver(4, drained=True)
     await until_at_rest(taker)
     assert host.given_back == [4]
@@ -385,7 +385,7 @@ async def test_prefetched_messages_are_given_back_at_the_end() -> None:
     stream.deliver(1, 2, 3)
     assert await seq_of(get) == 1
     ending = asyncio.ensure_future(taker.end())
-    await until_said(stream, lambda request: request.drain)
+    await until_sent(stream, lambda request: request.drain)
     stream.deliver(drained=True)
     await asyncio.wait_for(ending, LIMIT_S)
     assert host.given_back == [2, 3]

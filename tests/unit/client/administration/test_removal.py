@@ -20,11 +20,11 @@ AMBIGUOUS = Unavailable("the leader changed during the change", reason="AMBIGUOU
 
 
 class Failure(grpc.RpcError):
-    """A failed call, as gRPC raises it. `told`: the error with which the supernode has answered."""
+    """A failed call, as gRPC raises it. `error`: the error with which the supernode has answered."""
 
-    def __init__(self, code: grpc.StatusCode, details: str, told: StampedeError | None = None) -> None:
+    def __init__(self, code: grpc.StatusCode, details: str, error: StampedeError | None = None) -> None:
         self._code, self._details = code, details
-        self._trailers = () if told is None else ((DETAILS_KEY, encode_status(told)),)
+        self._trailers = () if error is None else ((DETAILS_KEY, encode_status(error)),)
 
     def code(self) -> grpc.StatusCode:
         return self._code
@@ -42,8 +42,8 @@ BROKEN = Failure(grpc.StatusCode.UNAVAILABLE, "Socket closed")
 LATE = Failure(grpc.StatusCode.DEADLINE_EXCEEDED, "Deadline Exceeded")
 
 
-def answered(told: StampedeError) -> Failure:
-    return Failure(grpc.StatusCode.UNAVAILABLE, told.message, told)
+def answered(error: StampedeError) -> Failure:
+    return Failure(grpc.StatusCode.UNAVAILABLE, error.message, error)
 
 
 class Supernodes:

@@ -46,9 +46,9 @@ def test_the_error_for_an_impossible_time_to_live_names_it(ttl: str, capsys: pyt
     with pytest.raises(SystemExit) as ended:
         run(["token", "issue", "cam", f"--ttl={ttl}"])
     assert ended.value.code == 2
-    told = capsys.readouterr().err
-    assert "--ttl" in told
-    assert "nanos" not in told
+    logged = capsys.readouterr().err
+    assert "--ttl" in logged
+    assert "nanos" not in logged
 
 
 def listed(parser: argparse.ArgumentParser) -> dict[str, str | None]:

@@ -48,8 +48,8 @@ def test_the_script_is_printed(shell: str, capsys: pytest.CaptureFixture[str]) -
     ],
 )
 def test_bash_completes_verbs_options_and_choices(words: list[str], expected: set[str]) -> None:
-    said = output_of("bash", "-c", COMPLETE_IN_BASH, "bash", SCRIPTS / "stampede.bash", "stampede", *words)
-    assert set(said.split()) == expected
+    output = output_of("bash", "-c", COMPLETE_IN_BASH, "bash", SCRIPTS / "stampede.bash", "stampede", *words)
+    assert set(output.split()) == expected
 
 
 @needs("zsh")
@@ -59,8 +59,8 @@ def test_zsh_reads_the_script() -> None:
 
 @needs("fish")
 def test_fish_completes_verbs() -> None:
-    said = output_of("fish", "--no-config", "-c", f"source {SCRIPTS}/stampede.fish; complete -C 'stampede '")
-    assert {line.split("\t")[0] for line in said.splitlines()} >= {*VERBS, *SERVICE_VERBS}
+    output = output_of("fish", "--no-config", "-c", f"source {SCRIPTS}/stampede.fish; complete -C 'stampede '")
+    assert {line.split("\t")[0] for line in output.splitlines()} >= {*VERBS, *SERVICE_VERBS}
 
 
 @needs("groff")

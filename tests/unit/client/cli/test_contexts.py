@@ -124,9 +124,9 @@ def test_a_damaged_file_of_contexts_is_refused_with_the_reason(
     with pytest.raises(InvalidArgument, match=why):
         Contexts.load(environment(folder))
     assert run(words) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("stampede: the contexts in ")
-    assert said.endswith("correct the file, or delete it\n")
+    error_output = capsys.readouterr().err
+    assert error_output.startswith("stampede: the contexts in ")
+    assert error_output.endswith("correct the file, or delete it\n")
 
 
 def write_contexts(folder: Path, text: bytes) -> None:

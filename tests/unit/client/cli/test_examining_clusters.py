@@ -33,8 +33,8 @@ def test_doctor_examines_the_cluster_of_most_supernodes(clusters: tuple[str | No
     own_id = _cluster_of_most(answers)
     assert "".join(one.seen.name for one in answers if _of_others(one, own_id)) == strangers
     for one in answers:
-        told = _marked_if_foreign(one, own_id)
+        counts = _marked_if_foreign(one, own_id)
         if one.seen.name in strangers:
-            assert f"of another cluster, {one.response.cluster_id}, answers there" in told.seen.failure
+            assert f"of another cluster, {one.response.cluster_id}, answers there" in counts.seen.failure
         else:
-            assert told is one
+            assert counts is one

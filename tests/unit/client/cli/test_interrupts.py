@@ -159,9 +159,9 @@ def test_an_interrupt_that_a_weakref_callback_swallows_still_ends_the_process() 
         del dropped
         threading.Event().wait()
     """
-    status, said = ended(program)
+    status, output = ended(program)
     assert status == 130
-    assert "Traceback" not in said or "Exception ignored" in said
+    assert "Traceback" not in output or "Exception ignored" in output
 
 
 def test_a_second_ctrl_c_ends_the_cleanup_immediately() -> None:

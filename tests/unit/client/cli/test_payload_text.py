@@ -36,6 +36,6 @@ def test_a_damaged_array_is_shown_by_its_length() -> None:
 
 
 def test_a_long_value_is_cut() -> None:
-    said = shown(b"[" + b"1," * 999 + b"1]", "application/json")
-    assert len(said) < VALUE_CHARACTERS_MAX + 30
-    assert said.endswith("... [3000 characters]")
+    text = shown(b"[" + b"1," * 999 + b"1]", "application/json")
+    assert len(text) < VALUE_CHARACTERS_MAX + 30
+    assert text.endswith("... [3000 characters]")

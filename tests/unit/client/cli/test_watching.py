@@ -19,7 +19,7 @@ def channel(name: str, epoch: int = 1) -> ChannelInfo:
     )  # fmt: skip
 
 
-def told(*watches: tuple[list[Thing], Sequence[Change | StampedeError]]) -> list[Any]:
+def watched(*watches: tuple[list[Thing], Sequence[Change | StampedeError]]) -> list[Any]:
     """The output of the command for some watches, one after the other. Each begins with a list."""
     coming = iter(watches)
     listed: list[Thing] = []
@@ -44,7 +44,7 @@ def told(*watches: tuple[list[Thing], Sequence[Change | StampedeError]]) -> list
 
 
 def test_after_a_restart_a_watch_reports_the_differences_and_continues() -> None:
-    *rows, error = told(
+    *rows, error = watched(
         ([channel("kept"), channel("gone"), channel("moved")], [
             Change(index=5, kind="added", subject=channel("late")), WatchRestart("begin anew")
         ]),
@@ -65,5 +65,5 @@ def test_a_watch_reports_a_lost_host_but_not_a_changed_load() -> None:
         return HostInfo(host_id=b"h", name="host", endpoints=("a:1",), alive=alive, channels=channels, version="")
 
     changes = [Change(index=number, kind="updated", subject=host(number < 3, number)) for number in range(1, 5)]
-    rows = told(([host(True, 0)], [*changes, Unavailable("the end")]))[:-1]
+    rows = watched(([host(True, 0)], [*changes, Unavailable("the end")]))[:-1]
     assert [(row["index"], row["alive"]) for row in rows] == [(3, False)]

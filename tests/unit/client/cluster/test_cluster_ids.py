@@ -65,10 +65,10 @@ def test_the_refusal_names_both_clusters_and_a_remedy_and_cuts_a_long_id() -> No
 
 def test_a_supernode_of_another_cluster_counts_as_one_that_does_not_answer() -> None:
     answering = Unavailable("no majority of the supernodes answered", reason="NO_QUORUM")
-    told = why_unserved({"a": answering, "b": answering, "c": STRANGER}, 3)
-    assert told is answering
-    told = why_unserved({"a": answering, "b": STRANGER, "c": STRANGER}, 3)
-    assert "1 of 3 supernodes answer, 2 must answer (b is of another cluster, c is of another cluster)" in told.message
+    error = why_unserved({"a": answering, "b": answering, "c": STRANGER}, 3)
+    assert error is answering
+    error = why_unserved({"a": answering, "b": STRANGER, "c": STRANGER}, 3)
+    assert "1 of 3 supernodes answer, 2 must answer (b is of another cluster, c is of another cluster)" in error.message
 
 
 def test_the_error_says_that_all_supernodes_belong_to_another_cluster() -> None:

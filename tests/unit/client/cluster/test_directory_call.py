@@ -84,10 +84,10 @@ def test_a_missing_majority_is_inferred_from_the_failures_of_all_rounds() -> Non
 
 
 @pytest.mark.parametrize(
-    ("now_s", "told"), [(9.5, "its host is away"), (5.0, "no majority")], ids=["too little time", "enough time"]
+    ("now_s", "expected"), [(9.5, "its host is away"), (5.0, "no majority")], ids=["too little time", "enough time"]
 )
 def test_an_attempt_with_too_little_time_does_not_hide_the_failure_of_an_earlier_attempt(
-    now_s: float, told: str
+    now_s: float, expected: str
 ) -> None:
     call = DirectoryCall(deadline_s=10.0)
     for began_s, error in [
@@ -96,7 +96,7 @@ def test_an_attempt_with_too_little_time_does_not_hide_the_failure_of_an_earlier
     ]:
         call.begin_round(["a"], float("inf"))
         asked(call, {"a": error}, began_s)
-    assert call.failure(["a"]).message == told
+    assert call.failure(["a"]).message == expected
 
 
 def test_an_error_says_that_no_attempt_had_enough_time() -> None:

@@ -13,7 +13,7 @@ def gone(target: str) -> Unavailable:
 NO_MAJORITY = Unavailable("no majority of the supernodes answered within 2.0 s", reason="NO_QUORUM")
 
 
-def told(failures: dict[str, StampedeError], supernodes: int = 3) -> str:
+def error_text(failures: dict[str, StampedeError], supernodes: int = 3) -> str:
     error = why_unserved(failures, supernodes)
     assert isinstance(error, Unavailable | DeadlineExceeded)
     return f"{error.reason}: {error.message}"
@@ -24,30 +24,30 @@ def test_too_few_answers_mean_a_lost_majority_in_any_order_of_the_answers() -> N
         {"a": gone("a"), "b": NO_MAJORITY, "c": gone("c")},
         {"b": NO_MAJORITY, "a": gone("a"), "c": gone("c")},
     ):
-        said = told(dict(failures))
-        assert said.startswith(
+        message = error_text(dict(failures))
+        assert message.startswith(
             "NO_QUORUM: the directory has no majority: 1 of 3 supernodes answer, 2 must answer (a cannot be"
         )
-        assert "address" not in said
+        assert "address" not in message
 
 
 def test_a_supernode_that_is_down_does_not_hide_the_answers_of_two_that_run() -> None:
-    assert told({"a": gone("a"), "b": NO_MAJORITY, "c": gone("c")}, 5).startswith("NO_QUORUM: no majority of the")
-    assert told({"b": NO_MAJORITY, "c": NO_MAJORITY, "a": gone("a")}).startswith("NO_QUORUM: no majority of the")
+    assert error_text({"a": gone("a"), "b": NO_MAJORITY, "c": gone("c")}, 5).startswith("NO_QUORUM: no majority of the")
+    assert error_text({"b": NO_MAJORITY, "c": NO_MAJORITY, "a": gone("a")}).startswith("NO_QUORUM: no majority of the")
 
 
 def test_a_silent_supernode_counts_as_one_that_is_down() -> None:
-    said = told({"a": DeadlineExceeded("late"), "b": gone("b"), "c": gone("c")})
-    assert "0 of 3 supernodes answer" in said
-    assert "a did not answer in time, b cannot be reached" in said
+    message = error_text({"a": DeadlineExceeded("late"), "b": gone("b"), "c": gone("c")})
+    assert "0 of 3 supernodes answer" in message
+    assert "a did not answer in time, b cannot be reached" in message
 
 
 def test_an_update_that_may_have_been_performed_is_never_reported_as_failed() -> None:
     unknown = Unavailable("nobody said whether it is done", reason="AMBIGUOUS")
-    assert told({"a": unknown, "b": gone("b"), "c": gone("c")}).startswith("AMBIGUOUS")
+    assert error_text({"a": unknown, "b": gone("b"), "c": gone("c")}).startswith("AMBIGUOUS")
 
 
 def test_the_error_names_the_only_supernode_and_why_the_client_cannot_reach_it() -> None:
-    said = told({"a:1": gone("a:1")}, 1)
-    assert "its one supernode, a:1, cannot be reached (Connection refused); start it again" in said
-    assert told({"a:1": DeadlineExceeded("a:1 did not answer in time")}, 1).startswith("DEADLINE_EXCEEDED")
+    message = error_text({"a:1": gone("a:1")}, 1)
+    assert "its one supernode, a:1, cannot be reached (Connection refused); start it again" in message
+    assert error_text({"a:1": DeadlineExceeded("a:1 did not answer in time")}, 1).startswith("DEADLINE_EXCEEDED")

@@ -32,7 +32,7 @@ def test_only_a_process_with_a_higher_epoch_counts_as_the_newer_one() -> None:
     """A directory that was restored from a backup may know an older process only."""
     epoch = RegistrationEpoch()
     epoch.may_overtake(refusal(3, alive=True))
-    told = LeaseExpired("x", metadata={"registration_epoch": "5"})
-    assert epoch.is_overtaken(told)
+    error = LeaseExpired("x", metadata={"registration_epoch": "5"})
+    assert epoch.is_overtaken(error)
     assert not epoch.is_overtaken(LeaseExpired("x", metadata={"registration_epoch": "3"}))
     assert not epoch.is_overtaken(LeaseExpired("x"))

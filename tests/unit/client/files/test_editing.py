@@ -272,10 +272,10 @@ def lost_in_silence(report: FileReport, output: Path, true: set[tuple[str, int]]
     found, _ = read(output)
     items = {(one.topic.name, one.seq) for one in found if isinstance(one, FileEntry)}
     gaps = [one for one in found if isinstance(one, RecordingGap)]
-    told = {(gap.channel, seq) for gap in gaps for seq in range(gap.first_seq or 1, (gap.last_seq or 19) + 1)}
+    reported = {(gap.channel, seq) for gap in gaps for seq in range(gap.first_seq or 1, (gap.last_seq or 19) + 1)}
     assert items <= true
     known = {one.channel for one in report.summary.channels}
-    return {one for one in true - items - told if one[0] in known or not report.damages}
+    return {one for one in true - items - reported if one[0] in known or not report.damages}
 
 
 def test_a_flipped_bit_in_the_head_of_a_record_hides_no_item_in_silence(tmp_path: Path) -> None:

@@ -58,11 +58,11 @@ def test_messages_are_recovered_although_the_chunk_that_names_their_topics_is_da
     assert cam == [*range(6, 31)]
     assert imu == [*range(5, 30)]
     assert report.unknown == 0
-    told = verify(saved)
-    assert (told.intact, told.complete) == (True, False)
-    gaps = {one.channel: [(gap.first_seq, gap.last_seq) for gap in one.gaps] for one in told.summary.channels}
+    verified = verify(saved)
+    assert (verified.intact, verified.complete) == (True, False)
+    gaps = {one.channel: [(gap.first_seq, gap.last_seq) for gap in one.gaps] for one in verified.summary.channels}
     assert gaps == {"cam": [(None, 5), (31, None)], "imu": [(None, 4), (30, None)]}
-    begun = told.summary.channels[0].gaps[0].detail
+    begun = verified.summary.channels[0].gaps[0].detail
     assert begun == f"the file is damaged at byte {chunks[0][0]}: its checksum does not match its content"
 
 
@@ -79,18 +79,18 @@ def test_each_damaged_chunk_of_a_torn_file_leaves_a_file_that_says_so(
         )
         for verb in ("verify", "info"):
             assert stampede(["file", verb, str(saved)]) == (3 if verb == "verify" else 0)
-            said = capsys.readouterr().out
-            assert "cam: an unknown number of items" in said
-            assert "so items of channels that it does not name may be missing" in said
+            printed = capsys.readouterr().out
+            assert "cam: an unknown number of items" in printed
+            assert "so items of channels that it does not name may be missing" in printed
 
 
 def test_the_parts_of_a_recovered_file_say_it_too(whole: Path, tmp_path: Path) -> None:
     saved, part, both = (tmp_path / name for name in ("saved.mcap", "part.mcap", "both.mcap"))
-    told = recover(damaged(whole, 50, chunks_of(whole)[-1][1]), saved).summary.damaged
-    assert len(told) == 1
-    assert cut(saved, part, start=0, end=2**62).damaged == told
-    assert merge([saved, part], both).damaged == told
-    assert verify(both).summary.damaged == told
+    notes = recover(damaged(whole, 50, chunks_of(whole)[-1][1]), saved).summary.damaged
+    assert len(notes) == 1
+    assert cut(saved, part, start=0, end=2**62).damaged == notes
+    assert merge([saved, part], both).damaged == notes
+    assert verify(both).summary.damaged == notes
 
 
 @pytest.mark.parametrize(("others", "unknown_from"), [((8, 26), 26), ((40, 50), 10)])
@@ -159,9 +159,9 @@ def test_a_recovered_file_of_another_program_names_its_losses(
     recover(damaged(path, middle(chunks_of(path)[0]), chunks_of(path)[-1][1]), saved)
     assert not verify(saved).complete
     assert stampede(["file", "info", str(saved)]) == 0
-    said = capsys.readouterr().out
-    assert "/t1" in said
-    assert "missing: " in said
+    printed = capsys.readouterr().out
+    assert "/t1" in printed
+    assert "missing: " in printed
 
 
 @pytest.mark.parametrize("has_end", [True, False])

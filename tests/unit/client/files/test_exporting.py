@@ -183,9 +183,9 @@ def test_the_command_says_how_many_more_gaps_there_are(tmp_path: Path, capsys: p
     ]
     path = write(tmp_path / "a.mcap", [event for pair in pairs for event in pair])
     assert stampede(["export", str(path), "-o", str(tmp_path / "a.csv")]) == 3
-    said = capsys.readouterr().out.splitlines()
-    assert len([line for line in said if line.startswith("missing: imu")]) == 20
-    assert said[-1] == "missing: 5 more gaps"
+    printed = capsys.readouterr().out.splitlines()
+    assert len([line for line in printed if line.startswith("missing: imu")]) == 20
+    assert printed[-1] == "missing: 5 more gaps"
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])

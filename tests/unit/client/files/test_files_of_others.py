@@ -73,5 +73,5 @@ def test_the_reader_of_rosbags_reads_our_file(tmp_path: Path, monkeypatch: pytes
         ]
     finally:
         reader.close()
-    told = sorted((event.topic.name, event.time, event.data) for event in events if isinstance(event, FileEntry))
-    assert sorted(found) == told
+    expected = sorted((event.topic.name, event.time, event.data) for event in events if isinstance(event, FileEntry))
+    assert sorted(found) == expected

@@ -128,11 +128,11 @@ def test_a_chunk_that_would_fill_the_memory_counts_as_damage(tmp_path: Path, mon
 def test_a_chunk_is_not_unpacked_beyond_its_stated_length(tmp_path: Path, kind: str) -> None:
     content = write(tmp_path / "a.mcap", entries("cam", range(1, 500)), chunk_items=500, compression=kind).read_bytes()
     place = content.index(b"\x04\x00\x00\x00zstd" if kind == "zstd" else b"\x03\x00\x00\x00lz4") - 12
-    told = struct.unpack_from("<Q", content, place)[0]
+    stated_bytes = struct.unpack_from("<Q", content, place)[0]
     lying = tmp_path / "lying.mcap"
     lying.write_bytes(content[:place] + struct.pack("<Q", 100) + content[place + 8 :])
     _, damages = read(lying)
-    assert told > 100
+    assert stated_bytes > 100
     assert "it has 101 bytes in place of 100" in damages[0].detail
 
 

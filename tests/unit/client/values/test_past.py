@@ -41,7 +41,7 @@ def test_missing_items_count_only_if_they_decide_the_cut() -> None:
 
 
 @pytest.mark.parametrize(
-    ("items", "told"),
+    ("items", "reason"),
     [
         (answer(Reason.HIDDEN), "COLLECTED"),
         (answer(Reason.NOT_YET), "COLLECTED"),
@@ -51,10 +51,10 @@ def test_missing_items_count_only_if_they_decide_the_cut() -> None:
     ],
 )
 def test_an_answer_reports_an_uncertain_cut_unless_its_interval_ends_before_the_cut(
-    items: Items, told: str | None
+    items: Items, reason: str | None
 ) -> None:
-    assert add_reason(items, GONE).reason == told
-    assert NewestItems([], {b"": items}, GONE).reasons._values == ({} if told is None else {b"": told})
+    assert add_reason(items, GONE).reason == reason
+    assert NewestItems([], {b"": items}, GONE).reasons._values == ({} if reason is None else {b"": reason})
 
 
 def test_an_exact_cut_does_not_change_the_reason() -> None:

@@ -66,9 +66,9 @@ def test_the_error_of_a_measured_offset_is_never_above_its_uncertainty(
     there: int, held: int, back: int, ahead: int
 ) -> None:
     sent = 10**18
-    told = sent - ahead + there + held
+    stated = sent - ahead + there + held
     found = ClockOffset.measured(
-        sent_unix_nano=sent, took_nanos=there + held + back, told_unix_nano=told, supernode="s1", held_nanos=held
+        sent_unix_nano=sent, took_nanos=there + held + back, told_unix_nano=stated, supernode="s1", held_nanos=held
     )
     assert abs(found.offset_nanos - ahead) <= found.uncertainty_nanos
     assert found.uncertainty_nanos <= (there + back + 1) // 2

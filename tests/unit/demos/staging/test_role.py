@@ -59,8 +59,8 @@ def test_a_failure_is_reported_as_its_message(error):
 def play(stage):
     raise {error}
 """) as role:
-        said, complained = role.communicate(timeout=END_SECONDS)
-    assert json.loads(said) == {"event": "failed", "message": error.split("'")[1]}
+        printed, complained = role.communicate(timeout=END_SECONDS)
+    assert json.loads(printed) == {"event": "failed", "message": error.split("'")[1]}
     assert (role.returncode, complained) == (1, "")
 
 
@@ -69,8 +69,8 @@ def test_a_defect_ends_with_a_traceback_for_the_orchestrator_to_quote():
 def play(stage):
     return {}["no such key"]
 """) as role:
-        said, complained = role.communicate(timeout=END_SECONDS)
-    assert (said, role.returncode) == ("", 1)
+        printed, complained = role.communicate(timeout=END_SECONDS)
+    assert (printed, role.returncode) == ("", 1)
     assert complained.rstrip().endswith("KeyError: 'no such key'")
 
 

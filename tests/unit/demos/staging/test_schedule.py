@@ -54,8 +54,8 @@ def test_frames_last_until_the_next_one_and_repeat_with_the_loop():
 def test_blocks_run_on_over_the_end_of_the_loop_sample_by_sample():
     samples = np.arange(10, dtype=np.int16)
     plan = list(planned_blocks(samples, 1000, 4 * MS, START, 12 * MS))
-    heard = [np.frombuffer(block.payload, "<i2").tolist() for block in plan]
-    assert heard == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 0, 1]]
+    blocks = [np.frombuffer(block.payload, "<i2").tolist() for block in plan]
+    assert blocks == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 0, 1]]
     assert [block.clip_nanos for block in plan] == [0, 4 * MS, 8 * MS]
 
 

@@ -53,9 +53,9 @@ class BrokenCluster:
 def test_a_cluster_that_fails_is_reported_in_one_sentence(monkeypatch, failure, sentence):
     monkeypatch.setattr(BrokenCluster, "failure", failure)
     monkeypatch.setattr(orchestrator, "LocalCluster", BrokenCluster)
-    with pytest.raises(DemoFailed) as told:
+    with pytest.raises(DemoFailed) as caught:
         conduct(2, Progress(io.StringIO()))
-    assert str(told.value) == sentence
+    assert str(caught.value) == sentence
 
 
 def test_a_missing_film_is_reported_before_a_cluster_is_started(monkeypatch):

@@ -53,7 +53,7 @@ def test_each_credential_gives_a_name_and_roles(
 
 
 @pytest.mark.parametrize(
-    ("accepted", "brought", "certificate", "told"),
+    ("accepted", "brought", "certificate", "expected"),
     [
         (ONE, None, None, "brought no secret"),
         (ONE, b"s", None, "a secret that differs"),
@@ -67,9 +67,9 @@ def test_each_credential_gives_a_name_and_roles(
     ],
 )
 def test_a_malformed_credential_is_refused_with_the_reason(
-    accepted: AcceptedCredentials, brought: bytes | None, certificate: CallerCertificate | None, told: str
+    accepted: AcceptedCredentials, brought: bytes | None, certificate: CallerCertificate | None, expected: str
 ) -> None:
-    with pytest.raises(PermissionDenied, match=told):
+    with pytest.raises(PermissionDenied, match=expected):
         identify(accepted, brought, certificate)
 
 

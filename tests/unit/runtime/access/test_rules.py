@@ -72,7 +72,7 @@ def test_a_caller_with_any_right_to_a_thing_may_know_that_it_exists() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rule", "told"),
+    ("rule", "expected"),
     [
         (allow("", (), "*"), "who of a rule is ''"),
         (allow("a b", (), "*"), "who of a rule"),
@@ -83,8 +83,8 @@ def test_a_caller_with_any_right_to_a_thing_may_know_that_it_exists() -> None:
         (allow("a", (PUT, PUT), "x"), "ascending, each once"),
     ],
 )
-def test_a_rule_whose_pattern_can_match_no_name_is_refused(rule: AccessRule, told: str) -> None:
-    with pytest.raises(InvalidArgument, match=told):
+def test_a_rule_whose_pattern_can_match_no_name_is_refused(rule: AccessRule, expected: str) -> None:
+    with pytest.raises(InvalidArgument, match=expected):
         check_rule(rule)
 
 

@@ -151,9 +151,9 @@ async def test_a_stream_that_must_use_a_socket_fails_without_one(rig: Opened, tm
 
 async def test_an_error_of_the_method_reaches_the_caller(rig: Opened) -> None:
     async with rig() as opened:
-        with pytest.raises(grpc.RpcError) as told:
+        with pytest.raises(grpc.RpcError) as caught:
             await opened.begin(REFUSE).read()
-        error = from_rpc_error(told.value, "the host")
+        error = from_rpc_error(caught.value, "the host")
         assert isinstance(error, InvalidArgument)
         assert error.metadata["field"] == "x"
 

@@ -22,30 +22,30 @@ port = port_fixture()
 async def test_the_close_of_a_watched_socket_is_reported_once_without_a_read() -> None:
     hangups = HangupWatcher()
     near, far = socket.socketpair()
-    told = asyncio.Queue[str]()
+    events = asyncio.Queue[str]()
     with near:
-        hangups.watch(near, lambda: told.put_nowait("gone"))
+        hangups.watch(near, lambda: events.put_nowait("gone"))
         far.sendall(b"more")
         far.close()
-        assert await asyncio.wait_for(told.get(), 20) == "gone"
+        assert await asyncio.wait_for(events.get(), 20) == "gone"
         hangups.forget(near)
     hangups.close()
-    assert told.empty()
+    assert events.empty()
 
 
 async def test_a_socket_with_the_file_number_of_a_closed_socket_is_watched() -> None:
     hangups = HangupWatcher()
     closed, closed_far = socket.socketpair()
     near, far = socket.socketpair()
-    told = asyncio.Queue[str]()
-    hangups.watch(closed, lambda: told.put_nowait("closed"))
+    events = asyncio.Queue[str]()
+    hangups.watch(closed, lambda: events.put_nowait("closed"))
     os.dup2(near.fileno(), closed.fileno())  # the system closes the former file, and gives its number to another one
     with socket.socket(fileno=closed.detach()) as successor, closed_far:
         near.close()
-        hangups.watch(successor, lambda: told.put_nowait("successor"))
+        hangups.watch(successor, lambda: events.put_nowait("successor"))
         hangups.forget(closed)
         far.close()
-        assert await asyncio.wait_for(told.get(), 20) == "successor"
+        assert await asyncio.wait_for(events.get(), 20) == "successor"
     hangups.close()
 
 

@@ -21,7 +21,7 @@ FOUNDER = Member(member_id="r", address="r:1")
 
 
 @pytest.mark.parametrize(
-    ("told", "here", "advertise", "is_misplaced"),
+    ("listed", "here", "advertise", "is_misplaced"),
     [
         ("10.0.0.1:7590", "10.0.0.1:7590", "", False),
         ("10.0.0.1:7590", "0.0.0.0:7590", "", False),
@@ -32,11 +32,11 @@ FOUNDER = Member(member_id="r", address="r:1")
     ],
 )
 def test_a_supernode_that_listens_at_an_unlisted_address_reports_it(
-    told: str, here: str, advertise: str, is_misplaced: bool
+    listed: str, here: str, advertise: str, is_misplaced: bool
 ) -> None:
-    founding = FoundingRecord(supernode_id="a", address=told, members={"a": told})
+    founding = FoundingRecord(supernode_id="a", address=listed, members={"a": listed})
     words = misplacement_warning(founding, here, advertise)
-    assert (f"listens at {here}, but the others call it at {told}" in words) is is_misplaced
+    assert (f"listens at {here}, but the others call it at {listed}" in words) is is_misplaced
 
 
 def test_a_folder_with_an_unfinished_restore_is_reported(tmp_path: Path) -> None:

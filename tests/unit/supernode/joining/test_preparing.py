@@ -52,8 +52,8 @@ def test_an_address_beyond_loopback_needs_a_certificate_or_a_flag_and_the_error_
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert preparing.prepare(["init", "--listen", "10.0.0.11:7590", "--data-dir", str(tmp_path / "s1")]) == 0
-    *_, start, empty, told = capsys.readouterr().out.splitlines()
+    *_, start, empty, printed = capsys.readouterr().out.splitlines()
     assert start.startswith("  stampede supernode --listen 10.0.0.11:7590 ")
     assert empty == ""
-    assert "--tls-ca" in told
-    assert "--allow-insecure-anywhere" in told
+    assert "--tls-ca" in printed
+    assert "--allow-insecure-anywhere" in printed

@@ -33,5 +33,5 @@ async def test_a_member_of_another_authority_is_logged_once_with_the_reason(
             await probe.round()
         await probe._hang_up([server.address])
     assert probe.finding("s2") == ProbeResult(False, None)
-    (told,) = [record.getMessage() for record in caplog.records if "member s2" in record.getMessage()]
-    assert told.startswith("no certificates in common with member s2: the certificate of localhost:")
+    (message,) = [record.getMessage() for record in caplog.records if "member s2" in record.getMessage()]
+    assert message.startswith("no certificates in common with member s2: the certificate of localhost:")

@@ -177,10 +177,10 @@ async def test_a_channel_passes_to_the_replica_in_sync_when_the_lease_of_its_own
     left, _ = await two_channels(node)
     before = await resolved(node, "left")
     await node.replicas.AddReplica(add_request(1, left, kind=WARM, acknowledged=True))
-    said = replicas_pb.SetReplicaInSyncRequest(
+    request = replicas_pb.SetReplicaInSyncRequest(
         request_id=id_of(2), subject=subject(left), epoch=1, host_id=id_of(2), boot_incarnation=1, in_sync=True
     )
-    assert (await node.replicas.SetReplicaInSync(said)).replica.in_sync
+    assert (await node.replicas.SetReplicaInSync(request)).replica.in_sync
     for _ in range(6):
         await node.renew(2)
         await node.pass_seconds(1)

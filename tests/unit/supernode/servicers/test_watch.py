@@ -210,19 +210,19 @@ async def until_idle(counted: list[int]) -> list[int]:
 
 async def test_a_change_is_reported_to_a_few_watches_in_each_turn_and_to_all_of_them(node: Node) -> None:
     """In an earlier version, one turn of the event loop woke all watches. 4096 watches took 52 ms."""
-    heard: list[int] = []
+    versions: list[int] = []
 
     async def follow(number: int) -> None:
         async for batch in node.watches.follow("", 0, include_hosts=False):
-            heard.extend(number for _ in batch.changes)
+            versions.extend(number for _ in batch.changes)
 
     watching = [asyncio.create_task(follow(number)) for number in range(100)]
-    await until_idle(heard)
+    await until_idle(versions)
     await node.open("cam")
-    per_turn = await until_idle(heard)
+    per_turn = await until_idle(versions)
     await node.open("mic")
-    assert max(per_turn + await until_idle(heard)) <= watch.WATCHES_PER_TURN
-    assert sorted(heard) == sorted([*range(100)] * 2)
+    assert max(per_turn + await until_idle(versions)) <= watch.WATCHES_PER_TURN
+    assert sorted(versions) == sorted([*range(100)] * 2)
     for task in watching:
         task.cancel()
     await asyncio.gather(*watching, return_exceptions=True)

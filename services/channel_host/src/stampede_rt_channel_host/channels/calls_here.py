@@ -38,7 +38,7 @@ from stampede_rt_channel_host.core.channel import (
     first_of,
 )
 
-Told = Callable[[InProcessAnswer | StampedeError | None], None]
+OnAnswer = Callable[[InProcessAnswer | StampedeError | None], None]
 
 
 def find_here(store: ChannelStore, channel_id: bytes, epoch: int) -> HostedChannel | None:
@@ -131,31 +131,36 @@ def newest_now(store: ChannelStore, channel_id: bytes, epoch: int) -> InProcessA
     return InProcessAnswer((run,), None, False, False, False, None, hosted.channel.incarnation)
 
 
-def read_here(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuery, tell: Told) -> WaitingGet | None:
-    """Perform a get on the loop, and call `tell` with its answer. Returns the get if it waits.
+def read_here(
+    store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuery, on_answer: OnAnswer
+) -> WaitingGet | None:
+    """Perform a get on the loop, and call `on_answer` with its answer. Returns the get if it waits.
 
-    `tell` gets None if the answer is long, or may be in the archive: such a get goes over a stream. Raises the errors
-    of a get.
+    `on_answer` gets None if the answer is long, or may be in the archive: such a get goes over a stream. Raises the
+    errors of a get.
     """
     hosted, now = find_here(store, channel_id, epoch), store.now()
     asked = query_of(query)
     if hosted is None or _reads_archive(hosted, query, asked, now):
-        tell(None)
+        on_answer(None)
         return None
     if query.wait.seconds == 0:
         found = first_of(hosted.channel.reading(asked, now))
-        tell(None if isinstance(found, UnfinishedWork) else _in_process_answer(hosted, found, payloads=query.payloads))
+        if isinstance(found, UnfinishedWork):
+            on_answer(None)
+        else:
+            on_answer(_in_process_answer(hosted, found, payloads=query.payloads))
         return None
     pending = hosted.channel.begin(asked, now)
     polled = first_of(hosted.channel.polling(pending, now))
 
     def outcome(found: object) -> None:
         if isinstance(found, StampedeError):
-            tell(found)
+            on_answer(found)
         elif isinstance(found, ReadAnswer):
-            tell(_in_process_answer(hosted, found, payloads=query.payloads))
+            on_answer(_in_process_answer(hosted, found, payloads=query.payloads))
         else:
-            tell(None)
+            on_answer(None)
 
     if isinstance(polled, WakeAt):
         return hosted.gets.add(pending, polled, query.wait.nanos, now, outcome)

@@ -130,9 +130,9 @@ class PySyncObjLog:
             status = replace(status, leader_id=None, is_leader=False, tenure=0, disk_silent_seconds=silent)
         status = replace(status, retired=self._replica.roster.removed)
         refused = self._servicer.refused() if self._servicer is not None else {}
-        said = {**links.outdated.by, **links.refusals.by}
+        reasons = {**links.outdated.by, **links.refusals.by}
         confirmed, too_old = links.refusals.confirmed, links.outdated.why
-        if not (said or confirmed or too_old or links.other_cluster or refused):
+        if not (reasons or confirmed or too_old or links.other_cluster or refused):
             return status
         return replace(
             status,
@@ -142,7 +142,7 @@ class PySyncObjLog:
             other_cluster=links.other_cluster,
             too_old=too_old,
             refused=refused,
-            refused_by=said,
+            refused_by=reasons,
         )
 
     def write_times(self) -> Durations:

@@ -170,11 +170,11 @@ def test_items_that_all_consumers_consumed_are_freed_in_small_steps(monkeypatch:
     channel = backwards(ITEMS, consumers=2)
     for consumer in (1, 2):
         channel.consume(consumer, [], CLOCK)
-    told, note_collected = 0, Consumers.note_collected
+    noted, note_collected = 0, Consumers.note_collected
 
     def counting(self: Consumers, first: int, end: int) -> None:
-        nonlocal told
-        told += 1
+        nonlocal noted
+        noted += 1
         note_collected(self, first, end)
 
     monkeypatch.setattr(Consumers, "note_collected", counting)
@@ -183,12 +183,12 @@ def test_items_that_all_consumers_consumed_are_freed_in_small_steps(monkeypatch:
         for consumer in (1, 2):
             channel.consume(consumer, seqs, CLOCK)
     for look in (channel.counters, channel.next_deadline, channel.collect):
-        told = 0
+        noted = 0
         look(CLOCK)
-        assert told <= 2 * SLICES_CONSUMED_MAX
+        assert noted <= 2 * SLICES_CONSUMED_MAX
         assert channel.oldest is not None
         assert channel.frontier is None
-        assert told <= 2 * SLICES_CONSUMED_MAX, "a look at the same moment takes nothing more"
+        assert noted <= 2 * SLICES_CONSUMED_MAX, "a look at the same moment takes nothing more"
     while channel.collect(CLOCK):
         pass
     assert channel.counters(CLOCK).held == 1

@@ -77,9 +77,9 @@ def test_a_reader_that_lags_far_gets_adjoining_gaps() -> None:
         gaps.append(gap)
     assert gap is not None
     assert seqs_of([one.slice for one in delivery.slices]) == [2499, 2500]
-    told = [(one.first_seq, one.last_seq) for one in [*gaps, gap]]
-    assert len(told) > 1
-    assert [seq for first, last in told for seq in range(first, last + 1)] == list(range(1, 2499))
+    seq_ranges = [(one.first_seq, one.last_seq) for one in [*gaps, gap]]
+    assert len(seq_ranges) > 1
+    assert [seq for first, last in seq_ranges for seq in range(first, last + 1)] == list(range(1, 2499))
     assert (cursor.delivered, cursor.dropped) == (2, 2498)
 
 

@@ -17,9 +17,9 @@ def group(**times: ChannelTimes) -> tuple[GroupCut, TimesBoard]:
     return defined(GroupDefinition(members=frozenset((A, B))), **times)
 
 
-def defined(definition: GroupDefinition, **told: ChannelTimes) -> tuple[GroupCut, TimesBoard]:
+def defined(definition: GroupDefinition, **times_of: ChannelTimes) -> tuple[GroupCut, TimesBoard]:
     board = TimesBoard()
-    for name, times in told.items():
+    for name, times in times_of.items():
         board.hear(name.encode(), times, 0, 0)
     cut = GroupCut(definition, board)
     cut.confirm()
@@ -219,7 +219,7 @@ def test_the_lowest_of_many_channels_is_always_known() -> None:
         board.hear(moving, known[moving], 0, step)
         cut.refresh(step)
         members = cut.definition.members
-        heard = [board.find(one) for one in members]
+        times = [board.find(one) for one in members]
         lowest = min(known[one].newest or 0 for one in members)
-        highest = highest if None in heard else max(highest, lowest)
+        highest = highest if None in times else max(highest, lowest)
         assert (cut.cut or 0) == highest

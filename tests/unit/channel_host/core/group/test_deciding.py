@@ -215,14 +215,14 @@ def test_each_of_many_waiting_cuts_gets_its_event_when_its_own_max_wait_has_pass
     """In an earlier version each further cut restarted the wait of merged cuts. Items came after up to twice `wait`."""
     wait, every = 1_000_000, 100
     decider, lagging = EventDecider(0, wait), [member(b"a", 10**9), member(b"b", 0)]
-    told: list[int] = []
+    cuts: list[int] = []
     for now in range(every, 3 * wait, every):
         decider.note(now, now)
         while (due := decider.due(lagging, now)) is not None:
-            told.append(due.cut)
+            cuts.append(due.cut)
         assert len(decider._pending) <= PENDING_MAX
-        assert (told[-1] if told else 0) >= now - wait - 2 * wait // PENDING_MAX - every
-    assert len(told) > PENDING_MAX / 2
+        assert (cuts[-1] if cuts else 0) >= now - wait - 2 * wait // PENDING_MAX - every
+    assert len(cuts) > PENDING_MAX / 2
 
 
 def test_only_a_visible_item_ends_the_span_of_an_earlier_item() -> None:

@@ -149,8 +149,8 @@ async def keeper_over(replica: DirectoryReplica) -> tuple[LevelKeeper, MemoryLog
 async def test_the_leader_raises_the_feature_level_only_when_all_members_have_reported_that_they_know_it() -> None:
     newer = NewerReplica()
     keeper, log, _ = await keeper_over(newer)
-    told: list[dict[str, int]] = [{"s1": NEW_LEVEL}, {"s1": NEW_LEVEL, "s2": 1}, {"s2": NEW_LEVEL}]
-    for log.highest_levels in told:
+    reports: list[dict[str, int]] = [{"s1": NEW_LEVEL}, {"s1": NEW_LEVEL, "s2": 1}, {"s2": NEW_LEVEL}]
+    for log.highest_levels in reports:
         await keeper.tick()
         assert newer.feature_level == 1
     log.highest_levels = {"s1": NEW_LEVEL, "s2": NEW_LEVEL + 1}

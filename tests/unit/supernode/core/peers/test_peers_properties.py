@@ -114,11 +114,12 @@ class PeerMachine(ThreeDirectories):
     @invariant()
     def the_living_are_those_that_the_answers_told_of(self) -> None:
         tables = self.directory.tables
-        told = {one: (operation.name, operation.boot_incarnation) for one, operation in self.live_peers.living.items()}
-        assert {one.peer_id: (one.name, one.boot_incarnation) for one in tables.peers.live()} == told
-        assert dict(tables.peers.ids) == {name: one for one, (name, _) in told.items() if name}
-        assert len(tables.peers.ids) == sum(bool(name) for name, _ in told.values()), "a name has one live owner"
-        assert tables.peers.live_count == len(told)
+        operations = self.live_peers.living
+        living = {one: (operation.name, operation.boot_incarnation) for one, operation in operations.items()}
+        assert {one.peer_id: (one.name, one.boot_incarnation) for one in tables.peers.live()} == living
+        assert dict(tables.peers.ids) == {name: one for one, (name, _) in living.items() if name}
+        assert len(tables.peers.ids) == sum(bool(name) for name, _ in living.values()), "a name has one live owner"
+        assert tables.peers.live_count == len(living)
         assert len(tables.peers.keys) == len(tables.peers)
 
     @invariant()

@@ -25,10 +25,10 @@ UNKNOWN = ["LEADER_CHANGED", "UNKNOWN_OUTCOME"]
 def test_every_failure_reason_of_the_library_maps_to_an_outcome_of_the_command(
     reason: str, failure: ProposalFailure
 ) -> None:
-    lone, heard = LoneNode(), []
+    lone, outcomes = LoneNode(), []
     lone.node._applyCommand = lambda command, callback, kind: callback(None, getattr(FAIL_REASON, reason))
-    lone.node.propose(b"c", heard.append)
-    assert heard == [failure]
+    lone.node.propose(b"c", outcomes.append)
+    assert outcomes == [failure]
 
 
 def test_an_unexpected_failure_reason_stops_the_replica() -> None:
@@ -55,15 +55,15 @@ class OldMachine(ListMachine):
 def test_a_leader_answers_a_forwarded_command_that_its_state_machine_refuses() -> None:
     lone = LoneNode(machine=OldMachine())
     lone.lead()
-    said = lone.receive("b", ForwardedCommand(request_id=7, command=b"\x00new"))
+    messages = lone.receive("b", ForwardedCommand(request_id=7, command=b"\x00new"))
     refusal = ForwardedCommandReply(request_id=7, refusal=ForwardRefusal.DENIED)
-    assert ("b", refusal) in said + lone.tick()
+    assert ("b", refusal) in messages + lone.tick()
 
 
 def test_a_forwarded_command_that_the_leader_refuses_is_certainly_not_in_the_log() -> None:
-    lone, heard = LoneNode(), []
+    lone, outcomes = LoneNode(), []
     lone.receive("b", append(1, (1, 0), []))
-    lone.node.propose(b"new", heard.append)
+    lone.node.propose(b"new", outcomes.append)
     [(_, request)] = lone.tick()
     lone.receive("b", ForwardedCommandReply(request_id=request.request_id, refusal=ForwardRefusal.DENIED))
-    assert heard == [ProposalFailure.NOT_TAKEN]
+    assert outcomes == [ProposalFailure.NOT_TAKEN]

@@ -130,10 +130,10 @@ async def test_a_refused_copy_of_a_connected_member_is_logged_once_and_does_not_
     server, address = await served(servicer.add_to_server)
     async with grpc.aio.insecure_channel(address) as channel, asyncio.timeout(45):
         call = await opened_stream(channel)
-        told = set()
+        answers = set()
         for promised in (7, 8, 9):
             inbox.promise = Promise(1, promised)
-            told.add(await greeted_by_an_older_copy(channel))
+            answers.add(await greeted_by_an_older_copy(channel))
         await call.write(pb.RaftServiceExchangeRequest(messages=[timeout_now(7)]))
         await inbox.heard(MessageReceived)
         call.cancel()
@@ -143,7 +143,7 @@ async def test_a_refused_copy_of_a_connected_member_is_logged_once_and_does_not_
         await greeted_by_an_older_copy(channel)
         assert list(servicer.refused()) == ["other"]
     await server.stop(None)
-    assert len(told) == 3
+    assert len(answers) == 3
     beside, alone = [record.getMessage() for record in caplog.records if "older copy" in record.getMessage()]
     assert "a copy of its folder: stop the copy" in beside
     assert "stampede supernode remove" in alone
@@ -159,13 +159,13 @@ class Peer(_pb_grpc.RaftServiceServicer):  # type: ignore[misc]
     async def Exchange(  # noqa: N802
         self, requests: Any, context: Any
     ) -> AsyncIterator[pb.RaftServiceExchangeResponse]:
-        heard: list[int] = []
-        self.streams.append(heard)
+        numbers: list[int] = []
+        self.streams.append(numbers)
         async for request in requests:
             if request.HasField("hello"):
                 yield pb.RaftServiceExchangeResponse(protocol_version=PROTOCOL_VERSION)
-            heard += [message.timeout_now.term for message in request.messages]
-            if 2 in heard:
+            numbers += [message.timeout_now.term for message in request.messages]
+            if 2 in numbers:
                 self.heard_second.set()
 
 

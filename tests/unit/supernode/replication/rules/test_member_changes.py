@@ -19,12 +19,12 @@ NEWCOMER = Member(member_id="new", address="new:1")
 class Leader(LoneNode):
     """Leads `a`, `b` and `c`. `b` and `c` have reported their levels. A newcomer is about to join."""
 
-    def __init__(self, *, level: int, knows: int, told: Mapping[str, int]) -> None:
+    def __init__(self, *, level: int, knows: int, reported_levels: Mapping[str, int]) -> None:
         machine = ListMachine()
         machine.feature_level, machine.highest_level = level, knows
         super().__init__(machine=machine)
         self.term = self.lead()
-        for member_id, known in told.items():
+        for member_id, known in reported_levels.items():
             self.node.transport.deliver(StreamOpened(member_id, known))
         self.outcomes: list[ChangeOutcome] = []
         self.changes = MemberChanges(
@@ -70,7 +70,7 @@ def test_a_new_member_must_know_the_clusters_present_level_and_a_proposed_next_l
     level: int, members_know: tuple[int, int, int], newcomer: int | None, needed: int | None
 ) -> None:
     own, b, c = members_know
-    leader = Leader(level=level, knows=own, told={"b": b, "c": c})
+    leader = Leader(level=level, knows=own, reported_levels={"b": b, "c": c})
     outcome = leader.let_in(newcomer)
     is_member = leader.node.configuration().find(NEWCOMER.member_id) is not None
     if needed is None:
@@ -85,12 +85,12 @@ def test_a_new_member_must_know_the_clusters_present_level_and_a_proposed_next_l
 
 
 def test_the_clusters_level_stays_and_older_releases_may_join_while_the_level_of_a_member_is_unknown() -> None:
-    assert isinstance(Leader(level=1, knows=2, told={"b": 2}).let_in(1), int)
-    assert isinstance(Leader(level=2, knows=2, told={"b": 2}).let_in(1), ReleaseOutdated)
+    assert isinstance(Leader(level=1, knows=2, reported_levels={"b": 2}).let_in(1), int)
+    assert isinstance(Leader(level=2, knows=2, reported_levels={"b": 2}).let_in(1), ReleaseOutdated)
 
 
 def test_a_member_that_was_refused_for_its_release_joins_with_the_release_of_the_others() -> None:
-    leader = Leader(level=2, knows=2, told={"b": 2, "c": 2})
+    leader = Leader(level=2, knows=2, reported_levels={"b": 2, "c": 2})
     assert isinstance(leader.let_in(1), ReleaseOutdated)
     leader.outcomes.clear()
     assert isinstance(leader.let_in(2), int)

@@ -43,8 +43,8 @@ def says_success(message: Message) -> bool:
     return isinstance(message, AppendReply) and message.success
 
 
-def pre_votes(said: list[tuple[str, Message]]) -> list[bool]:
-    return [message.pre_vote for _, message in said if isinstance(message, VoteRequest)]
+def pre_votes(sent: list[tuple[str, Message]]) -> list[bool]:
+    return [message.pre_vote for _, message in sent if isinstance(message, VoteRequest)]
 
 
 @ON_BOTH

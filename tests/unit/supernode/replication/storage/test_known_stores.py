@@ -55,9 +55,9 @@ def test_a_member_without_a_disk_has_no_store_id_and_keeps_none_of_others() -> N
 def test_a_flipped_bit_in_a_note_is_found(position: int, tmp_path: Path) -> None:
     KnownStores.open(tmp_path, had_store=False).note("b", "one", "abc")
     place = tmp_path / FILE_NAME
-    told = bytearray(place.read_bytes())
-    told[position] ^= 4
-    place.write_bytes(told)
+    content = bytearray(place.read_bytes())
+    content[position] ^= 4
+    place.write_bytes(content)
     with pytest.raises(StoreDamaged, match="under a new id"):
         KnownStores.open(tmp_path, had_store=True)
 

@@ -35,10 +35,10 @@ class Background:
             self._work.pop(0)()
 
 
-def answers(said: list[tuple[str, Message]]) -> list[AppendReply]:
+def answers(sent: list[tuple[str, Message]]) -> list[AppendReply]:
     """The messages, which must all be answers to a leader."""
-    replies = [message for _, message in said if isinstance(message, AppendReply)]
-    assert len(replies) == len(said)
+    replies = [message for _, message in sent if isinstance(message, AppendReply)]
+    assert len(replies) == len(sent)
     return replies
 
 

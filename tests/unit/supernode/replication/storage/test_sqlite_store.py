@@ -317,10 +317,10 @@ def test_a_flipped_bit_is_always_reported_as_damage(tmp_path: Path) -> None:
     fill(tmp_path / "closed")
     random_source = random.Random(5)
     for original in (tmp_path / "crashed", tmp_path / "closed"):
-        told = sorted(file.name for file in original.iterdir() if "shm" not in file.name)
+        names = sorted(file.name for file in original.iterdir() if "shm" not in file.name)
         whole = read_copy(original, tmp_path / "copy")
         for _ in range(300):
-            data = bytearray((original / (name := random_source.choice(told))).read_bytes())
+            data = bytearray((original / (name := random_source.choice(names))).read_bytes())
             place = random_source.randrange(len(data))
             data[place] ^= 1 << random_source.randrange(8)
             found = read_copy(original, tmp_path / "copy", name, bytes(data))

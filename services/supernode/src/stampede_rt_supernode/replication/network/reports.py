@@ -12,15 +12,15 @@ class ReportLimiter:
     """Lets each report be logged once in AGAIN_SECONDS. Remembers the REPORTS_MAX newest reports."""
 
     def __init__(self) -> None:
-        self._said_at: dict[Hashable, float] = {}
+        self._logged_at: dict[Hashable, float] = {}
 
     def is_due(self, report: Hashable, now: float) -> bool:
         """Whether to log the report at `now` (seconds). If this is True, the report counts as logged."""
-        said_at = self._said_at.get(report)
-        if said_at is not None and now - said_at < AGAIN_SECONDS:
+        logged_at = self._logged_at.get(report)
+        if logged_at is not None and now - logged_at < AGAIN_SECONDS:
             return False
-        self._said_at.pop(report, None)
-        self._said_at[report] = now
-        if len(self._said_at) > REPORTS_MAX:
-            del self._said_at[next(iter(self._said_at))]
+        self._logged_at.pop(report, None)
+        self._logged_at[report] = now
+        if len(self._logged_at) > REPORTS_MAX:
+            del self._logged_at[next(iter(self._logged_at))]
         return True
