@@ -253,9 +253,9 @@ async def catch_up(cluster: Cluster) -> list[Row]:
     await follower.start()
     began, reached, slowest = time.monotonic(), 0, 0.0
     while reached < goal:
-        asked = time.monotonic()
+        asked_s = time.monotonic()
         answer = await follower.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=CALL_SECONDS)
-        slowest, reached = max(slowest, time.monotonic() - asked), answer.applied_index
+        slowest, reached = max(slowest, time.monotonic() - asked_s), answer.applied_index
         await asyncio.sleep(0.002)
     text = f"{time.monotonic() - began:.1f} s from its ready line, slowest answer meanwhile {slowest * 1e3:.0f} ms"
     return [(f"a follower {MISSED_ENTRIES:,} entries behind gets a snapshot", text)]

@@ -116,7 +116,7 @@ class Child:
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
 
-    def hear(self) -> str:
+    def read_line(self) -> str:
         """The next line that the process prints."""
         assert self._process.stdout is not None
         line = self._process.stdout.readline().strip()
@@ -148,7 +148,7 @@ def measure(cluster: LocalCluster, workload: str, readers: int, rounds: int, sec
                 putter.put_for(WARM_S, readers)
                 parts[stalled].append(putter.put_for(seconds, readers))
         channel.put(b"end")
-        ages: list[Age] = [tuple(one) for child in children for one in json.loads(child.hear())]
+        ages: list[Age] = [tuple(one) for child in children for one in json.loads(child.read_line())]
     of_parts = {stalled: [ages_of(one, ages) for one in taken] for stalled, taken in parts.items()}
     yield from (_row(workload, stalled, parts[stalled], of_parts[stalled]) for stalled in parts)
     yield _cost(workload, parts[True], of_parts)
@@ -171,7 +171,7 @@ def _child(role: str, address: str, channel: str, readers: int) -> Iterator[Chil
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
             child = Child(process)
-            assert child.hear() == "ready"
+            assert child.read_line() == "ready"
             yield child
         finally:
             process.kill()
@@ -246,14 +246,14 @@ def main() -> int:
     parser.add_argument("--readers", type=int, default=32, help="the readers of the channel (default: 32)")
     parser.add_argument("--rounds", type=int, default=8, help="the rounds of each workload, two or more (default: 8)")
     parser.add_argument("--seconds", type=float, default=3.0, help="the length of each part of a round (default: 3)")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     table = Table(["put", "one stalled", "host CPU a reader and put, us", "age p50, ms", "p99, ms", "most grown, MiB"])
     with LocalCluster(hosts=1, supernodes=1, durable=False) as cluster, secret_found(cluster):
         for workload in WORKLOADS:
-            table.rows += measure(cluster, workload, asked.readers, asked.rounds, asked.seconds)
+            table.rows += measure(cluster, workload, arguments.readers, arguments.rounds, arguments.seconds)
     table.notes.append(
-        f"{asked.readers} readers over the transport {TRANSPORT!r}, {asked.rounds} rounds of two parts of "
-        f"{asked.seconds:g} s; medians of the parts "
+        f"{arguments.readers} readers over the transport {TRANSPORT!r}, {arguments.rounds} rounds of two parts of "
+        f"{arguments.seconds:g} s; medians of the parts "
         "(middle half). In the rows with the goal: the ratio of the two parts of each round. The goal is at most "
         f"{LONGER_MAX:.2f} times as old at p99, and at most {GROWN_BYTES_MAX // MIB} MiB more."
     )

@@ -135,8 +135,8 @@ async def open_channels(supernodes: list[Supernode], count: int) -> list[Any]:
 
 async def lag(leader: Supernode, follower: Supernode) -> int:
     """How many entries the follower lacks that the leader has applied; 0 or less: none."""
-    asked = [one.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=CALL_SECONDS) for one in (follower, leader)]
-    behind, ahead = await asyncio.gather(*asked)
+    calls = [one.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=CALL_SECONDS) for one in (follower, leader)]
+    behind, ahead = await asyncio.gather(*calls)
     return int(ahead.applied_index - behind.applied_index)
 
 

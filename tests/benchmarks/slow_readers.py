@@ -59,24 +59,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=24.0)
     parser.add_argument("--rest", type=float, default=0.2, help="the pause of a reader after each item, in seconds")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     with LocalCluster(hosts=1, supernodes=1) as cluster:
         secret = cluster.secret_file.read_text().strip()
         with st.connect(cluster.address, secret=secret) as rt:
             left, right = (rt.channel(f"slow/{side}", max_age="3s") for side in ("left", "right"))
             made = readers(left, rt.group("slow", [left, right]))
-            until_s = time.monotonic() + asked.seconds
+            until_s = time.monotonic() + arguments.seconds
             ages: dict[str, list[float]] = {name: [] for name in made}
             threads = [threading.Thread(target=produce, args=([left, right], until_s))]
             for name, (stream, age_of) in made.items():
                 threads.append(
-                    threading.Thread(target=read, args=(map(age_of, stream), asked.rest, until_s, ages[name]))
+                    threading.Thread(target=read, args=(map(age_of, stream), arguments.rest, until_s, ages[name]))
                 )
             for thread in threads:
                 thread.start()
             for thread in threads:
                 thread.join()
-            print(f"{asked.seconds:g} s, {asked.rest:g} s of rest after each, max_age 3 s")
+            print(f"{arguments.seconds:g} s, {arguments.rest:g} s of rest after each, max_age 3 s")
             print(f"{'reader':36}{'taken':>6}{'age p50 s':>11}{'max':>9}{'last':>9}  skipped  dropped")
             for name, (stream, _) in made.items():
                 found = ages[name]

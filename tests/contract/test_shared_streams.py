@@ -16,15 +16,16 @@ CALLERS = 3
 pytestmark = pytest.mark.parametrize("surface", ["aio", "sync"], indirect=True)
 
 
-async def shared(things: AsyncIterator[Any], bring: Callable[[int], Awaitable[object]]) -> list[Any]:
-    """CALLERS callers step through `things` at the same time. Bring one thing after the other until each caller has
-    one.
+async def shared(stream: AsyncIterator[Any], produce: Callable[[int], Awaitable[object]]) -> list[Any]:
+    """Let several callers wait for the next element of `stream` at the same time, and return one element for each.
+
+    `produce` makes the next element. It gets the number of the element.
     """
-    steps = [asyncio.ensure_future(anext(things)) for _ in range(CALLERS)]
+    steps = [asyncio.ensure_future(anext(stream)) for _ in range(CALLERS)]
     async with asyncio.timeout(45):
         for number in range(CALLERS):
             await asyncio.sleep(0)  # the callers begin to wait
-            await bring(number)
+            await produce(number)
             while sum(step.done() for step in steps) <= number:
                 await asyncio.wait([step for step in steps if not step.done()], return_when=asyncio.FIRST_COMPLETED)
         return [await step for step in steps]
@@ -42,18 +43,18 @@ async def test_callers_that_share_a_stream_of_cut_events_or_matches_get_differen
     group = await surface.group(f"shared/{st.now()}", [channel])
     base = st.now() - 10_000 * MS
 
-    def bring(first: int) -> Callable[[int], Awaitable[object]]:
+    def produce(first: int) -> Callable[[int], Awaitable[object]]:
         async def put(number: int) -> None:
             await channel.put(b"", time=base + (first + number) * MS)
 
         return put
 
-    await bring(0)(0)
+    await produce(0)(0)
     async with group.subscribe() as cuts:
-        events = await shared(cuts, bring(1))
+        events = await shared(cuts, produce(1))
     assert {item.time for cut in events for item in cut[channel.name]} == {base + n * MS for n in range(CALLERS)}
     async with group.match(channel, "1ms") as matches:
-        found = await shared(matches, bring(1 + CALLERS))
+        found = await shared(matches, produce(1 + CALLERS))
     assert len({matched.time for matched in found}) == CALLERS
 
 

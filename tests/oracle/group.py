@@ -100,7 +100,7 @@ class OracleBoard:
     def own(self, channel_id: bytes, member: OracleMember) -> None:
         self._enter(channel_id, member.says(), member.spoke_at, None)
 
-    def hear(self, channel_id: bytes, owner: OracleHeard, clock: int) -> None:
+    def receive(self, channel_id: bytes, owner: OracleHeard, clock: int) -> None:
         """Note that the owner has told all that it knows."""
         self._enter(channel_id, owner.said, owner.silent_since, clock)
 

@@ -112,10 +112,10 @@ class RingPair(ChannelPair):
         super().read(query)
 
     def _read_ring(self, view: RingView, query: Query) -> None:
-        asked = ReadQuery(query.interval, query.match, query.limit, query.newest_first, complete=query.complete)
+        ring_query = ReadQuery(query.interval, query.match, query.limit, query.newest_first, complete=query.complete)
         known = view.facts()
         assert known is not None
-        picked = select(view, known, asked, self.clock, columns_of)
+        picked = select(view, known, ring_query, self.clock, columns_of)
         if picked is None:
             return
         self.answered["read"] += 1

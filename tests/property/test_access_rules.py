@@ -43,10 +43,10 @@ def client(name: str) -> Caller:
 
 @given(RULES, st.lists(st.tuples(NAMES, st.sampled_from(AccessVerb), st.sampled_from(AccessKind), NAMES), max_size=6))
 def test_the_access_rules_agree_with_a_simple_implementation(
-    rules: list[AccessRule], asked: list[tuple[str, AccessVerb, AccessKind, str]]
+    rules: list[AccessRule], questions: list[tuple[str, AccessVerb, AccessKind, str]]
 ) -> None:
     judge = AccessRules(rules)
-    for who, verb, kind, name in asked * 2:  # the second time the answer comes from the cache
+    for who, verb, kind, name in questions * 2:  # the second time the answer comes from the cache
         assert judge.judge(client(who), verb, kind, name).allowed == oracle(rules, who, verb, kind, name)
 
 

@@ -157,7 +157,7 @@ class DatagramReader:
         if answer:
             merge.pass_to(answer[-1].seq + 1)
         self.got += merge.take()
-        self.receiving.pace.asked()
+        self.receiving.pace.note_request()
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -193,7 +193,7 @@ def test_a_reader_that_gets_nothing_but_first_parts_keeps_a_bounded_amount() -> 
     for number in range(1, 2000):
         first = 1 + number * 10
         parts = [*host.sealed(MessageKind.ITEMS, first, first + 1, body)]
-        reader.hear(parts[:-1], 0.0)
+        reader.take_datagrams(parts[:-1], 0.0)
     assert reader._assembler.kept_bytes <= ASSEMBLED_BYTES_MAX
     assert reader._assembler.given_up > 0
 
@@ -212,7 +212,7 @@ def test_a_reader_counts_the_memory_of_held_items_without_payloads() -> None:
     host = SendingHost(rng, key)
     reader = DatagramReader(host, key).receiving
     empty = encoded([NumberedItem(seq, b"") for seq in range(2, 130)])
-    reader.hear(host.sealed(MessageKind.ITEMS, 2, 130, empty), 0.0)
+    reader.take_datagrams(host.sealed(MessageKind.ITEMS, 2, 130, empty), 0.0)
     assert reader.merge.held_bytes > 128 * 200
 
 
@@ -222,6 +222,7 @@ def test_a_reader_that_lacks_one_item_keeps_a_bounded_amount_of_later_ones() -> 
     host = SendingHost(rng, key)
     reader = DatagramReader(host, key).receiving
     for seq in range(2, 1200):
-        reader.hear(host.sealed(MessageKind.ITEMS, seq, seq + 1, encoded([NumberedItem(seq, bytes(8000))])), 0.0)
+        item = encoded([NumberedItem(seq, bytes(8000))])
+        reader.take_datagrams(host.sealed(MessageKind.ITEMS, seq, seq + 1, item), 0.0)
     assert 0 < reader.merge.held_bytes <= HELD_BYTES_MAX
     assert reader.merge.announced_seq == 1200

@@ -28,7 +28,7 @@ UNARY = {
 
 
 async def health_headers(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
-    """4096 calls of Health/Check with headers only; as one ends, another is made."""
+    """Keep 4096 calls of Health/Check open that have headers only. Replaces each call that ends."""
     raws = [await RawConnection.open(attacked.host) for _ in range(CALLS // CONNECTION_CALLS)]
     under_way()
     while True:
@@ -104,7 +104,7 @@ async def idle_connections(attacked: AttackedCluster, under_way: Callable[[], No
 
 
 async def malformed(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
-    """77 bytes that are no request, to calls of all services, by some callers with the secret and some without."""
+    """Malformed requests of 77 bytes, to methods of all services. Half of the callers have the secret."""
     under_way()
     await all_of(*(_send_malformed(attacked, with_secret=bool(number % 2)) for number in range(CALLERS)))
 

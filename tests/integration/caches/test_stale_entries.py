@@ -327,9 +327,9 @@ async def test_both_clients_ask_a_front_end_when_all_supernodes_are_gone(
         await until(lambda client=client: "front-end" in client.trace.asked("supernode"), "the client asks a front-end")
     await asyncio.to_thread(run_again, cluster)
     await asyncio.wait(asking)
-    for client, channel, asked in zip(clients, channels, asking, strict=True):
+    for client, channel, count in zip(clients, channels, asking, strict=True):
         client.check("all supernodes are gone")
-        assert isinstance(asked.exception(), st.Unavailable | None)
+        assert isinstance(count.exception(), st.Unavailable | None)
         await until_async(lambda client=client: has_leader_through(client), "the directory answers")
         await has(channel, b"0", b"1")
 

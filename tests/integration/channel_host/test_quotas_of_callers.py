@@ -217,15 +217,15 @@ async def test_a_caller_with_its_share_of_consumer_places_gets_no_further_one(
     monkeypatch.setattr(control, "owner_name", lambda: "greedy")
     channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(consumers=3)))
     stub: Any = ChannelServiceStub(rig.connection)
-    asked = [
+    calls = [
         pb.ConsumeRequest(channel_id=channel.channel_id, epoch=channel.epoch, consumer_id=one) for one in (7, 8, 9)
     ]
-    await stub.Consume(asked[0], timeout=10)
+    await stub.Consume(calls[0], timeout=10)
     with pytest.raises(grpc.aio.AioRpcError, match="greedy has 1 of the channel's 3 consumer places") as caught:
-        await stub.Consume(asked[1], timeout=10)
+        await stub.Consume(calls[1], timeout=10)
     assert caught.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
     monkeypatch.setattr(control, "owner_name", lambda: "other")
-    await stub.Consume(asked[2], timeout=10)
+    await stub.Consume(calls[2], timeout=10)
 
 
 async def test_the_host_counts_the_kept_answers_of_a_producer_for_its_caller(

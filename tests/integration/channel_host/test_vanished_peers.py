@@ -58,7 +58,7 @@ class FarCaller:
 
     def vanish(self) -> None:
         """Cut the link of the callers."""
-        self._network.plug(self._namespace, in_=False)
+        self._network.set_link(self._namespace, up=False)
 
     async def reach(self) -> None:
         """Wait until callers reach the service: for a moment the system may remember that the link was down."""
@@ -100,7 +100,7 @@ class FarCaller:
     def close(self) -> None:
         """Plug the link in again."""
         self._threads.shutdown(wait=False)
-        self._network.plug(self._namespace, in_=True)
+        self._network.set_link(self._namespace, up=True)
 
 
 @pytest.fixture(scope="module")

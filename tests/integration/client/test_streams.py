@@ -89,15 +89,15 @@ async def test_many_simultaneous_lookups_of_a_channel_make_one_request(
     """
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/herd", max_age="60s")
-        asked, bind_at = [], rt._session._bind_at
+        bind_requests, bind_at = [], rt._session._bind_at
 
         async def count(*arguments: Any) -> Any:
-            asked.append(arguments)
+            bind_requests.append(arguments)
             return await bind_at(*arguments)
 
         monkeypatch.setattr(rt._session, "_bind_at", count)
         await asyncio.gather(*(channel.newest() for _ in range(100)))
-        assert len(asked) == 1
+        assert len(bind_requests) == 1
 
 
 def test_every_call_on_a_closed_connection_is_refused(cluster: LocalCluster) -> None:

@@ -41,8 +41,8 @@ class PingCounter:
 class Place(directory_service_pb2_grpc.DirectoryServiceServicer):
     """A supernode at a distance of some seconds. It answers pings once all other supernodes have got a ping, too."""
 
-    def __init__(self, name: str, asked: PingCounter, later_seconds: float) -> None:
-        self._name, self._asked, self._later_seconds = name, asked, later_seconds
+    def __init__(self, name: str, pings: PingCounter, later_seconds: float) -> None:
+        self._name, self._asked, self._later_seconds = name, pings, later_seconds
         self.calls = 0
 
     async def Ping(self, request: Any, context: Any) -> directory_pb.DirectoryServicePingResponse:  # noqa: N802
@@ -72,10 +72,10 @@ class Frontend(frontend_service_pb2_grpc.FrontendServiceServicer):
 @asynccontextmanager
 async def places(**later_seconds: float) -> AsyncIterator[tuple[str, dict[str, Place]]]:
     """A front-end's address, and the supernodes by name; the first letter of a name is its zone."""
-    asked, made, targets = PingCounter(len(later_seconds)), {}, []
+    pings, made, targets = PingCounter(len(later_seconds)), {}, []
     async with AsyncExitStack() as stack:
         for name, seconds in later_seconds.items():
-            made[name] = place = Place(name, asked, seconds)
+            made[name] = place = Place(name, pings, seconds)
             add = directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server
             server = await stack.enter_async_context(serving(lambda server, add=add, place=place: add(place, server)))
             targets.append((server.address, name[0]))

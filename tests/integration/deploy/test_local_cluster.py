@@ -49,7 +49,7 @@ async def test_every_service_of_a_local_cluster_is_ready(cluster: LocalCluster) 
 
 @pytest.mark.parametrize("secret", [None, WRONG])
 async def test_every_port_refuses_callers_without_the_secret(cluster: LocalCluster, secret: Secret | None) -> None:
-    """Any method will do: the port asks for the secret before it looks up the method."""
+    """The methods may be of any service: the port checks the secret before it looks up the method."""
     for process in cluster.processes():
         async with dial(process.address, secret=secret) as channel:
             for method in ("/stampede_rt.v1.DirectoryService/Ping", "/stampede_rt.v1.RaftService/Link", "/x/Y"):
@@ -58,13 +58,13 @@ async def test_every_port_refuses_callers_without_the_secret(cluster: LocalClust
                 assert caught.value.code() is grpc.StatusCode.UNAUTHENTICATED, (process.name, method)
 
 
-async def until(met: Callable[[frontend_service_pb2.BindResponse], bool], cluster: LocalCluster) -> None:
+async def until(condition: Callable[[frontend_service_pb2.BindResponse], bool], cluster: LocalCluster) -> None:
     answer = await bind(cluster)
     for _ in range(2000):  # each round is a call, so this waits for the cluster, bounded by the test's own time limit
-        if met(answer):
+        if condition(answer):
             return
         answer = await bind(cluster)
-    raise AssertionError(f"never met; the last answer: {answer}")
+    raise AssertionError(f"the condition never came true; the last answer: {answer}")
 
 
 async def test_a_killed_supernode_is_listed_last_until_it_answers_again(cluster: LocalCluster) -> None:

@@ -28,7 +28,7 @@ class Pair:
         self.group = cluster.directory.add_group("pair", [left, right])
         self.start = left.host.now() - S
 
-    async def synced(self, cut: int) -> None:
+    async def until_synced(self, cut: int) -> None:
         for host in (self.left.host, self.right.host):
             await host.until_cut(self.group, cut)
 
@@ -46,10 +46,10 @@ async def pair() -> AsyncIterator[Pair]:
         yield pair
 
 
-@pytest.mark.parametrize("named_at", [LOWER, HIGHER])
-async def test_a_host_learns_of_a_group_from_another_host_that_serves_it(named_at: bytes) -> None:
-    other = HIGHER if named_at == LOWER else LOWER
-    async with pair_of(named_at, other) as pair:
+@pytest.mark.parametrize("first_host_id", [LOWER, HIGHER])
+async def test_a_host_learns_of_a_group_from_another_host_that_serves_it(first_host_id: bytes) -> None:
+    other = HIGHER if first_host_id == LOWER else LOWER
+    async with pair_of(first_host_id, other) as pair:
         t = pair.start
         await pair.left.put(t, t + 2, t + 4)
         await pair.right.put(t + 3)
@@ -60,7 +60,7 @@ async def test_a_put_at_one_host_moves_the_cut_at_the_other(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t, t + 5)
     await pair.right.put(t + 1)
-    await pair.synced(t + 1)
+    await pair.until_synced(t + 1)
     assert (await pair.right.get(pair.group))[0] == []
     waiting = asyncio.create_task(pair.left.get(pair.group, cut_floor_unix_nano=t + 3, wait_nanos=-1))
     await pair.right.put(t + 7)
@@ -72,7 +72,7 @@ async def test_an_advance_counts_as_much_as_an_item(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t, t + 5)
     await pair.right.advance(t + 4)
-    await pair.synced(t + 4)
+    await pair.until_synced(t + 4)
     assert (await pair.left.get(pair.group))[0] == [t]
 
 
@@ -80,7 +80,7 @@ async def test_the_status_shows_the_position_of_a_channel_of_another_host(pair: 
     t = pair.start
     await pair.left.put(t)
     await pair.right.put(t + 5)
-    await pair.synced(t)
+    await pair.until_synced(t)
     status = await pair.left.host.until(pair.group, lambda status: len(status.members) == 2)
     of = {member.times.channel_id: member for member in status.members}
     assert of[pair.right.channel_id].lead_nanos == 5
@@ -111,7 +111,7 @@ async def test_cut_events_may_begin_before_any_item_is_visible(pair: Pair) -> No
     right: list[int] = []
     while left + right != [t, t + 1]:
         event = await decider.event()
-        await other.hand(event.boundary)
+        await other.send_boundary(event.boundary)
         left += event.times(pair.left)
         right += (await other.event()).times(pair.right)
 
@@ -127,7 +127,7 @@ async def test_cut_events_of_two_hosts_have_the_same_cuts(pair: Pair) -> None:
     for last in (t + 2, t + 12):
         while True:
             event = await decider.event()
-            await other.hand(event.boundary)
+            await other.send_boundary(event.boundary)
             answer = await other.event()
             assert answer.boundary.cut_unix_nano == event.boundary.cut_unix_nano
             assert list(event.boundary.incomplete_channel_ids) == []
@@ -177,7 +177,7 @@ async def test_a_host_that_regains_its_lease_sends_its_times_again(pair: Pair) -
     t = pair.start
     await pair.left.put(t)
     await pair.right.put(t + 1)
-    await pair.synced(t)
+    await pair.until_synced(t)
     for fenced in (pair.right.host.host.store, pair.right.host.host.groups):
         fenced.fence()  # this host has no reader of the group, but the other host needs the times of its channel
     await pair.left.put(t + 20)
@@ -189,7 +189,7 @@ async def test_a_lost_host_holds_the_cut_back_until_its_channel_has_another_owne
     t = pair.start
     await pair.left.put(t, t + 5)
     await pair.right.put(t + 3)
-    await pair.synced(t + 3)
+    await pair.until_synced(t + 3)
     await pair.right.host.stop()
     await pair.left.put(t + 9)
     status = await pair.left.host.status(pair.group)
@@ -206,7 +206,7 @@ async def test_the_cut_of_a_restarted_host_does_not_go_back(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t, t + 5)
     await pair.right.put(t + 9)
-    await pair.synced(t + 5)
+    await pair.until_synced(t + 5)
     await pair.left.host.stop()
     restarted = await pair.cluster.start("h0", LOWER, boot=8)  # a new process of the same host
     left = await restarted.bound(pair.cluster.directory.channels[pair.left.channel_id])
@@ -239,7 +239,7 @@ async def test_a_member_that_is_added_holds_the_cut_back_at_every_host(pair: Pai
     t = pair.start
     await pair.left.put(t, t + 5)
     await pair.right.put(t + 3)
-    await pair.synced(t + 3)
+    await pair.until_synced(t + 3)
     third = await pair.left.host.open("third")
     await pair.cluster.directory.called("Watch", times=2)
     pair.cluster.directory.change_members(pair.group.group_id, [pair.left, pair.right, third])
@@ -248,7 +248,7 @@ async def test_a_member_that_is_added_holds_the_cut_back_at_every_host(pair: Pai
     await pair.right.put(t + 9)
     assert (await pair.left.host.status(pair.group)).cut_unix_nano == t + 3
     await third.put(t + 4)
-    await pair.synced(t + 4)
+    await pair.until_synced(t + 4)
 
 
 async def test_a_host_keeps_the_cut_floor_of_an_unknown_group_until_it_learns_of_the_group(pair: Pair) -> None:
@@ -257,7 +257,7 @@ async def test_a_host_keeps_the_cut_floor_of_an_unknown_group_until_it_learns_of
         group_pb2.CutFloor(group_id=pair.group.group_id, incarnation=pair.group.incarnation, cut_unix_nano=t + at)
         for at in (30, 50, 40)
     ]
-    pair.right.host.host.groups.exchange.hear(LOWER, pb.TimesUpdate(floors=floors), is_first=False)
+    pair.right.host.host.groups.exchange.receive(LOWER, pb.TimesUpdate(floors=floors), is_first=False)
     assert (await pair.right.host.until_cut(pair.group, t)).cut_unix_nano == t + 50
     assert (await pair.left.host.until_cut(pair.group, t)).cut_unix_nano == t + 50  # by the right host
 
@@ -274,14 +274,14 @@ async def test_a_message_about_a_channel_that_its_sender_does_not_own_changes_no
     t = pair.start
     await pair.left.put(t)
     await pair.right.put(t + 1)
-    await pair.synced(t)
+    await pair.until_synced(t)
     exchange = pair.right.host.host.groups.exchange
     false_times = group_pb2.ChannelTimes(
         channel_id=pair.right.channel_id, epoch=9, incarnation=pair.right.record.incarnation, newest_unix_nano=t + 99
     )
-    exchange.hear(LOWER, pb.TimesUpdate(times=[false_times]), is_first=False)
+    exchange.receive(LOWER, pb.TimesUpdate(times=[false_times]), is_first=False)
     await pair.left.put(t + 50)
-    await pair.synced(t + 1)
+    await pair.until_synced(t + 1)
     status = await pair.right.host.until_cut(pair.group, t + 1)
     assert status.cut_unix_nano == t + 1
 
@@ -290,12 +290,12 @@ async def test_a_host_that_owns_no_member_cannot_move_the_cut(pair: Pair) -> Non
     t = pair.start
     await pair.left.put(t)
     await pair.right.put(t)
-    await pair.synced(t)
+    await pair.until_synced(t)
     exchange = pair.left.host.host.groups.exchange
     stranger = b"not-a-host-at-al"
-    exchange.hear(stranger, pb.TimesUpdate(floors=[floor_of(pair, t + S)]), is_first=True)
+    exchange.receive(stranger, pb.TimesUpdate(floors=[floor_of(pair, t + S)]), is_first=True)
     assert (await pair.left.host.status(pair.group)).cut_unix_nano == t
-    exchange.hear(HIGHER, pb.TimesUpdate(floors=[floor_of(pair, t + 5)]), is_first=False)
+    exchange.receive(HIGHER, pb.TimesUpdate(floors=[floor_of(pair, t + 5)]), is_first=False)
     assert (await pair.left.host.status(pair.group)).cut_unix_nano == t + 5  # the owner of a member may move the cut
 
 
@@ -303,22 +303,22 @@ async def test_no_host_can_move_the_cut_beyond_max_lead_and_max_future(pair: Pai
     t = pair.start
     await pair.left.put(t)
     await pair.right.put(t)
-    await pair.synced(t)
+    await pair.until_synced(t)
     exchange = pair.left.host.host.groups.exchange
     now = pair.left.host.now()
     lead = 6 * S  # max_lead of 5 s and max_future of 1 s, by default
     for far in (MAX_INSTANT, now + lead + 60 * S):
-        exchange.hear(HIGHER, pb.TimesUpdate(floors=[floor_of(pair, far)]), is_first=False)
+        exchange.receive(HIGHER, pb.TimesUpdate(floors=[floor_of(pair, far)]), is_first=False)
         assert (await pair.left.host.status(pair.group)).cut_unix_nano == t
-    exchange.hear(HIGHER, pb.TimesUpdate(floors=[floor_of(pair, now + lead)]), is_first=False)
+    exchange.receive(HIGHER, pb.TimesUpdate(floors=[floor_of(pair, now + lead)]), is_first=False)
     assert (await pair.left.host.status(pair.group)).cut_unix_nano == now + lead
 
 
 async def test_floors_of_unknown_groups_are_kept_for_each_host_up_to_a_bound(pair: Pair) -> None:
     exchange = pair.left.host.host.groups.exchange
     stranger, floors = b"not-a-host-at-al", [floor_of(pair, pair.start, index) for index in range(1200)]
-    exchange.hear(stranger, pb.TimesUpdate(floors=floors), is_first=False)
-    exchange.hear(HIGHER, pb.TimesUpdate(floors=floors[-1:]), is_first=False)
+    exchange.receive(stranger, pb.TimesUpdate(floors=floors), is_first=False)
+    exchange.receive(HIGHER, pb.TimesUpdate(floors=floors[-1:]), is_first=False)
     kept = [exchange.take_floors(floor.group_id) for floor in floors]
     assert sum(stranger in one for one in kept) == FLOORS_MAX_PER_HOST
     assert HIGHER in kept[-1]

@@ -69,8 +69,8 @@ async def resolve_peer(process: Any) -> Any:
 
 
 async def resolve_host(process: Any) -> Any:
-    asked = directory_service_pb2.ResolveHostRequest(name="planner")
-    return (await process.hosts.ResolveHost(asked, timeout=50)).host
+    request = directory_service_pb2.ResolveHostRequest(name="planner")
+    return (await process.hosts.ResolveHost(request, timeout=50)).host
 
 
 @pytest.mark.parametrize(

@@ -123,19 +123,19 @@ def test_no_error_shows_a_hidden_name_to_a_caller_that_gave_only_an_id(
         hidden.put(b"x")
         host = next(one for one in rt.hosts() if one.host_id == hidden.info.host_id)
         operator.add("cam", "put", "video/*", "--kind", "channel")
-        asked = {"request_id": bytes(range(16))}
+        fields = {"request_id": bytes(range(16))}
         with grpc.insecure_channel(cluster.supernodes[0].address) as at:
             directory, groups = directory_grpc.DirectoryServiceStub(at), group_grpc.GroupDirectoryServiceStub(at)
             queues, peers = queue_grpc.QueueDirectoryServiceStub(at), peer_grpc.PeerServiceStub(at)
             calls = [
                 (directory.ResolveChannel, directory_pb.ResolveChannelRequest(channel_id=channel)),
-                (directory.DeleteChannel, directory_pb.DeleteChannelRequest(channel_id=channel, **asked)),
+                (directory.DeleteChannel, directory_pb.DeleteChannelRequest(channel_id=channel, **fields)),
                 (groups.ResolveGroup, group_pb.ResolveGroupRequest(group_id=group.info.group_id)),
-                (groups.DeleteGroup, group_pb.DeleteGroupRequest(group_id=group.info.group_id, **asked)),
+                (groups.DeleteGroup, group_pb.DeleteGroupRequest(group_id=group.info.group_id, **fields)),
                 (queues.ResolveQueue, queue_pb.ResolveQueueRequest(queue_id=queue)),
-                (queues.DeleteQueue, queue_pb.DeleteQueueRequest(queue_id=queue, **asked)),
+                (queues.DeleteQueue, queue_pb.DeleteQueueRequest(queue_id=queue, **fields)),
                 (peers.ResolvePeer, peer_pb.ResolvePeerRequest(peer_id=peer.peer_id)),
-                (peers.DeregisterPeer, peer_pb.DeregisterPeerRequest(peer_id=peer.peer_id, **asked)),
+                (peers.DeregisterPeer, peer_pb.DeregisterPeerRequest(peer_id=peer.peer_id, **fields)),
             ]
             error_texts = [denied(method, request, operator) for method, request in calls]
         with grpc.insecure_channel(host.endpoints[0]) as at:

@@ -105,11 +105,11 @@ def test_the_command_makes_no_token_if_it_cannot_write_the_file(
 ) -> None:
     file = tmp_path / "there.token"
     file.write_text("another")
-    asked: list[object] = []
-    monkeypatch.setattr(Cluster, "issue_client_token", lambda *arguments, **settings: asked.append(arguments))
+    requests: list[object] = []
+    monkeypatch.setattr(Cluster, "issue_client_token", lambda *arguments, **settings: requests.append(arguments))
     assert run(["token", "issue", "cam-3", "--url", cluster.address, "--out", str(file)]) == 1
     assert "there.token cannot be written: File exists; name a new file with --out" in capsys.readouterr().err
-    assert (asked, file.read_text()) == ([], "another")
+    assert (requests, file.read_text()) == ([], "another")
     unmade = tmp_path / "unmade.token"
     monkeypatch.setattr(Cluster, "issue_client_token", refuse)
     assert run(["token", "issue", "cam-3", "--url", cluster.address, "--out", str(unmade)]) == 1

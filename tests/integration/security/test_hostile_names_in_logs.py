@@ -68,11 +68,11 @@ def call(channel: grpc.Channel, method: Method, secret: str) -> None:
     """Make one call, and take its first answer."""
     takes, answers = ("stream" if one else "unary" for one in (method.takes_stream, method.answers_stream))
     make: Any = getattr(channel, f"{takes}_{answers}")
-    asked = make(method.path, request_serializer=bytes, response_deserializer=bytes)
+    rpc = make(method.path, request_serializer=bytes, response_deserializer=bytes)
     sent = hostile_message(method.request).SerializeToString()
     settings: Any = {"metadata": call_metadata(secret), "timeout": CALL_SECONDS}
     with contextlib.suppress(grpc.RpcError, StopIteration):
-        answer = asked(iter([sent]) if method.takes_stream else sent, **settings)
+        answer = rpc(iter([sent]) if method.takes_stream else sent, **settings)
         if method.answers_stream:
             next(answer)
             answer.cancel()

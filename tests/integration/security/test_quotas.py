@@ -220,8 +220,8 @@ def test_settings_are_listed_with_the_defaults_and_checked_for_one_caller(operat
 def test_a_wrong_quota_is_refused_with_advice(operator: Operator) -> None:
     assert "is a pattern; name one caller" in operator.says("quota", "check", "cam-*", status=2)
     # In an earlier version, the command took the address for a client's name.
-    for asked in (("set", "10.0.0.3", "streams=3"), ("check", "10.0.0.3")):
-        assert "10.0.0.3 is an address; write @10.0.0.3" in operator.says("quota", *asked, status=2)
+    for arguments in (("set", "10.0.0.3", "streams=3"), ("check", "10.0.0.3")):
+        assert "10.0.0.3 is an address; write @10.0.0.3" in operator.says("quota", *arguments, status=2)
     assert "no caller that matches 'nobody' uses any quota" in operator.says("quota", "use", "nobody")
     for words, complaint in (
         (("cam", "x=3"), "there is no quota 'x'; the quotas are streams, "),

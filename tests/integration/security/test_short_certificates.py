@@ -127,13 +127,13 @@ def test_every_call_on_a_connection_with_an_expired_certificate_is_refused(
     async def asked_until_refused() -> st.StampedeError:
         async with dial(cluster.supernodes[0].address, secret=None, tls=TlsReader(files)) as channel:
             stub: Any = directory_service_pb2_grpc.DirectoryServiceStub(channel)
-            asked = 0
+            calls = 0
             while True:  # each call is a round trip on one connection
                 try:
                     await stub.ListHosts(request, timeout=10)
-                    asked += 1
+                    calls += 1
                 except grpc.aio.AioRpcError as error:
-                    assert asked
+                    assert calls
                     return from_rpc_error(error, "it")
 
     refused = asyncio.run(asked_until_refused())

@@ -50,10 +50,10 @@ def test_only_a_regular_file_is_replaced_and_nothing_is_fetched_for_another_one(
 ) -> None:
     out = tmp_path / "backup"
     make(out)
-    asked = responses(BODY + SHA256)
+    request = responses(BODY + SHA256)
     with pytest.raises(StampedeError, match="not a regular file"):
-        write_backup(asked, out)
-    assert next(asked) == FACTS, "no response was taken"
+        write_backup(request, out)
+    assert next(request) == FACTS, "no response was taken"
     assert not out.is_file()
     assert list(tmp_path.iterdir()) == [out]
 

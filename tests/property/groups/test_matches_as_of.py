@@ -47,10 +47,10 @@ def read(channel: ArchivedChannel, query: ReadQuery, as_of: int) -> Items:
     after = None
     if isinstance(query.after, Item):
         after = Position(query.after.time, query.after.seq)
-    asked = Query(
+    core_query = Query(
         interval=query.interval, match=query.match, limit=query.limit, newest_first=query.newest_first, after=after
     )
-    found, past = channel.read_as_of(asked, as_of), channel.past(as_of)
+    found, past = channel.read_as_of(core_query, as_of), channel.past(as_of)
     items = [Item(one.time, None, one.duration, one.seq, b"", {}, "", 0, 7) for one in items_of(found.slices)]
     if query.newest_first:
         items.reverse()

@@ -117,7 +117,7 @@ class World:
     """`put`, `tick`, `migrate` and other methods change the world. After each change, `look` moves the cuts and checks
     the rules.
 
-    Hosts may hear late of each other and of their own channels. The channels of a lost host begin again at another
+    Hosts may receive late of each other and of their own channels. The channels of a lost host begin again at another
     host.
     """
 
@@ -229,8 +229,8 @@ class World:
             known = speaking.board.find(channel_id)
             if one.owner != teller or known is None:
                 continue
-            hearing.board.hear(channel_id, known.times, known.silent_nanos(self.clock), self.clock)
-            hearing.oracle_board.hear(channel_id, speaking.oracle_board.heard[channel_id], self.clock)
+            hearing.board.receive(channel_id, known.times, known.silent_nanos(self.clock), self.clock)
+            hearing.oracle_board.receive(channel_id, speaking.oracle_board.heard[channel_id], self.clock)
         hearing.board.confirm([one for one in CHANNELS if self.placed[one].owner == teller], self.clock)
         for group, cut in enumerate(speaking.cuts):
             floor = cut.cut
@@ -330,7 +330,7 @@ class World:
         for host in self.hosts:
             if (known := host.board.find(channel_id)) is not None and known.times.epoch == one.epoch:
                 far = ChannelTimes(one.epoch - 1, one.pair.incarnation, 2**61, 2**62, 2**61)
-                assert not host.board.hear(channel_id, far, 0, self.clock)
+                assert not host.board.receive(channel_id, far, 0, self.clock)
 
     def check(self) -> None:
         """Check that the original channels are as if there were no group."""

@@ -121,8 +121,8 @@ class CoreHandle:
         return _only(self.get(MIN_INSTANT, MAX_INSTANT, match="start", limit=1))
 
     def newest(self, after: st.Item | int | None = None) -> st.Item | None:
-        asked = {"match": "start", "limit": 1, "newest_first": True, "newer_than": after}
-        return _only(self.get(MIN_INSTANT, MAX_INSTANT, **asked))
+        arguments = {"match": "start", "limit": 1, "newest_first": True, "newer_than": after}
+        return _only(self.get(MIN_INSTANT, MAX_INSTANT, **arguments))
 
     def subscribe(self, start: Bound | None, mode: str, after: st.Item | None) -> FollowedItems:
         core, now, position = self.owner.channel, self._host.now(), _position(after)

@@ -135,7 +135,7 @@ def _check_ways(scene: Scene, pairs: Pairs) -> str:
     namespaces = {namespace for pair in pairs for namespace in pair} | {
         one.namespace for one in scene.cluster.supernodes
     }
-    arrived = scene.cluster.network.ways(namespaces)
+    arrived = scene.cluster.network.open_directions(namespaces)
     every = set(itertools.permutations(namespaces, 2))
     if arrived != every - set(pairs):
         wrong = [f"{sender.address} to {receiver.address}" for sender, receiver in arrived ^ (every - set(pairs))]
@@ -183,14 +183,14 @@ async def unplug_leader(scene: Scene) -> None:
     leader, other, _ = await scene.leader_and_other()
     network = scene.cluster.network
     began = time.monotonic()
-    network.plug(leader.namespace, in_=False)
+    network.set_link(leader.namespace, up=False)
     try:
         if await asyncio.to_thread(network.ways, (other.namespace, leader.namespace)):
             raise FaultHadNoEffect(f"{leader.name} is reached although its link is down")
         recovery = await scene.recovery(began)
         await asyncio.sleep(scene.rng.uniform(1.0, 3.0))
     finally:
-        network.plug(leader.namespace, in_=True)
+        network.set_link(leader.namespace, up=True)
     scene.ended("the leader's link down", began, recovery, evidence="no datagram reaches the leader")
 
 

@@ -31,13 +31,13 @@ def test_a_blocked_link_is_blocked_in_one_direction_only() -> None:
     with Network(2) as network:
         first, second = network.namespaces
         both = {(first, second), (second, first)}
-        assert network.ways(network.namespaces) == both
+        assert network.open_directions(network.namespaces) == both
         network.block(first, second)
-        assert network.ways(network.namespaces) == {(second, first)}
+        assert network.open_directions(network.namespaces) == {(second, first)}
         network.unblock_all()
-        assert network.ways(network.namespaces) == both
-        network.plug(first, in_=False)
-        assert network.ways(network.namespaces) == set()
+        assert network.open_directions(network.namespaces) == both
+        network.set_link(first, up=False)
+        assert network.open_directions(network.namespaces) == set()
 
 
 def test_the_wall_clock_of_a_process_follows_its_file_and_no_other_clock_does(

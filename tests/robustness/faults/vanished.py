@@ -74,13 +74,13 @@ async def _until(count: Callable[[], Awaitable[int]], wanted: int) -> None:
 async def _unplugged(scene: Scene, namespace: NetworkNamespace) -> AsyncIterator[None]:
     """Cut the link of the namespace during the block. Raises FaultHadNoEffect."""
     network, other = scene.cluster.network, scene.cluster.supernodes[0].namespace
-    network.plug(namespace, in_=False)
+    network.set_link(namespace, up=False)
     try:
         if await asyncio.to_thread(network.ways, (namespace, other)):
             raise FaultHadNoEffect(f"datagrams of {namespace.address} still arrive")
         yield
     finally:
-        network.plug(namespace, in_=True)
+        network.set_link(namespace, up=True)
 
 
 @asynccontextmanager

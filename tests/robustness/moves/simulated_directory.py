@@ -158,8 +158,8 @@ class SimulatedDirectory(GatheredMoves):
     async def release_all(self, moves: Sequence[FallbackRelease]) -> set[bytes]:
         self.world.at("removal is asked for")
         await self._reach()
-        asked = tuple(MoveToRelease(channel_id=one.channel_id, epoch=one.epoch) for one in moves)
-        done = self.world.apply(ReleaseMoves(host_id=self.host.identity.host_id, moves=asked))
+        releases = tuple(MoveToRelease(channel_id=one.channel_id, epoch=one.epoch) for one in moves)
+        done = self.world.apply(ReleaseMoves(host_id=self.host.identity.host_id, moves=releases))
         self.world.at("removed")
         await self._reach()
         return {*done.channel_ids}

@@ -246,16 +246,16 @@ async def test_a_channel_that_has_moved_back_keeps_its_copy_after_a_late_answer_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scenario = Scenario("source hears of the commit", lambda world: world.cut_links())
-    asked, answer = asyncio.Event(), asyncio.Event()
+    requested, answer = asyncio.Event(), asyncio.Event()
 
     async def is_released(channel_id: bytes) -> bool:
-        asked.set()
+        requested.set()
         await answer.wait()
         return True
 
     monkeypatch.setattr(scenario.source.directory, "is_released", is_released)
     await scenario.move()
-    await asked.wait()
+    await requested.wait()
     # The channel moves back.
     scenario.source.store.copies.begin(scenario.world.record, NewCopy(CopyState(), Losses(), True))
     answer.set()

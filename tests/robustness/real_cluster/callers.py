@@ -166,8 +166,8 @@ class HostActor:
         self._entered = 0.0
         self.registrations = self.renewals = self.fenced = 0
 
-    def hear(self, record: channel_pb2.ChannelRecord, asked: float) -> None:
-        """Process a record that a caller got from the directory. `asked`: the beginning of the call.
+    def hear(self, record: channel_pb2.ChannelRecord, asked_s: float) -> None:
+        """Process a record that a caller got from the directory. `asked_s`: the beginning of the call.
 
         Raises TwoOwners if the record names another owner while this host still serves the channel. The host takes a
         channel over only if the call began after its registration, because earlier answers may be out of date.
@@ -176,7 +176,7 @@ class HostActor:
         if record.host_id != self.host_id and epoch is not None and epoch < record.epoch and self._held():
             raise TwoOwners(f"{self._name} still serves {record.name} at epoch {epoch}, not at epoch {record.epoch}")
         newer = epoch is None or epoch < record.epoch
-        if record.host_id == self.host_id and newer and self._held() and self._entered <= asked:
+        if record.host_id == self.host_id and newer and self._held() and self._entered <= asked_s:
             self._owned[record.channel_id] = record.epoch
 
     def _held(self) -> bool:

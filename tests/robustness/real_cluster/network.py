@@ -64,11 +64,11 @@ class Network(namespaces.NamespaceNetwork):
             else:
                 run(namespace.command("ip", "route", "flush", "type", "blackhole"), check=False)
 
-    def plug(self, namespace: NetworkNamespace, *, in_: bool) -> None:
+    def set_link(self, namespace: NetworkNamespace, *, up: bool) -> None:
         """Cut the link of the namespace, or connect it again."""
-        ip("link", "set", namespace.outer_link, "up" if in_ else "down")
+        ip("link", "set", namespace.outer_link, "up" if up else "down")
 
-    def ways(self, namespaces: Iterable[NetworkNamespace]) -> set[tuple[NetworkNamespace, NetworkNamespace]]:
+    def open_directions(self, namespaces: Iterable[NetworkNamespace]) -> set[tuple[NetworkNamespace, NetworkNamespace]]:
         """All pairs of a sender and a receiver for which a datagram arrives at this moment.
 
         Blocks for PROBE_SECONDS at most.

@@ -27,11 +27,11 @@ NAMES = "abcdexyz"
 class FalseMessages:
     """Draws messages to one replica, with numbers near those in the state of this replica."""
 
-    def __init__(self, random_source: random.Random, victim: RaftReplica, asked: Sequence[int] = ()) -> None:
-        """`asked`: ids of requests that the victim has sent."""
+    def __init__(self, random_source: random.Random, victim: RaftReplica, read_request_ids: Sequence[int] = ()) -> None:
+        """`read_request_ids`: ids of requests that the victim has sent."""
         self._random_source = random_source
         self._victim = victim
-        self._asked = asked
+        self._asked = read_request_ids
         self._drawn: tuple[Callable[[], ProtobufMessage], ...] = (
             self._append,
             self._append,

@@ -251,7 +251,7 @@ class CutReader:
         assert response.HasField("opened"), response
         return response.opened
 
-    async def hand(self, boundary: pb.CutBoundary) -> None:
+    async def send_boundary(self, boundary: pb.CutBoundary) -> None:
         await self.call.write(pb.SubscribeCutsRequest(boundary=boundary))
 
     async def event(self) -> Event:

@@ -147,8 +147,8 @@ class LiveCluster:
         found: list[LiveMember] = []
 
         def agreed() -> bool:
-            asked = [each for each in self.all if each.log and _is_in(each.log.status())]
-            statuses = {each.member.member_id: running(each).status() for each in asked}
+            members = [each for each in self.all if each.log and _is_in(each.log.status())]
+            statuses = {each.member.member_id: running(each).status() for each in members}
             leaders = {status.leader_id for status in statuses.values()}
             if len(leaders) != 1 or None in leaders:
                 return False

@@ -42,10 +42,10 @@ async def followed() -> AsyncIterator[tuple[SupernodeAnswers, AccessControl, Acc
 async def test_a_front_end_asks_for_a_later_version_once_and_for_an_earlier_one_never() -> None:
     async with followed() as (supernode, control, follower, channel):
         for version in (7, 7, 6, 0):
-            await follower.heard("c", version, channel)
+            await follower.take_version("c", version, channel)
         assert (supernode.asked, control.version) == (1, 7)
         supernode.version = 9
-        await follower.heard("c", 8, channel)
+        await follower.take_version("c", 8, channel)
         state = control.refresh()
         assert state is not None
         assert (supernode.asked, state.version, state.revoked_serials) == (2, 9, frozenset({"a1"}))
@@ -53,17 +53,17 @@ async def test_a_front_end_asks_for_a_later_version_once_and_for_an_earlier_one_
 
 async def test_a_cluster_that_takes_the_place_of_another_has_versions_of_its_own() -> None:
     async with followed() as (supernode, control, follower, channel):
-        await follower.heard("former", 0, channel)
+        await follower.take_version("former", 0, channel)
         assert (supernode.asked, control.version) == (0, 0)
-        await follower.heard("c", 7, channel)
+        await follower.take_version("c", 7, channel)
         assert (supernode.asked, control.version) == (1, 7)
 
 
 async def test_a_front_end_asks_again_if_a_supernode_does_not_answer() -> None:
     async with followed() as (supernode, control, follower, channel):
         supernode.version = 0
-        await follower.heard("c", 7, channel)
+        await follower.take_version("c", 7, channel)
         assert control.refresh() is None
         supernode.version = 7
-        await follower.heard("c", 7, channel)
+        await follower.take_version("c", 7, channel)
         assert (supernode.asked, control.version) == (2, 7)

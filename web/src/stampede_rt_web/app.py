@@ -43,8 +43,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if settings.secret_file is not None:  # the client and `examine` take it from the environment
             os.environ["STAMPEDE_SECRET_FILE"] = str(settings.secret_file)
         asyncio.run(_serve(settings, address, token))
-    except HelpRequested as asked:
-        print(asked, end="")
+    except HelpRequested as help_request:
+        print(help_request, end="")
         return 0
     except AddressNotAllowed:
         return _complain(

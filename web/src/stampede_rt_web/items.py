@@ -59,14 +59,14 @@ class ItemPreviews:
         key = (reader.name, group)
         if instant is None and key in self._newest and time.time_ns() - self._newest[key][0] < NEWEST_NANOS:
             return self._newest[key][1]
-        asked = time.time_ns()
+        asked_nanos = time.time_ns()
         try:
             found = await reader.at(NEWEST if instant is None else instant)
         except StampedeError as error:
             return {"channel": reader.name, "failure": error.message}
         answer = await self._answer(reader, found)
         if instant is None:
-            self._newest[key] = (asked, answer)
+            self._newest[key] = (asked_nanos, answer)
             while len(self._newest) > 256:
                 self._newest.popitem(last=False)
         return answer

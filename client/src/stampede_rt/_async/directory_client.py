@@ -238,8 +238,8 @@ class DirectoryClient:
         """Ask one supernode after the other. If all fail, raises one error that sums up all failures so far."""
         if time.monotonic() > self._measure_again_s:
             await self._measure()
-        asked = self._asked()
-        rounds.begin_round(asked, TRY_TIMEOUT_S if len(asked) > 1 else float("inf"))
+        supernodes = self._usable_targets()
+        rounds.begin_round(supernodes, TRY_TIMEOUT_S if len(supernodes) > 1 else float("inf"))
         while (attempt := rounds.next_attempt(time.monotonic())) is not None:
             endpoint = self._endpoints.to(attempt.target)
             try:
@@ -248,11 +248,11 @@ class DirectoryClient:
             except StampedeError as error:
                 rounds.failed(attempt.target, error)
                 self.demote(attempt.target, error)
-        for target in self._strangers.difference(asked):
+        for target in self._strangers.difference(supernodes):
             rounds.failed(target, WrongCluster(f"{target} is of another cluster"))
         raise rounds.failure(self._targets)
 
-    def _asked(self) -> list[str]:
+    def _usable_targets(self) -> list[str]:
         """Return the supernodes to ask, best first: the supernodes of this cluster, or all if all are of another
         cluster."""
         return [target for target in self._targets if target not in self._strangers] or list(self._targets)
@@ -299,7 +299,7 @@ class DirectoryClient:
     async def _find_cluster(self) -> bool:
         """Whether a supernode of the client's cluster answers, or a supernode of a cluster that took over from it."""
         seen: list[ClusterSeen] = []
-        for target in self._asked():
+        for target in self._usable_targets():
             pong = await self._ping(target)
             if pong is not None and pong.cluster.cluster_id:
                 seen.append(pong.cluster)
@@ -340,5 +340,5 @@ class DirectoryClient:
         """Open a stream of responses from the nearest supernode."""
         if not self._targets:
             raise Unavailable("no supernode is known; is a front-end running?")
-        endpoint = self._endpoints.to(self._asked()[0])
+        endpoint = self._endpoints.to(self._usable_targets()[0])
         return endpoint.stream(getattr(endpoint.directory, method), request)

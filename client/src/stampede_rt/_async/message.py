@@ -23,7 +23,7 @@ from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.queues import DeliveredMessage
 
 SETTLEMENTS_MAX = 1024  # the most settlements of one request
-_DONE_ONCE = ("give_back", "terminate")  # verdicts after which the host no longer knows the delivery
+_ENDING_VERDICTS = ("give_back", "terminate")  # verdicts after which the host no longer knows the delivery
 
 
 class Settler:
@@ -52,8 +52,8 @@ class Settler:
             result = (await self._settle_at(binding, (settlement,), timeout_s))[0]
             if result.HasField("error"):
                 error = from_error_message(result.error)
-                once = settlement.WhichOneof("verdict") in _DONE_ONCE
-                if not (tries > 1 and once and isinstance(error, LeaseExpired)):
+                ends_delivery = settlement.WhichOneof("verdict") in _ENDING_VERDICTS
+                if not (tries > 1 and ends_delivery and isinstance(error, LeaseExpired)):
                     raise error  # otherwise: an earlier try may have settled the message, and its answer was lost
             return result
 
@@ -67,9 +67,9 @@ class Settler:
         for at in range(0, len(messages), SETTLEMENTS_MAX):
 
             async def settle_at(
-                binding: Binding, left_s: float, some: Sequence[Message] = messages[at : at + SETTLEMENTS_MAX]
+                binding: Binding, left_s: float, part: Sequence[Message] = messages[at : at + SETTLEMENTS_MAX]
             ) -> Sequence[queue_pb2.SettlementResult]:
-                held = [one.given_back() for one in some if one.incarnation == binding.incarnation]
+                held = [one.given_back() for one in part if one.incarnation == binding.incarnation]
                 return await self._settle_at(binding, held, left_s) if held else ()
 
             await attempt(self._locator, settle_at, timeout_s)
@@ -81,10 +81,10 @@ class Settler:
         """
         extended: list[Message] = []
         for at in range(0, len(messages), SETTLEMENTS_MAX):
-            some = messages[at : at + SETTLEMENTS_MAX]
+            part = messages[at : at + SETTLEMENTS_MAX]
 
-            async def settle_at(binding: Binding, left_s: float, some: Sequence[Message] = some) -> list[Message]:
-                held = [one for one in some if one.incarnation == binding.incarnation]
+            async def settle_at(binding: Binding, left_s: float, part: Sequence[Message] = part) -> list[Message]:
+                held = [one for one in part if one.incarnation == binding.incarnation]
                 began_s = monotonic_s()
                 settlements = [one.extended() for one in held]
                 results = await self._settle_at(binding, settlements, left_s) if held else ()

@@ -92,7 +92,7 @@ class Taker:
             await self._ask()
             if waiter.message is None and not await waiter.come.wait(wait.seconds):
                 # A caller with timeout 0 still gets a message that the host has.
-                await waiter.asked.wait(DRAIN_TIMEOUT_S)
+                await waiter.requested.wait(DRAIN_TIMEOUT_S)
                 waiter.leaving = True
                 await self._drain(DRAIN_TIMEOUT_S)
             over = True
@@ -136,7 +136,7 @@ class Taker:
             with suppress(Unavailable):  # the worker replaces a broken stream
                 await stream.send(queue_pb.TakeRequest(credit=more))
         for waiter in asking:
-            waiter.asked.set()
+            waiter.requested.set()
 
     async def _drain(self, timeout_s: float) -> None:
         """End the stream if the host has credit for unwanted messages, and wait for its end.

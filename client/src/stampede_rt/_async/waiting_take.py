@@ -12,7 +12,7 @@ class WaitingTake:
 
     def __init__(self) -> None:
         self.come = Signal()  # is set together with `message` or `error`
-        self.asked = Signal()  # is set when the taker has asked the host for a message for this caller
+        self.requested = Signal()  # set when the taker has asked the host for a message for this caller
         self.leaving = False  # the caller's time is over; it only takes a message that is already on the way
         self.message: Message | None = None
         self.error: StampedeError | None = None
@@ -20,5 +20,5 @@ class WaitingTake:
     def finish(self, message: Message | None = None, *, error: StampedeError | None = None) -> None:
         """End the wait with a message, with an error, or, because the handle is closed, with neither."""
         self.message, self.error = message, error
-        self.asked.set()
+        self.requested.set()
         self.come.set()

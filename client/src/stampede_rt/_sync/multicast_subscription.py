@@ -122,8 +122,8 @@ class MulticastSubscription(Subscription):
             return
         receiving.merge.pass_to(cursor.next_seq)
         now_s = monotonic_s()
-        receiving.hear(socket.poll(), now_s)
-        if receiving.has_heard and receiving.merge.is_level:
+        receiving.take_datagrams(socket.poll(), now_s)
+        if receiving.has_received and receiving.merge.is_level:
             self._is_following = True
             self._repair(receiving)  # from now on the host sends only requested items
         elif receiving.pace.next_step(now_s, is_missing=False)[0] is RepairStep.LEAVE:
@@ -168,7 +168,7 @@ class MulticastSubscription(Subscription):
         except BaseException:  # a cancelled step ends the stream, and a reader of datagrams would not notice this
             self._reopen()
             raise
-        receiving.pace.asked()
+        receiving.pace.note_request()
 
     def _add(self, items: Sequence[Item], receiving: MulticastReceiver) -> None:
         """Give the items to the reader next, and note the place after them."""

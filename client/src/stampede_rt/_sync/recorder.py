@@ -177,7 +177,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         return watch
 
     def _follow(self, glob: str, watch: Watch) -> None:
-        while not self._stop_asked():
+        while not self._stop_requested():
             try:
                 for change in watch:
                     if change.kind == "added" and isinstance(change.subject, ChannelInfo):
@@ -186,11 +186,11 @@ class Recorder(BackgroundStart, BoundToProcess):
             except WatchRestart:
                 watch = self._watch(glob, later=True)
             except StampedeError as error:
-                if not self._stop_asked():
+                if not self._stop_requested():
                     self._absent.append(f"channels {glob!r} that appeared later: {error.message}")
                 return
 
-    def _stop_asked(self) -> bool:
+    def _stop_requested(self) -> bool:
         return not self.active or self._session.closed or self._ending
 
     def _record(self, glob: str, info: ChannelInfo, *, later: bool) -> None:

@@ -93,7 +93,7 @@ class Taker:
             self._ask()
             if waiter.message is None and not waiter.come.wait(wait.seconds):
                 # A caller with timeout 0 still gets a message that the host has.
-                waiter.asked.wait(DRAIN_TIMEOUT_S)
+                waiter.requested.wait(DRAIN_TIMEOUT_S)
                 waiter.leaving = True
                 self._drain(DRAIN_TIMEOUT_S)
             over = True
@@ -137,7 +137,7 @@ class Taker:
             with suppress(Unavailable):  # the worker replaces a broken stream
                 stream.send(queue_pb.TakeRequest(credit=more))
         for waiter in asking:
-            waiter.asked.set()
+            waiter.requested.set()
 
     def _drain(self, timeout_s: float) -> None:
         """End the stream if the host has credit for unwanted messages, and wait for its end.

@@ -142,7 +142,7 @@ def run_ls(arguments: argparse.Namespace) -> int:
     """List all rules."""
     from stampede_rt.v1 import access_service_pb2 as pb
 
-    listed = _asked(arguments, "ListAccessRules", pb.ListAccessRulesRequest())
+    listed = _answer_to(arguments, "ListAccessRules", pb.ListAccessRulesRequest())
     rows = sorted((_rule_row(rule) for rule in listed.rules), key=lambda row: (row["who"], row["names"], row["effect"]))
     print_rows(rows, arguments.output, none="no rules: clients may do everything")
     return 0
@@ -160,9 +160,9 @@ def run_check(arguments: argparse.Namespace) -> int:
     verb = getattr(access_pb2, f"ACCESS_VERB_{arguments.action.upper()}")
     answers = {}
     for one in (kind, *others):
-        asked = getattr(access_pb2, f"ACCESS_KIND_{one.upper()}")
-        request = pb.CheckAccessRequest(who=arguments.who, verb=verb, kind=asked, name=arguments.name)
-        answers[one] = _asked(arguments, "CheckAccess", request)
+        number = getattr(access_pb2, f"ACCESS_KIND_{one.upper()}")
+        request = pb.CheckAccessRequest(who=arguments.who, verb=verb, kind=number, name=arguments.name)
+        answers[one] = _answer_to(arguments, "CheckAccess", request)
     answer = answers.pop(kind)
     if answer.HasField("rule"):
         why = f"the rule: {_text(answer.rule)}"
@@ -202,7 +202,7 @@ def _rule(arguments: argparse.Namespace) -> Any:
     )
 
 
-def _asked(arguments: argparse.Namespace, rpc: str, request: Any) -> Any:
+def _answer_to(arguments: argparse.Namespace, rpc: str, request: Any) -> Any:
     from stampede_rt.administration.running_cluster import reached
 
     with reached(arguments.url, None) as cluster:

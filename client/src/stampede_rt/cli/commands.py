@@ -30,7 +30,7 @@ def run(arguments: Sequence[str]) -> int:
     try:
         return _run_and_flush(arguments)
     except StampedeError as error:
-        if interruption.asked:  # Ctrl-C has closed the connection of the command
+        if interruption.requested:  # Ctrl-C has closed the connection of the command
             return INTERRUPTED
         print(f"{styled('stampede:', 'red', sys.stderr)} {escaped(error.message)}", file=sys.stderr)
         return MISUSED if isinstance(error, InvalidArgument) else FAILED
@@ -38,7 +38,7 @@ def run(arguments: Sequence[str]) -> int:
         _drop_output()
         return 0
     except Exception as error:
-        if interruption.asked:
+        if interruption.requested:
             return INTERRUPTED
         if isinstance(error, OSError) and error.errno in OUTPUT_ERRNOS:
             _drop_output()

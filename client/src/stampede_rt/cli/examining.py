@@ -103,8 +103,8 @@ class Examination:
         hosts = response.hosts if response else ()
         alive = [host for host in hosts if host.alive]
         lost = [_lost(one) for one in hosts if not one.alive]
-        asked = self._ask(map(host_part, alive))
-        return [*map(_with_load, asked, alive), *(PartAnswer(None, one) for one in lost)]
+        answers = self._ask(map(host_part, alive))
+        return [*map(_with_load, answers, alive), *(PartAnswer(None, one) for one in lost)]
 
     def _peers(self, supernodes: Sequence[PartAnswer]) -> Iterator[Any]:
         """Yield the records of live peers. If there is a leader, they have the clock offsets that the peers told it."""

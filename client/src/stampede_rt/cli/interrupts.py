@@ -28,13 +28,13 @@ _ENDS = (signal.SIGTERM, signal.SIGHUP)  # the signals that are like Ctrl-C for 
 
 
 class Interruption:
-    """Knows whether the user has pressed Ctrl-C (`asked`), and the functions to call after that.
+    """Knows whether the user has pressed Ctrl-C (`requested`), and the functions to call after that.
 
     SIGTERM and SIGHUP count as Ctrl-C while the command has a regular end. Otherwise they end the process as usual.
     """
 
     def __init__(self) -> None:
-        self.asked = False
+        self.requested = False
         self._closes: list[Callable[[], object]] = []
         self.regular_end: tuple[Callable[[], object], float] | None = None
 
@@ -53,7 +53,7 @@ class Interruption:
         more.
         """
         self._closes.append(close)
-        if self.asked and self.regular_end is None:
+        if self.requested and self.regular_end is None:
             self.close()
 
     def close(self) -> None:
@@ -64,7 +64,7 @@ class Interruption:
 
     def begin(self) -> None:
         """Forget Ctrl-C and the functions of the command before."""
-        self.asked = False
+        self.requested = False
         self._closes.clear()
         self.regular_end = None
 
@@ -93,10 +93,10 @@ def run_interruptibly(work: Callable[[], int]) -> int:
         if number in _ENDS and interruption.regular_end is None:
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
-        elif interruption.asked:
+        elif interruption.requested:
             os._exit(INTERRUPTED)
         else:
-            interruption.asked = True
+            interruption.requested = True
             events.put(None)
 
     before = {one: signal.signal(one, interrupt) for one in handled}
@@ -194,12 +194,12 @@ def unwinding(*numbers: signal.Signals, limit_s: float = UNWIND_S) -> Iterator[N
     If the `with` block has not ended `limit_s` seconds after the first signal, the process ends, even if Python has
     dropped the exception. A second signal ends the process immediately.
     """
-    asked: list[int] = []
+    signals: list[int] = []
 
     def interrupt(number: int, frame: object) -> None:
-        if asked:
+        if signals:
             os._exit(INTERRUPTED)
-        asked.append(number)
+        signals.append(number)
         signal.signal(signal.SIGALRM, _exit)
         signal.setitimer(signal.ITIMER_REAL, limit_s)  # a thread would need locks, and this handler must not take locks
         raise KeyboardInterrupt
@@ -211,7 +211,7 @@ def unwinding(*numbers: signal.Signals, limit_s: float = UNWIND_S) -> Iterator[N
     try:
         yield
     finally:
-        if asked:
+        if signals:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, overdue)
         for number, handler in before.items():

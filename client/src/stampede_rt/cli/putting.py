@@ -133,7 +133,7 @@ def _told_if_cut_off(producer: Producer) -> Iterator[None]:
     try:
         yield
     except StampedeError:
-        if interruption.asked:
+        if interruption.requested:
             print(f"stampede: {producer.accepted} items put; later ones have no answer", file=sys.stderr, flush=True)
         raise
 

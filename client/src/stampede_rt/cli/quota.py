@@ -129,7 +129,7 @@ def run_ls(arguments: argparse.Namespace) -> int:
     """List all limits."""
     from stampede_rt.v1 import quota_service_pb2 as pb
 
-    listed = _asked(arguments, "ListQuotas", pb.ListQuotasRequest())
+    listed = _answer_to(arguments, "ListQuotas", pb.ListQuotasRequest())
     rows = sorted(map(_row, listed.settings), key=lambda row: (row["who"], row["quota"]))
     rows += [_limit_row(one.kind, one.limit) | {"who": DEFAULT} for one in listed.defaults]
     _print(rows, arguments.output, ("who", "quota", "limit"))
@@ -141,7 +141,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     from stampede_rt.v1 import quota_service_pb2 as pb
 
     _check_who(arguments.who)
-    answer = _asked(arguments, "CheckQuotas", pb.CheckQuotasRequest(subject=arguments.who))
+    answer = _answer_to(arguments, "CheckQuotas", pb.CheckQuotasRequest(subject=arguments.who))
     rows = [
         _limit_row(one.kind, one.limit) | {"set_for": one.setting.who if one.HasField("setting") else DEFAULT}
         for one in answer.limits
@@ -174,7 +174,7 @@ def run_use(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _asked(arguments: argparse.Namespace, rpc: str, request: Any) -> Any:
+def _answer_to(arguments: argparse.Namespace, rpc: str, request: Any) -> Any:
     from stampede_rt.administration.running_cluster import reached
 
     with reached(arguments.url, None) as cluster:

@@ -25,7 +25,7 @@ def read_all(bytes_max: int, too_long: str) -> bytes:
         read += piece
         if len(read) > bytes_max:
             raise InvalidArgument(too_long)
-    if interruption.asked:
+    if interruption.requested:
         raise StampedeError("Ctrl-C has ended the command before the end of its input")
     return bytes(read)
 
@@ -44,7 +44,7 @@ def read_lines() -> Iterator[bytes]:
             yield _checked(line)
             line = bytearray(one)
         _checked(line)
-    if line and not interruption.asked:
+    if line and not interruption.requested:
         yield _checked(line)
 
 
@@ -58,7 +58,7 @@ def _pieces() -> Iterator[bytes]:
     if sys.stdin is None:
         raise InvalidArgument("standard input is closed, and the command reads it")
     file = sys.stdin.fileno()
-    while not interruption.asked:
+    while not interruption.requested:
         if select.select([file], [], [], LOOK_S)[0]:
             piece = os.read(file, _READ_BYTES)
             if not piece:

@@ -41,20 +41,20 @@ class MulticastReceiver:
         self._assembler = Assembler(ASSEMBLED_BYTES_MAX)
         self.merge: SeqMerge[Any] = SeqMerge(1, HELD_BYTES_MAX)
         self.pace = RepairPace(now_s)
-        self.has_heard = False  # whether a message of the host has come
+        self.has_received = False  # whether a message of the host has come
         self._last_beat = 0
         self._counts = Counter[str]()
 
     def take(self, datagrams: Iterable[bytes], now_s: float) -> list[Any]:
         """Take datagrams. Returns the items that come next, if any."""
-        self.hear(datagrams, now_s)
+        self.take_datagrams(datagrams, now_s)
         items = self.merge.take()
         if items:
             self.pace.got_items()
             self._assembler.forget_before(self.merge.next_seq)
         return items
 
-    def hear(self, datagrams: Iterable[bytes], now_s: float) -> None:
+    def take_datagrams(self, datagrams: Iterable[bytes], now_s: float) -> None:
         """Take datagrams, and keep their items."""
         for datagram in datagrams:
             opened = self.opener.open(datagram)
@@ -77,7 +77,7 @@ class MulticastReceiver:
 
     def _take_part(self, part: MessagePart, now_s: float) -> None:
         self._counts["datagrams"] += 1
-        if self.has_heard and part.kind is MessageKind.ITEMS and part.end_seq <= self.merge.next_seq:
+        if self.has_received and part.kind is MessageKind.ITEMS and part.end_seq <= self.merge.next_seq:
             self._counts["repeated"] += 1
             return
         message = self._assembler.add(part)
@@ -87,8 +87,8 @@ class MulticastReceiver:
         if bare is None:
             self._counts["forged"] += 1
         elif self._take_message(bare):
-            self.has_heard = True
-            self.pace.heard(now_s)
+            self.has_received = True
+            self.pace.note_message(now_s)
         else:
             self._counts["repeated"] += 1
 
@@ -98,7 +98,7 @@ class MulticastReceiver:
             items = self._decode(message.body)
             size = len(message.body) + ITEM_MEMORY_BYTES * len(items)
             is_new = self.merge.add(message.first_seq, message.end_seq, items, size)
-            return is_new or not self.has_heard
+            return is_new or not self.has_received
         beat = int.from_bytes(message.body, "big")
         if beat <= self._last_beat:
             return False

@@ -48,7 +48,7 @@ class RepairPace:
             self._heard_s += max(0.0, now_s - self._looked_s - BEAT_S_MAX)
         self._looked_s = now_s
 
-    def heard(self, now_s: float) -> None:
+    def note_message(self, now_s: float) -> None:
         """Note a message of the host."""
         self._heard_s = now_s
 
@@ -68,8 +68,8 @@ class RepairPace:
         if now_s - self._key_asked_s >= KEY_ASKED_S:
             self._key_asked_s, self._must_ask = now_s, True
 
-    def asked(self) -> None:
-        """Note that the reader has asked the host, and has its answer."""
+    def note_request(self) -> None:
+        """Note that the reader has note_request the host, and has its answer."""
         self.repairs += 1
         if not self._must_ask:  # a request for a key says nothing about the network
             self._vain += 1

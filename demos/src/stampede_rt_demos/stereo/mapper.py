@@ -25,12 +25,12 @@ def play(stage: Stage) -> dict[str, object]:
             if question is None:
                 continue
             with question:  # acknowledges the question after the answer is sent
-                asked = json.loads(question.payload)
-                if asked["number"] == END_NUMBER:
+                decoded = json.loads(question.payload)
+                if decoded["number"] == END_NUMBER:
                     return {"answered": answered}
-                near = depth.get(asked["time"] - NANOS_PER_SECOND, asked["time"], match="start")
+                near = depth.get(decoded["time"] - NANOS_PER_SECOND, decoded["time"], match="start")
                 median = statistics.median(item.value["disparity"] for item in near) if near else None
-                rt.send(asked["from"], json.dumps({"number": asked["number"], "median": median}).encode())
+                rt.send(decoded["from"], json.dumps({"number": decoded["number"], "median": median}).encode())
                 answered += 1
 
 

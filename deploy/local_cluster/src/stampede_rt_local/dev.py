@@ -35,8 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         settings = load_settings(DevSettings, service="dev", argv=words, environ=os.environ)
         check_listen(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
-    except HelpRequested as asked:
-        print(asked, end="")
+    except HelpRequested as help_request:
+        print(help_request, end="")
         return 0
     except (SettingsError, AddressNotAllowed) as error:
         return _complain(error, EXIT_BAD_SETTINGS)

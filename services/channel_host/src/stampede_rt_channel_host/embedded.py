@@ -56,7 +56,7 @@ class EmbeddedHost:
         self._stop = asyncio.Event()
         self._is_leaving = False  # may be True before the loop runs
         self._has_ended = False
-        self._asked: set[Future[Any]] = set()  # calls that the loop has still to answer
+        self._pending_answers: set[Future[Any]] = set()  # calls that the loop has still to answer
         self._puts: set[InProcessPutStream] = set()  # the open streams of producers
         self._started: Future[None] = Future()
         self._turns = LoopTurns()
@@ -189,8 +189,8 @@ class EmbeddedHost:
             answer.set_result(None)
             return answer
         store = served.host.store
-        self._asked.add(answer)
-        answer.add_done_callback(self._asked.discard)
+        self._pending_answers.add(answer)
+        answer.add_done_callback(self._pending_answers.discard)
 
         def run() -> None:
             if answer.cancelled():
@@ -238,7 +238,7 @@ class EmbeddedHost:
             self._has_ended = True
             self._turns.loop_ended()
             _here.discard(self)  # another program may have the host's port now
-            for answer in [*self._asked]:  # the loop no longer answers these calls
+            for answer in [*self._pending_answers]:  # the loop no longer answers these calls
                 _tell(answer, None)
             for stream in [*self._puts]:
                 stream.end(Unavailable("the host of this process has ended"))

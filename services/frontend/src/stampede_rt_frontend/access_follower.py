@@ -24,12 +24,12 @@ class AccessFollower:
         self._control = control
         self._known: AccessState | None = None
 
-    async def heard(self, cluster_id: str, version: int, channel: grpc.aio.Channel) -> None:
+    async def take_version(self, cluster_id: str, version: int, channel: grpc.aio.Channel) -> None:
         """Process the version of the access state in a supernode's answer to a probe.
 
         If the request for the state fails, the next probe asks again.
         """
-        if not self._is_news(cluster_id, version):
+        if not self._is_newer(cluster_id, version):
             return
         state = AccessState(cluster_id=cluster_id)
         if version:
@@ -42,10 +42,10 @@ class AccessFollower:
                     extra={"event": "access_rules_unavailable", "why": error.details()},
                 )
                 return
-        if self._is_news(state.cluster_id, state.version):  # another supernode may have sent a later state meanwhile
+        if self._is_newer(state.cluster_id, state.version):  # another supernode may have sent a later state meanwhile
             self._known = state
             self._control.set_state(state)
 
-    def _is_news(self, cluster_id: str, version: int) -> bool:
+    def _is_newer(self, cluster_id: str, version: int) -> bool:
         known = self._known
         return known is None or known.cluster_id != cluster_id or version > known.version

@@ -137,7 +137,7 @@ class Prober:
                 )
             if answer.ready and accepted:
                 self._roster.listed(await _list(stub))
-                await self._access.heard(answer.cluster_id, answer.access_version, channel)
+                await self._access.take_version(answer.cluster_id, answer.access_version, channel)
                 self._match_tasks()
         except grpc.aio.AioRpcError as error:
             why = str(await self._explained(target, from_rpc_error(error, target)))

@@ -43,8 +43,8 @@ def run_service(
     try:
         words = sys.argv[1:] if argv is None else argv
         settings = load_settings(cls, service=service, argv=words, environ=os.environ)
-    except HelpRequested as asked:
-        sys.stdout.write(str(asked))
+    except HelpRequested as help_request:
+        sys.stdout.write(str(help_request))
         return 0
     except SettingsError as error:
         return _complain(service, error, EXIT_BAD_SETTINGS)

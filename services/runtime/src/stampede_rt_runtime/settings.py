@@ -213,8 +213,8 @@ def help_of(cls: type[S], *, service: str, argv: Sequence[str]) -> str | None:
         return None
     try:
         _read_flags(cls, _known(cls, service), service, argv)
-    except HelpRequested as asked:
-        return str(asked)
+    except HelpRequested as help_request:
+        return str(help_request)
     except SettingsError:
         pass
     return None

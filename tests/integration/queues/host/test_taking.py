@@ -190,8 +190,8 @@ async def test_leased_messages_are_listed_page_by_page(rig: QueueRig) -> None:
     taker = await queue.take(taker_id=7, credit=3, taker_name="robot").open()
     deliveries = await taker.deliveries(3)
 
-    async def page(**asked: int) -> pb.ListPendingResponse:
-        request = pb.ListPendingRequest(queue_id=queue.queue_id, epoch=queue.record.epoch, **asked)
+    async def page(**fields: int) -> pb.ListPendingResponse:
+        request = pb.ListPendingRequest(queue_id=queue.queue_id, epoch=queue.record.epoch, **fields)
         return await rig.stub.ListPending(request)
 
     whole = await page()

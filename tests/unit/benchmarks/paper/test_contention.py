@@ -24,11 +24,11 @@ def test_consumers_that_take_turns_at_the_newest_frame_get_frames_of_a_real_chan
 def test_the_table_has_the_mean_drops_of_all_consumers_and_the_most_drops_of_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[Workload] = []
+    workloads: list[Workload] = []
     runs = iter([[1, 2, 0], [3, 0, 0]])
 
     def count(system: MeasuredSystem, workload: Workload) -> list[int]:
-        asked.append(workload)
+        workloads.append(workload)
         return next(runs)
 
     monkeypatch.setattr(contention, "count_lost", count)
@@ -37,4 +37,4 @@ def test_the_table_has_the_mean_drops_of_all_consumers_and_the_most_drops_of_one
     table = contention.measure(Effort(items_max=1, runs=2, frames=FRAMES), chart)
     assert table.rows == [["300 KB", "16", "3.0; 3 (3 to 3)", "3", "about 17 % of all", "549"]]
     assert chart.exists()
-    assert [(workload.readers, workload.items_total, workload.rate) for workload in asked] == [(16, FRAMES, 30)] * 2
+    assert [(workload.readers, workload.items_total, workload.rate) for workload in workloads] == [(16, FRAMES, 30)] * 2

@@ -22,11 +22,11 @@ def test_readers_of_a_channel_with_a_proxy_get_its_frames() -> None:
 def test_the_table_has_the_lost_frames_and_the_cpu_time_of_each_host(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[tuple[int, int]] = []
+    arguments: list[tuple[int, int]] = []
 
     def run(system: MeasuredSystem, workload: Workload, seconds: float) -> RunResult:
         assert isinstance(system, proxies.WithProxies)
-        asked.append((workload.readers, system.proxies))
+        arguments.append((workload.readers, system.proxies))
         cores = (0.5, 0.25, 0.125)[: 1 + system.proxies]
         return RunResult(
             seconds=seconds, items_per_second=1, cpu_us_per_item=1, lost_share=0.1 / (1 + system.proxies),
@@ -38,7 +38,7 @@ def test_the_table_has_the_lost_frames_and_the_cpu_time_of_each_host(
     monkeypatch.setattr(proxies, "READERS", (16,))
     chart = tmp_path / "proxies.png"
     table = proxies.measure(Effort(items_max=1, runs=2), chart)
-    assert asked == [(16, 0)] * 2 + [(16, 1)] * 2 + [(16, 2)] * 2
+    assert arguments == [(16, 0)] * 2 + [(16, 1)] * 2 + [(16, 2)] * 2
     assert table.rows == [
         ["16", "0", "10.0 (10.0 to 10.0)", "50 (50 to 50)", ""],
         ["16", "1", "5.0 (5.0 to 5.0)", "50 (50 to 50)", "25 (25 to 25)"],

@@ -30,7 +30,7 @@ from stampede_rt_channel_host.core.channel.run import OneRun
 
 
 class Put(NamedTuple):
-    """One put: of several items, or of one whose fields a producer encodes in its own way."""
+    """One put: of several items, or of one item with unusual fields."""
 
     step: int = 1
     skipped: int = 0

@@ -15,9 +15,9 @@ from stampede_rt_runtime.server import serving
 from tests.support.channel_host.fake_directory import FakeDirectory
 
 
-@pytest.mark.parametrize(("final_reason", "asked"), [("NO_HOST", 1), (None, 2)])
+@pytest.mark.parametrize(("final_reason", "calls"), [("NO_HOST", 1), (None, 2)])
 async def test_a_call_repeats_after_an_error_unless_the_error_has_the_final_reason(
-    final_reason: str | None, asked: int
+    final_reason: str | None, calls: int
 ) -> None:
     directory = FakeDirectory()
     directory.refuse["ResolveChannel"] = Unavailable("every live host holds it", reason="NO_HOST")
@@ -32,7 +32,7 @@ async def test_a_call_repeats_after_an_error_unless_the_error_has_the_final_reas
                 )  # fmt: skip
         finally:
             await supernodes.aclose()
-    assert min(directory.calls["ResolveChannel"], 2) == asked
+    assert min(directory.calls["ResolveChannel"], 2) == calls
 
 
 class SilentSupernode(FakeDirectory):

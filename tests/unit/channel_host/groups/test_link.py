@@ -43,7 +43,7 @@ class Notebook:
     def floor_of(self, group_id: bytes) -> CutFloor | None:
         return CutFloor(group_id, 0, self.newest, 0)
 
-    def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
+    def receive(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
         self.heard.append((update, is_first))
 
     def name_of_host(self, host_id: bytes) -> str:

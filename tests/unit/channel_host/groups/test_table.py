@@ -59,7 +59,7 @@ async def test_a_group_that_loses_members_deletes_their_state_and_looks_at_no_ot
     for number in range(GROUPS):
         one = resolved_group(number, number, number + 1)
         table.enter(HostedGroup(one, table.board, lambda: NOW, on_moved=ignored, on_idle=ignored, begin=begin))
-        table.board.hear(channel(number), ChannelTimes(1, 1, NOW), 0, NOW)
+        table.board.receive(channel(number), ChannelTimes(1, 1, NOW), 0, NOW)
     known.walks = 0
     table.adopt(table.groups[(7).to_bytes(16)], resolved_group(7, 8))
     assert table.board.find(channel(7)) is not None, "another group has the channel"

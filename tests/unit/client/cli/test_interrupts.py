@@ -22,7 +22,7 @@ PRELUDE = """
 
     def ctrl_c_and_wait():
         ctrl_c()
-        while not interrupts.interruption.asked:
+        while not interrupts.interruption.requested:
             pass
 """
 

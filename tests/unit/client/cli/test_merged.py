@@ -30,7 +30,7 @@ def item(payload: bytes) -> Item:
 
 
 class FakeConnection:
-    """A directory and a host that give out the changes and items of the test, and raise its errors."""
+    """A directory and a host. They return the changes and items of the test, and raise its errors."""
 
     def __init__(self, listed: list[ChannelInfo]) -> None:
         self.listed = listed
@@ -39,7 +39,7 @@ class FakeConnection:
 
     @contextmanager
     def watch(self, glob: str) -> Iterator[Iterator[Change]]:
-        yield _given_out(self.changes)
+        yield _entries_of(self.changes)
 
     def channels(self, glob: str) -> list[ChannelInfo]:
         return self.listed
@@ -59,10 +59,10 @@ class FakeSubscription:
         self._items = items
 
     def __iter__(self) -> Iterator[Any]:
-        return _given_out(self._items)
+        return _entries_of(self._items)
 
 
-def _given_out(queue: Queue[Any]) -> Iterator[Any]:
+def _entries_of(queue: Queue[Any]) -> Iterator[Any]:
     while True:
         one = queue.get()
         if isinstance(one, Exception):
@@ -78,8 +78,8 @@ def queue_of(*entries: Any) -> Queue[Any]:
 
 
 def stream_of(rt: FakeConnection) -> _Stream:
-    asked = argparse.Namespace(glob="*", start=None, no_payloads=False, wait=0.0)
-    stream = _Stream(rt, asked)  # type: ignore[arg-type]
+    arguments = argparse.Namespace(glob="*", start=None, no_payloads=False, wait=0.0)
+    stream = _Stream(rt, arguments)  # type: ignore[arg-type]
     threading.Thread(target=stream.follow, daemon=True).start()
     return stream
 

@@ -18,7 +18,7 @@ def test_a_reader_waits_for_datagrams_that_overtake_each_other_before_it_asks() 
     step, wait_s = pace.next_step(0.0, is_missing=True)
     assert (step, wait_s) == (RepairStep.WAIT, REORDERED_S)
     assert pace.next_step(REORDERED_S, is_missing=True)[0] is RepairStep.REPAIR
-    pace.asked()
+    pace.note_request()
     assert pace.next_step(REORDERED_S, is_missing=True)[0] is RepairStep.WAIT
 
 
@@ -34,7 +34,7 @@ def test_a_reader_leaves_multicast_after_a_silence_and_each_message_ends_the_sil
     step, wait_s = pace.next_step(0.0, is_missing=False)
     assert step is RepairStep.WAIT
     assert wait_s > SILENT_S
-    pace.heard(1.0)
+    pace.note_message(1.0)
     assert pace.next_step(SILENT_S + 0.5, is_missing=False)[0] is RepairStep.WAIT
     assert pace.next_step(SILENT_S + 1.1, is_missing=False)[0] is RepairStep.LEAVE
 
@@ -42,9 +42,9 @@ def test_a_reader_leaves_multicast_after_a_silence_and_each_message_ends_the_sil
 def test_a_reader_that_gets_all_items_by_repairs_leaves_multicast() -> None:
     pace = RepairPace(0.0)
     for _ in range(VAIN_REPAIRS_MAX):
-        pace.asked()
+        pace.note_request()
     assert pace.next_step(0.0, is_missing=False)[0] is RepairStep.WAIT
-    pace.asked()
+    pace.note_request()
     assert pace.next_step(0.0, is_missing=False)[0] is RepairStep.LEAVE
     pace.got_items()
     assert pace.next_step(0.0, is_missing=False)[0] is RepairStep.WAIT
@@ -60,7 +60,7 @@ def test_datagrams_with_another_key_make_a_reader_ask_once_a_second() -> None:
     pace = RepairPace(0.0)
     pace.ask_for_key(0.0)
     assert pace.next_step(0.0, is_missing=False)[0] is RepairStep.REPAIR
-    pace.asked()
+    pace.note_request()
     pace.ask_for_key(KEY_ASKED_S / 2)
     assert pace.next_step(KEY_ASKED_S / 2, is_missing=False)[0] is RepairStep.WAIT
     pace.ask_for_key(KEY_ASKED_S)
@@ -70,10 +70,10 @@ def test_datagrams_with_another_key_make_a_reader_ask_once_a_second() -> None:
 def test_requests_for_a_key_do_not_make_a_reader_leave_multicast() -> None:
     pace = RepairPace(0.0)
     for second in range(2 * VAIN_REPAIRS_MAX):
-        pace.heard(second)
+        pace.note_message(second)
         pace.ask_for_key(second)
         assert pace.next_step(second, is_missing=False)[0] is RepairStep.REPAIR
-        pace.asked()
+        pace.note_request()
     assert pace.next_step(second, is_missing=False)[0] is RepairStep.WAIT
 
 

@@ -167,9 +167,9 @@ def test_an_open_is_late_if_its_channel_was_deleted_after_the_request(log: Log, 
         "queue": open_queue("x"),
     }
     opening = openings[kind]
-    asked = log.directory.applied_index
+    asked_index = log.directory.applied_index
     log.apply(deletion_of(log, log.apply(opening)))
-    late = log.apply(opening, as_of_index=asked)
+    late = log.apply(opening, as_of_index=asked_index)
     assert isinstance(late, RefusedOperation)
     assert (late.reason, late.metadata) == ("AMBIGUOUS", {kind: "x"})
     assert not isinstance(log.apply(opening, as_of_index=log.directory.applied_index), RefusedOperation)
@@ -189,10 +189,10 @@ def test_the_deletion_of_another_name_does_not_make_an_open_late(log: Log, kind:
         "queue": open_queue,
     }
     log.apply(open_group("with it", (gone,)))
-    asked = log.directory.applied_index
+    asked_index = log.directory.applied_index
     log.apply(deletion_of(log, log.apply(make[kind]("y"))))
     log.apply(delete(gone))
-    assert not isinstance(log.apply(make[kind]("x"), as_of_index=asked), RefusedOperation)
+    assert not isinstance(log.apply(make[kind]("x"), as_of_index=asked_index), RefusedOperation)
 
 
 def test_a_group_that_was_deleted_with_its_last_channel_is_not_made_again(log: Log) -> None:
@@ -200,10 +200,10 @@ def test_a_group_that_was_deleted_with_its_last_channel_is_not_made_again(log: L
     kept, gone = (log.apply(open_channel(name)) for name in ("kept", "gone"))
     assert isinstance(kept, ChannelOpened)
     assert isinstance(gone, ChannelOpened)
-    asked = log.directory.applied_index
+    asked_index = log.directory.applied_index
     log.apply(open_group("x", (gone.channel.channel_id,)))
     log.apply(delete(gone.channel.channel_id))
-    late = log.apply(open_group("x", (kept.channel.channel_id,)), as_of_index=asked)
+    late = log.apply(open_group("x", (kept.channel.channel_id,)), as_of_index=asked_index)
     assert isinstance(late, RefusedOperation)
     assert late.reason == "AMBIGUOUS"
 
@@ -213,16 +213,16 @@ def test_below_the_level_of_freed_groups_every_deletion_may_have_freed_the_name(
     kept, gone = (log.apply(open_channel(name)) for name in ("kept", "gone"))
     assert isinstance(kept, ChannelOpened)
     assert isinstance(gone, ChannelOpened)
-    asked = log.directory.applied_index
+    asked_index = log.directory.applied_index
     assert log.apply(delete(gone.channel.channel_id)) == ChannelDeleted(channel=gone.channel)
-    assert isinstance(log.apply(open_group("x", (kept.channel.channel_id,)), as_of_index=asked), RefusedOperation)
+    assert isinstance(log.apply(open_group("x", (kept.channel.channel_id,)), as_of_index=asked_index), RefusedOperation)
 
 
 def test_an_open_is_late_if_its_kept_answer_may_have_been_dropped(log: Log) -> None:
-    asked = log.directory.applied_index
+    asked_index = log.directory.applied_index
     for _ in range(MARKS_KEPT):
         log.mark_time()
-    late = log.apply(open_channel("x"), as_of_index=asked)
+    late = log.apply(open_channel("x"), as_of_index=asked_index)
     assert isinstance(late, RefusedOperation)
     assert late.reason == "AMBIGUOUS"
     assert isinstance(log.apply(open_channel("x"), as_of_index=log.directory.applied_index), ChannelOpened)

@@ -112,11 +112,11 @@ def test_each_command_drops_a_bounded_number_of_old_answers() -> None:
 def test_a_command_that_two_time_marks_have_overtaken_is_refused_without_effect() -> None:
     log = Log()
     log.apply(register(1))
-    asked = log.directory.applied_index
+    asked_index = log.directory.applied_index
     log.mark_time()
-    assert isinstance(log.apply(open_channel("in-time"), as_of_index=asked), ChannelOpened)
+    assert isinstance(log.apply(open_channel("in-time"), as_of_index=asked_index), ChannelOpened)
     log.mark_time()
-    late = log.apply(open_channel("late"), as_of_index=asked)
+    late = log.apply(open_channel("late"), as_of_index=asked_index)
     assert isinstance(late, RefusedOperation)
     assert (late.reason, "within 30 s" in late.message) == ("AMBIGUOUS", True)
     assert "late" not in log.directory.tables.channel_ids

@@ -56,14 +56,14 @@ async def started(leader: Leader, address: str, folder: Path) -> list[float]:
 
     founding = read_founding(folder)
     assert founding is not None
-    asked = leader.asked
+    requests = leader.asked
     with (
         pytest.raises(StampedeError, match=f"cannot join: {leader.refusal.message}")
         if leader.refuses
         else nullcontext()
     ):
         await volunteer(founding, folder, leader.log, to, zone="", sleep=sleep)
-    assert leader.asked == asked + 1
+    assert leader.asked == requests + 1
     return waited
 
 

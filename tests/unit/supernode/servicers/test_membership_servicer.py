@@ -107,8 +107,8 @@ async def rig() -> AsyncIterator[tuple[Node, Any]]:
 
 
 async def addition(stub: Any, **changes: Any) -> pb.AddSupernodeRequest:
-    asked = pb.CreateJoinTokenRequest(request_id=REQUEST_ID, supernode_id="new", target="new:1")
-    made = await stub.CreateJoinToken(asked, timeout=10)
+    request = pb.CreateJoinTokenRequest(request_id=REQUEST_ID, supernode_id="new", target="new:1")
+    made = await stub.CreateJoinToken(request, timeout=10)
     fields = {
         "supernode_id": "new",
         "endpoint": directory_pb2.Endpoint(target="new:1"),
@@ -126,9 +126,9 @@ async def test_no_join_token_is_made_for_the_id_of_a_former_or_present_member(
     node, stub = rig
     node.log.retired = {"gone"}
     node.log.other = Member(member_id="s2", address="s2:1")
-    asked = pb.CreateJoinTokenRequest(request_id=REQUEST_ID, supernode_id=name, target="new:1")
+    request = pb.CreateJoinTokenRequest(request_id=REQUEST_ID, supernode_id=name, target="new:1")
     with pytest.raises(grpc.RpcError, match=why):
-        await stub.CreateJoinToken(asked, timeout=10)
+        await stub.CreateJoinToken(request, timeout=10)
 
 
 async def test_a_newcomer_with_a_token_is_added(rig: tuple[Node, Any]) -> None:

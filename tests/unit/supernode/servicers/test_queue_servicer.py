@@ -122,21 +122,21 @@ async def test_without_a_majority_only_stale_reads_answer(node: Node) -> None:
 
 
 async def test_a_watch_brings_queues_only_if_asked_for_and_mailboxes_only_without_a_pattern(node: Node) -> None:
-    asked = node.stub.Watch(directory_pb.WatchRequest(include_queues=True))
+    requested_watch = node.stub.Watch(directory_pb.WatchRequest(include_queues=True))
     by_name = node.stub.Watch(directory_pb.WatchRequest(name_glob="j*", include_queues=True))
     unasked = node.stub.Watch(directory_pb.WatchRequest())
-    for watch in (asked, by_name, unasked):
+    for watch in (requested_watch, by_name, unasked):
         await watch.read()
     entering = peers_pb.RegisterPeerRequest(request_id=id_of(1), peer_id=id_of(7), name="me", boot_incarnation=1)
     mailbox = (await node.peers.RegisterPeer(entering)).mailbox
     queue = (await node.queues.OpenQueue(open_request(2, "jobs"))).queue
     channel = (await node.open("jet")).channel
-    seen = [change async for change in _changes(asked, 3)]
+    seen = [change async for change in _changes(requested_watch, 3)]
     assert [seen[0].queue, seen[1].queue, seen[2].channel] == [mailbox, queue, channel]
     assert seen[0].kind == directory_pb2.CHANGE_KIND_ADDED
     assert [change.index async for change in _changes(by_name, 2)] == [seen[1].index, seen[2].index]
     assert [change.channel async for change in _changes(unasked, 1)] == [channel]
-    for watch in (asked, by_name, unasked):
+    for watch in (requested_watch, by_name, unasked):
         watch.cancel()
 
 

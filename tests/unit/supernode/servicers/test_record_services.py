@@ -109,18 +109,18 @@ async def test_without_a_majority_only_stale_reads_answer(node: Node) -> None:
 
 async def test_a_watch_brings_groups_only_if_asked_for_and_by_their_names(node: Node) -> None:
     left, _ = await two_channels(node)
-    asked = node.stub.Watch(directory_pb.WatchRequest(name_glob="p*", include_groups=True))
+    watch = node.stub.Watch(directory_pb.WatchRequest(name_glob="p*", include_groups=True))
     unasked = node.stub.Watch(directory_pb.WatchRequest(name_glob="p*"))
-    await asked.read()
+    await watch.read()
     await unasked.read()
     await node.groups.OpenGroup(open_request(1, "other", left))
     opened = await node.groups.OpenGroup(open_request(2, "pair", left))
     await node.open("pane")
-    (change,) = (await asked.read()).changes
+    (change,) = (await watch.read()).changes
     assert (change.kind, change.group) == (directory_pb2.CHANGE_KIND_ADDED, opened.group)
     (change,) = (await unasked.read()).changes
     assert change.channel.name == "pane"
-    asked.cancel()
+    watch.cancel()
     unasked.cancel()
 
 

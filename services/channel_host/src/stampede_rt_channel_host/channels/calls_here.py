@@ -86,10 +86,10 @@ def read_now(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuer
     hosted, now = find_here(store, channel_id, epoch), store.now()
     if hosted is None or (hosted.due is not None and hosted.due <= now):
         return None
-    asked = query_of(query)
-    if _reads_archive(hosted, query, asked, now):
+    core_query = query_of(query)
+    if _reads_archive(hosted, query, core_query, now):
         return None
-    found = first_of(hosted.channel.reading(asked, now))
+    found = first_of(hosted.channel.reading(core_query, now))
     return None if isinstance(found, UnfinishedWork) else _in_process_answer(hosted, found, payloads=query.payloads)
 
 
@@ -140,18 +140,18 @@ def read_here(
     errors of a get.
     """
     hosted, now = find_here(store, channel_id, epoch), store.now()
-    asked = query_of(query)
-    if hosted is None or _reads_archive(hosted, query, asked, now):
+    core_query = query_of(query)
+    if hosted is None or _reads_archive(hosted, query, core_query, now):
         on_answer(None)
         return None
     if query.wait.seconds == 0:
-        found = first_of(hosted.channel.reading(asked, now))
+        found = first_of(hosted.channel.reading(core_query, now))
         if isinstance(found, UnfinishedWork):
             on_answer(None)
         else:
             on_answer(_in_process_answer(hosted, found, payloads=query.payloads))
         return None
-    pending = hosted.channel.begin(asked, now)
+    pending = hosted.channel.begin(core_query, now)
     polled = first_of(hosted.channel.polling(pending, now))
 
     def outcome(found: object) -> None:
@@ -168,10 +168,10 @@ def read_here(
     return None
 
 
-def _reads_archive(hosted: HostedChannel, query: ReadQuery, asked: Query, now: int) -> bool:
+def _reads_archive(hosted: HostedChannel, query: ReadQuery, core_query: Query, now: int) -> bool:
     """Whether the answer may have items that only the archive has. Such a read goes over a stream."""
     recording = hosted.recording
-    return recording is not None and not query.within_memory and recording.reaches(asked, now)
+    return recording is not None and not query.within_memory and recording.reaches(core_query, now)
 
 
 def query_of(query: ReadQuery) -> Query:

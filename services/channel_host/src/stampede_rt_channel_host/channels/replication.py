@@ -30,7 +30,7 @@ class ReplicaFeed(OwnersFeed, Protocol):
 
 
 class ReplicationKind(Enum):
-    """How a channel has replicas."""
+    """Whether a channel has replicas, and whether its puts wait for them."""
 
     NONE = "none"
     LAGGING = "lagging"  # puts do not wait for them, and readers see items immediately
@@ -38,7 +38,7 @@ class ReplicationKind(Enum):
 
 
 def kind_of(policy: Policy) -> ReplicationKind:
-    """How a channel with this policy has replicas."""
+    """Whether a channel with this policy has replicas, and whether its puts wait for them."""
     if policy.ack == "replica":
         return ReplicationKind.WAITED_FOR
     return ReplicationKind.LAGGING if policy.replicas else ReplicationKind.NONE
@@ -52,7 +52,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
     """
 
     is_filled = False
-    """Whether `filling` is over."""
+    """Whether `filling` has added all items."""
 
     def __init__(
         self, core: ChannelCore, now: Callable[[], int], on_shown: Callable[[int], None],

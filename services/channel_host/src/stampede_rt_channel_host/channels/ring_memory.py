@@ -17,7 +17,7 @@ SEALS = 0x1 | 0x2 | 0x4 | 0x10  # F_SEAL_SEAL, SHRINK, GROW and FUTURE_WRITE
 class RingMemory:
     """Memory that no process can shrink, and that only its maker can write. The system frees it after its last user.
 
-    Memory that is no longer used also closes by itself: its maker may be a thread whose caller has given up.
+    Python closes an unused object by itself. This matters if the caller of the thread that made it has given up.
     """
 
     def __init__(self, size: RingSize) -> None:

@@ -60,9 +60,10 @@ class GatheredCalls(Generic[Request, Answer]):
         try:
             while self._waiting:
                 await self._pause()
-                asked = [self._waiting.popleft() for _ in range(min(self._most, len(self._waiting)))]
-                if asked := [one for one in asked if not one[1].done()]:  # the caller of a done request was cancelled
-                    _deal([answer for _, answer in asked], await self._answers([request for request, _ in asked]))
+                lookups = [self._waiting.popleft() for _ in range(min(self._most, len(self._waiting)))]
+                # The caller of a done request was cancelled.
+                if lookups := [one for one in lookups if not one[1].done()]:
+                    _deal([answer for _, answer in lookups], await self._answers([request for request, _ in lookups]))
         finally:
             self._calls = None
 

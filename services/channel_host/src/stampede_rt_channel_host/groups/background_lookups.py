@@ -22,7 +22,7 @@ class BackgroundLookups:
     """
 
     def __init__(self) -> None:
-        self._asked: dict[bytes | None, asyncio.Task[None]] = {}
+        self._running: dict[bytes | None, asyncio.Task[None]] = {}
         self._closed = False
 
     def ask(self, about: bytes | None, work: Coroutine[Any, Any, None]) -> None:
@@ -31,16 +31,16 @@ class BackgroundLookups:
         Does nothing if a lookup of this thing is under way, or ended less than PAUSE_SECONDS ago. `about` None: the
         lookup is not about one thing.
         """
-        if self._closed or about in self._asked or len(self._asked) >= LOOKUPS_MAX:
+        if self._closed or about in self._running or len(self._running) >= LOOKUPS_MAX:
             work.close()
             return
-        task = self._asked[about] = asyncio.create_task(_paced(work))
-        task.add_done_callback(lambda _: self._asked.pop(about, None))
+        task = self._running[about] = asyncio.create_task(_paced(work))
+        task.add_done_callback(lambda _: self._running.pop(about, None))
 
     def close(self) -> None:
         """Stop asking."""
         self._closed = True
-        for task in list(self._asked.values()):
+        for task in list(self._running.values()):
             task.cancel()
 
 

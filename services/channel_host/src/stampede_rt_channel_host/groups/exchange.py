@@ -50,7 +50,7 @@ class TimesExchange:
         self._on_stale = on_stale
         self._on_asked = on_asked
         self._names: dict[bytes, str] = {}  # host id -> name, of the hosts of known groups
-        # The channels of other hosts about which this host wants to hear: by group and host.
+        # The channels of other hosts about which this host wants to receive: by group and host.
         self._members: dict[bytes, dict[bytes, list[bytes]]] = {}
         self._creators: dict[bytes, str] = {}  # the caller that created each of these groups
         self._fully_heard: set[bytes] = set()  # hosts that have sent all their times on the present link
@@ -59,7 +59,7 @@ class TimesExchange:
         self._waiting_floors: Counter[bytes] = Counter()  # the number of floors in `_floors` of each host
 
     def share(self, group_id: bytes) -> None:
-        """Tell the links which channels this host wants to hear about, after a change of the group or its owners.
+        """Tell the links which channels this host wants to receive about, after a change of the group or its owners.
 
         The duration of this call grows with the hosts and channels of this group, not with the number of groups.
         """
@@ -130,7 +130,7 @@ class TimesExchange:
                 f"host {self._identity.name} has no lease at present and cannot report for its channels; wait"
             )
 
-    def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
+    def receive(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
         """See `LinkHandler`. Accepts only times of channels that the other host owns, as the directory says."""
         table, now, wanted = self._table, self._channels.now(), self.sharing_hosts.wanted_of(host_id)
         table.board.confirm(wanted, now)
@@ -138,7 +138,8 @@ class TimesExchange:
         is_silent = True
         for reported in update.times:
             if reported.channel_id in wanted and table.ids_of(reported.channel_id):
-                is_new = table.board.hear(reported.channel_id, times_from_message(reported), reported.silent_nanos, now)
+                times = times_from_message(reported)
+                is_new = table.board.receive(reported.channel_id, times, reported.silent_nanos, now)
                 concerned = table.concerned_by(reported.channel_id)
                 changed |= {one.record.group_id for one in concerned if is_new or one.record.group_id in table.idling}
                 is_silent = is_silent and not is_new

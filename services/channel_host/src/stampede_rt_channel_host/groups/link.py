@@ -24,7 +24,7 @@ PACE_SECONDS = 0.005
 LINK_SIGN_OF_LIFE_SECONDS = 1.0  # a link without changes sends a sign of life this often
 BROKEN_AFTER_SECONDS = 5.0  # a link ends after this silence of the other host
 ENTRIES_MAX = 1024  # the most channels, and the most groups, in one message
-INTEREST_MAX = 4096  # the most channels of which one host may want to hear
+INTEREST_MAX = 4096  # the most channels of which one host may want to receive
 
 
 class LinkHandler(Protocol):
@@ -36,7 +36,7 @@ class LinkHandler(Protocol):
     def floor_of(self, group_id: bytes) -> CutFloor | None:
         """The group's cut at this host; None: no item is visible, or the host does not know the group."""
 
-    def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
+    def receive(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
         """Process an update of the other host.
 
         `is_first`: with this update, the other host has sent its whole state for the first time.
@@ -49,7 +49,7 @@ class LinkHandler(Protocol):
         """Note that the other host has sent its id."""
 
     def asked_for(self, channel_ids: set[bytes]) -> None:
-        """Note that the other host wants to hear of these channels, which it believes to be at this host."""
+        """Note that the other host wants to receive of these channels, which it believes to be at this host."""
 
     def check_lease(self) -> None:
         """Raises HostNotFound if this host may not report on its channels."""
@@ -81,7 +81,7 @@ class HostLink:
         self._message, self._write, self._read = message, write, read
         self._certified_name = certified_name
         self._has_full_state = False  # whether the other side has sent its whole state by now
-        self._wanted: set[bytes] = set()  # channels of this host that the other host wants to hear of
+        self._wanted: set[bytes] = set()  # channels of this host that the other host wants to receive of
         self._times: dict[bytes, None] = {}  # channels whose times this side has still to send
         self._floors: dict[bytes, None] = {}  # groups whose cut this side has still to send
         self._interest: Collection[bytes] | None = None  # the argument of `want`, until it is sent
@@ -108,7 +108,7 @@ class HostLink:
             writing.cancel()
 
     def want(self, channel_ids: Collection[bytes]) -> None:
-        """Set the other host's channels of which this host wants to hear, at most INTEREST_MAX.
+        """Set the other host's channels of which this host wants to receive, at most INTEREST_MAX.
 
         The link looks at `channel_ids` when it sends them, so later changes before that time count, too.
         """
@@ -116,7 +116,7 @@ class HostLink:
         self._news.set()
 
     def report_times(self, channel_id: bytes) -> None:
-        """Send the times of a channel of this host soon, if the other host wants to hear of the channel."""
+        """Send the times of a channel of this host soon, if the other host wants to receive of the channel."""
         if channel_id in self._wanted:
             self._times[channel_id] = None
             self._news.set()
@@ -175,7 +175,7 @@ class HostLink:
             first = not self._has_full_state and len(update.floors) < ENTRIES_MAX
             self._has_full_state = self._has_full_state or first
             self._check_name(self.host_id)  # the host and its name may have become known since the hello
-            self._handler.hear(self.host_id, update, is_first=first)
+            self._handler.receive(self.host_id, update, is_first=first)
 
     async def _write_all(self) -> None:
         while True:  # until `run` cancels this task, or an error ends it

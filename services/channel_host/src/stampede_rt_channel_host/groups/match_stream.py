@@ -208,8 +208,8 @@ class MatchStream:
         now = self._groups.channels.now()
 
         def has_passed(channel_id: bytes, instant: int) -> bool:
-            asked = request.per_channel_id if channel_id == OWN else channel_id
-            return self._has_passed(group, asked, instant, request.lateness_nanos, now)
+            asked_channel_id = request.per_channel_id if channel_id == OWN else channel_id
+            return self._has_passed(group, asked_channel_id, instant, request.lateness_nanos, now)
 
         return matcher.take(has_passed, now, most, credit, LOOKS_PER_TURN_MAX)
 

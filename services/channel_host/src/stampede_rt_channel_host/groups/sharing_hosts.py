@@ -94,7 +94,7 @@ class SharingHosts:
         (other.groups.add if change.members else other.groups.discard)(change.group_id)
         other.target = other.target if target is None else target
         if other.link is not None and other.wanted.changes != changes:
-            other.link.want(other.wanted.asked)
+            other.link.want(other.wanted.requested)
         if other.wanted.left_out and not was_left_out:
             _warn_of_left_out(other)
         if is_new and other.link is not None:
@@ -110,12 +110,12 @@ class SharingHosts:
         return other is not None and other.link is not None
 
     def wanted_of(self, host_id: bytes) -> Set[bytes]:
-        """The channels that this host wants to hear about from the host `host_id`, at most INTEREST_MAX."""
+        """The channels that this host wants to receive about from the host `host_id`, at most INTEREST_MAX."""
         other = self._hosts.get(host_id)
-        return other.wanted.asked if other is not None else frozenset()
+        return other.wanted.requested if other is not None else frozenset()
 
     def report_times(self, channel_id: bytes) -> None:
-        """Send the times of a channel of this host to the other hosts that want to hear about the channel."""
+        """Send the times of a channel of this host to the other hosts that want to receive about the channel."""
         for other in self._hosts.values():
             if other.link is not None:
                 other.link.report_times(channel_id)
@@ -129,12 +129,12 @@ class SharingHosts:
     def greeted(self, link: HostLink) -> None:
         """Use a link from now on, because the other host has sent its id. The link replaces an older one to that host.
 
-        The link first names the channels that this host wants to hear about, and sends the cuts of the shared groups.
+        The link first names the channels whose times this host wants. It also sends the cuts of the shared groups.
         """
         other = self._hosts.setdefault(link.host_id, SharingHost(link.host_id))
         other.link = link
         other.unlinked.clear()
-        link.want(other.wanted.asked)
+        link.want(other.wanted.requested)
         for group_id in sorted(other.groups):
             link.report_floor(group_id)
 
@@ -253,7 +253,7 @@ def _warn_of_left_out(other: SharingHost) -> None:
     extra = {
         "event": "group_too_large",
         "host": other.host_id.hex(),
-        "channels": len(other.wanted.asked) + other.wanted.left_out,
+        "channels": len(other.wanted.requested) + other.wanted.left_out,
         "most": INTEREST_MAX,
         "created_by": other.wanted.largest_creator,
     }

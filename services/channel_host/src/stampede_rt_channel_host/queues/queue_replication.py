@@ -89,16 +89,16 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         for feed in self._feeds.values():
             feed.send_ahead(put)
 
-    def once_replicated(self, about: object, action: Action) -> None:
-        """Perform `action` as soon as the present state of the queue is replicated. `forget` drops it."""
+    def once_replicated(self, key: object, action: Action) -> None:
+        """Perform `action` as soon as the present state of the queue is replicated. `forget(key)` drops it."""
         if self.is_level and not self._waiting:
             action()
         else:
-            self._waiting.append((self.journal.next_step, about, action))
+            self._waiting.append((self.journal.next_step, key, action))
 
-    def forget(self, about: object) -> bool:
-        """Drop the actions that were noted for `about`. Returns whether there were any."""
-        kept = deque(one for one in self._waiting if one[1] is not about)
+    def forget(self, key: object) -> bool:
+        """Drop the actions that were noted for `key`. Returns whether it dropped any."""
+        kept = deque(one for one in self._waiting if one[1] is not key)
         has_dropped, self._waiting = len(kept) < len(self._waiting), kept
         return has_dropped
 

@@ -49,7 +49,7 @@ class ReplicatedQueue(ABC):
         elif replication is not None:
             replication.configure(policy)
         elif waits_for_replicas(policy):
-            # leaves one number out, so that an earlier copy never continues with these steps
+            # The journal leaves one number out, so that an earlier copy never continues with these steps.
             journal = content.journal if content is not None else None
             journal = journal or self.queue.journal(self._last_step + 2)
             is_replicated = content is None or content.is_replicated
@@ -109,14 +109,14 @@ class ReplicatedQueue(ABC):
             )
         return next_step
 
-    def once_replicated(self, about: object, action: Callable[[], None]) -> None:
+    def once_replicated(self, key: object, action: Callable[[], None]) -> None:
         """Perform `action` as soon as the replicas have the present state; immediately if the queue waits for no
         replicas.
         """
         if self.replication is None:
             action()
         else:
-            self.replication.once_replicated(about, action)
+            self.replication.once_replicated(key, action)
 
     def check_stalled(self) -> None:
         """If the replicas lack a step for too long, take back the messages that no taker has got, before their leases

@@ -69,8 +69,8 @@ def host_page(
     """
     limit = min(hosts_max or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
     dead = (one for one in tables.hosts.values() if not one.alive and _is_of_interest(tables, one, lost_since))
-    asked = [*tables.live_hosts(), *(dead if include_dead else ())]
-    keys = sorted(key for host in asked if (key := (host.name, host.host_id)) > after_key)
+    hosts = [*tables.live_hosts(), *(dead if include_dead else ())]
+    keys = sorted(key for host in hosts if (key := (host.name, host.host_id)) > after_key)
     page = tuple(tables.hosts[host_id] for _, host_id in keys[:limit])
     return HostPage(page, keys[limit - 1] if len(keys) > limit else None)
 

@@ -42,19 +42,19 @@ def test_outdated_items_are_freed_before_a_claim_is_refused() -> None:
 
 
 def test_a_claim_reclaims_memory_until_there_is_room_but_in_a_bounded_number_of_steps() -> None:
-    asked = 0
+    reclaims = 0
 
     def free() -> bool:
-        nonlocal asked
-        asked += 1
-        charge.set(900 - asked)
+        nonlocal reclaims
+        reclaims += 1
+        charge.set(900 - reclaims)
         return True
 
     budget = MemoryBudget(1000, free)
     charge = Charge(budget)
     charge.set(900)
     budget.claim(102)
-    assert asked == 2
+    assert reclaims == 2
     with pytest.raises(Overloaded):
         budget.claim(1000)
-    assert asked == 2 + RECLAIMS_MAX
+    assert reclaims == 2 + RECLAIMS_MAX

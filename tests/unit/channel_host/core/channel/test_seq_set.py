@@ -18,9 +18,9 @@ RANGES = st.lists(st.tuples(st.integers(1, 40), st.integers(0, 6)), max_size=25)
 def test_a_set_holds_the_added_seqs_and_returns_the_new_ones(ranges: list[tuple[int, int]]) -> None:
     seqs, plain = SeqSet(), set[int]()
     for first, items in ranges:
-        news = set(range(first, first + items)) - plain
-        assert seqs.add(first, first + items) == len(news)
-        plain |= news
+        new_seqs = set(range(first, first + items)) - plain
+        assert seqs.add(first, first + items) == len(new_seqs)
+        plain |= new_seqs
         assert seqs.size == len(plain)
         missing = [seq for seq in range(1, 60) if seq not in plain]
         assert seqs.below == missing[0]

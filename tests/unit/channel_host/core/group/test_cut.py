@@ -20,7 +20,7 @@ def group(**times: ChannelTimes) -> tuple[GroupCut, TimesBoard]:
 def defined(definition: GroupDefinition, **times_of: ChannelTimes) -> tuple[GroupCut, TimesBoard]:
     board = TimesBoard()
     for name, times in times_of.items():
-        board.hear(name.encode(), times, 0, 0)
+        board.receive(name.encode(), times, 0, 0)
     cut = GroupCut(definition, board)
     cut.confirm()
     cut.refresh(0)
@@ -35,7 +35,7 @@ def test_the_channel_that_lags_most_holds_the_cut_back_in_mode_oldest() -> None:
     cut, board = group(a=at(100), b=at(70))
     assert cut.cut == 70
     assert cut.waiting_on(0) == [B]
-    board.hear(B, at(130), 0, 0)
+    board.receive(B, at(130), 0, 0)
     assert cut.refresh(0)
     assert (cut.cut, cut.waiting_on(0)) == (100, [A])
 
@@ -44,7 +44,7 @@ def test_no_item_is_visible_before_every_channel_has_reported() -> None:
     cut, board = group(a=at(100))
     assert cut.cut is None
     assert cut.waiting_on(0) == [B]
-    board.hear(B, ChannelTimes(1, 7, advance=40), 0, 0)
+    board.receive(B, ChannelTimes(1, 7, advance=40), 0, 0)
     cut.refresh(0)
     assert cut.cut == 40
 
@@ -53,7 +53,7 @@ def test_only_the_reference_channel_decides_the_cut() -> None:
     definition = GroupDefinition(members=frozenset((A, B)), reference=A)
     cut, board = defined(definition, a=at(100))
     assert (cut.cut, cut.waiting_on(0)) == (100, [A])
-    board.hear(B, at(10), 0, 0)
+    board.receive(B, at(10), 0, 0)
     assert not cut.refresh(0)
 
 
@@ -78,10 +78,10 @@ def test_with_bound_start_durations_do_not_move_the_cut() -> None:
 def test_the_cut_never_moves_back() -> None:
     definition = GroupDefinition(members=frozenset((A,)), by_end=True)
     cut, board = defined(definition, a=at(100, end=150))
-    board.hear(A, at(110), 0, 0)
+    board.receive(A, at(110), 0, 0)
     assert not cut.refresh(0)
     assert cut.cut == 150
-    board.hear(A, at(5, epoch=2, incarnation=8), 0, 0)  # the host of A was lost, with all items of A
+    board.receive(A, at(5, epoch=2, incarnation=8), 0, 0)  # the host of A was lost, with all items of A
     assert not cut.refresh(0)
     assert (cut.cut, cut.waiting_on(0)) == (150, [A])
 
@@ -89,7 +89,7 @@ def test_the_cut_never_moves_back() -> None:
 def test_an_added_member_does_not_move_the_cut_back_and_a_removed_one_releases_it() -> None:
     cut, board = group(a=at(100), b=at(70))
     cut.define(GroupDefinition(members=frozenset((A, B, b"c")), spec_version=2))
-    board.hear(b"c", at(10), 0, 0)
+    board.receive(b"c", at(10), 0, 0)
     cut.refresh(0)
     assert (cut.cut, cut.waiting_on(0)) == (70, [B, b"c"])
     cut.define(GroupDefinition(members=frozenset((A,)), spec_version=3))
@@ -133,7 +133,7 @@ def test_a_member_at_an_unreachable_host_holds_the_cut_back_even_if_it_would_cou
     cut.refresh(5 * S)
     assert (cut.cut, cut.waiting_on(5 * S), cut.next_idle(5 * S)) == (70, [B], None)
     board.confirm([B], 5 * S)
-    board.hear(A, at(110), 0, 5 * S)
+    board.receive(A, at(110), 0, 5 * S)
     cut.refresh(5 * S)
     assert cut.cut == 110
 
@@ -162,9 +162,9 @@ def test_the_times_of_another_incarnation_replace_the_earlier_ones() -> None:
 
 def test_reports_of_a_former_owner_change_nothing() -> None:
     board = TimesBoard()
-    assert board.hear(A, at(50, epoch=3, incarnation=9), 0, 0)
-    assert not board.hear(A, at(99, epoch=2), 0, 0)
-    assert board.hear(A, at(60, epoch=4, incarnation=9), 0, 0)
+    assert board.receive(A, at(50, epoch=3, incarnation=9), 0, 0)
+    assert not board.receive(A, at(99, epoch=2), 0, 0)
+    assert board.receive(A, at(60, epoch=4, incarnation=9), 0, 0)
     found = board.find(A)
     assert found is not None
     assert found.times == at(60, epoch=4, incarnation=9)
@@ -183,9 +183,9 @@ def test_an_item_that_all_consumers_consumed_before_the_group_existed_counts_for
 def test_a_former_owner_does_not_count_and_still_receives_times() -> None:
     board = TimesBoard()
     board.enter_own(A, at(50, epoch=3), 0)
-    assert board.hear(A, at(60, epoch=4), 0, 10)
+    assert board.receive(A, at(60, epoch=4), 0, 10)
     board.enter_own(A, at(99, epoch=3), 20)  # this host has not heard yet that it lost the channel
-    assert board.hear(A, at(70, epoch=4), 0, 30)
+    assert board.receive(A, at(70, epoch=4), 0, 30)
     found = board.find(A)
     assert found is not None
     assert (found.times, found.known_until) == (at(70, epoch=4), 30)
@@ -193,11 +193,11 @@ def test_a_former_owner_does_not_count_and_still_receives_times() -> None:
 
 def test_a_new_incarnation_of_a_channel_holds_the_cut_back_until_its_items_have_passed_the_cut() -> None:
     cut, board = group(a=at(90), b=at(100))
-    board.hear(B, at(20, epoch=2, incarnation=8), 0, 0)  # the host of B was lost
-    board.hear(A, at(95), 0, 0)
+    board.receive(B, at(20, epoch=2, incarnation=8), 0, 0)  # the host of B was lost
+    board.receive(A, at(95), 0, 0)
     assert not cut.refresh(0)
     assert (cut.cut, cut.waiting_on(0)) == (90, [B])
-    board.hear(B, at(97, epoch=2, incarnation=8), 0, 0)
+    board.receive(B, at(97, epoch=2, incarnation=8), 0, 0)
     cut.refresh(0)
     assert cut.cut == 95
 
@@ -216,7 +216,7 @@ def test_the_lowest_of_many_channels_is_always_known() -> None:
             known[moving] = at(draw.randrange(highest + 1), epoch=step, incarnation=before.incarnation + 1)
         if step % 211 == 0:
             cut.define(GroupDefinition(members=frozenset(draw.sample(ids, 6)), spec_version=step))
-        board.hear(moving, known[moving], 0, step)
+        board.receive(moving, known[moving], 0, step)
         cut.refresh(step)
         members = cut.definition.members
         times = [board.find(one) for one in members]

@@ -198,11 +198,11 @@ def test_a_chain_of_ever_nearer_items_is_followed_for_a_bounded_number_of_steps(
     for gap in gaps:
         ends.append(ends[-1] + gap)
     left, right = channel(*ends[::2], NOW - 1), channel(*ends[1::2], NOW - 1, policy=Policy(max_items=1000))
-    asked: list[int] = []
+    steps: list[int] = []
     matcher = unique(left, right, gaps[0])
-    (first,) = matcher.take(lambda name, instant: asked.append(instant) is None, NOW, 1)
+    (first,) = matcher.take(lambda name, instant: steps.append(instant) is None, NOW, 1)
     assert first.matched[RIGHT].time == ends[1]
-    assert len(asked) < 3 * STEPS_MAX
+    assert len(steps) < 3 * STEPS_MAX
 
 
 def test_a_position_has_the_used_partners_so_that_no_match_repeats_them() -> None:

@@ -70,18 +70,18 @@ def test_a_late_item_or_an_advance_ends_the_silence_of_a_channel_and_a_read_does
 
 def test_reports_of_one_incarnation_add_up_and_a_new_incarnation_replaces_them() -> None:
     board = TimesBoard()
-    board.hear(A, ChannelTimes(1, INCARNATION, 50, 90, advance=10), 0, 0)
+    board.receive(A, ChannelTimes(1, INCARNATION, 50, 90, advance=10), 0, 0)
     board.enter_own(A, ChannelTimes(2, INCARNATION, 50, 60, advance=70), 0)  # the next owner holds less of the bucket
     assert _known(board) == ChannelTimes(2, INCARNATION, 50, 90, 70)
-    board.hear(A, ChannelTimes(3, INCARNATION, 40, 99), 0, 0)
+    board.receive(A, ChannelTimes(3, INCARNATION, 40, 99), 0, 0)
     assert _known(board) == ChannelTimes(3, INCARNATION, 50, 90, 70)
-    board.hear(A, ChannelTimes(4, INCARNATION + 1, 20), 0, 0)
+    board.receive(A, ChannelTimes(4, INCARNATION + 1, 20), 0, 0)
     assert _known(board) == ChannelTimes(4, INCARNATION + 1, 20)
 
 
 def test_the_silence_of_a_channel_counts_up_to_the_last_report_of_its_host() -> None:
     board = TimesBoard()
-    board.hear(A, ChannelTimes(1, INCARNATION, 50), silent_nanos=5, now=100)
+    board.receive(A, ChannelTimes(1, INCARNATION, 50), silent_nanos=5, now=100)
     known = board.find(A)
     assert known is not None
     assert (known.silent_nanos(200), known.heard_ago_nanos(200)) == (5, 100)

@@ -49,7 +49,7 @@ class Links3(PeerLinks):
         self.others_and_leader = lambda: ({"s1", "s3"}, leader_id)
         self.on_refusal_confirmed = self.done.append
 
-    def hear(self, member_id: str, refusal: HelloRefusal | None) -> None:
+    def take_refusal(self, member_id: str, refusal: HelloRefusal | None) -> None:
         """Note that the member has refused s2."""
         assert refusal is not None
         self._on_refused(member_id, f"{refusal.code.name}: {refusal.why}", self.done.append)
@@ -60,7 +60,7 @@ def test_a_member_of_an_older_release_is_refused_and_one_refusal_does_not_stop_i
     assert refusal is not None
     assert refusal.code is grpc.StatusCode.FAILED_PRECONDITION
     for _ in range(3):
-        links.hear("s1", refusal)
+        links.take_refusal("s1", refusal)
     assert links.outdated.confirmed is None
     assert list(links.outdated.by) == ["s1"]
 
@@ -71,7 +71,7 @@ def test_refusals_by_the_leader_or_most_members_stop_an_old_release_and_leave_it
 ) -> None:
     links = Links3(leader_id)
     for member_id in refusing:
-        links.hear(member_id, refused(knows=1, cluster=2))
+        links.take_refusal(member_id, refused(knows=1, cluster=2))
     assert links.outdated.confirmed is RefusalGrounds.TOO_OLD
     assert "it knows feature level 1, and the cluster is at level 2 (says s1" in links.outdated.why
     assert links.done == [], "s2's store is not disputed, and its folder has no mark"
@@ -80,10 +80,10 @@ def test_refusals_by_the_leader_or_most_members_stop_an_old_release_and_leave_it
 
 def test_refusals_for_different_reasons_are_counted_separately() -> None:
     links = Links3()
-    links.hear("s1", refused(knows=1, cluster=2))
-    links.hear("s3", refused(term=0))
+    links.take_refusal("s1", refused(knows=1, cluster=2))
+    links.take_refusal("s3", refused(term=0))
     assert links.outdated.confirmed is links.refusals.confirmed is None
-    links.hear("s1", refused(term=0))
+    links.take_refusal("s1", refused(term=0))
     assert links.refusals.confirmed is RefusalGrounds.OLDER_STORE
     assert not links.outdated.by, "s1 refuses s2 for its store now, and no longer for its release"
 

@@ -100,10 +100,10 @@ def test_a_digest_of_a_position_before_the_state_is_ignored() -> None:
 ONE, OTHER = b"one state", b"another one"
 
 
-def polled(asked: bytes, answers: dict[str, bytes], *, voters: int) -> DigestPoll:
+def polled(own_digest: bytes, answers: dict[str, bytes], *, voters: int) -> DigestPoll:
     """A leader's poll at position 7 among this number of other voters, "a", "b", ..."""
     poll = DigestPoll()
-    poll.ask(0.0, (7, asked), [])
+    poll.ask(0.0, (7, own_digest), [])
     for name, digest in answers.items():
         poll.answered(name, (7, digest), "abcdef"[:voters])
     return poll

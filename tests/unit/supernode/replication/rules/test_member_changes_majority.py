@@ -24,9 +24,9 @@ class Leader(LoneNode):
         self.changes = MemberChanges(
             self.node, lambda: self.now, lambda call: call(), round_seconds=1.0, alive_seconds=ALIVE_SECONDS
         )
-        self.hear(*answering)
+        self.take_answers(*answering)
 
-    def hear(self, *answering: str) -> None:
+    def take_answers(self, *answering: str) -> None:
         for member_id in answering:
             self.receive(member_id, acknowledgement(self.term, self.node.log.last_index + 1))
         self.tick()
@@ -34,7 +34,7 @@ class Leader(LoneNode):
 
     def let_pass(self, seconds: float, *answering: str) -> None:
         self.now += seconds
-        self.hear(*answering)
+        self.take_answers(*answering)
 
     def remove(self, member_id: str) -> list[ChangeOutcome]:
         outcomes: list[ChangeOutcome] = []
@@ -69,9 +69,9 @@ def test_a_leader_that_has_heard_from_all_members_refuses_the_removal_for_good(r
 def test_a_new_leader_removes_a_member_as_soon_as_enough_members_have_answered() -> None:
     leader = Leader("b")
     leader.remove("b")
-    leader.hear("c")
+    leader.take_answers("c")
     outcomes = leader.remove("b")
-    leader.hear("c")
+    leader.take_answers("c")
     assert not leader.has("b")
     assert [type(outcome) for outcome in outcomes] == [int]
 
@@ -85,7 +85,7 @@ def test_a_member_that_is_down_can_be_removed_immediately() -> None:
 def test_a_leader_of_five_hands_over_for_its_removal_while_three_of_the_others_are_alive() -> None:
     leader = Leader("b", "c", size=5)
     assert isinstance(leader.remove("a")[0], ChangeUnderWay), "two of four are not a majority"
-    leader.hear("d")
+    leader.take_answers("d")
     assert leader.remove("a") == []
     assert leader.changes.hands_over
 
@@ -108,8 +108,8 @@ def test_a_new_member_that_fell_silent_becomes_a_voter_only_after_it_answers_aga
         leader.node.transport.deliver(StreamOpened(member_id, leader.machine.highest_level))
     leader.receive("new", acknowledgement(leader.term, leader.node.log.last_index + 1))
     leader.let_pass(ALIVE_SECONDS, "b", "c")
-    leader.hear("b", "c")
+    leader.take_answers("b", "c")
     assert not leader.has("new")
-    leader.hear("new")
-    leader.hear("b", "c", "new")
+    leader.take_answers("new")
+    leader.take_answers("b", "c", "new")
     assert leader.has("new")

@@ -168,10 +168,10 @@ class Subscription(ChangeObserver):
         """The cursor of the repair for which a reader of datagrams has asked. `cursor` if it has asked for none."""
         if not self._multicast.has_asked or (saved := cursor.saved) is None:
             return cursor
-        asked = self._multicast.take_asked(saved.incarnation)  # the reader may still know only the former incarnation
+        place = self._multicast.take_asked(saved.incarnation)  # the reader may still know only the former incarnation
         self._owes_progress = True  # the answer if there is no item
         self._credit.left = self._multicast.asked_bytes
-        return await self._store.scheduler.do(open_cursor(self._hosted, asked, self._store.now()))
+        return await self._store.scheduler.do(open_cursor(self._hosted, place, self._store.now()))
 
     async def _step(self, cursor: Cursor, *, without_payloads: bool) -> None:
         """Send the new items, or wait for them. Send the progress after an advance and after a long silence.

@@ -166,12 +166,12 @@ class Retention:
         self._owed_check_goes_on = False
         if not consumers.table.live:
             return None
-        bucket, asked_before = self._bucket_from(start), consumers.looked_at
+        bucket, checked_before = self._bucket_from(start), consumers.looked_at
         known, arrivals = self._consumed_to
         is_known = known[0] == bucket and arrivals == consumers.table.arrivals
         for at, part in enumerate(self._held.slices(known if is_known else (bucket, 0), (end, 0))):
-            asked = consumers.looked_at - asked_before
-            if at >= SLICES_AGED_MAX or asked >= CONSUMERS_CHECKED_MAX:
+            checks = consumers.looked_at - checked_before
+            if at >= SLICES_AGED_MAX or checks >= CONSUMERS_CHECKED_MAX:
                 return self._stop_owed_check(part.first_time, bucket)
             done = consumers.done_with(part)
             if part.run.times[part.lo + max(0, done - 1)] == bucket:

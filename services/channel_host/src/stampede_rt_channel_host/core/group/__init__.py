@@ -3,8 +3,8 @@
 No module here reads a clock, waits, or knows the wire. The shell of groups has these duties at each host:
 
 - It keeps one `TimesBoard`. For each channel of its own host it calls `OwnChannelTimes.observe` after each change, and
-  then `enter_own`. For channels of other hosts it calls `hear` with their owners' reports, and `confirm` at each sign
-  of life.
+  then `enter_own`. For channels of other hosts it calls `receive` with their owners' reports, and `confirm` at each
+  sign of life.
 - It keeps one `GroupCut` per group. It calls `merge_floor` with the cuts of other hosts, `confirm` as soon as all
   live hosts have sent their cuts, and `refresh` after each change of the board and at `next_idle`. It never passes a
   client's cut to `merge_floor`. If a reader has seen a later cut, the reader waits until `cut` reaches the later cut,

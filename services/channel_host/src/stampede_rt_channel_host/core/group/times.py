@@ -168,7 +168,7 @@ class TimesBoard:
         if held is not None and held.known_until is None:
             held.known_until = now
 
-    def hear(self, channel_id: bytes, times: ChannelTimes, silent_nanos: int, now: int) -> bool:
+    def receive(self, channel_id: bytes, times: ChannelTimes, silent_nanos: int, now: int) -> bool:
         """Enter the report of a channel's owner. `silent_nanos` is the time since the last put or advance.
 
         Returns True if the times of the channel have changed. A report of a former owner changes nothing.

@@ -107,7 +107,7 @@ class VisibleQueryReader(QueryReader):
         self.lost_from = channel.lost_from
         self._newest = self._all.newest  # the newest of all items, hidden or not
         self._horizon = horizon
-        self._asked: tuple[Query, ResolvedInterval, int] | None = None
+        self._last_read: tuple[Query, ResolvedInterval, int] | None = None
 
     def now(self, clock: int) -> int:
         """The instant of NOW. If the clock is after the cut, the cut counts instead of the clock."""
@@ -123,7 +123,7 @@ class VisibleQueryReader(QueryReader):
     def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[ReadAnswer]:
         """The visible items of the query."""
         if within is not None:
-            self._asked = query, within, clock
+            self._last_read = query, within, clock
         return super().answer(query, within, clock)
 
     def _wake_at(self, first_instant: int, clock: int) -> WakeAt:
@@ -169,8 +169,8 @@ class VisibleQueryReader(QueryReader):
 
     def _hides(self) -> bool:
         """Whether a held item that matches the query lies at or after the cut."""
-        assert self._asked is not None, "set with every answer that gives reasons"
-        query, within, clock = self._asked
+        assert self._last_read is not None, "set with every answer that gives reasons"
+        query, within, clock = self._last_read
         cut, newest = self._horizon.cut, self._newest
         if newest is None or not may_hide(newest, within, cut):
             return False

@@ -7,7 +7,7 @@ from collections.abc import Iterable, KeysView
 
 
 class WantedChannels:
-    """The channels that groups need of another host. `asked` are at most `limit` of them.
+    """The channels that groups need of another host. `requested` are at most `limit` of them.
 
     A channel counts for one of the callers that created its groups. If there are more channels than `limit`, a channel
     of a creator with few channels replaces the newest channel of the creator with the most channels. So the groups of
@@ -16,20 +16,20 @@ class WantedChannels:
     """
 
     def __init__(self, limit: int) -> None:
-        self.changes = 0  # how often `asked` has changed so far
+        self.changes = 0  # how often `requested` has changed so far
         self._limit = limit
         self._creators: dict[bytes, Counter[str]] = {}  # by channel: the number of its groups of each creator
         self._creator_of: dict[bytes, str] = {}  # by channel for which this host asks: the creator for whom it counts
-        self._asked: dict[str, dict[bytes, None]] = {}  # by creator: the channels of `_creator_of`, the newest last
+        self._requested: dict[str, dict[bytes, None]] = {}  # by creator: the channels of `_creator_of`, the newest last
         self._left_out: dict[str, dict[bytes, None]] = {}  # by creator: the other channels of the creator's groups
-        self._with_count: dict[int, dict[str, None]] = {}  # by number of channels in `_asked`: the creators
+        self._with_count: dict[int, dict[str, None]] = {}  # by number of channels in `_requested`: the creators
         self._most = 0  # the highest key of `_with_count`
 
     def __bool__(self) -> bool:
         return bool(self._creators)
 
     @property
-    def asked(self) -> KeysView[bytes]:
+    def requested(self) -> KeysView[bytes]:
         """The channels to ask for. The view follows later changes."""
         return self._creator_of.keys()
 
@@ -79,12 +79,12 @@ class WantedChannels:
 
         Returns False if there is no such creator.
         """
-        while self._most > len(self._asked.get(creator, ())) + 1:
+        while self._most > len(self._requested.get(creator, ())) + 1:
             largest = self.largest_creator
-            channel_id = next(reversed(self._asked[largest]))
+            channel_id = next(reversed(self._requested[largest]))
             creators = self._creators[channel_id]
             self._ask_no_more(channel_id)
-            next_creator = next((one for one in creators if len(self._asked.get(one, ())) + 1 < self._most), None)
+            next_creator = next((one for one in creators if len(self._requested.get(one, ())) + 1 < self._most), None)
             if next_creator is None:
                 for one in creators:
                     self._left_out.setdefault(one, {})[channel_id] = None
@@ -106,15 +106,15 @@ class WantedChannels:
         self._creator_of[channel_id] = creator
         self.changes += 1
         self._note_count(creator, +1)
-        self._asked.setdefault(creator, {})[channel_id] = None
+        self._requested.setdefault(creator, {})[channel_id] = None
 
     def _ask_no_more(self, channel_id: bytes) -> None:
         creator = self._creator_of.pop(channel_id)
         self.changes += 1
         self._note_count(creator, -1)
-        del self._asked[creator][channel_id]
-        if not self._asked[creator]:
-            del self._asked[creator]
+        del self._requested[creator][channel_id]
+        if not self._requested[creator]:
+            del self._requested[creator]
 
     def _let_in(self, channel_id: bytes, creators: Iterable[str]) -> None:
         """Note that the channel is no longer left out."""
@@ -126,7 +126,7 @@ class WantedChannels:
 
     def _note_count(self, creator: str, step: int) -> None:
         """Move the creator to its new number of channels. `_most` follows, because each step is 1."""
-        count = len(self._asked.get(creator, ()))
+        count = len(self._requested.get(creator, ()))
         if count:
             of_count = self._with_count[count]
             del of_count[creator]

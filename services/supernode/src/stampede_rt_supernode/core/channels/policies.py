@@ -115,8 +115,8 @@ def _check_replicas(channel: str, policy: Policy) -> None:
 
 def check_fixed(channel: str, held: Policy, changes: Policy) -> None:
     """Raises InvalidArgument if `changes` changes a field that is fixed at creation."""
-    before, asked = getattr(held, FIXED), getattr(changes, FIXED)
-    if asked not in (None, before):
+    before, wanted = getattr(held, FIXED), getattr(changes, FIXED)
+    if wanted not in (None, before):
         name = FIXED.removesuffix("_nanos")
         raise _invalid(
             channel, FIXED, f"{name} is fixed when a channel is created; delete the channel and create it again"
@@ -135,24 +135,24 @@ def _invalid(channel: str, field: str, text: str) -> InvalidArgument:
     return InvalidArgument(f"channel {channel}: {text}", metadata={"channel": channel, "field": field})
 
 
-def agree(channel: str, held: Policy, asked: Policy) -> Policy:
-    """The policy of `channel` after an open with the policy `asked`.
+def agree(channel: str, held: Policy, requested: Policy) -> Policy:
+    """The policy of `channel` after an open with the policy `requested`.
 
     Raises ChannelExists, which names the field in conflict.
 
     The caller may only repeat a field that was stated before, or leave it out. While the channel is provisional
-    (`is_provisional`), it takes over each field of `asked` that was never stated. Later `asked` must have the value in
-    effect, because another value would collect items of other callers without their knowledge. The channel takes over
-    content_type later, too.
+    (`is_provisional`), it takes over each field of `requested` that was never stated. Later `requested`
+    must have the value in effect, because another value would collect items of other callers without their knowledge.
+    The channel takes over content_type later, too.
     """
-    for name, value in stated(asked).items():
+    for name, value in stated(requested).items():
         before = getattr(held, name)
         if before is None and name != FIXED and (is_provisional(held) or name == "content_type"):
             continue
         in_effect = IN_EFFECT_UNSTATED.get(name) if before is None else before
         if value != in_effect:
             raise _contradiction(channel, name, before, in_effect, value)
-    merged = merge(held, asked)
+    merged = merge(held, requested)
     if merged != held:
         check_policy(channel, merged)
     return merged

@@ -92,24 +92,24 @@ def merge(held: QueueSpec, changes: QueueSpec) -> QueueSpec:
     return replace(held, **stated(changes))  # type: ignore[arg-type]  # each value comes from the field of that name
 
 
-def agree(queue: str, held: QueueSpec, asked: QueueSpec) -> QueueSpec:
-    """The policy of `queue` after an open with the policy `asked`.
+def agree(queue: str, held: QueueSpec, requested: QueueSpec) -> QueueSpec:
+    """The policy of `queue` after an open with the policy `requested`.
 
     Raises QUEUE_EXISTS, which names the field in conflict.
 
     The caller may only repeat a field that was stated before, or leave it out. While no limit (LIMITS) was stated, the
-    queue takes over each field of `asked` that was never stated. Later `asked` must have the value in effect, because
-    another value would affect other producers and takers.
+    queue takes over each field of `requested` that was never stated. Later `requested` must have the value in
+    effect, because another value would affect other producers and takers.
     """
     provisional = all(getattr(held, name) is None for name in LIMITS)
-    for name, value in stated(asked).items():
+    for name, value in stated(requested).items():
         before = getattr(held, name)
         if before is None and (provisional or name == "content_type"):
             continue
         in_effect = IN_EFFECT_UNSTATED.get(name) if before is None else before
         if value != in_effect:
             raise _contradiction(queue, name, before, in_effect, value)
-    return merge(held, asked)
+    return merge(held, requested)
 
 
 def _contradiction(queue: str, field: str, before: object, in_effect: object, value: object) -> StampedeError:

@@ -80,8 +80,8 @@ def open_queue_unchanged(tables: Tables, operation: OpenQueue) -> QueueOpened | 
     return QueueOpened(queue=queue, host=host, created=False) if unchanged and host.alive else None
 
 
-def _agreed(tables: Tables, queue: QueueRecord, asked: QueueSpec) -> QueueRecord:
-    return _with_spec(tables, queue, agree(queue.name, queue.spec, asked))
+def _agreed(tables: Tables, queue: QueueRecord, requested: QueueSpec) -> QueueRecord:
+    return _with_spec(tables, queue, agree(queue.name, queue.spec, requested))
 
 
 def _with_spec(tables: Tables, queue: QueueRecord, spec: QueueSpec) -> QueueRecord:

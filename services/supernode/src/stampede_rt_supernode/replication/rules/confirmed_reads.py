@@ -42,7 +42,7 @@ class _Round:
 
 
 @dataclass(slots=True)
-class _AskedReads:
+class _ForwardedReads:
     """The reads that wait for the leader's answer to one request. At `give_up_at` they begin again."""
 
     request_id: int
@@ -75,7 +75,7 @@ class ReadingNode(Protocol):
 class ConfirmedReads:
     """All reads of one replica. Tick thread only.
 
-    Invariant: a read is in exactly one of `_new`, `_rounds`, `_asked`, `_confirmed` until it is done.
+    Invariant: a read is in exactly one of `_new`, `_rounds`, `_forwarded`, `_confirmed` until it is done.
     """
 
     def __init__(
@@ -104,14 +104,14 @@ class ConfirmedReads:
         # By member id: the newest round that the member has echoed in the present term.
         self._echoes: dict[str, int] = {}
         # The present request to the leader; None if there is none.
-        self._asked: _AskedReads | None = None
+        self._forwarded: _ForwardedReads | None = None
         # (log position, reads): the reads that wait until this replica has applied the position.
         self._confirmed: list[tuple[int, list[ConfirmedRead]]] = []
 
     @property
     def is_idle(self) -> bool:
         """Whether no read of this node waits."""
-        return not (self._new or self._rounds or self._asked or self._confirmed)
+        return not (self._new or self._rounds or self._forwarded or self._confirmed)
 
     def add(self, read: ConfirmedRead) -> None:
         """Begin a read."""
@@ -123,12 +123,12 @@ class ConfirmedReads:
 
     def on_reply(self, member_id: str, message: ReadIndexReply) -> None:
         """Process a member's reply. If it has no position, the reads that wait for the reply begin again."""
-        if self._asked is not None and self._asked.is_answered_by(member_id, message.request_id):
-            asked, self._asked = self._asked, None
+        if self._forwarded is not None and self._forwarded.is_answered_by(member_id, message.request_id):
+            answered, self._forwarded = self._forwarded, None
             if message.read_index > 0:
-                self._confirmed.append((message.read_index, asked.reads))
+                self._confirmed.append((message.read_index, answered.reads))
             else:
-                self._new.extend(asked.reads)
+                self._new.extend(answered.reads)
 
     def on_echo(self, member_id: str, round_number: int) -> None:
         """Note that a member has answered a message of this round in the present term."""
@@ -144,18 +144,18 @@ class ConfirmedReads:
         for each in rounds:
             self._new.extend(each.reads)
             self._refuse(each.requests)
-        if self._asked is not None:
-            self._new.extend(self._asked.reads)
-            self._asked = None
+        if self._forwarded is not None:
+            self._new.extend(self._forwarded.reads)
+            self._forwarded = None
 
     def start_round(self) -> bool:
         """Begin the waiting reads, if possible.
 
         Returns True if this node leads and must send a message to all members now.
         """
-        if self._asked is not None and self._clock() >= self._asked.give_up_at:
-            self._new.extend(self._asked.reads)
-            self._asked = None
+        if self._forwarded is not None and self._clock() >= self._forwarded.give_up_at:
+            self._new.extend(self._forwarded.reads)
+            self._forwarded = None
         if not self._node.can_confirm_reads():
             requests, self._new_requests = list(self._new_requests.items()), {}
             self._refuse(requests)
@@ -198,13 +198,14 @@ class ConfirmedReads:
 
     def _ask_leader(self) -> None:
         leader = self._node.leader
-        if not self._new or self._asked is not None or leader is None:
+        if not self._new or self._forwarded is not None or leader is None:
             return
         if not self._transport.is_reachable(leader.id):
             return
         self._next_request_id += 1
         self._transport.send(leader, ReadIndexRequest(request_id=self._next_request_id))
-        self._asked = _AskedReads(self._next_request_id, self._new, self._clock() + self._retry_seconds, leader.id)
+        give_up_at = self._clock() + self._retry_seconds
+        self._forwarded = _ForwardedReads(self._next_request_id, self._new, give_up_at, leader.id)
         self._new = []
 
     def _refuse(self, requests: list[tuple[MemberNode, int]]) -> None:
@@ -219,8 +220,8 @@ class ConfirmedReads:
         self._new = _unexpired(self._new, now)
         for each in self._rounds:
             each.reads = _unexpired(each.reads, now)
-        if self._asked is not None:
-            self._asked.reads = _unexpired(self._asked.reads, now)
+        if self._forwarded is not None:
+            self._forwarded.reads = _unexpired(self._forwarded.reads, now)
         self._confirmed = [(index, _unexpired(reads, now)) for index, reads in self._confirmed]
 
 
