@@ -20,7 +20,7 @@ from stampede_rt.values.recording import RecordingSummary
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
 if TYPE_CHECKING:
-    from stampede_rt.files.editing import FileReport
+    from stampede_rt.files.file_report import FileReport
 
 DAMAGES_SHOWN = 20
 

@@ -20,7 +20,9 @@ class ChunkContent:
     """The contents of one chunk.
 
     `unknown` counts messages whose topic the file does not name, and `bare` counts messages without facts. `places` has
-    the place of each incarnation in the file: an earlier incarnation of a channel has a lesser one.
+    the place of each incarnation in the file: an earlier incarnation of a channel has a lesser one. `messages` counts
+    the messages by the number of their topic in the file. `is_indexed`: the index of the file names this chunk at this
+    place, or the file has no index.
     """
 
     offset: int
@@ -31,6 +33,8 @@ class ChunkContent:
     unknown: int = 0
     bare: int = 0
     places: Mapping[IncarnationKey, int] = field(default_factory=dict)
+    messages: Mapping[int, int] = field(default_factory=dict)
+    is_indexed: bool = True
 
     def in_host_order(self) -> Iterator[Event]:
         """Yield messages, gaps and advances in the order in which the host had them, channel by channel."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from stampede_rt.files.entries import FileAdvance, FileEntry, Topic
@@ -27,6 +28,7 @@ class _Counts:
     start: int | None = None
     end: int | None = None
     advance: int | None = None
+    has_fallen: bool = False  # whether an item came after an item with a later seq
     damaged_after: int | None = None  # damage came after this seq, and no later item has come
     damaged_times: TimeBounds = (None, None)  # the times of this damage
     damaged_before: TimeBounds | None = None  # the times of the damage before the first item; None: there was none
@@ -72,6 +74,7 @@ class FileTally:
                 )
             counts.damaged_after = None
         counts.first_seq = entry.seq if counts.first_seq is None else min(counts.first_seq, entry.seq)
+        counts.has_fallen = counts.has_fallen or (counts.last_seq is not None and entry.seq < counts.last_seq)
         counts.last_seq = entry.seq if counts.last_seq is None else max(counts.last_seq, entry.seq)
         counts.reached = max(counts.reached, entry.seq)
         return revealed
@@ -130,6 +133,22 @@ class FileTally:
             self._add_gap(gap)
         return gaps
 
+    def gaps_without_chunk(self, intended: RecordingSummary) -> list[RecordingGap]:
+        """Count the gaps of the summary of the recorder that the file lacks, and return them.
+
+        Their chunk was lost. A gap of damage may have counted their items. A summary has at most GAPS_KEPT_MAX gaps of
+        each channel.
+        """
+        gaps = []
+        for told in intended.channels:
+            counts = self._counts.get((told.channel, told.incarnation), _Counts())
+            if counts.gap_count == len(counts.gaps):
+                known, named = set(counts.gaps), _seqs_of(counts.gaps)
+                gaps += [one for one in told.gaps if one not in known and not _is_within(one, named)]
+        for gap in gaps:
+            self._add_gap(gap)
+        return gaps
+
     def _lost_before(self, key: Key, counts: _Counts, told: RecordedCounts | None, detail: str) -> list[RecordingGap]:
         """Return the gap before the first item, if damage came before it."""
         if counts.damaged_before is None or counts.first_seq is None or counts.first_seq == 1:
@@ -152,6 +171,11 @@ class FileTally:
             return []
         items = _lost_at_most(first, told.last_seq, counts, told)
         return [_gap(key, detail, first, told.last_seq, items, counts.damaged_times)]
+
+    @property
+    def disordered(self) -> list[str]:
+        """The channels of which an item came after an item with a later seq."""
+        return sorted({key[0] for key, counts in self._counts.items() if counts.has_fallen})
 
     @property
     def has_own(self) -> bool:
@@ -200,11 +224,23 @@ def recorded_between(gap: RecordingGap, told: RecordedCounts) -> int:
 
 def _recorded_at_most(first_seq: int, last_seq: int, told: RecordedCounts) -> int:
     """Return how many seqs between two seqs, inclusive, are not in a gap that the recorder has named."""
+    named = _seqs_of(told.gaps)
+    return sum(given_between(first, last + 1) for first, last in named.missing(first_seq, last_seq))
+
+
+def _seqs_of(gaps: Iterable[RecordingGap]) -> SeqRanges:
+    """Return the seqs of the gaps of which each seq had an item."""
     named = SeqRanges()
-    for gap in told.gaps:
+    for gap in gaps:
         if gap.first_seq is not None and gap.last_seq is not None and gap.items == gap.last_seq - gap.first_seq + 1:
             named.add_range(gap.first_seq, gap.last_seq)
-    return sum(given_between(first, last + 1) for first, last in named.missing(first_seq, last_seq))
+    return named
+
+
+def _is_within(gap: RecordingGap, seqs: SeqRanges) -> bool:
+    if gap.first_seq is None or gap.last_seq is None:
+        return False
+    return next(seqs.missing(gap.first_seq, gap.last_seq), None) is None
 
 
 def _channel(key: Key, counts: _Counts) -> RecordedCounts:

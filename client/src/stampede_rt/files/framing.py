@@ -16,7 +16,7 @@ from io import BytesIO
 from typing import IO, Any
 
 from stampede_rt.errors import FileError
-from stampede_rt.files.time_bounds import TimeBounds, known_times
+from stampede_rt.files.time_bounds import TimeBounds
 
 try:
     import lz4.frame
@@ -24,7 +24,7 @@ try:
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import McapError
     from mcap.opcode import Opcode
-    from mcap.records import Chunk, DataEnd, McapRecord, Message
+    from mcap.records import Attachment, Chunk, DataEnd, McapRecord, Message
     from mcap.stream_reader import breakup_chunk
 except ImportError as missing:
     raise FileError(
@@ -141,12 +141,13 @@ class RecordFile:
                 return
             offset = behind
 
-    def chunk_times(self, frame: RecordFrame) -> TimeBounds:
-        """Return the times in the head of a chunk. No checksum covers the head."""
+    def chunk_head(self, frame: RecordFrame) -> tuple[int, int, int] | None:
+        """Return the first time, the last time and the unpacked size in the head of a chunk; None: it is no chunk.
+
+        No checksum covers the head.
+        """
         head = self._read(frame.offset + _FRAME.size, _CHUNK_HEAD.size)
-        if frame.opcode != Opcode.CHUNK or len(head) < _CHUNK_HEAD.size:
-            return None, None
-        return known_times(*_CHUNK_HEAD.unpack(head)[:2])
+        return _CHUNK_HEAD.unpack(head)[:3] if frame.opcode == Opcode.CHUNK and len(head) == _CHUNK_HEAD.size else None
 
     def frame_at(self, offset: int) -> RecordFrame | None:
         """Return the record at a byte; None if there is no whole record."""
@@ -165,7 +166,7 @@ class RecordFile:
             part = self._read(offset, _SEARCH_BYTES + _COMPRESSION_AT + 8)
             for match in _COMPRESSION.finditer(part, _COMPRESSION_AT):
                 start = match.start() - _COMPRESSION_AT
-                if part[start] == Opcode.CHUNK and self._is_chunk(offset + start):
+                if part[start] == Opcode.CHUNK and self.is_chunk(offset + start):
                     return offset + start
             offset += _SEARCH_BYTES
         return None
@@ -187,7 +188,8 @@ class RecordFile:
         stored = self._read(frame.offset + _FRAME.size + _CHUNK_HEAD.size + name_length, 8)
         return int.from_bytes(stored, "little") + _CHUNK_HEAD.size + name_length + 8 == frame.length
 
-    def _is_chunk(self, offset: int) -> bool:
+    def is_chunk(self, offset: int) -> bool:
+        """Whether a whole and unharmed chunk begins at a byte. Reads it."""
         frame = self.frame_at(offset)
         if frame is None or frame.opcode != Opcode.CHUNK or not self._has_lengths_of_chunk(frame):
             return False
@@ -206,24 +208,30 @@ class RecordFile:
             )
         return self._read(frame.offset + _FRAME.size, frame.length)
 
-    def checksum(self, offset: int, end: int) -> int:
-        """Return the CRC-32 of the bytes from `offset` to `end`, exclusive. Reads them in parts."""
-        found = 0
+    def checksum(self, offset: int, end: int, found: int = 0) -> int:
+        """Return the CRC-32 of the bytes from `offset` to `end`, exclusive. Reads them in parts.
+
+        `found`: the checksum of the bytes before `offset` that belong to it.
+        """
         while offset < end and (part := self._read(offset, min(_SEARCH_BYTES, end - offset))):
             found = zlib.crc32(part, found)
             offset += len(part)
         return found
 
-    def data_is_whole(self, data_end: int) -> bool:
-        """Whether the record at `data_end` ends the data, and the bytes before it have the checksum that it states.
-
-        The checksum 0 means that the record states none.
-        """
-        frame = self.frame_at(data_end)
-        if frame is None or frame.opcode != Opcode.DATA_END or frame.length != 4:
+    def states_sum(self, frame: RecordFrame, found: int) -> bool:
+        """Whether the record ends the data, and states their checksum `found`, or 0 for no checksum."""
+        if frame.opcode != Opcode.DATA_END or frame.length != 4:
             return False
-        stated = self.record(frame, DataEnd).data_section_crc
-        return not stated or self.checksum(0, data_end) == stated
+        return self.record(frame, DataEnd).data_section_crc in (0, found)
+
+    def attachment(self, frame: RecordFrame) -> Attachment:
+        """Decode an attachment. Raises FileError, also if it does not have the checksum that it states (0: none)."""
+        found: Attachment = self.record(frame, Attachment)
+        stated, end = int.from_bytes(self._read(frame.end - 4, 4), "little"), frame.end - 4
+        if stated not in (0, self.checksum(frame.offset + _FRAME.size, end)):
+            error = ValueError("its checksum does not match its content")
+            raise self._damaged(frame, error) from error
+        return found
 
     def record(self, frame: RecordFrame, kind: Any) -> Any:
         """Decode a record as a class of `mcap.records`. Raises FileError."""

@@ -17,7 +17,8 @@ def indexed_frames(records: RecordFile, ends: Mapping[int, int]) -> Iterator[Rec
 
     `ends`: for the first byte of each chunk that the index names, the first byte after the chunk. No checksum covers
     the head of a record. A flipped bit in it may make a chunk look like another record, like a longer chunk, or like
-    the end of the file.
+    the end of the file. If a whole chunk is where the index names none, the chunks are not in their places: from there
+    on this reads one record after the other, as without an index.
     """
     starts, offset = sorted(ends), len(MAGIC)
     while True:
@@ -28,6 +29,9 @@ def indexed_frames(records: RecordFile, ends: Mapping[int, int]) -> Iterator[Rec
             if end is None:
                 yield frame
                 continue
+            if records.is_chunk(frame.offset):
+                yield from records.frames(frame.offset)
+                return
             offset = min(end, records.size)
             yield Damage(frame.offset, offset, "this is not the record that the index names")
             break

@@ -13,9 +13,10 @@ from mcap.records import Attachment, Metadata
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.files.chunk_content import ChunkContent, Event
-from stampede_rt.files.editing import check_other, finish_with, intact_contents, losses_of, writer_of
+from stampede_rt.files.editing import check_other, finish_with, writer_of
 from stampede_rt.files.entries import FileAdvance, FileEntry
 from stampede_rt.files.file_tally import FileTally
+from stampede_rt.files.intact import intact_contents, losses_of
 from stampede_rt.files.reading import FileReader
 from stampede_rt.files.seq_order import SeqOrder
 from stampede_rt.files.seq_ranges import SeqRanges

@@ -3,57 +3,28 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import reduce
 
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    Channel,
-    ChunkIndex,
-    Footer,
-    Header,
-    McapRecord,
-    Message,
-    Metadata,
-    MetadataIndex,
-    Statistics,
-)
+from mcap.records import Attachment, Channel, Header, McapRecord, Message, Metadata
 from mcap.records import Schema as SchemaRecord
 
 from stampede_rt.errors import FileError
 from stampede_rt.files.chunk_content import ChunkContent, IncarnationKey
-from stampede_rt.files.entries import (
-    FACTS_TOPIC,
-    INCARNATION_KEY,
-    FileEntry,
-    ReadFacts,
-    Schema,
-    Topic,
-    content_type_of_encoding,
-)
+from stampede_rt.files.entries import FACTS_TOPIC, FileEntry, ReadFacts, Schema, Topic, content_type_of_encoding
+from stampede_rt.files.file_index import FileIndex, is_indexed, read_index, states_no_index, topic_of
 from stampede_rt.files.framing import MAGIC, Damage, RecordFile, RecordFrame
 from stampede_rt.files.indexed_frames import has_records_beside, indexed_frames
 from stampede_rt.files.named_by_facts import facts_topic, is_facts, topics_of
 from stampede_rt.files.summaries import SUMMARY_NAME, summary_of
 from stampede_rt.files.time_bounds import joined_times, known_times
-from stampede_rt.values.recording import RecordingSummary, incarnation_of
+from stampede_rt.values.recording import RecordingSummary
 
 CLOCKS_NAME = "stampede.clocks"
-_FOOTER_BYTES, _DATA_END_BYTES = 9 + 20 + len(MAGIC), 9 + 4
-
-
-@dataclass(slots=True)
-class FileIndex:
-    """The facts at the end of a whole file: counts, chunks, topics and metadata, without reading the messages."""
-
-    statistics: Statistics | None = None
-    chunks: list[ChunkIndex] = field(default_factory=list)
-    topics: dict[int, Topic] = field(default_factory=dict)
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    metadata: list[MetadataIndex] = field(default_factory=list)
 
 
 class FileReader:
@@ -72,7 +43,9 @@ class FileReader:
         self._index: FileIndex | None = None
         self._looked = False
         self.states_no_index = False  # whether the end of the file says that it has no index; known after `index`
-        self._data_end = 0
+        # Whether the bytes before the index have the stated checksum, if there is one; known after `contents`.
+        self.data_is_whole = True
+        self._sum = (0, 0)  # the checksum of the bytes before a place, and this place
         self._has_chunks = False  # whether this reader has found a chunk so far
         first = self._records.frame_at(len(MAGIC))
         if first is not None and first.opcode == Opcode.HEADER:
@@ -91,29 +64,37 @@ class FileReader:
         if not self._looked:
             self._looked = True
             try:
-                self._index = self._read_index()
+                self.states_no_index = states_no_index(self._records)
+                self._index = read_index(self._records)
             except FileError:  # a damaged index counts as a missing one
                 self._index = None
             for number, topic in self._index.topics.items() if self._index is not None else ():
                 self._place(number, topic)
         return self._index
 
-    def data_is_whole(self) -> bool:
-        """Whether the bytes before the index have the stated checksum, if there is one. Reads them all."""
-        return self.index is None or self._records.data_is_whole(self._data_end)
-
     def contents(self) -> Iterator[ChunkContent | Damage | Attachment | Metadata]:
         """Yield the chunks in the order of the file, damaged parts, attachments, and metadata."""
+        self._sum, self.data_is_whole = (0, 0), self.index is None
         for frame in self._frames():
+            self._add_to_sum(frame.offset)
             if isinstance(frame, Damage):
                 yield self._with_times(frame)
-                continue
-            if frame.opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                if self.index is not None:
-                    return
-                continue  # damaged, or a file without an index: search on for its end mark
-            if (found := self._read_or_damage(frame)) is not None:
-                yield found
+            elif frame.opcode not in (Opcode.DATA_END, Opcode.FOOTER):
+                if (found := self._read_or_damage(frame)) is not None:
+                    yield found
+            elif self.index is None:  # damaged, or a file without an index: search on for its end mark
+                if frame.opcode == Opcode.DATA_END:
+                    self.data_is_whole = self._records.states_sum(frame, self._sum[0])
+            elif frame.offset < self.index.data_end:
+                yield Damage(frame.offset, self.index.data_end, "the data end before the place that the index names")
+                return
+            else:
+                self.data_is_whole = self._records.states_sum(frame, self._sum[0])
+                return
+
+    def _add_to_sum(self, end: int) -> None:
+        found, offset = self._sum
+        self._sum = (self._records.checksum(offset, end, found), end)
 
     def _frames(self) -> Iterator[RecordFrame | Damage]:
         self._has_chunks = self.index is not None and bool(self.index.chunks)
@@ -122,14 +103,20 @@ class FileReader:
         ends = {one.chunk_start_offset: one.chunk_start_offset + one.chunk_length for one in self.index.chunks}
         return indexed_frames(self._records, ends)
 
+    def _is_indexed(self, content: ChunkContent) -> bool:
+        """Whether a chunk is the one that the index names at its place. True if the index names no chunks."""
+        if self.index is None or not self.index.chunks:
+            return True
+        entry = self.index.places.get(content.offset)
+        return entry is not None and is_indexed(content, entry, self._records)
+
     def _read_or_damage(self, frame: RecordFrame) -> ChunkContent | Damage | Attachment | Metadata | None:
         try:
             return self._read(frame)
         except FileError as error:
-            damage = Damage(
-                frame.offset, frame.end, str(error.__cause__ or "") or error.message, self._records.chunk_times(frame)
-            )
-            return self._with_times(damage)
+            head = self._records.chunk_head(frame)
+            times = (None, None) if head is None else known_times(*head[:2])
+            return self._with_times(Damage(frame.offset, frame.end, str(error.__cause__ or "") or error.message, times))
 
     def _with_times(self, damage: Damage) -> Damage:
         """Add the times that the index has for the damaged chunks."""
@@ -146,11 +133,16 @@ class FileReader:
         if frame is None or frame.opcode != Opcode.CHUNK or not self._records.fits(frame):
             raise FileError(f"the index of {self.path!r} names a chunk at byte {offset}, and there is none")
         content = self._content(frame, self._records.chunk_records(frame))
-        self.check_named(content)
+        self.check(content)
         return content
 
-    def check_named(self, content: ChunkContent) -> None:
-        """Check that the file names the topic of each message in a chunk. Raises FileError."""
+    def check(self, content: ChunkContent) -> None:
+        """Check that the index names a chunk, and that the file names the topic of each message. Raises FileError."""
+        if not content.is_indexed:
+            raise FileError(
+                f"the chunk at byte {content.offset} of {self.path!r} is not the one that the index names there, so "
+                "the file may lack items; `stampede file recover` saves its items"
+            )
         if content.unknown:
             raise FileError(
                 f"{content.unknown} messages at byte {content.offset} of {self.path!r} are of topics that the file "
@@ -165,7 +157,7 @@ class FileReader:
             (one.chunk_start_offset, one.chunk_start_offset + one.chunk_length + one.message_index_length)
             for one in self.index.chunks
         )
-        return not has_records_beside(self._records, indexed, self._data_end)
+        return not has_records_beside(self._records, indexed, self.index.data_end)
 
     def metadata(self, name: str) -> dict[str, str] | None:
         """Return the last metadata record of that name that the index names; None if there is none."""
@@ -195,7 +187,7 @@ class FileReader:
             kind = SchemaRecord if frame.opcode == Opcode.SCHEMA else Channel
             self._learn(self._records.record(frame, kind))
         if frame.opcode == Opcode.ATTACHMENT:
-            return self._records.record(frame, Attachment)  # type: ignore[no-any-return]
+            return self._records.attachment(frame)
         if frame.opcode == Opcode.METADATA:
             return self._records.record(frame, Metadata)  # type: ignore[no-any-return]
         return None
@@ -206,7 +198,7 @@ class FileReader:
         elif isinstance(record, Channel):
             if record.topic == FACTS_TOPIC:
                 self._facts_ids.add(record.id)
-            self._topics[record.id] = topic = _topic(record, self._schemas)
+            self._topics[record.id] = topic = topic_of(record, self._schemas)
             self._place(record.id, topic)
 
     def _place(self, number: int, topic: Topic) -> None:
@@ -218,6 +210,8 @@ class FileReader:
         for record in records:
             self._learn(record)
         messages = [record for record in records if isinstance(record, Message)]
+        content.messages = Counter(one.channel_id for one in messages)
+        content.is_indexed = frame.opcode == Opcode.MESSAGE or self._is_indexed(content)
         self._learn_from_facts(messages)
         try:
             facts = ReadFacts.decode([one.data for one in messages if self._is_facts(one)])
@@ -271,55 +265,6 @@ class FileReader:
             if found.name == FACTS_TOPIC:
                 self._facts_ids.add(number)
         return found
-
-    def _read_index(self) -> FileIndex | None:
-        place = self._records.frame_at(self.size - _FOOTER_BYTES) if self.size > _FOOTER_BYTES else None
-        if place is None or place.opcode != Opcode.FOOTER or not self._records.has_end_mark():
-            return None
-        footer = self._records.record(place, Footer)
-        start = footer.summary_start
-        self.states_no_index = start == 0
-        if not len(MAGIC) <= start < place.offset:
-            return None
-        if footer.summary_crc and self._records.checksum(start, place.end - 4) != footer.summary_crc:
-            return None
-        self._data_end = start - _DATA_END_BYTES
-        return self._index_between(start, place.offset)
-
-    def _index_between(self, start: int, end: int) -> FileIndex | None:
-        index = FileIndex()
-        for frame in self._records.frames(start):
-            if isinstance(frame, Damage):
-                return None
-            if frame.offset >= end:
-                break
-            self._add_to_index(index, frame)
-        return index
-
-    def _add_to_index(self, index: FileIndex, frame: RecordFrame) -> None:
-        if frame.opcode == Opcode.SCHEMA:
-            schema = self._records.record(frame, SchemaRecord)
-            index.schemas[schema.id] = Schema(schema.name, schema.encoding, schema.data)
-        elif frame.opcode == Opcode.CHANNEL:
-            channel = self._records.record(frame, Channel)
-            index.topics[channel.id] = _topic(channel, index.schemas)
-        elif frame.opcode == Opcode.STATISTICS:
-            index.statistics = self._records.record(frame, Statistics)
-        elif frame.opcode == Opcode.CHUNK_INDEX:
-            index.chunks.append(self._records.record(frame, ChunkIndex))
-        elif frame.opcode == Opcode.METADATA_INDEX:
-            index.metadata.append(self._records.record(frame, MetadataIndex))
-
-
-def _topic(channel: Channel, schemas: dict[int, Schema]) -> Topic:
-    metadata = dict(channel.metadata)
-    text = metadata.pop(INCARNATION_KEY, "")
-    try:
-        incarnation = incarnation_of(text) if text else None
-    except ValueError:  # the topic of another program
-        incarnation = None
-    schema = schemas.get(channel.schema_id) if channel.schema_id else None
-    return Topic(channel.topic, channel.message_encoding, incarnation, schema, tuple(metadata.items()))
 
 
 def _entry(topic: Topic, message: Message, facts: ReadFacts) -> FileEntry:

@@ -13,8 +13,9 @@ from typing import Any, Protocol
 from stampede_rt.errors import FileError
 from stampede_rt.files.chunk_content import ChunkContent, Event
 from stampede_rt.files.entries import FACTS_TOPIC, POLICY_KEY, TIME_MAX, FileEntry
+from stampede_rt.files.file_index import FileIndex
 from stampede_rt.files.interval_filter import IntervalFilter
-from stampede_rt.files.reading import FileIndex, FileReader
+from stampede_rt.files.reading import FileReader
 from stampede_rt.values.timeline import MIN_INSTANT
 
 CACHE_BYTES = 64 * 1024 * 1024  # the most bytes of decoded chunks

@@ -13,8 +13,9 @@ from mcap.writer import IndexType, Writer
 from stampede_rt.errors import FileError, InvalidArgument
 from stampede_rt.files import seq_order
 from stampede_rt.files.chunk_content import ChunkContent
-from stampede_rt.files.editing import FileReport, cut, recover, verify
+from stampede_rt.files.editing import cut, recover, verify
 from stampede_rt.files.entries import FileAdvance, FileEntry, item_entry
+from stampede_rt.files.file_report import FileReport
 from stampede_rt.files.framing import RecordFile, RecordFrame
 from stampede_rt.files.merging import merge
 from stampede_rt.files.reading import FileReader

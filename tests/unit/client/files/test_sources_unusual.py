@@ -40,6 +40,8 @@ def written(path: Path, times: list[int], loose: int | None = None, **settings: 
                 builder = RecordBuilder()
                 Message(channel_id=number, sequence=0, log_time=loose, publish_time=loose, data=b"loose").write(builder)
                 file.write(builder.end())
+                counts = writer._Writer__statistics.channel_message_counts  # type: ignore[attr-defined]
+                counts[number] += 1
         writer.finish()
     return path
 
