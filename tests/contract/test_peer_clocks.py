@@ -135,7 +135,7 @@ async def two_supernodes() -> AsyncIterator[tuple[Supernode, Supernode]]:
         yield made
 
 
-async def clocks_told(connected: Connecting, address: str) -> dict[str, int | None]:
+async def reported_clocks(connected: Connecting, address: str) -> dict[str, int | None]:
     async with connected(address) as rt:
         return {peer.name: None if peer.clock is None else peer.clock.offset_nanos for peer in await rt.peers()}
 
@@ -143,10 +143,10 @@ async def clocks_told(connected: Connecting, address: str) -> dict[str, int | No
 async def test_a_client_asks_the_leader_for_clock_offsets_after_a_wrong_hint(connected: Connecting) -> None:
     async with two_supernodes() as (follower, leader):
         address, _ = follower.members
-        assert await clocks_told(connected, address) == {"peer/0": 7, "peer/1": 7}
+        assert await reported_clocks(connected, address) == {"peer/0": 7, "peer/1": 7}
         assert (follower.asked, leader.asked) == ([], [True, True])
         follower.believed = address
-        assert await clocks_told(connected, address) == {"peer/0": 7, "peer/1": 7}
+        assert await reported_clocks(connected, address) == {"peer/0": 7, "peer/1": 7}
         assert follower.asked == [True]
 
 
@@ -156,5 +156,5 @@ async def test_without_the_leader_peers_are_listed_without_their_clocks(connecte
         address, _ = follower.members
         follower.members = (address, leader) if leader else (address,)
         follower.believed = leader
-        assert await clocks_told(connected, address) == {"peer/0": None, "peer/1": None}
+        assert await reported_clocks(connected, address) == {"peer/0": None, "peer/1": None}
         assert follower.asked == [False, False]

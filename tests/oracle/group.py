@@ -56,21 +56,22 @@ class OracleMember:
 
 
 @dataclass
-class OracleHeard:
-    """Everything that the owners of a channel have told one host. `known_until` None: this host is the owner."""
+class OracleReports:
+    """All reports of the owners of a channel to one host. `known_until` None: this host is the owner."""
 
-    said: ReportedTimes
+    combined_times: ReportedTimes
     silent_since: int
     known_until: int | None
-    told: list[ReportedTimes] = field(default_factory=list)  # everything that was told, in order
+    reports: list[ReportedTimes] = field(default_factory=list)  # all reports of the owners, in order
 
     @property
     def mark(self) -> int | None:
         """The later of the newest item's time and the advance."""
-        return max((one for one in (self.said.newest, self.said.advance) if one is not None), default=None)
+        times = self.combined_times
+        return max((one for one in (times.newest, times.advance) if one is not None), default=None)
 
     def cut(self, *, by_end: bool, max_lead: int) -> int | None:
-        times = self.said
+        times = self.combined_times
         cuts = [one for one in (times.newest, times.advance) if one is not None]
         if by_end and times.newest is not None and times.end is not None:
             cuts.append(min(times.end, times.newest + max_lead))
@@ -92,27 +93,27 @@ def combined(reports: list[ReportedTimes]) -> ReportedTimes:
 
 
 class OracleBoard:
-    """Everything that owners have told one host about all channels."""
+    """All reports of owners to one host, about all channels."""
 
     def __init__(self) -> None:
-        self.heard: dict[bytes, OracleHeard] = {}
+        self.received: dict[bytes, OracleReports] = {}
 
     def own(self, channel_id: bytes, member: OracleMember) -> None:
         self._enter(channel_id, member.says(), member.spoke_at, None)
 
-    def receive(self, channel_id: bytes, owner: OracleHeard, clock: int) -> None:
-        """Note that the owner has told all that it knows."""
-        self._enter(channel_id, owner.said, owner.silent_since, clock)
+    def receive(self, channel_id: bytes, owner: OracleReports, clock: int) -> None:
+        """Note all times that the owner knows."""
+        self._enter(channel_id, owner.combined_times, owner.silent_since, clock)
 
     def _enter(self, channel_id: bytes, report: ReportedTimes, silent_since: int, known_until: int | None) -> None:
-        received = self.heard.setdefault(channel_id, OracleHeard(report, silent_since, known_until))
+        received = self.received.setdefault(channel_id, OracleReports(report, silent_since, known_until))
         received.silent_since, received.known_until = silent_since, known_until
-        if report not in received.told:
-            received.told.append(report)
-            received.said = combined(received.told)
+        if report not in received.reports:
+            received.reports.append(report)
+            received.combined_times = combined(received.reports)
 
     def disown(self, channel_id: bytes, clock: int) -> None:
-        received = self.heard.get(channel_id)
+        received = self.received.get(channel_id)
         if received is not None and received.known_until is None:
             received.known_until = clock
 
@@ -145,15 +146,15 @@ class OracleGroup:
     def raise_to(self, cut: int) -> None:
         self.floor = cut if self.floor is None else max(self.floor, cut)
 
-    def heard(self, channel_id: bytes) -> OracleHeard | None:
-        return self.board.heard.get(channel_id)
+    def received(self, channel_id: bytes) -> OracleReports | None:
+        return self.board.received.get(channel_id)
 
     def cut_of(self, channel_id: bytes) -> int | None:
-        received = self.heard(channel_id)
+        received = self.received(channel_id)
         return None if received is None else received.cut(by_end=self.by_end, max_lead=self.max_lead)
 
     def mark_of(self, channel_id: bytes) -> int | None:
-        received = self.heard(channel_id)
+        received = self.received(channel_id)
         return None if received is None else received.mark
 
     def is_idle(self, channel_id: bytes, clock: int) -> bool:
@@ -161,7 +162,7 @@ class OracleGroup:
 
         It is not idle before the host has heard of it.
         """
-        received = self.heard(channel_id)
+        received = self.received(channel_id)
         if received is None or self.idle_after is None:
             return False
         until = clock if received.known_until is None else received.known_until
@@ -174,7 +175,7 @@ class OracleGroup:
         """
         if self.idle_after is None or self.reference is not None:
             return None
-        awake = [self.heard(one) for one in self.members if not self.is_idle(one, clock)]
+        awake = [self.received(one) for one in self.members if not self.is_idle(one, clock)]
         own = [one.silent_since for one in awake if one is not None and one.known_until is None]
         return min(own) + self.idle_after if own else None
 
@@ -185,7 +186,7 @@ class OracleGroup:
         if self.reference is not None:
             return [self.reference]
         awake = [one for one in self.members if not self.is_idle(one, clock)]
-        spoke = {one: received.silent_since for one in self.members if (received := self.heard(one)) is not None}
+        spoke = {one: received.silent_since for one in self.members if (received := self.received(one)) is not None}
         return awake or [one for one in spoke if spoke[one] == max(spoke.values())]
 
     def reached(self, clock: int) -> int | None:
@@ -206,10 +207,10 @@ class OracleGroup:
 
     def _is_at(self, channel_id: bytes, cut: int, lateness: int) -> bool:
         """Whether no further item can come before the cut, except one that is later than `lateness` allows."""
-        received = self.heard(channel_id)
+        received = self.received(channel_id)
         if received is None:
             return False
-        newest, advance = received.said.newest, received.said.advance
+        newest, advance = received.combined_times.newest, received.combined_times.advance
         return (newest is not None and newest >= cut + lateness) or (advance is not None and advance >= cut)
 
     def between(self, low: int | None, high: int, lateness: int, clock: int) -> int | None:
@@ -218,7 +219,7 @@ class OracleGroup:
         None: there is no such instant.
         """
         awake = [one for one in sorted(self.members) if not self.is_idle(one, clock)]
-        tried = [one.said for one in (self.heard(each) for each in awake) if one is not None]
+        tried = [one.combined_times for one in (self.received(each) for each in awake) if one is not None]
         marks = [times.newest - lateness for times in tried if times.newest is not None]
         marks += [times.advance for times in tried if times.advance is not None]
         fit = [mark for mark in marks if mark < high and all(self._is_at(one, mark, lateness) for one in awake)]

@@ -7,7 +7,7 @@ import logging
 from stampede_rt.v1 import channel_pb2, queue_pb2
 from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_queue
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedQueue
-from tests.benchmarks.longest_pause.sizes import CHANNELS_TOLD
+from tests.benchmarks.longest_pause.sizes import CHANNELS_NAMED
 from tests.benchmarks.longest_pause.watch import Work, until
 from tests.support.channel_host.rig import HOST_ID, Rig
 
@@ -28,7 +28,7 @@ async def registration(rig: Rig, channels: int) -> tuple[str, Work]:
     adopt(rig, channels)
 
     async def work() -> None:
-        do, last = rig.host.store.scheduler.do, channels - CHANNELS_TOLD
+        do, last = rig.host.store.scheduler.do, channels - CHANNELS_NAMED
         new_channels = (channel(number, epoch=2) for number in range(last, channels))
         await do(rig.host.store.registering(new_channels, is_complete=False))
         queues = (queue(number, epoch=2) for number in range(last, channels))

@@ -29,7 +29,7 @@ class HostWithLease:
 
     def __init__(self, cluster: LocalCluster) -> None:
         dialer = Dialer(secret=cluster.secret)
-        self.told: list[bool] = []
+        self.states: list[bool] = []
         self.news = asyncio.Event()
         self.server = ServiceServer(secret=cluster.secret)
         self.host = ChannelHost(
@@ -39,12 +39,12 @@ class HostWithLease:
             dial_for_lease=dialer.dial_from_any_loop,
             clock=SystemClock(),
             memory_bytes_max=2**30,
-            on_serving=self._hear,
+            on_serving=self._note_state,
             on_defect=_fail,
         )
 
-    def _hear(self, serving: bool) -> None:
-        self.told.append(serving)
+    def _note_state(self, serving: bool) -> None:
+        self.states.append(serving)
         self.news.set()
 
 
@@ -91,7 +91,7 @@ async def test_an_event_loop_that_is_blocked_for_longer_than_the_lease_keeps_the
             (b"before", put.incarnation),
             (b"after", put.incarnation),
         ]
-        assert one.told == [True]
+        assert one.states == [True]
 
 
 async def test_an_event_loop_that_is_blocked_for_very_long_loses_the_lease_and_gets_it_again_afterwards(
@@ -102,7 +102,7 @@ async def test_an_event_loop_that_is_blocked_for_very_long_loses_the_lease_and_g
         time.sleep(HELD_UP_SECONDS)  # noqa: ASYNC251  # blocks the event loop, and costs no CPU time
         assert not one.host.store.lease_held()
         async with asyncio.timeout(30):
-            while one.told != [True, False, True]:
+            while one.states != [True, False, True]:
                 one.news.clear()
                 await one.news.wait()
         assert one.host.store.lease_held()

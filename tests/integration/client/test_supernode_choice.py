@@ -42,11 +42,11 @@ class Place(directory_service_pb2_grpc.DirectoryServiceServicer):
     """A supernode at a distance of some seconds. It answers pings once all other supernodes have got a ping, too."""
 
     def __init__(self, name: str, pings: PingCounter, later_seconds: float) -> None:
-        self._name, self._asked, self._later_seconds = name, pings, later_seconds
+        self._name, self._pings, self._later_seconds = name, pings, later_seconds
         self.calls = 0
 
     async def Ping(self, request: Any, context: Any) -> directory_pb.DirectoryServicePingResponse:  # noqa: N802
-        await self._asked.note()
+        await self._pings.note()
         await asyncio.wait([asyncio.create_task(asyncio.Event().wait())], timeout=self._later_seconds)
         return directory_pb.DirectoryServicePingResponse(supernode_id=self._name, ready=True)
 

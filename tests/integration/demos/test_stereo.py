@@ -43,7 +43,7 @@ def test_the_demo_finds_every_pair_and_makes_no_wrong_pair(outcome: Outcome) -> 
 
 def test_every_frame_without_a_partner_is_named(outcome: Outcome) -> None:
     assert outcome.report.told_of_all
-    assert all(outcome.report.alone_told[side] for side in Side)
+    assert all(outcome.report.alone_reported[side] for side in Side)
 
 
 def test_a_consumer_that_joins_in_the_middle_gets_pairs(outcome: Outcome) -> None:

@@ -47,14 +47,14 @@ def payload_of(seq: int) -> bytes:
 @dataclass
 class Reader:
     process: Any
-    told: Any
+    receiver: Any
 
     def __post_init__(self) -> None:
         self.seqs, self.follows, self.end = list[int](), False, None
 
     def look(self) -> None:
-        while self.end is None and self.told.poll():
-            found = self.told.recv()
+        while self.end is None and self.receiver.poll():
+            found = self.receiver.recv()
             if len(found) == 2:
                 self.seqs.append(found[0])
                 self.follows = found[1]

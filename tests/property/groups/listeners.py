@@ -70,7 +70,7 @@ class Match:
     remote: RemoteTrack
     followed: dict[bytes, OwnChannelTimes]
     begun: int
-    told: int
+    last_seq: int
     taken: int = 0
 
     def has_passed(self, name: bytes, instant: int) -> bool:
@@ -197,8 +197,8 @@ class Listeners:
         a, b, c = (self.world.pair(one) for one in CHANNELS)
         clock = self.world.clock
         for one in self.matches:
-            one.remote.add((c.oracle.log[seq].time, seq) for seq in range(one.told + 1, len(c.oracle.log) + 1))
-            one.told = len(c.oracle.log)
+            one.remote.add((c.oracle.log[seq].time, seq) for seq in range(one.last_seq + 1, len(c.oracle.log) + 1))
+            one.last_seq = len(c.oracle.log)
             for pair in (a, b, c):
                 OracleReader(pair.oracle, clock)
             for own in one.followed.values():

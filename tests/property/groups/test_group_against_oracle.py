@@ -56,7 +56,7 @@ class Scenario:
     world: World
     readers: Readers
     listeners: Listeners
-    told: list[str] = field(default_factory=list)
+    steps: list[str] = field(default_factory=list)
 
     def a_group(self, rng: RandomSource) -> int:
         return rng.below(len(self.world.definitions))
@@ -255,7 +255,7 @@ def play(numbers: list[int]) -> None:
         try:
             _play_steps(scenario, numbers[1:])
         except BaseException as error:
-            error.add_note(f"{definitions} {policies}, {len(world.hosts)} hosts: " + ", ".join(scenario.told))
+            error.add_note(f"{definitions} {policies}, {len(world.hosts)} hosts: " + ", ".join(scenario.steps))
             raise
 
 
@@ -264,7 +264,7 @@ def _play_steps(scenario: Scenario, numbers: list[int]) -> None:
     for number in numbers:
         rng = RandomSource(number)
         step = rng.pick(STEPS)
-        scenario.told.append(step.__name__)
+        scenario.steps.append(step.__name__)
         step(rng, scenario)
         world.look()
         listeners.note()

@@ -170,8 +170,8 @@ class World:
         for host in self.hosts:
             for channel_id in self.placed.keys() - followed:
                 host.board.forget(channel_id)
-            received = host.oracle_board.heard
-            host.oracle_board.heard = {one: received[one] for one in received if one in followed}
+            received = host.oracle_board.received
+            host.oracle_board.received = {one: received[one] for one in received if one in followed}
 
     def note_change(self, channel_id: bytes) -> None:
         """Note that the channel may have got items or an advance."""
@@ -230,7 +230,7 @@ class World:
             if one.owner != teller or known is None:
                 continue
             hearing.board.receive(channel_id, known.times, known.silent_nanos(self.clock), self.clock)
-            hearing.oracle_board.receive(channel_id, speaking.oracle_board.heard[channel_id], self.clock)
+            hearing.oracle_board.receive(channel_id, speaking.oracle_board.received[channel_id], self.clock)
         hearing.board.confirm([one for one in CHANNELS if self.placed[one].owner == teller], self.clock)
         for group, cut in enumerate(speaking.cuts):
             floor = cut.cut

@@ -48,7 +48,7 @@ class Upgrade:
         self.capped = 0
         self._numbers = iter(range(1, 10**9))
         # The answers to processes that asked to join.
-        self._asked: list[list[ChangeOutcome]] = []
+        self._requested: list[list[ChangeOutcome]] = []
         self._newcomers: list[UpgradedMember] = []
         self._waiting = list(world.members.values())
         world.random_source.shuffle(self._waiting)
@@ -125,7 +125,9 @@ class Upgrade:
         leaders = [one for one in self.world.alive() if one.replica is not None and one.replica.status().is_leader]
         if leaders and self._newcomers:
             newcomer = self._newcomers[-1].member
-            self._asked.append(self.world.change(self.world.random_source.choice(leaders), newcomer, is_removal=False))
+            self._requested.append(
+                self.world.change(self.world.random_source.choice(leaders), newcomer, is_removal=False)
+            )
 
     def _volunteer(self) -> None:
         """Start a process of either release that wants to join.
@@ -144,7 +146,7 @@ class Upgrade:
 
     def answered(self, kind: type) -> int:
         """The number of answers of this kind to processes that asked to join."""
-        return sum(isinstance(outcome, kind) for outcomes in self._asked for outcome in outcomes)
+        return sum(isinstance(outcome, kind) for outcomes in self._requested for outcome in outcomes)
 
     def _register(self) -> None:
         process = next(self._numbers)

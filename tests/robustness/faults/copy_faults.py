@@ -49,7 +49,7 @@ class ReplicatedChannel:
         owner = next(one.host for one in await self.traffic.rt.channels(self.channel.name))
         return self._host(owner), self._host(self.names[replicas[0]])
 
-    async def _check_told(self, item: st.Item) -> None:
+    async def _check_reported(self, item: st.Item) -> None:
         """Check that the reader got the item, and that it heard of a loss if and only if the incarnation changed.
 
         If puts wait for replicas, the incarnation must not change.
@@ -94,7 +94,7 @@ class ReplicatedChannel:
                     item = await self.traffic.put(self.channel)
                     break
                 await asyncio.sleep(RETRY_SECONDS)
-        await self._check_told(item)
+        await self._check_reported(item)
         async with patience(f"{self.channel.name} was not read"):
             await self.traffic.read_all(self.channel)
         return time.monotonic() - since

@@ -113,7 +113,7 @@ async def kill_everything(scene: Scene) -> None:
     for one in scene.cluster.processes():
         await one.kill()
         await one.launch()
-    await asyncio.gather(*(one.said_ready() for one in scene.cluster.processes()))
+    await asyncio.gather(*(one.wait_until_ready() for one in scene.cluster.processes()))
     up = time.monotonic() - began
     recovery = await _put_again(scene, pinned, began)
     await _read(scene, pinned)

@@ -74,7 +74,7 @@ async def kill_all(scene: Scene) -> None:
 
 
 async def _up_after(one: Supernode, began: float) -> float:
-    await one.said_ready()
+    await one.wait_until_ready()
     return time.monotonic() - began
 
 
@@ -185,7 +185,7 @@ async def unplug_leader(scene: Scene) -> None:
     began = time.monotonic()
     network.set_link(leader.namespace, up=False)
     try:
-        if await asyncio.to_thread(network.ways, (other.namespace, leader.namespace)):
+        if await asyncio.to_thread(network.open_directions, (other.namespace, leader.namespace)):
             raise FaultHadNoEffect(f"{leader.name} is reached although its link is down")
         recovery = await scene.recovery(began)
         await asyncio.sleep(scene.rng.uniform(1.0, 3.0))

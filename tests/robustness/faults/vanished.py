@@ -76,7 +76,7 @@ async def _unplugged(scene: Scene, namespace: NetworkNamespace) -> AsyncIterator
     network, other = scene.cluster.network, scene.cluster.supernodes[0].namespace
     network.set_link(namespace, up=False)
     try:
-        if await asyncio.to_thread(network.ways, (namespace, other)):
+        if await asyncio.to_thread(network.open_directions, (namespace, other)):
             raise FaultHadNoEffect(f"datagrams of {namespace.address} still arrive")
         yield
     finally:

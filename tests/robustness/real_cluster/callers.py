@@ -140,7 +140,7 @@ class Caller:
 
     def _check_owner(self, answer: Any, invoked: float) -> None:
         for host in self._hosts:
-            host.hear(answer.channel, invoked)
+            host.note_owner(answer.channel, invoked)
 
 
 def seen_in(record: channel_pb2.ChannelRecord, *, created: bool = False) -> SeenChannel:
@@ -152,7 +152,8 @@ def seen_in(record: channel_pb2.ChannelRecord, *, created: bool = False) -> Seen
 class HostActor:
     """A host without items: it registers, keeps its lease by the product's rules, and acts on the answers that it gets.
 
-    It runs in the process of the callers. So `hear` can compare an answer with the host's lease at the same moment.
+    It runs in the process of the callers. So `note_owner` can compare an answer with the host's lease at the same
+    moment.
     """
 
     def __init__(self, number: int, cluster: Cluster, seed: int) -> None:
@@ -166,7 +167,7 @@ class HostActor:
         self._entered = 0.0
         self.registrations = self.renewals = self.fenced = 0
 
-    def hear(self, record: channel_pb2.ChannelRecord, asked_s: float) -> None:
+    def note_owner(self, record: channel_pb2.ChannelRecord, asked_s: float) -> None:
         """Process a record that a caller got from the directory. `asked_s`: the beginning of the call.
 
         Raises TwoOwners if the record names another owner while this host still serves the channel. The host takes a

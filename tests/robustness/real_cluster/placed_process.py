@@ -76,9 +76,9 @@ class PlacedProcess:
     async def start(self) -> bool:
         """Start the process, and wait until it is ready. Returns False if it ended instead."""
         await self.launch()
-        return await self.said_ready()
+        return await self.wait_until_ready()
 
-    async def said_ready(self) -> bool:
+    async def wait_until_ready(self) -> bool:
         """Wait for the ready line of the process. Returns False if it ended instead."""
         assert self._process is not None
         assert self._process.stdout is not None

@@ -31,7 +31,7 @@ class FalseMessages:
         """`read_request_ids`: ids of requests that the victim has sent."""
         self._random_source = random_source
         self._victim = victim
-        self._asked = read_request_ids
+        self._read_request_ids = read_request_ids
         self._drawn: tuple[Callable[[], ProtobufMessage], ...] = (
             self._append,
             self._append,
@@ -57,8 +57,8 @@ class FalseMessages:
 
     def _request_id(self) -> int:
         return (
-            self._random_source.choice(self._asked)
-            if self._asked and self._random_source.random() < 0.8
+            self._random_source.choice(self._read_request_ids)
+            if self._read_request_ids and self._random_source.random() < 0.8
             else self._near(5)
         )
 

@@ -80,7 +80,7 @@ class SimMember:
             kept_log_bytes_max=world.kept_log_bytes,
         )
         self.disk = Disk()
-        self.said = MemberPromises(member.member_id)
+        self.promises = MemberPromises(member.member_id)
         # Whether it does not know the command `NEWER_COMMAND`, like a member of an older release.
         self.is_older = self.was_older = False
         self.machine = ListMachine(world.history)
@@ -130,13 +130,13 @@ class SimMember:
         """Lose everything except the data on the disk."""
         self.replica = None
         self.disk.lose_power(self.world.now, lucky=lambda: self.world.random_source.random() < 0.5)
-        self.said.check_kept(self.disk.newest)
+        self.promises.check_kept(self.disk.newest)
         self.world.on_crash(self)
 
     def put_back(self, state: StoredState) -> None:
         """Restore a backup of its disk while it is down."""
         self.disk.put_back(state)
-        self.said, self.rolled_back = MemberPromises(self.member.member_id), True
+        self.promises, self.rolled_back = MemberPromises(self.member.member_id), True
 
     def hang(self, seconds: float) -> None:
         """Stop its disk for `seconds`: the log stands still, and the rest of the process goes on."""
@@ -160,10 +160,10 @@ class SimMember:
     def release(self, messages: Sequence[Outgoing]) -> None:
         def leave() -> None:
             for to, message in messages:
-                self.said.note(to, message)
+                self.promises.note(to, message)
                 self.world.send(self.member.member_id, to, message)
             # The power may fail at this moment.
-            self.said.check_kept(self.disk.durable(self.world.now))
+            self.promises.check_kept(self.disk.durable(self.world.now))
 
         self.after_disk(leave)
 

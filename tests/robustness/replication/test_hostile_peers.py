@@ -138,7 +138,7 @@ class Victim:
             replica.deliver(StreamOpened(name))
         return replica
 
-    def hear(self, sender: str, message: pb.RaftMessage) -> None:
+    def deliver(self, sender: str, message: pb.RaftMessage) -> None:
         """Take a message as the servicer does: an unreadable or too large one ends the stream."""
         try:
             decoded = decode_message(pb.RaftMessage.FromString(message.SerializeToString()))
@@ -165,7 +165,7 @@ def test_no_message_of_a_member_ends_a_process_or_spoils_its_store(seed: int, tm
     random_source = random.Random(f"hostile-{seed}")
     victim = Victim(random_source, tmp_path)
     for _ in range(MESSAGES):
-        victim.hear(
+        victim.deliver(
             random_source.choice("bbc"), FalseMessages(random_source, victim.replica, victim.network.asked).message()
         )
         if random_source.random() < 0.5:
@@ -188,7 +188,7 @@ class Outsider:
         self._world = world
         self._random_source = random.Random(f"outsider-{world.random_source.random()}")
         self.over = False
-        self.heard = 0
+        self.received = 0
 
     def begin(self) -> None:
         """Send something to a member every few milliseconds."""
@@ -205,7 +205,7 @@ class Outsider:
         if name not in replica.roster.peers:  # as in production: a refused hello names its sender
             replica.deliver(NodeIntroduced(name, member))
             return
-        self.heard += 1
+        self.received += 1
         replica.deliver(LinkConnected(name))
         replica.deliver(StreamOpened(name))
         replica.deliver(MembersReported(name, (member, Member(member_id=f"{name}'", address="elsewhere:1"))))
@@ -234,7 +234,7 @@ def test_callers_that_are_not_members_cannot_stop_the_cluster(seed: int) -> None
     status = leader.replica.status()
     assert (status.is_leader, status.term) == (True, term)
     assert len(world.history.acknowledged) > acknowledged + 100
-    assert outsider.heard == 0
+    assert outsider.received == 0
     outsider.over = trial.over = True
     heal_and_check(world)
 

@@ -54,7 +54,7 @@ class LiveMember:
         self.member = Member(member_id=member_id, address=f"127.0.0.1:{self.port}")
         self.log: ReplicatedLog | None = None
         # The members that it learned of when it volunteered; None for a founder.
-        self.told: list[Member] | None = None
+        self.known_members: list[Member] | None = None
 
     async def start(
         self, members: list[Member], timing: RaftTiming, *, snapshot_every: int, joining: bool = False
@@ -102,7 +102,7 @@ class LiveCluster:
     async def volunteer(self) -> LiveMember:
         """A new process that waits to be added."""
         newcomer = self._made(len(self.all))
-        newcomer.told = list(running(await self.leader()).status().members)
+        newcomer.known_members = list(running(await self.leader()).status().members)
         self.all.append(newcomer)
         await self.start(newcomer)
         return newcomer
@@ -133,7 +133,7 @@ class LiveCluster:
         return self
 
     async def start(self, member: LiveMember) -> None:
-        members, joining = member.told or self.members, member.told is not None
+        members, joining = member.known_members or self.members, member.known_members is not None
         await member.start(members, self._timing, snapshot_every=self._snapshot_every, joining=joining)
 
     async def __aexit__(self, *exc_info: object) -> None:

@@ -72,9 +72,9 @@ class LoneNode:
     def receive(self, sender: str, message: Message) -> list[tuple[str, Message]]:
         """Give the node a message, and return its answers."""
         self.node.transport.deliver(MessageReceived(sender, message))
-        return self.said()
+        return self.sent_messages()
 
-    def said(self) -> list[tuple[str, Message]]:
+    def sent_messages(self) -> list[tuple[str, Message]]:
         """Return the node's messages since the last call."""
         return [(to, decode_message(encode_message(message))) for to, message in self.node.transport.take_outbox()]
 
@@ -85,7 +85,7 @@ class LoneNode:
 
     def tick(self) -> list[tuple[str, Message]]:
         self.node.tick()
-        return self.said()
+        return self.sent_messages()
 
     def campaign(self) -> int:
         """Have the node stand for election now; return the term."""

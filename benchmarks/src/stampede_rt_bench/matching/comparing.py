@@ -47,4 +47,8 @@ def _cells(judgement: Judgement) -> tuple[str, ...]:
         for share in (0.5, 0.99, 1)
     ]
     counts = (judgement.possible, judgement.right, judgement.wrong, judgement.unmatched)
-    return (*map(number, counts), Cell("-", None) if judgement.told is None else number(judgement.told), *shown)
+    return (
+        *map(number, counts),
+        Cell("-", None) if judgement.reported_count is None else number(judgement.reported_count),
+        *shown,
+    )

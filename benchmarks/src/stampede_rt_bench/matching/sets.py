@@ -32,16 +32,16 @@ class Replay:
 class Judgement:
     """`possible`: the sets of the whole recording. `right`: returned sets that are among these.
 
-    `wrong`: other returned sets. `unmatched`: reference items without a returned set. `told`: the number of these items
-    that the synchroniser reported; None if it cannot report them. `delays_nanos`: for each set, the time from the
-    arrival of its last item until the synchroniser returned the set.
+    `wrong`: other returned sets. `unmatched`: reference items without a returned set. `reported_count`: the number of
+    these items that the synchroniser reported; None if it cannot report them. `delays_nanos`: for each set, the time
+    from the arrival of its last item until the synchroniser returned the set.
     """
 
     possible: int
     right: int
     wrong: int
     unmatched: int
-    told: int | None
+    reported_count: int | None
     delays_nanos: Sequence[int]
 
 
@@ -56,7 +56,7 @@ def judge(replay: Replay, arrivals: Sequence[Arrival], tolerance_nanos: int) -> 
         right=right,
         wrong=len(replay.sets) - right,
         unmatched=references - len({one.reference for one in replay.sets}),
-        told=replay.reported_unmatched,
+        reported_count=replay.reported_unmatched,
         delays_nanos=sorted(one.given - _complete(one, arrived) for one in replay.sets),
     )
 

@@ -54,7 +54,7 @@ class RecordingStream(Subscription):
         super().__init__(session, state, begun, reconnecting)
         self._window = SteadyWindow(WINDOW_BYTES)
         self._batch = RecordedBatch()
-        self._told_advance: int | None = None
+        self._reported_advance: int | None = None
         self.opened_seq: int | None = None
         self.incarnation = self._next_incarnation = 0
 
@@ -120,8 +120,8 @@ class RecordingStream(Subscription):
         super()._take(response, runs)
         if response.HasField("progress") and response.progress.HasField("advance_unix_nano"):
             advance = response.progress.advance_unix_nano
-            if advance != self._told_advance:
-                self._told_advance = advance
+            if advance != self._reported_advance:
+                self._reported_advance = advance
                 self._batch.advance = (advance, response.progress.next_seq - 1)
 
     def _gap(self, gap: channel_pb.SubscriptionGap) -> RecordingGap:

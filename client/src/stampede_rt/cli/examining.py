@@ -144,7 +144,7 @@ class Examination:
         except StampedeError as error:
             refused = explain_refusal(part.address, tls) if isinstance(error, Unavailable) else None
             failure = refused or error
-            knows = part.kind != FRONTEND or not _said_by_itself(error)
+            knows = part.kind != FRONTEND or not _is_own_answer(error)
             is_refused = isinstance(failure, PermissionDenied)
             return PartAnswer(
                 None, replace(seen, failure=failure.message, knows_supernodes=knows, refuses_caller=is_refused)
@@ -208,7 +208,7 @@ def _certificate(validity: Validity | None) -> dict[str, Any]:
     return {"certificate_left_s": validity.ends_s - time.time(), "certificate_lasts_s": lasts_s}
 
 
-def _said_by_itself(error: StampedeError) -> bool:
+def _is_own_answer(error: StampedeError) -> bool:
     """Whether the part itself answered that it is unavailable. If not, the call did not reach the part, or broke."""
     return error.from_service and isinstance(error, Unavailable)
 

@@ -177,9 +177,9 @@ def _member_row(status: GroupStatus[Channel], channel: Channel, form: str) -> di
         "newest": instant_text(member.newest) if for_people and member.newest is not None else member.newest,
         "ahead": _lead(member.lead_nanos) if for_people else member.lead_nanos,
         "hidden": member.hidden,
-        "holds_the_cut": _said(channel in status.waiting_on, for_people),
-        "idle": _said(member.idle, for_people),
-        "window_too_short": _said(member.window_too_short, for_people),
+        "holds_the_cut": _shown_flag(channel in status.waiting_on, for_people),
+        "idle": _shown_flag(member.idle, for_people),
+        "window_too_short": _shown_flag(member.window_too_short, for_people),
     }
 
 
@@ -190,7 +190,7 @@ def _lead(nanos: int | None) -> str | None:
     return format_duration(nanos) if nanos else "at the cut"
 
 
-def _said(fact: bool, for_people: bool) -> bool | str:
+def _shown_flag(fact: bool, for_people: bool) -> bool | str:
     return ("yes" if fact else "no") if for_people else fact
 
 

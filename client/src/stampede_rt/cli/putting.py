@@ -116,7 +116,7 @@ def _put_many(channel: Channel, payload: bytes, arguments: argparse.Namespace) -
     """Put until the input ends, the count is reached, or Ctrl-C. Return FAILED if the host has refused an item."""
     stopping = threading.Event()
     interruption.ends(stopping.set, STOP_S)
-    with channel.producer() as producer, _told_if_cut_off(producer):
+    with channel.producer() as producer, _reporting_cut_off(producer):
         _feed(producer, payload, arguments, stopping)
         refusal = _flushed(producer)
     refused = f", {producer.rejections} refused" if producer.rejections else ""
@@ -128,7 +128,7 @@ def _put_many(channel: Channel, payload: bytes, arguments: argparse.Namespace) -
 
 
 @contextmanager
-def _told_if_cut_off(producer: Producer) -> Iterator[None]:
+def _reporting_cut_off(producer: Producer) -> Iterator[None]:
     """If Ctrl-C ends the block before the last acknowledgement, say how many items the host has accepted."""
     try:
         yield

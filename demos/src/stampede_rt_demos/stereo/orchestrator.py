@@ -151,7 +151,7 @@ def _report(results: Mapping[str, Message], clock: LoopedClock, seconds: int) ->
         pairs=depth["left"]["pairs"],
         wrong=depth["left"]["wrong"] + depth["right"]["wrong"] + results["latecomer"]["wrong"],
         alone_expected={side: without_partner(side, clock, length) for side in Side},
-        alone_told={Side.LEFT: depth["left"]["alone"], Side.RIGHT: depth["right"]["alone"]},
+        alone_reported={Side.LEFT: depth["left"]["alone"], Side.RIGHT: depth["right"]["alone"]},
         dropped=depth["left"]["dropped"] + depth["right"]["dropped"],
         measured=[(at, disparity, truth) for at, disparity, truth in depth["measured"]],
         latecomer_pairs=results["latecomer"]["pairs"],

@@ -61,7 +61,7 @@ def _draw_disparity(lane: Axes, report: StereoReport, frame_nanos: int) -> None:
     lane.plot(seconds, [truth for _, _, truth in report.measured], color=ORANGE, linewidth=3, label="true")
     lane.plot(seconds, [one for _, one, _ in report.measured], ".", color=BLUE, markersize=4, label="measured")
     for side, mark, height in ((Side.LEFT, "v", 1.6), (Side.RIGHT, "^", 0.6)):
-        at = [number * frame_nanos / NANOS_PER_SECOND for number in report.alone_told[side]]
+        at = [number * frame_nanos / NANOS_PER_SECOND for number in report.alone_reported[side]]
         label = f"{side.name.lower()} frame without a partner"
         lane.plot(at, [height] * len(at), mark, color=GREEN, markersize=6, label=label)
     lane.vlines(report.seconds / 2, 0, DISPARITY_MAX + 3, color=FAINT, linestyle="--", linewidth=1)

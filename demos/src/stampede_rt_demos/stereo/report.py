@@ -17,8 +17,9 @@ LINE_CHARS = 100
 class StereoReport:
     """The results of a run.
 
-    `alone_expected`, `alone_told`: by camera, the numbers of its frames without a partner, as planned and as reported
-    to the consumer. `measured`: nanoseconds since the start, measured and true disparity in pixels, for each pair.
+    `alone_expected`, `alone_reported`: by camera, the numbers of its frames without a partner, as planned and as
+    reported to the consumer. `measured`: nanoseconds since the start, measured and true disparity in pixels, for each
+    pair.
     `put_p50_nanos`: by camera, the median time of a put before, and after, the second consumer joined; None: no put.
     """
 
@@ -28,7 +29,7 @@ class StereoReport:
     pairs: int
     wrong: int
     alone_expected: Mapping[Side, Sequence[int]]
-    alone_told: Mapping[Side, Sequence[int]]
+    alone_reported: Mapping[Side, Sequence[int]]
     dropped: int
     measured: Sequence[tuple[int, int, int]]
     latecomer_pairs: int
@@ -41,7 +42,7 @@ class StereoReport:
     @property
     def told_of_all(self) -> bool:
         """Whether the consumer got a report of every frame without a partner, once, and of no other frame."""
-        return all(sorted(self.alone_told[side]) == list(self.alone_expected[side]) for side in Side)
+        return all(sorted(self.alone_reported[side]) == list(self.alone_expected[side]) for side in Side)
 
     @property
     def close(self) -> int:
@@ -68,7 +69,7 @@ def _camera(side: Side, report: StereoReport) -> dict[str, object]:
         "camera": side.name.lower(),
         "frames": report.sent[side],
         "without_partner": len(report.alone_expected[side]),
-        "told_of": len(report.alone_told[side]),
+        "told_of": len(report.alone_reported[side]),
         "put_p50_before_nanos": before,
         "put_p50_after_nanos": after,
     }
@@ -77,7 +78,7 @@ def _camera(side: Side, report: StereoReport) -> dict[str, object]:
 def render(report: StereoReport) -> str:
     """Return the results as text, one sentence a line."""
     left, right = (report.sent[side] for side in Side)
-    alone = sum(len(report.alone_told[side]) for side in Side)
+    alone = sum(len(report.alone_reported[side]) for side in Side)
     expected = sum(len(report.alone_expected[side]) for side in Side)
     lines = [
         f"Cameras: {left} left and {right} right frames in {report.seconds} s, up to 3 ms off their time, some lost.",
@@ -100,7 +101,7 @@ def render(report: StereoReport) -> str:
 
 def subtitle(report: StereoReport) -> str:
     """Return the run in one line, for the picture."""
-    alone = sum(len(report.alone_told[side]) for side in Side)
+    alone = sum(len(report.alone_reported[side]) for side in Side)
     named = "all named" if report.told_of_all else "NOT all named"
     return (
         f"{report.pairs} of {report.pairs_possible} pairs, {report.wrong} wrong; {alone} frames without a partner, "

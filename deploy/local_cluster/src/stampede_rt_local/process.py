@@ -190,7 +190,7 @@ class _Run:
         self.ready_or_ended = threading.Event()
         self._on_line = on_line
         self._on_exit = on_exit
-        self._asked = False
+        self._stop_requested = False
         self.popen = popen_class(
             command,
             stdin=subprocess.PIPE,  # `parent_watch` reads it; the kernel closes it when this process ends
@@ -209,8 +209,8 @@ class _Run:
 
     def ask_to_stop(self) -> None:
         """Send SIGTERM only once, because a second one would make the service stop its drain."""
-        if not self._asked:
-            self._asked = True
+        if not self._stop_requested:
+            self._stop_requested = True
             self.signal(signal.SIGTERM)
             self.signal(signal.SIGCONT)  # a paused process gets no other signal
 

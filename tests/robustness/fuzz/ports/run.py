@@ -104,14 +104,14 @@ async def _attack(
 
 
 async def _watch_memory(cluster: FuzzedCluster, report: Callable[[str], None]) -> None:
-    outcome, next_told = cluster.outcome, 10_000
+    outcome, next_report = cluster.outcome, 10_000
     while True:
         with suppress(OSError):
             now_mib = cluster.memory_mib()
             outcome.most_mib = max(outcome.most_mib, now_mib)
-            if outcome.inputs >= next_told:
+            if outcome.inputs >= next_report:
                 report(f"{outcome.port}: {outcome.inputs:,} inputs, {outcome.seconds:.0f} s, {now_mib:.1f} MiB")
-                next_told += 10_000
+                next_report += 10_000
         await asyncio.sleep(0.25)
 
 

@@ -50,8 +50,9 @@ def test_our_match_gives_no_wrong_set_and_reports_every_item_without_a_set(condi
     arrivals = record(found, 15, 3)
     judgement = judge(ours.replay(arrivals, found.tolerance_nanos), arrivals, found.tolerance_nanos)
     assert judgement.wrong == 0
-    assert judgement.told is not None
-    assert 0 <= judgement.unmatched - judgement.told <= 2  # the last items are not decided when the recording ends
+    assert judgement.reported_count is not None
+    # The last items are not decided when the recording ends.
+    assert 0 <= judgement.unmatched - judgement.reported_count <= 2
 
 
 def test_the_table_has_every_synchroniser_or_advice_how_to_get_it(

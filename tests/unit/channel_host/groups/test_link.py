@@ -31,7 +31,7 @@ class Notebook:
 
     def __init__(self) -> None:
         self.newest = 1
-        self.heard: list[tuple[pb.TimesUpdate, bool]] = []
+        self.received: list[tuple[pb.TimesUpdate, bool]] = []
         self.asked: list[set[bytes]] = []
         self.has_lease = True
         self.stands = asyncio.Event()
@@ -44,7 +44,7 @@ class Notebook:
         return CutFloor(group_id, 0, self.newest, 0)
 
     def receive(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
-        self.heard.append((update, is_first))
+        self.received.append((update, is_first))
 
     def name_of_host(self, host_id: bytes) -> str:
         return self.names.get(host_id, "")
@@ -124,7 +124,7 @@ async def test_a_link_reports_when_the_other_host_has_sent_its_whole_state() -> 
     await wire.say(pb.TimesUpdate())
     await wire.say(pb.TimesUpdate())
     await wire.end()
-    assert [is_first for _, is_first in notebook.heard] == [False, True, False]
+    assert [is_first for _, is_first in notebook.received] == [False, True, False]
 
 
 async def test_a_certificate_is_valid_only_for_the_host_that_it_names() -> None:
@@ -138,7 +138,7 @@ async def test_a_certificate_is_valid_only_for_the_host_that_it_names() -> None:
     await own.greet()
     await own.say(pb.TimesUpdate())
     await own.end()
-    assert len(notebook.heard) == 1
+    assert len(notebook.received) == 1
 
 
 async def test_a_host_accepts_no_further_messages_under_an_outdated_host_name() -> None:
@@ -150,7 +150,7 @@ async def test_a_host_accepts_no_further_messages_under_an_outdated_host_name() 
     await wire.say(pb.TimesUpdate(floors=[group_pb2.CutFloor(cut_unix_nano=1)]))
     with pytest.raises(PermissionDenied):
         await wire.running
-    assert notebook.heard == []
+    assert notebook.received == []
 
 
 @pytest.mark.parametrize(

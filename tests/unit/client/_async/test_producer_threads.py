@@ -91,20 +91,20 @@ def test_a_flush_raises_the_refusal_that_another_thread_counts_while_the_flush_l
     producer = producer_of(session)
     unacked = producer._unacked = WatchedRuns()
     producer.put(b"x")
-    has_told, flushed = threading.Event(), threading.Event()
+    has_reported, flushed = threading.Event(), threading.Event()
 
     def slow(error: Any) -> st.StampedeError:
-        has_told.set()
+        has_reported.set()
         flushed.wait(0.2)
         return from_error_message(error)
 
     def tell() -> None:
         session.on_response(pb.PutResponse(acks=[refused()]))
-        has_told.set()
+        has_reported.set()
 
     def looked() -> None:
         threading.Thread(target=tell).start()
-        assert has_told.wait(LIMIT_S)
+        assert has_reported.wait(LIMIT_S)
 
     monkeypatch.setattr(producer_module, "from_error_message", slow)
     unacked.looks = [lambda: None, looked]  # the flush first looks whether there is room

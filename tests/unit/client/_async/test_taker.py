@@ -41,7 +41,7 @@ class Stream:
         self.error = error
         self.sent_requests: list[pb.TakeRequest] = []
         self.answers: asyncio.Queue[pb.TakeResponse | st.StampedeError | None] = asyncio.Queue()
-        self.heard = asyncio.Event()
+        self.has_request = asyncio.Event()
 
     async def send(self, request: pb.TakeRequest) -> None:
         self.sent_requests.append(request)
@@ -49,7 +49,7 @@ class Stream:
             self.answers.put_nowait(self.error)
         elif self.opens and request.HasField("open"):
             self.deliver()
-        self.heard.set()
+        self.has_request.set()
 
     def cancel(self) -> None:
         self.answers.put_nowait(None)
@@ -129,7 +129,7 @@ class Host:
 
     async def next_stream(self) -> Stream:
         stream = await asyncio.wait_for(self.streams.get(), LIMIT_S)
-        await asyncio.wait_for(stream.heard.wait(), LIMIT_S)
+        await asyncio.wait_for(stream.has_request.wait(), LIMIT_S)
         return stream
 
 
@@ -142,8 +142,8 @@ def taker_at(host: Host, prefetch: int = 1) -> Taker:
 async def until_sent(stream: Stream, wanted: Any) -> None:
     async with asyncio.timeout(LIMIT_S):
         while not any(wanted(request) for request in stream.sent_requests):
-            stream.heard.clear()
-            await stream.heard.wait()
+            stream.has_request.clear()
+            await stream.has_request.wait()
 
 
 async def until_handed_over(taker: Taker) -> None:

@@ -60,7 +60,7 @@ REPORT = StereoReport(
     pairs=90,
     wrong=0,
     alone_expected={Side.LEFT: [3, 8], Side.RIGHT: [5]},
-    alone_told={Side.LEFT: [8, 3], Side.RIGHT: [5]},
+    alone_reported={Side.LEFT: [8, 3], Side.RIGHT: [5]},
     dropped=0,
     measured=[(0, 4, 4), (1, 6, 4)],
     latecomer_pairs=40,
@@ -83,6 +83,6 @@ def test_the_report_counts_paired_frames_and_names_every_unpaired_frame() -> Non
 
 
 def test_a_frame_that_was_not_announced_is_not_skipped() -> None:
-    forgetful = dataclasses.replace(REPORT, alone_told={Side.LEFT: [8], Side.RIGHT: [5]})
+    forgetful = dataclasses.replace(REPORT, alone_reported={Side.LEFT: [8], Side.RIGHT: [5]})
     assert not forgetful.told_of_all
     assert "NOT exactly these" in render(forgetful)

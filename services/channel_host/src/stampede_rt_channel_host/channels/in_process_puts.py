@@ -26,7 +26,7 @@ from stampede_rt_channel_host.core.channel import ReferencedBody
 STEP_SECONDS_MAX = 0.001  # the longest step of the event loop with the runs of one producer
 STEP_BYTES_MAX = 2**20  # the runs of one step, because the ring copies all of them at its end
 
-Tell = Callable[[Any], None]
+OnResult = Callable[[Any], None]
 
 
 def takes_runs(store: ChannelStore, channel_id: bytes, epoch: int) -> bool:
@@ -62,8 +62,8 @@ class InProcessPutStream:
         store: ChannelStore,
         channel: tuple[bytes, int],
         producer: tuple[int, int],
-        on_acks: Tell,
-        on_end: Tell,
+        on_acks: OnResult,
+        on_end: OnResult,
     ) -> None:
         """`channel`: its id and epoch. `producer`: its id, and the number of the `Ack` that it wants.
 

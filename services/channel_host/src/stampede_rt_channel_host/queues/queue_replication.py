@@ -49,7 +49,7 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         in_sync = ReplicasInSync(journal.next_step, _least(policy), is_replicated=is_replicated)
         super().__init__(in_sync, epoch, steady_nanos)
         self.journal = journal
-        self.heard: dict[bytes, tuple[int, int]] = {}  # by host: the time of its last report, and its place
+        self.reports: dict[bytes, tuple[int, int]] = {}  # by host: the time of its last report, and its place
         self._waiting: deque[tuple[int, object, Action]] = deque()
         self._behind_since: int | None = None
         self._ahead: AheadPut | None = None  # is sent, and not a step yet
@@ -108,8 +108,8 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         return [
             channel_pb2.FedCopyStatus(
                 host_id=host_id,
-                waiting=self.journal.next_step - self.heard.get(host_id, nothing)[1],
-                heard_ago_nanos=now - self.heard.get(host_id, (now, 1))[0],
+                waiting=self.journal.next_step - self.reports.get(host_id, nothing)[1],
+                heard_ago_nanos=now - self.reports.get(host_id, (now, 1))[0],
                 replica=True,
                 in_sync=state is ReplicaState.IN,
             )
@@ -123,7 +123,7 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
     def report(self, host_id: bytes, feed: QueueFeed, next_place: int) -> None:
         """Note that the replica at the end of this feed has all steps before `next_place`."""
         if self._feeds.get(host_id) is feed:
-            self.heard[host_id] = self._steady_nanos(), min(next_place, self.journal.next_step)
+            self.reports[host_id] = self._steady_nanos(), min(next_place, self.journal.next_step)
             self.strays.discard(host_id)  # it has begun anew: the feed of a stray does not continue
         super().report(host_id, feed, next_place)
 

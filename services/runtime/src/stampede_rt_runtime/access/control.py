@@ -51,7 +51,7 @@ class AccessControl:
     ) -> None:
         self._source = source
         self._state: AccessState | None = None
-        self._told = asyncio.Event()  # set at each change of the state
+        self._changed = asyncio.Event()  # set at each change of the state
         self._time_unix_nano = time_unix_nano
         self._tokens: OrderedDict[str, TokenClaims] = OrderedDict()
         self._open: set[OpenCall] = set()
@@ -73,7 +73,7 @@ class AccessControl:
         Ends the open calls whose caller has lost the credential, or a right that the call has used.
         """
         former, self._state = self._state, state
-        self._told.set()
+        self._changed.set()
         if former is None or former.quotas is not state.quotas:
             self.accounts.set_table(state.quotas)
         if former is not None and former.token_keys != state.token_keys:
@@ -113,8 +113,8 @@ class AccessControl:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(seconds_max):
                 while lacks():
-                    self._told.clear()
-                    await self._told.wait()
+                    self._changed.clear()
+                    await self._changed.wait()
 
     @property
     def version(self) -> int:

@@ -68,7 +68,7 @@ class Inbox:
         self.events.append(event)
         self._changed.set()
 
-    async def heard(self, kind: type[NetworkEvent]) -> None:
+    async def wait_for(self, kind: type[NetworkEvent]) -> None:
         """Wait for an event of that kind."""
         while not any(isinstance(event, kind) for event in self.events):
             self._changed.clear()
@@ -103,9 +103,9 @@ async def test_a_members_stream_ends_when_a_newer_one_replaces_it() -> None:
         new = await opened_stream(channel)
         assert await old.code() is grpc.StatusCode.UNAVAILABLE
         await new.write(pb.RaftServiceExchangeRequest(messages=[timeout_now(7)]))
-        await inbox.heard(MessageReceived)
+        await inbox.wait_for(MessageReceived)
         new.cancel()
-        await inbox.heard(StreamEnded)
+        await inbox.wait_for(StreamEnded)
     await server.stop(None)
     kinds = [type(event) for event in inbox.events]
     assert kinds == [StreamOpened, StreamOpened, MessageReceived, StreamEnded]
@@ -135,9 +135,9 @@ async def test_a_refused_copy_of_a_connected_member_is_logged_once_and_does_not_
             inbox.promise = Promise(1, promised)
             answers.add(await greeted_by_an_older_copy(channel))
         await call.write(pb.RaftServiceExchangeRequest(messages=[timeout_now(7)]))
-        await inbox.heard(MessageReceived)
+        await inbox.wait_for(MessageReceived)
         call.cancel()
-        await inbox.heard(StreamEnded)
+        await inbox.wait_for(StreamEnded)
         assert servicer.refused() == {}
         # While OTHER has no stream, such a caller may be OTHER itself. So its store counts as refused.
         await greeted_by_an_older_copy(channel)

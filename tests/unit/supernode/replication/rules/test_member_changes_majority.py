@@ -94,10 +94,10 @@ def test_the_leader_hands_over_to_a_member_that_has_answered_in_this_term() -> N
     leader = Leader()
     leader.changes.hand_over(HandOver(lambda left: None))
     leader.changes.advance()
-    assert not [message for _, message in leader.said() if isinstance(message, TimeoutNow)]
+    assert not [message for _, message in leader.sent_messages() if isinstance(message, TimeoutNow)]
     leader.receive("c", acknowledgement(leader.term, leader.node.log.last_index + 1))
     leader.changes.advance()
-    assert [to for to, message in leader.said() if isinstance(message, TimeoutNow)] == ["c"]
+    assert [to for to, message in leader.sent_messages() if isinstance(message, TimeoutNow)] == ["c"]
 
 
 def test_a_new_member_that_fell_silent_becomes_a_voter_only_after_it_answers_again() -> None:

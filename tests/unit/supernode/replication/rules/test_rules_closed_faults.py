@@ -126,7 +126,7 @@ def test_a_snapshot_that_cannot_be_loaded_is_not_acknowledged(rules: type) -> No
         assert lone.held() == [(1, 0)]
     else:
         replies += lone.receive("b", piece(5, last, commit=9))
-    assert not any(says_success(message) for _, message in replies + lone.said())
+    assert not any(says_success(message) for _, message in replies + lone.sent_messages())
 
 
 @ON_BOTH

@@ -45,7 +45,7 @@ def locked_out(lone: LoneNode) -> None:
     lone.node.before_tick()
     lone.now += 2 * lone.node.locked_out_seconds
     lone.node.before_tick()
-    lone.said()
+    lone.sent_messages()
 
 
 @pytest.mark.parametrize(
@@ -209,7 +209,7 @@ def test_a_member_that_asks_repeatedly_waits_only_for_the_last_answer() -> None:
     for number in range(1000):
         lone.node.transport.deliver(MessageReceived("b", ReadIndexRequest(request_id=number)))
     lone.node.reads.start_round()
-    assert [message.request_id for _, message in lone.said()] == [999]
+    assert [message.request_id for _, message in lone.sent_messages()] == [999]
 
 
 def test_a_hostile_leader_that_names_a_removed_member_again_stops_no_process() -> None:

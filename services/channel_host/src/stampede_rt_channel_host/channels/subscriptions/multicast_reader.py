@@ -25,7 +25,7 @@ class MulticastReader:
     def __init__(self) -> None:
         self._multicasts: Multicasts | None = None
         self._channel: ChannelMulticast | None = None
-        self._told_key = 0
+        self._announced_key = 0
         self.asked_bytes = 0  # the bytes of the last repair
         self._asked_seq: int | None = None  # the seq of a repair, until the cursor is there
         self._owed_seq: int | None = None  # the seq of a repair, until the reader has its answer
@@ -77,8 +77,8 @@ class MulticastReader:
         response = pb.SubscribeResponse(repair_next_seq=self._owed_seq)
         self._owed_seq = None
         offer = self._channel.offer
-        if offer.key_number != self._told_key:
-            self._told_key = offer.key_number
+        if offer.key_number != self._announced_key:
+            self._announced_key = offer.key_number
             response.multicast.CopyFrom(
                 pb.MulticastOffer(
                     group=offer.group, stream_id=offer.stream_id, key_number=offer.key_number, key=offer.key,

@@ -17,7 +17,7 @@ from stampede_rt_supernode.core.records import PeerRecord
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.tables import Tables
 
-CALLERS_TOLD_MAX = 100
+CALLERS_NAMED_MAX = 100
 
 
 def access_state(directory: DirectoryState) -> AccessState:
@@ -36,7 +36,7 @@ def access_state(directory: DirectoryState) -> AccessState:
 def things_of_callers(directory: DirectoryState) -> list[tuple[str, Quota, int]]:
     """The (caller, quota, number of its things) of the callers with the most channels, queues, groups or peers.
 
-    Returns CALLERS_TOLD_MAX callers at most for each quota.
+    Returns CALLERS_NAMED_MAX callers at most for each quota.
     """
     tables = directory.tables
     counted = {
@@ -45,7 +45,7 @@ def things_of_callers(directory: DirectoryState) -> list[tuple[str, Quota, int]]
         Quota.GROUPS: tables.groups.creators,
         Quota.PEERS: tables.peers.creators,
     }
-    return [(name, quota, n) for quota, of in counted.items() for name, n in of.largest(CALLERS_TOLD_MAX)]
+    return [(name, quota, n) for quota, of in counted.items() for name, n in of.largest(CALLERS_NAMED_MAX)]
 
 
 def thing_with(tables: Tables, kind: AccessKind, thing_id: bytes) -> str | PeerRecord | None:
