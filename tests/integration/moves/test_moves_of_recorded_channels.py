@@ -94,6 +94,20 @@ def test_puts_that_waited_for_the_disk_are_on_the_disk_of_the_new_host(rt: Any, 
     )
 
 
+def test_the_instants_of_acceptance_move_along_also_after_a_crash(rt: Any, cluster: LocalCluster) -> None:
+    channel, began = filled(rt, ack="disk")
+    known = []
+    for count in range(101, 105):
+        channel.put(b"%d" % (count - 1), time=began + (count - 1) * MS)
+        known.append((channel.stats().host_time, count))
+    cluster.hosts[0].kill()
+    cluster.hosts[0].restart()
+    wait_until(lambda: payloads(read(channel, began, 0, 104)) == [*range(104)], "the restarted host serves")
+    rt.move(channel, "h2")
+    for instant, count in known:
+        assert payloads(channel.get(began, began + 104 * MS, as_of=instant)) == [*range(104 - HELD, count)]
+
+
 def test_no_move_or_drain_gives_a_recorded_channel_to_a_host_without_an_archive(rt: Any, cluster: LocalCluster) -> None:
     channel, _ = filled(rt)
     with pytest.raises(st.InvalidArgument, match="this host has no archive; move it to a host that has one"):

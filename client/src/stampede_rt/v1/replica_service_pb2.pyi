@@ -166,7 +166,7 @@ class FeedKey(_message.Message):
     def __init__(self, time_unix_nano: _Optional[int] = ..., seq: _Optional[int] = ...) -> None: ...
 
 class FeedState(_message.Message):
-    __slots__ = ("first_seq", "next_seq", "cleared", "collection", "advance_unix_nano", "channel", "heard_nanos", "staleness_nanos", "source_next_seq", "floors", "owner", "handoff", "put")
+    __slots__ = ("first_seq", "next_seq", "cleared", "collection", "advance_unix_nano", "channel", "heard_nanos", "staleness_nanos", "source_next_seq", "floors", "owner", "handoff", "put", "accepted", "advance_accepted_unix_nano")
     FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
     NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     CLEARED_FIELD_NUMBER: _ClassVar[int]
@@ -180,6 +180,8 @@ class FeedState(_message.Message):
     OWNER_FIELD_NUMBER: _ClassVar[int]
     HANDOFF_FIELD_NUMBER: _ClassVar[int]
     PUT_FIELD_NUMBER: _ClassVar[int]
+    ACCEPTED_FIELD_NUMBER: _ClassVar[int]
+    ADVANCE_ACCEPTED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     first_seq: int
     next_seq: int
     cleared: FeedKey
@@ -193,7 +195,17 @@ class FeedState(_message.Message):
     owner: OwnerFacts
     handoff: FeedHandoff
     put: FedPut
-    def __init__(self, first_seq: _Optional[int] = ..., next_seq: _Optional[int] = ..., cleared: _Optional[_Union[FeedKey, _Mapping]] = ..., collection: _Optional[_Union[FeedCollection, _Mapping]] = ..., advance_unix_nano: _Optional[int] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., heard_nanos: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., floors: _Optional[_Iterable[_Union[_group_pb2.CutFloor, _Mapping]]] = ..., owner: _Optional[_Union[OwnerFacts, _Mapping]] = ..., handoff: _Optional[_Union[FeedHandoff, _Mapping]] = ..., put: _Optional[_Union[FedPut, _Mapping]] = ...) -> None: ...
+    accepted: FedAcceptances
+    advance_accepted_unix_nano: int
+    def __init__(self, first_seq: _Optional[int] = ..., next_seq: _Optional[int] = ..., cleared: _Optional[_Union[FeedKey, _Mapping]] = ..., collection: _Optional[_Union[FeedCollection, _Mapping]] = ..., advance_unix_nano: _Optional[int] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., heard_nanos: _Optional[int] = ..., staleness_nanos: _Optional[int] = ..., source_next_seq: _Optional[int] = ..., floors: _Optional[_Iterable[_Union[_group_pb2.CutFloor, _Mapping]]] = ..., owner: _Optional[_Union[OwnerFacts, _Mapping]] = ..., handoff: _Optional[_Union[FeedHandoff, _Mapping]] = ..., put: _Optional[_Union[FedPut, _Mapping]] = ..., accepted: _Optional[_Union[FedAcceptances, _Mapping]] = ..., advance_accepted_unix_nano: _Optional[int] = ...) -> None: ...
+
+class FedAcceptances(_message.Message):
+    __slots__ = ("end_seqs", "accepted_unix_nano")
+    END_SEQS_FIELD_NUMBER: _ClassVar[int]
+    ACCEPTED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    end_seqs: _containers.RepeatedScalarFieldContainer[int]
+    accepted_unix_nano: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, end_seqs: _Optional[_Iterable[int]] = ..., accepted_unix_nano: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class FeedHandoff(_message.Message):
     __slots__ = ("host_time_unix_nano", "permit")

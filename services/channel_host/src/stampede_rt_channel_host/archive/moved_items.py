@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import islice
 
+from stampede_rt_channel_host.core.archive import Segment
 from stampede_rt_channel_host.core.channel import ChannelCore
 
 SLICES_PER_LOOK = 2048  # a look at this many takes about 1 ms
@@ -43,3 +44,12 @@ class MovedItems:
         first = next(self._channel.accepted_from(self.lacks_from), None)
         if first is not None:
             self.lacks_from = max(self.lacks_from, min(first.run.first_seq, self._end))
+
+
+def lacks_from(channel: ChannelCore, segments: tuple[Segment, ...]) -> int:
+    """The first seq that the archive lacks, by its segments: the seq after its last item, or without segments the first
+    held seq. In a shared archive, `MovedItems` may then find a later one.
+    """
+    held = next(iter(channel.accepted_from(0)), None)
+    first = channel.next_seq if held is None else held.first_seq
+    return max((one.end_seq for one in segments), default=first)

@@ -11,7 +11,8 @@ from typing import NamedTuple
 from stampede_rt.values.seq_starts import given_between
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.disk_use import FOLDER_BYTES, ChannelDiskUse, DiskUse
-from stampede_rt_channel_host.archive.moved_items import MovedItems
+from stampede_rt_channel_host.archive.former_files import FormerFiles
+from stampede_rt_channel_host.archive.moved_items import MovedItems, lacks_from
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
 from stampede_rt_channel_host.archive.waiting_puts import WaitingPuts
 from stampede_rt_channel_host.archive.written_parts import Advances, SeqGap
@@ -25,6 +26,7 @@ from stampede_rt_channel_host.core.archive import (
     span_of,
 )
 from stampede_rt_channel_host.core.channel import ChannelCore, Run
+from stampede_rt_channel_host.core.channel.acceptances import Acceptances, AcceptedAdvance
 
 RUNS_PER_WRITE = 2048  # it takes about 2 ms to gather this many runs
 BYTES_PER_WRITE, WRITE_FROM_BYTES = 16 * 2**20, 4 * 2**20  # the most in a write; the waiting bytes that begin a write
@@ -75,18 +77,21 @@ class ChannelRecorder:
         self.limits = ArchiveLimits(None, None)
         self.encoded_retries: Callable[[], bytes] = bytes
         """Returns the encoded retry window of the producers."""
-        self.on_listed: Callable[[CleanStop | None], None] = _ignore
+        self.on_listed: Callable[[CleanStop | None], None] = lambda stop: None
         """Is called when the object store has listed its segments, with the clean stop of the last owner."""
+        self.former = FormerFiles()
         self._channel = channel
-        self._came = MovedItems(channel) if from_memory and files.is_shared else None
-        self.archived_to = _lacks_from(channel, segments) if from_memory else channel.next_seq
+        self._accepted = channel.acceptances = channel.acceptances or Acceptances()
+        self.came = MovedItems(channel) if from_memory and files.is_shared else None
+        """The items that came with a move, while it is not known which of them to write first; otherwise None."""
+        self.archived_to = lacks_from(channel, segments) if from_memory else channel.next_seq
         """All seqs below `archived_to` are on stable storage, or lost to the archive."""
         self._puts = WaitingPuts(files.run_bytes_max)
         self._advances: list[ArchivedAdvance] = []  # the advances that are not archived yet
         self._advances_taken = 0  # how many of them, from the first on, a write has taken
         self._advance: int | None = None  # the latest advance
         self._lost_before: int | None = None  # see `note_loss`; None: no loss is to be written
-        self._found_to: int | None = None  # see `note_loss`
+        self._found_to: int | None = None
         self._has_told_loss = False
         channel.record(self.archived_to)
         self.begin()
@@ -97,30 +102,32 @@ class ChannelRecorder:
 
         In a shared archive, the items before the last hole in memory come from the former owner (see `MovedItems`).
         """
-        came = self._came
-        if came is not None:
+        if (came := self.came) is not None:
             came.look()
             if came.is_known:
-                self._came = None
+                self.came = None
             if came.lacks_from > self.archived_to:
                 self._end_puts(came.lacks_from)
-        return self._came is None
+        return self.came is None
 
     def _note_advance(self, now: int) -> bool:
         """Note the highest advance of the channel, if it has risen. Returns whether it has."""
         instant = self._channel.advanced_to
         if instant is None or instant == self._advance:
             return False
-        self._advance = instant
+        self._advance, known = instant, self._accepted.advance
+        if known is None or known.instant != instant:  # otherwise the former owner accepted it
+            known = self._accepted.advance = AcceptedAdvance(now, instant)
         if len(self._advances) - self._advances_taken >= ADVANCES_MAX:
             self._advances.pop()
-        self._advances.append(ArchivedAdvance(now, instant))
+        self._advances.append(ArchivedAdvance(*known))
         return True
 
     def note(self, now: int) -> bool:
         """Note that the channel has accepted items or an advance at `now`. Returns whether to write something."""
         has_advance = self._note_advance(now)
         end_seq, noted = self._channel.next_seq, self._puts.end_seq or self.archived_to
+        self._accepted.note(end_seq, now, self._channel.held)
         size = 0
         if end_seq > noted:
             sized_to, size = self._size_from(noted)
@@ -153,7 +160,9 @@ class ChannelRecorder:
     @property
     def waiting_since(self) -> int | None:
         """The acceptance instant of the first item or advance that is not archived, or None."""
-        return min((*self._puts.instants[:1], *(one.accepted for one in self._advances[:1])), default=None)
+        first = self._accepted.at(self.archived_to) if self._puts.instants else None
+        found = (first, *self._puts.instants[:1], *(one.accepted for one in self._advances[:1]))
+        return min((one for one in found if one is not None), default=None)
 
     @property
     def fills_a_write(self) -> bool:
@@ -256,8 +265,10 @@ class ChannelRecorder:
             parts.append([])
         runs = parts[-1]
         assert isinstance(runs, list), "the last part is a list of runs"
-        runs.append(ArchivedRun(self._puts.accepted_at(run.first_seq), run))
-        return run.first_seq + len(run)
+        accepted, end_seq = self._accepted, run.first_seq + len(run)
+        rows = accepted.between(run.first_seq, end_seq) if len(run) > 1 else None
+        runs.append(ArchivedRun(accepted.at(run.first_seq) or 0, run, rows if rows and len(rows.ends) > 1 else None))
+        return end_seq
 
     def keep(self, segments: tuple[Segment, ...]) -> None:
         """Note the segments that the archive has now."""
@@ -311,6 +322,7 @@ class ChannelRecorder:
     def stop(self) -> None:
         """Note that the archive no longer writes items of the channel. Idempotent."""
         self.is_stopped = True
+        self.former.note_all()
         self._expect(0)
         self.note_end(self.failure)
 
@@ -339,16 +351,3 @@ class ChannelRecorder:
             return self.failure or ("the host gave the channel up" if self.is_stopped else "the disk is too slow")
         is_lost = any(one.first_seq < end_seq and one.end_seq > first_seq for one in self._gaps)
         return "max_bytes collected items before they were written" if is_lost else ""
-
-
-def _lacks_from(channel: ChannelCore, segments: tuple[Segment, ...]) -> int:
-    """The first seq that the archive lacks, by its segments: the seq after its last item, or without segments the first
-    held seq. In a shared archive, `ChannelRecorder.begin` may then find a later one.
-    """
-    held = next(iter(channel.accepted_from(0)), None)
-    first = channel.next_seq if held is None else held.first_seq
-    return max((one.end_seq for one in segments), default=first)
-
-
-def _ignore(_: CleanStop | None) -> None:
-    """Does nothing, because nobody waits for a listing."""

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Sequence
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from stampede_rt_channel_host.archive.kept_blocks import FoundBlocks, KeptBlocks
 from stampede_rt_channel_host.archive.segment_folder import SegmentFolder, reads_of
 from stampede_rt_channel_host.archive.segment_reads import SegmentReads
 from stampede_rt_channel_host.archive.stable_writes import start_flush, sync_folder, write_all
-from stampede_rt_channel_host.archive.written_parts import Advances, SeqGap, WrittenPart
+from stampede_rt_channel_host.archive.written_parts import Advances, SeqGap, WrittenPart, by_instants
 from stampede_rt_channel_host.core.archive import (
     ADVANCE_BYTES,
     HEAD_BYTES,
@@ -213,9 +214,8 @@ class SegmentFiles(SegmentReads):
             accepted = self._begun_at if part.lost_before is None else part.lost_before
             self._append_block(*encode_gap(part.first_seq, part.end_seq, self._near, accepted), limits)
             return
-        waiting: list[ArchivedRun] = []
-        size = 0
-        for one in part:
+        waiting, size = list[ArchivedRun](), 0
+        for one in chain.from_iterable(map(by_instants, part)):
             waiting.append(one)
             size += len(one.run.body)
             if size >= BLOCK_BYTES:

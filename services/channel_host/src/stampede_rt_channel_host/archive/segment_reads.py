@@ -38,7 +38,7 @@ from stampede_rt_channel_host.core.archive import (
     reach_of,
     window_of,
 )
-from stampede_rt_channel_host.core.channel import Run
+from stampede_rt_channel_host.core.channel import AcceptedRows, Run
 
 Opened = Callable[[int], AbstractContextManager[ReadAt]]
 """Opens a segment. The context gives a function that reads its bytes."""
@@ -104,6 +104,7 @@ class SegmentReads:
         blocks_of = all_blocks_of if past is None else past.blocks_of(all_blocks_of)
         chosen = choose(segments, blocks_of, wanted.wanted)
         runs: list[Run] = []
+        accepted: list[tuple[int, int]] = []
         missing: list[Hole] = []
         taken: dict[Segment, set[int]] = {}
         for at, (segment, block) in enumerate(sorted(chosen.blocks, key=lambda one: one[1].head.first_seq)):
@@ -111,6 +112,8 @@ class SegmentReads:
                 rest()
             found = self._archived_runs_of(decode, segment, block, wanted.wanted.times, opened)
             runs += self.join([one.run for one in found or ()])
+            if wanted.with_instants:
+                accepted += [(one.run.first_seq + len(one.run), one.accepted) for one in found or ()]
             taken.setdefault(segment, set()).add(block.offset)
             if found is None:
                 missing.append(Hole(block.head.low[0], block.head.high[0], block.head.items))
@@ -122,7 +125,8 @@ class SegmentReads:
             reach = reach._replace(border=max(reach.border, past.as_of))
         missing += border_holes(segments, blocks_of, taken, reach)
         window = window_of(runs, chosen, wanted.low, wanted.high, down=wanted.wanted.down)
-        return window._replace(holes=missing, doubts=doubts)
+        rows = AcceptedRows(*zip(*accepted, strict=True)) if accepted else None
+        return window._replace(holes=missing, doubts=doubts, accepted=rows)
 
     def past(self, segments: Sequence[Segment], as_of: int, decode: Callable[[bytes], Run]) -> PastArchive:
         """The segments as they were at an earlier instant."""

@@ -51,11 +51,6 @@ class WaitingPuts:
         self._puts_max = max(JOIN_FROM_PUTS, 2 * len(self._ends))
         self._bytes_max = max(JOIN_FROM_BYTES, 2 * self.bytes)
 
-    def accepted_at(self, seq: int) -> int:
-        """The time at which the host accepted the put of the item `seq`; 0 if no put waits."""
-        at = bisect_right(self._ends, seq)
-        return self.instants[min(at, len(self.instants) - 1)] if self.instants else 0
-
     def end(self, end_seq: int) -> None:
         """Forget the puts whose items are below this seq: the archive has them, or will never have them."""
         done = bisect_right(self._ends, end_seq)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt_channel_host.core.archive import ArchivedAdvance, ArchivedRun
+from stampede_rt_channel_host.core.channel import make_run
 
 
 class SeqGap(NamedTuple):
@@ -27,3 +29,17 @@ class Advances(NamedTuple):
 
 
 WrittenPart = Sequence[ArchivedRun] | SeqGap | Advances
+
+
+def by_instants(joined: ArchivedRun) -> Iterator[ArchivedRun]:
+    """A run for each instant of acceptance, because a block has one instant for each run."""
+    if joined.rows is None:
+        yield joined
+        return
+    run, slicer, lo = joined.run, RunSlicer(bytes(joined.run.body)), 0
+    for end_seq, accepted in zip(*joined.rows, strict=True):
+        hi = len(run) if end_seq == joined.rows.ends[-1] else end_seq - run.first_seq
+        durations = None if run.durations is None else run.durations[lo:hi]
+        part = make_run(run.first_seq + lo, run.times[lo:hi], durations, run.lengths[lo:hi], slicer.cut(lo, hi))
+        yield ArchivedRun(accepted, part)
+        lo = hi

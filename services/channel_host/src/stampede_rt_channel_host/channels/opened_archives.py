@@ -68,4 +68,5 @@ async def _newest(archive: HostArchive, files: SegmentFiles, segments: tuple[Seg
 
 def _latest_from(low: ItemKey) -> WantedWindow:
     """The newest items, from the key `low` on."""
-    return WantedWindow(WantedItems(low[0], LAST_KEY, 0, RESTORED_BYTES, down=True, bytes_limit=2**63), low, LAST_KEY)
+    wanted = WantedItems(low[0], LAST_KEY, 0, RESTORED_BYTES, down=True, bytes_limit=2**63)
+    return WantedWindow(wanted, low, LAST_KEY, with_instants=True)

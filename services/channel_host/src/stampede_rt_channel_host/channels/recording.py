@@ -17,26 +17,23 @@ from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.host_archive import HostArchive
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
+from stampede_rt_channel_host.channels.archive_reach import ArchiveReach
 from stampede_rt_channel_host.channels.archive_status import archive_status
 from stampede_rt_channel_host.channels.opened_archives import OpenedChannelArchive
 from stampede_rt_channel_host.channels.past_reads import RETRY_SECONDS, TRIES, PastReader, tried
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
-from stampede_rt_channel_host.channels.restored_channel import lacks_loss, restore_channel
+from stampede_rt_channel_host.channels.restored_channel import lacks_loss, restore_channel, restore_instants
 from stampede_rt_channel_host.channels.unknown_past import UnknownPast
 from stampede_rt_channel_host.core.archive import (
     ArchivedPart,
     ArchivedRead,
-    ArchiveSpan,
     ArchiveWindow,
     Hole,
     WantedWindow,
     deliver,
     lacked,
-    needs_archive,
     next_time_of,
     resolved,
-    resolved_now,
-    span_of,
 )
 from stampede_rt_channel_host.core.channel import (
     FIRST_KEY,
@@ -48,7 +45,7 @@ from stampede_rt_channel_host.core.channel import (
     SubscriptionBatch,
 )
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
-from stampede_rt_channel_host.core.group import Horizon, RecordedView, reaches_archive
+from stampede_rt_channel_host.core.group import Horizon, RecordedView
 
 ENTRIES_PER_LOOK = 1024
 
@@ -79,9 +76,11 @@ class Recording:
         found_to: int | None = None
         if channel.next_seq == 1 and not from_memory:  # a move also brings the state without items
             found_to = restore_channel(channel, opened.found, opened.newest, cut, begin)
+            restore_instants(channel, opened.newest, archive.now())
         self.recorder = ChannelRecorder(
             channel, opened.files, opened.found.segments, opened.disk, from_memory=from_memory
         )
+        self._reach = ArchiveReach(self.recorder, channel)
         if not from_memory and lacks_loss(channel.lost_before, opened.found):
             self.recorder.note_loss(channel.lost_before, found_to)
         self.recorder.on_listed = self._listed
@@ -136,37 +135,17 @@ class Recording:
         """Whether a read may need items that only the archive has."""
         if self._unknown is not None and self._unknown.hides(self.recorder, query, now):
             return True
-        if not self.may_read:
-            return False
-        held, _ = self._channel.look(now)
-        within = resolved_now(held, self._expected_span, query, now)
-        return within is not None and needs_archive(held, self._expected_span, query, within)
+        return self._reach.includes(query, now)
 
     @property
     def may_read(self) -> bool:
-        """Whether the archive has items, or memory has lost items that the archive does not have."""
-        return bool(self.recorder.segments or self.recorder.lost_items)
-
-    @property
-    def _span(self) -> ArchiveSpan:
-        """The times of the archived items. Before the first write the archive begins with the next seq to write."""
-        recorder = self.recorder
-        return recorder.span if recorder.segments else span_of((), recorder.archived_to)
-
-    @property
-    def _expected_span(self) -> ArchiveSpan:
-        """The span after the write under way. Before the first write: the lost items that this write may save."""
-        span, backlog = self._span, self._channel.backlog
-        if span.oldest is not None or not backlog.at_risk or backlog.lost_times is None:
-            return span
-        return ArchiveSpan(*backlog.lost_times, is_cut=span.is_cut, begins_anew=span.begins_anew)
+        """Whether the archive may have items, see `ArchiveReach`."""
+        return self._reach.may_read
 
     @property
     def kept_from(self) -> int:
-        """The lowest seq of an item in the archive or in memory. Without items: the next seq to archive."""
-        segments, held = self.recorder.segments, next(iter(self._channel.accepted_from(0)), None)
-        archived_from = segments[0].first_seq if segments else self.recorder.archived_to
-        return archived_from if held is None else min(archived_from, held.first_seq)
+        """The lowest seq of an item in the archive or in memory, see `ArchiveReach`."""
+        return self._reach.kept_from
 
     @property
     def is_past_known(self) -> bool:
@@ -182,7 +161,7 @@ class Recording:
         """
         self._channel.check_positions(query)
         self.check_known(query, now())
-        await self.recorder.settle(self._channel.next_seq)
+        await self._settle()
         return await tried(lambda: self._read(query, within, scheduler, now()))
 
     def check_known(self, query: Query, now: int, horizon: Horizon | None = None) -> None:
@@ -201,10 +180,9 @@ class Recording:
 
     def reaches_in_group(self, query: Query, horizon: Horizon, now: int) -> bool:
         """Whether a read through a group may need items that only the archive has."""
-        held, _ = self._channel.look(now)
         if self._unknown is not None and self._unknown.hides(self.recorder, query, now, horizon):
             return True
-        return self.may_read and reaches_archive(held, self._expected_span, query, horizon, now)
+        return self._reach.includes_in_group(query, horizon, now)
 
     async def read_in_group(
         self, query: Query, horizon: Horizon, within: ResolvedInterval | None, scheduler: PieceScheduler,
@@ -216,7 +194,7 @@ class Recording:
         """
         self._channel.check_positions(query)
         self.check_known(query, now(), horizon)
-        await self.recorder.settle(self._channel.next_seq)
+        await self._settle()
         return await tried(lambda: self._read_in_group(query, horizon, within, scheduler, now(), waits=waits))
 
     def past_reader(self) -> PastReader:
@@ -231,25 +209,29 @@ class Recording:
         `where` are keyword arguments of `ChannelCore.subscribing_all`. Raises Unavailable as `check_known`.
         """
         start = where.get("start")
-        recorder = self.recorder
         if start is not None:
             self.check_start(start, now)
         if start is None or not self.may_read:
             return where
-        held, _ = self._channel.look(now)
-        within = resolved_now(held, self._expected_span, Query(interval=Interval(start, start)), now)
-        if within is None:
+        found = self._reach.resolved_start(Query(interval=Interval(start, start)), now)
+        if found is None:
             return where
-        where = {**where, "start": Bound(None, within.start)}
-        if held.newest_collected is None or within.start > held.newest_collected:
-            return where
-        low = (within.start, 0)
-        seqs = [one.first_seq for one in recorder.segments if one.high is not None and one.high >= low]
-        seqs += [recorder.archived_to] if recorder.lost_items else []
-        first_seq = min(seqs, default=None)
-        if first_seq is None:
-            return where
-        return {**where, "archived_from": first_seq}
+        begin, archived_from = found
+        where = {**where, "start": Bound(None, begin)}
+        return where if archived_from is None else {**where, "archived_from": archived_from}
+
+    async def settle_start(self, start: Bound, now: int) -> None:
+        """Wait until a subscription can begin at `start`, because a file of the former owner may have the first items.
+
+        Call it before `beginning`.
+        """
+        if self.recorder.former.are_expected and self.reaches(Query(interval=Interval(start, start)), now):
+            await self.recorder.former.come()
+
+    async def _settle(self) -> None:
+        """Wait for items that are on their way to the archive: from a former owner, or from memory."""
+        await self.recorder.former.come()
+        await self.recorder.settle(self._channel.next_seq)
 
     async def since(self, cursor: AllCursor, limit_bytes: int, now: Callable[[], int]) -> SubscriptionBatch | None:
         """The next part of a subscription if memory does not have it; otherwise None. Moves the cursor.
@@ -257,6 +239,9 @@ class Recording:
         Raises Unavailable if the archive cannot be read.
         """
         missing = self._channel.missing(cursor, now())
+        if missing is not None and self.recorder.former.are_expected:
+            await self.recorder.former.come()
+            missing = self._channel.missing(cursor, now())
         if missing is not None and missing[0] >= self.recorder.archived_to:
             await self.recorder.settle(missing[1])
             missing = self._channel.missing(cursor, now())
@@ -285,6 +270,7 @@ class Recording:
             held, _ = self._channel.look(now())
             end = held.held_up_to(*seqs, ENTRIES_PER_LOOK)
         if end == seqs[0] and end < self.recorder.archived_to:
+            await self.recorder.former.come()
             part = await self._load_part((end, min(seqs[1], self.recorder.archived_to)), bytes_max)
             held, _ = self._channel.look(now())
             return part.items.slices_by_seq(*seqs, FIRST_KEY), partial(next_time_of, part, held.next_time), part.end_seq
@@ -309,7 +295,7 @@ class Recording:
     ) -> ArchivedRead:
         snapshot, windows = self._channel.snapshot(now), self._windows()
         try:
-            span = self._span
+            span = self._reach.span
             within = within or resolved(snapshot, span, query)
             assert within is not None, "there is at least one item"
             return await self._perform(ArchivedRead(snapshot, span, query, within), windows, scheduler)
@@ -322,7 +308,7 @@ class Recording:
     ) -> RecordedView:  # fmt: skip
         snapshot, windows = self._channel.snapshot(now), self._windows()
         try:
-            view = RecordedView(snapshot, self._span, query, horizon)
+            view = RecordedView(snapshot, self._reach.span, query, horizon)
             for read in view.reads(within, waits=waits):
                 await self._perform(read, windows, scheduler)
             return view

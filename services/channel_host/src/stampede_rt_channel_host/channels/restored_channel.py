@@ -8,7 +8,7 @@ from typing import TypeGuard
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.segment_files import OpenedArchive
 from stampede_rt_channel_host.core.archive import ArchiveWindow, Segment, span_of
-from stampede_rt_channel_host.core.channel import FIRST_KEY, ChannelCore, Run, Slice, make_run
+from stampede_rt_channel_host.core.channel import FIRST_KEY, Acceptances, ChannelCore, Run, Slice, make_run
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY
 
@@ -44,6 +44,13 @@ def restore_channel(
     next_seq = max(found_to, begin) if lacks_loss(loss[1], found) else found_to
     channel.restore(runs, after=after, next_seq=next_seq, loss=loss, advance=advance)
     return found_to
+
+
+def restore_instants(channel: ChannelCore, newest: ArchiveWindow | None, now: int) -> None:
+    """Note when the items of `newest`, which memory holds now, were accepted. The clock may have gone back since."""
+    channel.acceptances = Acceptances()
+    if newest is not None and newest.accepted is not None:
+        channel.acceptances.take(newest.accepted, now, channel.held)
 
 
 def lacks_loss(lost_before: int | None, found: OpenedArchive) -> TypeGuard[int]:

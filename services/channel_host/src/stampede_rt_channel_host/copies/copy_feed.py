@@ -24,9 +24,8 @@ from stampede_rt_channel_host.copies.fed_items import encode_answer
 from stampede_rt_channel_host.copies.fed_responses import FedResponse
 from stampede_rt_channel_host.copies.feed_calls import BROKEN_AFTER_SECONDS, feed_over, plain_error
 from stampede_rt_channel_host.copies.messages import (
-    advance_of,
     cleared_of,
-    collection_of,
+    facts_after_runs,
     facts_of,
     losses_of,
     place_to,
@@ -303,10 +302,8 @@ class CopyFeed:
     def _store_last(self, state: pb.FeedState, runs: Sequence[Run], answer: Callable[[], None] | None = None) -> None:
         """Apply the last runs of a part, and then the source's state. `answer`: see `_store_runs`."""
         beginning = self._beginning_of(state)
-        collection, advance = collection_of(state), advance_of(state)
-        charge_bytes = self._store_runs(
-            runs, answer, **beginning, next_seq=state.next_seq, collection=collection, advance=advance
-        )
+        rest = facts_after_runs(state)
+        charge_bytes = self._store_runs(runs, answer, **beginning, next_seq=state.next_seq, **rest)
         self._note(state, charge_bytes)
 
     def _beginning_of(self, state: pb.FeedState) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from typing import Any
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import item_pb2
@@ -13,6 +14,8 @@ from stampede_rt_channel_host.copies.owner_messages import owner_of, owner_to, p
 from stampede_rt_channel_host.core.channel import (
     FIRST_KEY,
     FORMER_MAX,
+    AcceptedAdvance,
+    AcceptedRows,
     CollectionFacts,
     ColumnRun,
     FeedPart,
@@ -92,7 +95,30 @@ def state_to(part: FeedPart, now: int) -> pb.FeedState:
         advance_unix_nano=part.advance,
         owner=None if owner is None or is_put else owner_to(owner, now),
         put=None if owner is None or not is_put else put_to(owner, now),
+        accepted=None if part.accepted is None else _accepted_to(part.accepted),
+        advance_accepted_unix_nano=None if part.advanced is None else part.advanced.accepted,
     )
+
+
+def _accepted_to(rows: AcceptedRows) -> pb.FedAcceptances:
+    return pb.FedAcceptances(end_seqs=rows.ends, accepted_unix_nano=rows.instants)
+
+
+def accepted_of(state: pb.FeedState) -> AcceptedRows | None:
+    """When the owner accepted the items; None: the source does not know. Raises InvalidArgument for unequal lists."""
+    if not state.HasField("accepted"):
+        return None
+    ends, instants = (*state.accepted.end_seqs,), (*state.accepted.accepted_unix_nano,)
+    if len(ends) != len(instants) or max(ends, default=0) > state.next_seq:
+        raise InvalidArgument("the feed has instants without items; install the same release on both hosts")
+    return AcceptedRows(ends, instants)
+
+
+def advanced_of(state: pb.FeedState) -> AcceptedAdvance | None:
+    """The advance, and when the owner accepted it; None: there is no new advance, or the source does not know."""
+    if not (state.HasField("advance_unix_nano") and state.HasField("advance_accepted_unix_nano")):
+        return None
+    return AcceptedAdvance(state.advance_accepted_unix_nano, state.advance_unix_nano)
 
 
 def cleared_of(state: pb.FeedState) -> ItemKey | None:
@@ -120,6 +146,16 @@ def collection_of(state: pb.FeedState) -> CollectionFacts | None:
 def advance_of(state: pb.FeedState) -> int | None:
     """The advance; None: as before."""
     return state.advance_unix_nano if state.HasField("advance_unix_nano") else None
+
+
+def facts_after_runs(state: pb.FeedState) -> dict[str, Any]:
+    """The arguments of `FedChannel.apply` that the copy applies after the runs of a part. Raises InvalidArgument."""
+    return {
+        "collection": collection_of(state),
+        "advance": advance_of(state),
+        "accepted": accepted_of(state),
+        "advanced": advanced_of(state),
+    }
 
 
 def facts_of(state: pb.FeedState, now: int) -> OwnerPart | None:

@@ -65,6 +65,8 @@ async def resolved_start(hosted: HostedChannel, channels: ChannelStore, horizon:
     if recording is None or not recording.may_read:
         return start
     query = Query(interval=Interval(start, start), limit=1)
+    if recording.recorder.former.are_expected and not recording.reaches_in_group(query, horizon, channels.now()):
+        return start  # it needs no file of the former owner
     view = await recording.read_in_group(query, horizon, None, channels.scheduler, channels.now, waits=False)
     return start if view.within is None else Bound(None, view.within.start)
 

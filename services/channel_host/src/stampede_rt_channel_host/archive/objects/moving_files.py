@@ -184,6 +184,15 @@ class MovingFiles(SegmentFiles):
             return True
         return any(given_between(before.end_seq, after.first_seq) for before, after in pairs)
 
+    def lacks_former(self, archived_to: int) -> bool:
+        """Whether the former owner may still move its last segment to the store: there is a hole before the first
+        segment of this owner. `archived_to`: as for `lacks_items`.
+        """
+        own = first_number(self._epoch)
+        begin = next((one.begin for one in self._segments if one.number >= own), archived_to)
+        ends = [one.end_seq for one in self._segments if one.number < own]
+        return given_between(max(ends, default=1), begin) > 0
+
     def local_bytes(self) -> int:
         """The bytes of the segments in the folder."""
         return sum(one.length for one in self._local())

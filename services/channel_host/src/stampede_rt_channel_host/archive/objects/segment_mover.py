@@ -98,7 +98,9 @@ class SegmentMover:
     def expect_former(self, recorder: ChannelRecorder) -> None:
         """Note that a channel has moved here, and that its former owner still moves its last files to the store."""
         if isinstance(recorder.files, MovingFiles):
+            recorder.former.expect()
             self._listings.expect(recorder.files)
+            self._note_former(recorder, recorder.files)
             self._wake.set()
 
     def forget(self, recorder: ChannelRecorder) -> None:
@@ -268,7 +270,13 @@ class SegmentMover:
         archived_to = recorder.archived_to
         recorder.keep(await self.in_writer(lambda: files.find_again(found, archived_to)))
         self._listings.note_listed(files, lacks_items=files.lacks_items(archived_to))
+        self._note_former(recorder, files)
         recorder.on_listed(files.former_stop)
+
+    def _note_former(self, recorder: ChannelRecorder, files: MovingFiles) -> None:
+        """Let readers of the archive go on, if it has the last files of the former owner."""
+        if recorder.came is None and not files.lacks_former(recorder.archived_to):
+            recorder.former.note_all()
 
     async def _delete_outdated(self, files: MovingFiles) -> None:
         names = files.stored.outdated[:OBJECTS_PER_DELETION]

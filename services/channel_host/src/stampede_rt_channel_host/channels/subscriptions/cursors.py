@@ -81,6 +81,13 @@ class _NewestModeCursor:
         return pb.SubscriptionProgress(next_seq=self._cursor.next_seq, skipped=self._cursor.skipped)
 
 
+async def files_came(hosted: HostedChannel, opening: pb.SubscribeOpen, now: int) -> None:
+    """Wait until the files of a former owner have come that may have the first items. Call it before `open_cursor`."""
+    start = beginning_of(opening).get("start")
+    if hosted.recording is not None and start is not None and not is_newest(opening):
+        await hosted.recording.settle_start(start, now)
+
+
 def open_cursor(hosted: HostedChannel, opening: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
     """A cursor at the place that `opening` states, as of `now`, made in pieces.
 

@@ -23,7 +23,7 @@ from stampede_rt_channel_host.channels.requests import parse, saved_to, wanted_n
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
-from stampede_rt_channel_host.channels.subscriptions.cursors import open_cursor
+from stampede_rt_channel_host.channels.subscriptions.cursors import files_came, open_cursor
 from stampede_rt_channel_host.channels.subscriptions.multicast_reader import MulticastReader, wants_multicast
 from stampede_rt_channel_host.channels.subscriptions.reader_drops import ReaderDrops
 from stampede_rt_channel_host.core.channel import Gap, SavedCursor, SubscriptionBatch
@@ -110,6 +110,7 @@ class Subscription(ChangeObserver):
                 async with self._groups.subscribe(opening, self._hosted, self) as cursor:
                     await self._serve(cursor, opening)
             else:
+                await files_came(self._hosted, opening, self._store.now())
                 cursor = await self._store.scheduler.do(open_cursor(self._hosted, opening, self._store.now()))
                 self._store.find_readable(
                     opening.channel_id, opening.epoch, Freshness()

@@ -72,13 +72,15 @@ def needs_archive(held: Holdings | HoldingsSnapshot, span: ArchiveSpan, query: Q
 class WantedWindow(NamedTuple):
     """The next window to load: the argument of `choose`, and the keys of the window's items (`window_of`).
 
-    `limits` are the channel's; None: the reader does not ask where the archive may lack items.
+    `limits` are the channel's; None: the reader does not ask where the archive may lack items. `with_instants`: the
+    reader asks when the host accepted the items.
     """
 
     wanted: WantedItems
     low: ItemKey
     high: ItemKey
     limits: ChannelLimits | None = None
+    with_instants: bool = False
 
 
 def reach_of(window: WantedWindow, chosen: ChosenBlocks) -> WindowReach:

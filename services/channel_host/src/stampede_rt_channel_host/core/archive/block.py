@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from stampede_rt.values.timeline import MIN_INSTANT
+from stampede_rt_channel_host.core.channel.acceptances import AcceptedRows
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import Body, ReferencedBody, Run, make_run
 
@@ -73,10 +74,15 @@ class TimeRange(NamedTuple):
 
 
 class ArchivedRun(NamedTuple):
-    """A run to archive, and the host's clock when its items were accepted."""
+    """A run to archive, and the host's clock when its items were accepted.
+
+    `rows`: None, or the instants of several puts whose items one run has. A host that moves a channel joins them, and
+    so does a host that starts.
+    """
 
     accepted: int
     run: Run
+    rows: AcceptedRows | None = None
 
     def below(self, end_seq: int, cut: CutRun) -> ArchivedRun:
         """The run without its items from `end_seq` on. At least one item is below."""

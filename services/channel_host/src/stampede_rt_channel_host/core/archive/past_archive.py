@@ -12,6 +12,7 @@ from stampede_rt.values.model import Policy, Reason
 from stampede_rt.values.seq_starts import given_between
 from stampede_rt.values.timeline import MIN_INSTANT, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.archive.block import (
+    ITEMS,
     ArchivedAdvance,
     ArchivedRun,
     BlockHead,
@@ -80,21 +81,38 @@ def past_of(
     """The archive as it was at the instant `as_of`. Reads at most two blocks of runs and one block of advances."""
     past, reached = PastArchive(tuple(segments), None, None), segments
     for at, segment in enumerate(segments):
-        place = blocks_of(segment).first_accepted_after(as_of) if segment.last_accepted > as_of else None
-        if place is not None:
-            blocks = blocks_of(segment).up_to(place + 1)
-            past, reached = _cut(segments[:at], segment, blocks, runs_of, as_of), segments[: at + 1]
+        found = _first_after(segment, blocks_of(segment), runs_of, as_of) if segment.last_accepted > as_of else None
+        if found is not None:
+            past, reached = _cut(segments[:at], segment, *found, as_of), segments[: at + 1]
             break
     advance, next_advance = _advances(reached, blocks_of, advances_of, as_of)
     return past._replace(advance=advance, next_advance=next_advance, as_of=as_of)
 
 
+def _first_after(
+    segment: Segment, blocks: SegmentBlocks, runs_of: RunsOf, as_of: int
+) -> tuple[SegmentBlocks, Sequence[ArchivedRun]] | None:
+    """The blocks of a segment up to the first one with items that the host accepted after the instant, and the runs of
+    this block; None: there is no such block.
+
+    If a block is cut off because the next segment has its later items, only these may be later than the instant.
+    """
+    place = blocks.first_accepted_after(as_of)
+    while place is not None:
+        runs = runs_of(segment, blocks[place])
+        if not runs or any(one.accepted > as_of for one in runs):
+            return blocks.up_to(place + 1), runs
+        place = next((at for at in range(place + 1, len(blocks)) if blocks[at].head.kind == ITEMS), None)
+    return None
+
+
 def _cut(
-    before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, runs_of: RunsOf, as_of: int
+    before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, runs: Sequence[ArchivedRun], as_of: int
 ) -> PastArchive:
-    """The archive up to the instant. The last of `blocks` has the first items that the host accepted after it."""
+    """The archive up to the instant. The last of `blocks` has the first items that the host accepted after it. `runs`:
+    the items of this block.
+    """
     kept, last = blocks.up_to(len(blocks) - 1), blocks[-1]
-    runs = runs_of(segment, last)
     first, following = _part(last, runs, as_of)
     if first is not None:
         kept = kept.followed_by([first])

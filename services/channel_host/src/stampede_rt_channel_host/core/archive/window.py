@@ -17,6 +17,7 @@ from stampede_rt_channel_host.core.archive.doubts import Doubt
 from stampede_rt_channel_host.core.archive.holes import Hole
 from stampede_rt_channel_host.core.archive.segment import PlacedBlock, Segment
 from stampede_rt_channel_host.core.archive.segment_blocks import SegmentBlocks
+from stampede_rt_channel_host.core.channel.acceptances import AcceptedRows
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.run import Run
@@ -77,7 +78,7 @@ class ArchiveWindow(NamedTuple):
 
     `edge` and `following`: see `ChosenBlocks`. `end`: the items of this window and of all later windows are below
     this key; None: the items in memory come after the window. `holes`: the items that the archive lacks here. `doubts`:
-    where it may lack items.
+    where it may lack items. `accepted`: when the host accepted the items, if the reader has asked for it.
     """
 
     items: ChannelIndex
@@ -86,6 +87,7 @@ class ArchiveWindow(NamedTuple):
     end: ItemKey | None
     holes: Sequence[Hole] = ()
     doubts: Sequence[Doubt] = ()
+    accepted: AcceptedRows | None = None
 
 
 def choose(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: WantedItems) -> ChosenBlocks:

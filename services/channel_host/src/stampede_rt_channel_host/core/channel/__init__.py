@@ -28,6 +28,7 @@ offered again after every consume, too.
 """
 
 from stampede_rt_channel_host.core.channel.acceptance import REASONS
+from stampede_rt_channel_host.core.channel.acceptances import Acceptances, AcceptedAdvance, AcceptedRows
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot, HoldingsSnapshot
 from stampede_rt_channel_host.core.channel.consumer_places import (
@@ -114,6 +115,9 @@ __all__ = [
     "LEASE_NANOS_MAX",
     "REASONS",
     "SEQS_MAX",
+    "Acceptances",
+    "AcceptedAdvance",
+    "AcceptedRows",
     "AllCursor",
     "Body",
     "ChannelCore",

@@ -8,6 +8,7 @@ from stampede_rt.ring.layout import ABSENT_INSTANT
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
+from stampede_rt_channel_host.core.channel.acceptances import Acceptances
 from stampede_rt_channel_host.core.channel.archive_backlog import ArchiveBacklog
 from stampede_rt_channel_host.core.channel.channel_snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.consumption import Consumers
@@ -29,6 +30,9 @@ FREED_ENTRIES_PER_CALL = 32
 
 class BaseChannel:
     """The parts of one channel. Each call first outdates the items that are too old."""
+
+    acceptances: Acceptances | None = None
+    """The instants of acceptance of the items, if the channel is recorded."""
 
     def __init__(
         self,
@@ -222,9 +226,12 @@ class BaseChannel:
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory of the items (see `HeldItems.footprint_bytes`) and of the consumer places, as of the last call."""
-        consumers = self._retention.consumers
-        return self._held.footprint_bytes + (0 if consumers is None else consumers.table.footprint_bytes)
+        """The memory of the items (see `HeldItems.footprint_bytes`), of their instants of acceptance, and of the
+        consumer places, as of the last call.
+        """
+        consumers, accepted = self._retention.consumers, self.acceptances
+        places = 0 if consumers is None else consumers.table.footprint_bytes
+        return self._held.footprint_bytes + places + (0 if accepted is None else accepted.footprint_bytes)
 
     @property
     def freed_entries(self) -> int:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.core.channel.acceptances import Acceptances, AcceptedAdvance, AcceptedRows
 from stampede_rt_channel_host.core.channel.base_channel import FREED_ENTRIES_PER_CALL
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.fed_holdings import FedHoldings
@@ -89,6 +90,7 @@ class FedChannel(ChannelCore):
         assert facts is not None, "the caller has asked the feed for the owner's facts"
         present = self._incarnation if incarnation is None else incarnation
         core = ChannelCore(self._policy, incarnation=present, name=self.name, held=self._held)
+        core.acceptances = self.acceptances
         core.take_losses(self.losses if incarnation is None else self._losses_after_owner(now))
         core.inherit(self._tick(now), self.advanced_to, facts.counters, facts.places(now))
         facts.window.keep_up_to(core.next_seq)
@@ -102,6 +104,7 @@ class FedChannel(ChannelCore):
     def apply(
         self, *, first_seq: int, cleared: ItemKey | None, runs: Sequence[Run], next_seq: int,
         collection: CollectionFacts | None, advance: int | None, now: int, owner: OwnerPart | None = None,
+        accepted: AcceptedRows | None = None, advanced: AcceptedAdvance | None = None,
     ) -> None:  # fmt: skip
         """Apply the next part of the feed (see `FeedPart`). Ignores items that the copy has had before.
 
@@ -119,6 +122,7 @@ class FedChannel(ChannelCore):
             if run.first_seq >= self.next_seq:
                 self._held.store_fed(run)
         self._held.skip_to(next_seq)
+        self._note_instants(accepted, advanced, now)
         if collection is not None:
             self._collection = collection
             self._held.follow(collection)
@@ -126,6 +130,17 @@ class FedChannel(ChannelCore):
             self._held.free(FREED_ENTRIES_PER_CALL)
         if advance is not None:
             self._acceptance.advance = self._reading.advance = advance
+
+    def _note_instants(self, accepted: AcceptedRows | None, advanced: AcceptedAdvance | None, now: int) -> None:
+        """Take over the instants of acceptance, but none that is later than the clock of this host."""
+        if accepted is None and advanced is None:
+            return
+        if self.acceptances is None:
+            self.acceptances = Acceptances()
+        if accepted is not None:
+            self.acceptances.take(accepted, now, self._held)
+        if advanced is not None:
+            self.acceptances.advance = advanced._replace(accepted=min(advanced.accepted, now))
 
     def check_item(self, fed: FedItem) -> None:
         """Raises InvalidArgument if the copy cannot apply the run, because earlier parts of the feed are missing, or

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from stampede_rt.errors import Overloaded, Unavailable
 from stampede_rt.values.seq_starts import given_between
+from stampede_rt_channel_host.core.channel.acceptances import AcceptedAdvance, AcceptedRows
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
@@ -64,7 +65,8 @@ class FeedPart(NamedTuple):
     back. `slices`: the next items, in the order of seqs. `next_seq`: the copy's place after this part. Seqs before
     it that the copy has not got are missing: the source no longer holds their items. `collection` and `advance` are
     None if they have not changed since the previous part. `owner`: the facts that only the owner knows, if the copy
-    has asked for them.
+    has asked for them. `accepted` and `advanced`: when the owner of a recorded channel accepted the items, and the
+    advance; None: the copy has not asked for the owner's facts, or the instants are not known.
     """
 
     first_seq: int
@@ -74,6 +76,8 @@ class FeedPart(NamedTuple):
     collection: CollectionFacts | None
     advance: int | None
     owner: OwnerPart | None = None
+    accepted: AcceptedRows | None = None
+    advanced: AcceptedAdvance | None = None
 
     def can_join(self, former: FeedPart) -> bool:
         """Whether one part can replace both parts: this part has no items, and clears no items of `former`."""
@@ -86,6 +90,7 @@ class FeedPart(NamedTuple):
             cleared=max(cleared, default=None),
             collection=former.collection if self.collection is None else self.collection,
             advance=former.advance if self.advance is None else self.advance,
+            advanced=former.advanced if self.advanced is None else self.advanced,
         )
 
 
@@ -185,7 +190,7 @@ class ChannelFeed:
         if self.next_seq == before and owner is None and (known_collection, known_advance) == (collection, advance):
             return None
         self._sent = collection, advance
-        return FeedPart(
+        part = FeedPart(
             before,
             cleared,
             tuple(batch.slices),
@@ -194,6 +199,14 @@ class ChannelFeed:
             None if advance == known_advance else advance,
             owner,
         )
+        return part if self.owner is None or self._source.acceptances is None else self._with_instants(part)
+
+    def _with_instants(self, part: FeedPart) -> FeedPart:
+        """The part with the instants of acceptance of its items and of its advance."""
+        known = self._source.acceptances
+        assert known is not None, "the channel is recorded"
+        rows = known.between(part.first_seq, part.next_seq) if part.slices else None
+        return part._replace(accepted=rows, advanced=None if part.advance is None else known.advance)
 
     def take_ahead(self, item: NewItem) -> FedItem | None:
         """The next part, if it has only the run `item`. The source has accepted the run, and must store it next.
