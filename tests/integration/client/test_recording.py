@@ -240,12 +240,14 @@ def test_items_that_cannot_be_read_in_time_are_named_as_not_read(
     assert counts.gaps[-1].reason == "NOT_READ"
 
 
-def host_away(_: channel_recording.Channel) -> st.ChannelStats:
+def host_away(_: channel_recording.Channel, timeout_s: float) -> st.ChannelStats:
     raise st.Unavailable("its host is away")
 
 
-def begun_anew(channel: channel_recording.Channel, stats: Any = channel_recording.Channel.stats) -> st.ChannelStats:
-    found: st.ChannelStats = stats(channel)
+def begun_anew(
+    channel: channel_recording.Channel, timeout_s: float, stats: Any = channel_recording.Channel._stats_within
+) -> st.ChannelStats:
+    found: st.ChannelStats = stats(channel, timeout_s)
     return replace(found, incarnation=found.incarnation + 1)
 
 
@@ -261,7 +263,7 @@ def test_a_recording_that_cannot_know_the_last_item_of_a_channel_at_its_end_says
     with rt.record(channel, tmp_path / "a.mcap") as recorder:
         channel.put(b"x")
         wait_until(lambda: recorder.recorded == 1)
-        monkeypatch.setattr(channel_recording.Channel, "stats", stats)
+        monkeypatch.setattr(channel_recording.Channel, "_stats_within", stats)
     assert recorder.summary is not None
     (counts,) = recorder.summary.channels
     assert (counts.recorded, [(one.reason, one.first_seq, one.items) for one in counts.gaps]) == (
@@ -336,3 +338,24 @@ async def test_a_recording_of_many_small_items_leaves_the_event_loop_free(
     assert (summary.recorded, summary.complete) == (5_000, True)
     assert threads
     assert threading.get_ident() not in threads
+
+
+def test_a_hurried_end_asks_a_host_that_is_away_for_no_longer_than_the_end_may_take(
+    rt: st.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+
+    def away(_: channel_recording.Channel, timeout_s: float) -> st.ChannelStats:
+        asked.append(timeout_s)
+        raise st.Unavailable("its host is away")
+
+    channels = [rt.channel(f"hurried/{number}", max_age="60s") for number in range(3)]
+    with rt.record("hurried/*", tmp_path / "a.mcap") as recorder:
+        for channel in channels:
+            channel.put(b"x")
+        monkeypatch.setattr(channel_recording.Channel, "_stats_within", away)
+        recorder.hurry(0.5)
+    assert len(asked) == 3
+    assert max(asked) <= 0.5
+    assert recorder.summary is not None
+    assert [one.gaps[-1].reason for one in recorder.summary.channels] == ["UNAVAILABLE"] * 3

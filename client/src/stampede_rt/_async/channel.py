@@ -154,6 +154,10 @@ class Channel(Reader):
         The offset says how far the host's clock is ahead of this machine's clock. Blocks for at most 10 s. Raises
         ChannelNotFound, Unavailable.
         """
+        return await self._stats_within(CALL_TIMEOUT_S)
+
+    async def _stats_within(self, timeout_s: float) -> ChannelStats:
+        """Return the same as `stats`. Blocks for about `timeout_s` seconds at most."""
 
         async def status_at(binding: Binding, timeout_s: float) -> ChannelStats:
             endpoint = self._session.endpoints.to(binding.target)
@@ -168,7 +172,7 @@ class Channel(Reader):
             )
             return with_users(stats, response)
 
-        return await self._session.perform(self._state, status_at)
+        return await self._session.perform(self._state, status_at, timeout_s)
 
     async def _transport(self, endpoint: ServerEndpoint) -> str:
         """Return the transport of reads of the newest items."""

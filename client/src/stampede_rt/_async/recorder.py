@@ -34,6 +34,7 @@ CHANNELS_MAX = 1000  # the most channels of one recording; each may keep 1 MiB i
 GLOBS_MAX = 64
 DRAIN_S = 5.0  # how long the end of a recording waits for items that the host has accepted before the end
 BEGIN_S = 7.0  # together with DRAIN_S this is longer than a call takes, so the recording learns why a call failed
+HURRIED_S = 0.1  # the least time that a step of the end may wait, if the time of `hurry` has passed
 FINISHED_IN_PARALLEL = 32  # the channels whose recordings end in parallel
 _log = logging.getLogger("stampede_rt")
 
@@ -61,6 +62,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         self._begin_at = begin
         self._for_s = for_s
         self._drain_s = DRAIN_S
+        self._until_s: float | None = None  # after `hurry`: when the recording of all channels should have ended
         self._channels: dict[bytes, ChannelRecording] = {}
         self._matched: set[str] = set()
         self._absent: list[str] = []
@@ -111,8 +113,11 @@ class Recorder(BackgroundStart, BoundToProcess):
         self._stop.set()
 
     def hurry(self, drain_s: float) -> None:
-        """Stop, and wait for outstanding items for at most `drain_s` seconds. The summary names the missing ones."""
-        self._drain_s = drain_s
+        """Stop, and wait for hosts and for outstanding items for at most `drain_s` seconds each.
+
+        The summary names the missing items.
+        """
+        self._drain_s, self._until_s = drain_s, time.monotonic() + drain_s
         self.stop()
 
     async def wait(self, timeout: float | None = None) -> RecordingSummary | None:
@@ -157,7 +162,7 @@ class Recorder(BackgroundStart, BoundToProcess):
             self._session.detach(self)
 
     async def _begin(self) -> None:
-        await self._write_clocks("begin")
+        await self._write_clocks("begin", BEGIN_S)
         for glob in self._globs:
             watch = await self._watch(glob, later=False)
             BackgroundTask(partial(self._follow, glob, watch), f"watch for the recording of {glob!r}")
@@ -226,12 +231,17 @@ class Recorder(BackgroundStart, BoundToProcess):
         recordings = list(self._channels.values())
         for first in range(0, len(recordings), FINISHED_IN_PARALLEL):
             part = recordings[first : first + FINISHED_IN_PARALLEL]
-            await run_concurrently([partial(one.finish, self._drain_s) for one in part])
-        await self._write_clocks("end")
+            await run_concurrently([partial(one.finish, self._left_s()) for one in part])
+        await self._write_clocks("end", self._left_s())
         summary = self._summary(recordings)
         await self._sink.do(partial(self._sink.writer.add_metadata, SUMMARY_NAME, summary_fields(summary)))
         await self._sink.do(self._sink.writer.finish)
         self.summary = summary
+
+    def _left_s(self) -> float:
+        """How long the next step of the end may wait: after `hurry` all steps together wait about as long as one."""
+        left_s = self._drain_s if self._until_s is None else self._until_s - time.monotonic()
+        return min(self._drain_s, max(left_s, HURRIED_S))
 
     def _summary(self, recordings: Sequence[ChannelRecording]) -> RecordingSummary:
         absent = [f"no channel matches {glob!r}" for glob in self._globs if glob not in self._matched]
@@ -245,18 +255,32 @@ class Recorder(BackgroundStart, BoundToProcess):
         for watch in self._watches:
             watch.close()
 
-    async def _write_clocks(self, moment: str) -> None:
+    async def _write_clocks(self, moment: str, timeout_s: float) -> None:
         """Write how far the clocks of all named peers are ahead, as they have measured it."""
         own = self._session.supernodes.clock
         values = {"version": "1", "moment": moment, "recorder": VERSION, "recorder_time": str(time.time_ns())}
         if own is not None:
             values["recorder_clock"] = json.dumps(asdict(own))
-        try:
-            peers = {one.name: asdict(one.clock) for one in await self._discovery.peers() if one.clock is not None}
-            values["peers"] = json.dumps(peers)
-        except StampedeError as error:
-            values["peers_missing"] = error.message
+        values |= await self._clocks_of_peers(timeout_s)
         await self._sink.do(partial(self._sink.writer.add_metadata, CLOCKS_NAME, values))
+
+    async def _clocks_of_peers(self, timeout_s: float) -> dict[str, str]:
+        found: dict[str, str] = {}
+        answered = Signal()
+
+        async def ask() -> None:
+            try:
+                peers = {one.name: asdict(one.clock) for one in await self._discovery.peers() if one.clock is not None}
+                found["peers"] = json.dumps(peers)
+            except StampedeError as error:
+                found["peers_missing"] = error.message
+            finally:
+                answered.set()
+
+        BackgroundTask(ask, "clocks of the peers for a recording")
+        if await answered.wait(timeout_s):
+            return found
+        return {"peers_missing": f"the directory did not answer within {timeout_s:.1f} s"}
 
 
 def parse_globs(channels: Sequence[object] | object) -> list[str]:

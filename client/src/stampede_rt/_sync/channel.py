@@ -155,6 +155,10 @@ class Channel(Reader):
         The offset says how far the host's clock is ahead of this machine's clock. Blocks for at most 10 s. Raises
         ChannelNotFound, Unavailable.
         """
+        return self._stats_within(CALL_TIMEOUT_S)
+
+    def _stats_within(self, timeout_s: float) -> ChannelStats:
+        """Return the same as `stats`. Blocks for about `timeout_s` seconds at most."""
 
         def status_at(binding: Binding, timeout_s: float) -> ChannelStats:
             endpoint = self._session.endpoints.to(binding.target)
@@ -169,7 +173,7 @@ class Channel(Reader):
             )
             return with_users(stats, response)
 
-        return self._session.perform(self._state, status_at)
+        return self._session.perform(self._state, status_at, timeout_s)
 
     def _transport(self, endpoint: ServerEndpoint) -> str:
         """Return the transport of reads of the newest items."""

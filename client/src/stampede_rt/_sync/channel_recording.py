@@ -226,9 +226,12 @@ class ChannelRecording:
         self._stream = None
 
     def finish(self, drain_s: float) -> None:
-        """Record the items that the host has accepted until now, wait for them at most `drain_s` seconds, and end."""
+        """Record the items that the host has accepted until now, and end.
+
+        Each step waits at most `drain_s` seconds: for the last seq that the host has accepted, and for the items.
+        """
         self.begun.wait(drain_s)
-        accepted, advance, unknown = self._accepted()
+        accepted, advance, unknown = self._accepted(drain_s)
         self._ending, stream = True, self._stream
         if stream is None or stream.opened_seq is None:
             self._give_up(stream)
@@ -250,13 +253,13 @@ class ChannelRecording:
         if not self.tallies:
             self.problem = self.problem or f"channel {self.name!r}: its host, or its archive, did not answer in time"
 
-    def _accepted(self) -> tuple[int | None, int | None, tuple[str, str] | None]:
+    def _accepted(self, timeout_s: float) -> tuple[int | None, int | None, tuple[str, str] | None]:
         """Return the last seq that the host has accepted, and the channel's advance; None if they cannot be known.
 
         The third value is the reason and the detail of the gap at the end, if the last seq cannot be known.
         """
         try:
-            stats = self._channel.stats()
+            stats = self._channel._stats_within(timeout_s)
             if self.tallies and stats.incarnation != self.tallies[-1].incarnation:
                 return None, None, ("LOST", f"channel {self.name!r} has begun anew: its host was lost with its items")
             last = stats.accepted if stats.next_seq is None else self._last_seq(stats.next_seq)

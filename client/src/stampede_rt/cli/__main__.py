@@ -2,6 +2,6 @@
 
 import sys
 
-from stampede_rt.cli.main import main
+from stampede_rt.cli.entry import main
 
 sys.exit(main())
