@@ -17,7 +17,7 @@ ENV PIP_CERT=/etc/ssl/certs/ca-certificates.crt \
 RUN python3 -m venv /opt/uv && /opt/uv/bin/pip install --quiet uv==0.13.8
 
 WORKDIR /src
-# First the dependencies, because they seldom change: each in the version and with the hash of uv.lock.
+# Install the dependencies first, because they seldom change. uv checks the version and hash of each against uv.lock.
 COPY pyproject.toml uv.lock ./
 COPY client/pyproject.toml client/
 COPY services/runtime/pyproject.toml services/runtime/

@@ -30,7 +30,7 @@ class Scenario:
         self.view: ReplicatedView | None = None
 
     def begin(self) -> None:
-        """Perhaps put items first: a replica that becomes the owner has some, too."""
+        """Begin the view. The channel may have items already, like a replica that becomes the owner."""
         self.view = ReplicatedView(self.pair.core, self.pair.clock, lambda body, lo, hi: body)
         run_to_end(self.view.filling(self.pair.clock))
         self.shown = facts(held_by(self.pair.core, self.pair.clock))

@@ -68,25 +68,25 @@ class DrainFaults(Faults):
         return [*super().kinds(), self.move, *breaks, *breaks]
 
     async def cut_at_a_message(self, _: int) -> None:
-        await self._drain_until(lambda link: link.cut())
+        await self._drain_and_break(lambda link: link.cut())
 
     async def kill_at_a_message(self, _: int) -> None:
-        await self._drain_until(lambda link: self.begin(self.kill, self._end_of(link)))
+        await self._drain_and_break(lambda link: self.begin(self.kill, self._end_of(link)))
 
     async def stop_at_a_message(self, _: int) -> None:
-        await self._drain_until(lambda link: self.begin(self.stop, self._end_of(link)))
+        await self._drain_and_break(lambda link: self.begin(self.stop, self._end_of(link)))
 
-    async def _drain_until(self, happens: Callable[[Call | Link], None]) -> None:
-        """Drain a host that owns something. Calls `happens` at one of the drain's messages."""
-        self.break_soon(happens)
+    async def _drain_and_break(self, fault: Callable[[Call | Link], None]) -> None:
+        """Drain a host that owns something. Causes `fault` at one of the messages of the drain."""
+        self.break_soon(fault)
         await self.move(self.owner_number())
 
-    def break_soon(self, happens: Callable[[Call | Link], None]) -> None:
-        """Call `happens` with the stream of a drain or of a move, at one of the next messages."""
+    def break_soon(self, fault: Callable[[Call | Link], None]) -> None:
+        """Call `fault` with the stream of a drain or of a move, at one of the next messages."""
 
         def count(link: Call | Link) -> None:
             self.breaks += 1
-            happens(link)
+            fault(link)
 
         assert isinstance(self.cluster, DrainCluster)
         self.cluster.break_at(self.rng.randint(1, MESSAGES_MAX), count)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt_web.drawing import Window, draw
 from stampede_rt_web.track import ABSENT, ItemTrack, TrackItem
@@ -46,7 +45,11 @@ def test_many_items_are_drawn_as_their_number_in_each_pixel() -> None:
     assert sum(drawing["density"]) == 1000
 
 
-@given(some.lists(some.integers(0, 10_000), max_size=300), some.integers(0, 9_999), some.integers(1, 400))
+@given(
+    strategies.lists(strategies.integers(0, 10_000), max_size=300),
+    strategies.integers(0, 9_999),
+    strategies.integers(1, 400),
+)
 def test_every_item_of_the_window_is_drawn_once_and_the_drawing_is_small(
     times: list[int], start: int, width: int
 ) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import struct
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt_web.picture_size import pixels_of
 
@@ -47,7 +46,7 @@ def test_a_truncated_header_has_no_size(whole: bytes) -> None:
     assert sizes == {None, 12}
 
 
-@given(some.binary(max_size=200))
+@given(strategies.binary(max_size=200))
 def test_the_size_of_any_bytes_is_found_without_an_error(payload: bytes) -> None:
     for start in (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"):
         found = pixels_of(start + payload)

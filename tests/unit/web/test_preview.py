@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.values.codecs import NumpyCodec
 from stampede_rt_web.png import SIDE_MAX, png_of
@@ -101,7 +100,7 @@ def test_bytes_are_shown_as_hexadecimal_lines() -> None:
     assert hex_lines(b"\x00A" * 9).splitlines()[1] == "0010  " + "00 41".ljust(47) + "  .A"
 
 
-@given(some.sampled_from([*TYPES, AUDIO, "text/plain"]), some.binary(max_size=3000))
+@given(strategies.sampled_from([*TYPES, AUDIO, "text/plain"]), strategies.binary(max_size=3000))
 def test_any_payload_of_any_type_has_a_small_preview_in_json(content_type: str, payload: bytes) -> None:
     shown = preview_of(content_type, payload)
     assert shown["kind"] in ("picture", "plot", "wave", "json", "text", "hex")

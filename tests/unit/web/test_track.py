@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt_web.track import ABSENT, ITEMS_MAX, ItemTrack, TrackItem
 
@@ -70,7 +69,7 @@ def test_the_oldest_items_leave_a_full_track() -> None:
     assert track.times[0] == 11
 
 
-@given(some.permutations(list(range(1, 40))), some.integers(1, 10))
+@given(strategies.permutations(list(range(1, 40))), strategies.integers(1, 10))
 def test_a_track_is_in_time_order_for_any_order_of_the_added_items(order: list[int], step: int) -> None:
     """The item with seq n has the time order[n - 1]. A poll follows after each `step` items."""
     track = ItemTrack()

@@ -65,7 +65,7 @@ def run_record(arguments: argparse.Namespace) -> int:
         recorder = _begun(rt, arguments, Path(arguments.file), _begin_of(arguments.since, NOW))
         interruption.ends(lambda: recorder.hurry(STOP_DRAIN_S), STOP_S)
         with recorder:
-            _tell(recorder, arguments)
+            _print_start(recorder, arguments)
             with shown_progress(recording_progress(recorder, arguments.for_)):
                 summary = recorder.wait()
     return _ended(summary, arguments)
@@ -88,19 +88,19 @@ def _begin_of(since: str | None, event: Bound) -> Bound | None:
 
 
 def recording_progress(recorder: Recorder, for_: str | None) -> Callable[[], Progress]:
-    """Return the function that tells how far a recording is. `for_`: how long it takes, if that is known."""
+    """Return the function that reports the progress of a recording. `for_`: the recording's length, if it is known."""
     began_s = time.monotonic()
-    takes_s = None if for_ is None else parse_duration(for_, "--for") / 1e9
+    length_s = None if for_ is None else parse_duration(for_, "--for") / 1e9
 
     def look() -> Progress:
         passed_s = time.monotonic() - began_s
-        share = passed_s / takes_s if takes_s else None
+        share = passed_s / length_s if length_s else None
         return share, f"{recorder.recorded} items of {len(recorder.channels)} channels in {passed_s:.0f} s"
 
     return look
 
 
-def _tell(recorder: Recorder, arguments: argparse.Namespace) -> None:
+def _print_start(recorder: Recorder, arguments: argparse.Namespace) -> None:
     names = recorder.channels
     shown = escaped(joined(names)) if len(names) <= 5 else f"{len(names)} channels"
     until = f"for {arguments.for_}" if arguments.for_ else "until Ctrl-C"

@@ -23,30 +23,30 @@ def why_unserved(failures: Mapping[str, StampedeError], supernodes: int) -> Stam
     ambiguous = [error for error in failures.values() if error.reason == "AMBIGUOUS"]
     if ambiguous:
         return ambiguous[-1]
-    strangers = [error for error in failures.values() if isinstance(error, WrongCluster)]
-    if len(strangers) == supernodes:
-        return strangers[-1]
+    wrong_cluster_errors = [error for error in failures.values() if isinstance(error, WrongCluster)]
+    if len(wrong_cluster_errors) == supernodes:
+        return wrong_cluster_errors[-1]
     silent = {target: error for target, error in failures.items() if _is_silent(error)}
     needed = supernodes // 2 + 1
     if supernodes == 1 and silent:
         return last if isinstance(last, DeadlineExceeded) else _alone(*silent.items())
     if supernodes - len(silent) < needed:
         answering = f"{supernodes - len(silent)} of {supernodes} supernodes answer"
-        missing = ", ".join(f"{target} {_how(error)}" for target, error in silent.items())
+        missing = ", ".join(f"{target} {_failure_text(error)}" for target, error in silent.items())
         return Unavailable(
             f"the directory has no majority: {answering}, {needed} must answer ({missing}); start these with their "
             "folders; `stampede doctor` examines all supernodes",
             reason="NO_QUORUM",
         )
-    spoken = [error for target, error in failures.items() if target not in silent]
-    return spoken[-1] if spoken else last
+    answers = [error for target, error in failures.items() if target not in silent]
+    return answers[-1] if answers else last
 
 
 def _is_silent(error: StampedeError) -> bool:
     return isinstance(error, DeadlineExceeded | WrongCluster) or UNREACHED in error.metadata
 
 
-def _how(error: StampedeError) -> str:
+def _failure_text(error: StampedeError) -> str:
     if isinstance(error, WrongCluster):
         named = f", {error.metadata['cluster_id']}" if "cluster_id" in error.metadata else ""
         return f"is of another cluster{named}"

@@ -21,8 +21,8 @@ class Transport(StrEnum):
     error.
     """
     SHARED = "shared"
-    """As SOCKET, and memory shared with the host for reads of the newest items. If that is impossible, the program gets
-    an error.
+    """Like SOCKET, and also memory that the host shares for reads of the newest items. If that is impossible, the
+    program gets an error.
     """
     BEST = "best"
     """The first transport that the host's gatekeeper offers, or gRPC if it offers none."""

@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from itertools import pairwise
 from typing import NamedTuple
 
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import item_pb2
@@ -42,16 +41,16 @@ class Put(NamedTuple):
     is_referenced: bool = False
 
 
-puts = some.builds(
+puts = strategies.builds(
     Put,
-    step=some.integers(-1, 2),
-    skipped=some.sampled_from([0, 0, 0, 1]),
-    items=some.sampled_from([1, 1, 1, 2]),
-    length=some.sampled_from([0, 3, 127, 128, ITEM_BYTES_MAX, ITEM_BYTES_MAX + 1]),
-    duration=some.sampled_from([None, None, -1, 5]),
-    is_stamped=some.booleans(),
-    content_type=some.sampled_from(["", "", "", "a/bcdefg"]),  # ten bytes with its tag, like a column
-    is_referenced=some.booleans(),
+    step=strategies.integers(-1, 2),
+    skipped=strategies.sampled_from([0, 0, 0, 1]),
+    items=strategies.sampled_from([1, 1, 1, 2]),
+    length=strategies.sampled_from([0, 3, 127, 128, ITEM_BYTES_MAX, ITEM_BYTES_MAX + 1]),
+    duration=strategies.sampled_from([None, None, -1, 5]),
+    is_stamped=strategies.booleans(),
+    content_type=strategies.sampled_from(["", "", "", "a/bcdefg"]),  # ten bytes with its tag, like a column
+    is_referenced=strategies.booleans(),
 )
 
 
@@ -85,7 +84,7 @@ def items_of(runs: list[Run]) -> list[object]:
     return [one[:1] + one[2:] for each in decoder.decode_each(delivered) for one in each]
 
 
-@given(some.lists(puts, max_size=12))
+@given(strategies.lists(puts, max_size=12))
 def test_joined_runs_have_the_same_items_and_columns(given_puts: list[Put]) -> None:
     runs = all_stored(given_puts)
     joined = joined_runs(runs)
@@ -145,7 +144,7 @@ def received(slices: Iterable[DeliveredSlice]) -> list[object]:
     return [one for each in decoder.decode_each(runs) for one in each]
 
 
-@given(some.lists(puts, max_size=12), some.sampled_from([None, 3]))
+@given(strategies.lists(puts, max_size=12), strategies.sampled_from([None, 3]))
 def test_a_subscription_has_the_same_items_and_spans_with_joined_runs(
     given_puts: list[Put], overlap: int | None
 ) -> None:

@@ -6,8 +6,7 @@ from contextlib import suppress
 
 import pytest
 from google.protobuf.message import DecodeError
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import replica_service_pb2 as pb
@@ -15,13 +14,15 @@ from stampede_rt_channel_host.copies.fed_items import encode_answer, encode_item
 from stampede_rt_channel_host.copies.fed_responses import read_response
 from stampede_rt_channel_host.core.channel import FedItem, NewFloor, NewItem
 
-instants, counts = some.integers(-(2**63), 2**63 - 1), some.integers(1, 2**64 - 1)
-bodies = some.builds(bytes, some.sampled_from([13, 200, 100_000]))  # a stored run has at least a length and a seq
-items = some.builds(NewItem, counts, some.just(0) | counts, counts, instants, instants,
-                    some.integers(0, 2**32 - 1), some.booleans(), instants, bodies, some.just(""),
-                    some.sampled_from([1, 2, 256, 2**32 - 1]))  # fmt: skip
-floors = some.builds(NewFloor, some.tuples(instants, counts), instants, instants)
-parts = some.builds(FedItem, items, some.none() | floors)
+instants, counts = strategies.integers(-(2**63), 2**63 - 1), strategies.integers(1, 2**64 - 1)
+bodies = strategies.builds(
+    bytes, strategies.sampled_from([13, 200, 100_000])
+)  # a stored run has at least a length and a seq
+items = strategies.builds(NewItem, counts, strategies.just(0) | counts, counts, instants, instants,
+                    strategies.integers(0, 2**32 - 1), strategies.booleans(), instants, bodies, strategies.just(""),
+                    strategies.sampled_from([1, 2, 256, 2**32 - 1]))  # fmt: skip
+floors = strategies.builds(NewFloor, strategies.tuples(instants, counts), instants, instants)
+parts = strategies.builds(FedItem, items, strategies.none() | floors)
 
 
 def message_of(fed: FedItem) -> pb.FeedResponse:
@@ -49,7 +50,7 @@ def test_an_item_whose_fields_protobuf_has_encoded_is_read_too(fed: FedItem) -> 
     assert read_response(message_of(fed).SerializeToString()) == fed
 
 
-@given(parts, some.integers(1, 150), some.integers(1, 255))
+@given(parts, strategies.integers(1, 150), strategies.integers(1, 255))
 def test_a_damaged_item_is_refused_or_another_item(fed: FedItem, at: int, flipped: int) -> None:
     raw = bytearray(encode_item(fed))
     raw[at % len(raw)] ^= flipped

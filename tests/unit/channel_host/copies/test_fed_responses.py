@@ -6,14 +6,13 @@ from contextlib import suppress
 
 import pytest
 from google.protobuf.message import DecodeError
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.v1 import item_pb2, raw_run_pb2
 from stampede_rt.v1 import replica_service_pb2 as pb
 from stampede_rt_channel_host.copies.fed_responses import LONG_BYTES, read_response
 
-sizes = some.lists(some.sampled_from([0, 1, 200, LONG_BYTES - 40, LONG_BYTES]), max_size=4)
+sizes = strategies.lists(strategies.sampled_from([0, 1, 200, LONG_BYTES - 40, LONG_BYTES]), max_size=4)
 
 
 def response_of(payloads: list[int]) -> bytes:
@@ -49,7 +48,7 @@ def test_the_runs_of_a_long_response_are_views_of_its_bytes() -> None:
     assert run.obj is raw
 
 
-@given(some.integers(3, 200), some.integers(0, 200))
+@given(strategies.integers(3, 200), strategies.integers(0, 200))
 def test_a_damaged_long_response_is_refused_or_has_other_bytes(end: int, flipped: int) -> None:
     raw = bytearray(response_of([LONG_BYTES]))
     with pytest.raises(DecodeError):

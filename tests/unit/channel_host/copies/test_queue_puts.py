@@ -9,19 +9,20 @@ from contextlib import suppress
 
 import pytest
 from google.protobuf.message import DecodeError
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt_channel_host.copies.queue_puts import encode_answer, encode_put, encode_request, read_answer, read_put
 from stampede_rt_channel_host.core.queue import AheadPut
 
-counts = some.integers(1, 2**64 - 1)
-bodies = some.builds(bytes, some.sampled_from([13, 200, 100_000]))
-names = some.sampled_from(["", "client cam", "Müller", "n" * 200])
-stamps = some.none() | some.integers(-(2**63), 2**63 - 1)
-puts = some.builds(AheadPut, counts, counts, counts, counts, some.integers(0, 2**32 - 1), stamps, names, bodies)
+counts = strategies.integers(1, 2**64 - 1)
+bodies = strategies.builds(bytes, strategies.sampled_from([13, 200, 100_000]))
+names = strategies.sampled_from(["", "client cam", "Müller", "n" * 200])
+stamps = strategies.none() | strategies.integers(-(2**63), 2**63 - 1)
+puts = strategies.builds(
+    AheadPut, counts, counts, counts, counts, strategies.integers(0, 2**32 - 1), stamps, names, bodies
+)
 
 
 def message_of(put: AheadPut) -> pb.FeedQueueRequest:
@@ -44,7 +45,7 @@ def test_a_put_whose_fields_protobuf_has_encoded_is_read_too(put: AheadPut) -> N
     assert read_put(message_of(put).SerializeToString()) == put
 
 
-@given(puts, some.integers(1, 150), some.integers(1, 255))
+@given(puts, strategies.integers(1, 150), strategies.integers(1, 255))
 def test_a_damaged_put_is_refused_or_read_as_another_put(put: AheadPut, at: int, flipped: int) -> None:
     raw = bytearray(encode_put(put))
     raw[at % len(raw)] ^= flipped

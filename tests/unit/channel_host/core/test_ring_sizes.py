@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt_channel_host.core.ring_sizes import (
     DATA_BYTES_MAX,
@@ -20,7 +19,7 @@ from stampede_rt_channel_host.core.ring_sizes import (
 RUN_BYTES_MAX = DATA_BYTES_MAX // RUNS_OF_SHORT_RING
 
 
-@given(some.integers(0, RUN_BYTES_MAX))
+@given(strategies.integers(0, RUN_BYTES_MAX))
 def test_every_possible_ring_takes_the_runs_for_which_it_is_made(run_bytes: int) -> None:
     fits = [*fits_for(run_bytes)]
     assert DATA_BYTES_MIN <= fits[0].data_bytes <= DATA_BYTES_MAX
@@ -31,18 +30,18 @@ def test_every_possible_ring_takes_the_runs_for_which_it_is_made(run_bytes: int)
     assert all(shorter.data_bytes * 2 == longer.data_bytes for longer, shorter in pairwise(fits))
 
 
-@given(some.integers(RUN_BYTES_MAX + 1, 2 * DATA_BYTES_MAX))
+@given(strategies.integers(RUN_BYTES_MAX + 1, 2 * DATA_BYTES_MAX))
 def test_runs_that_are_too_long_for_the_largest_ring_get_none(run_bytes: int) -> None:
     assert not [*fits_for(run_bytes)]
 
 
-@given(some.integers(0, RUN_BYTES_MAX))
+@given(strategies.integers(0, RUN_BYTES_MAX))
 def test_a_run_that_is_too_long_for_a_ring_gets_a_larger_ring(run_bytes: int) -> None:
     former, best = next(fits_for(run_bytes // 2)), next(fits_for(run_bytes))
     assert (best.data_bytes > former.data_bytes) is (run_bytes > former.longest_run)
 
 
-@given(some.integers(0, RUN_BYTES_MAX), some.integers(0, RUN_BYTES_MAX))
+@given(strategies.integers(0, RUN_BYTES_MAX), strategies.integers(0, RUN_BYTES_MAX))
 def test_a_ring_suits_if_the_best_one_has_neither_twice_nor_half_of_its_data(one: int, other: int) -> None:
     ring, best = next(fits_for(one)), next(fits_for(other))
     assert ring.suits(ring)

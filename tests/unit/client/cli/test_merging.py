@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.cli.merging import ALL_BYTES_MAX, CHANNEL_BYTES_MAX, CHANNEL_ITEMS_MAX, MergedItem, TimeMerge
 from stampede_rt.values.model import Item
@@ -73,7 +72,11 @@ def test_each_channel_has_room_for_a_limited_number_of_items_and_bytes_and_alway
     assert not merge.has_room("long")
 
 
-@given(some.dictionaries(some.sampled_from("abcd"), some.lists(some.integers(0, 50), max_size=30), min_size=1))
+@given(
+    strategies.dictionaries(
+        strategies.sampled_from("abcd"), strategies.lists(strategies.integers(0, 50), max_size=30), min_size=1
+    )
+)
 def test_channels_in_order_of_time_are_printed_in_order_of_time_without_late_items(
     times: dict[str, list[int]],
 ) -> None:

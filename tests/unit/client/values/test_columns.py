@@ -11,16 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 import stampede_rt as st
 from stampede_rt.values.answers import Items
 from stampede_rt.values.columns import DecodedRun, ItemColumns, kept, span_end, span_ends
 from stampede_rt.values.model import Item
 
-RUN = some.lists(
-    some.tuples(some.integers(0, 20), some.integers(-1, 9), some.binary(max_size=3)), min_size=1, max_size=5
+RUN = strategies.lists(
+    strategies.tuples(strategies.integers(0, 20), strategies.integers(-1, 9), strategies.binary(max_size=3)),
+    min_size=1,
+    max_size=5,
 )
 
 
@@ -74,11 +75,11 @@ def expected(runs: Sequence[DecodedRun], next_time: int | None, overlap: int) ->
 
 
 @given(
-    some.lists(RUN, min_size=1, max_size=4),
-    some.none() | some.integers(0, 30),
-    some.sampled_from([0, 4]),
-    some.booleans(),
-    some.booleans(),
+    strategies.lists(RUN, min_size=1, max_size=4),
+    strategies.none() | strategies.integers(0, 30),
+    strategies.sampled_from([0, 4]),
+    strategies.booleans(),
+    strategies.booleans(),
 )
 def test_columns_hold_the_same_items_as_a_list(
     runs: list[list[tuple[int, int, bytes]]], next_time: int | None, overlap: int, payloads: bool, backwards: bool
@@ -201,10 +202,10 @@ def test_items_of_the_same_time_end_with_the_next_bucket() -> None:
 
 
 @given(
-    some.lists(RUN, min_size=1, max_size=3),
-    some.lists(some.integers(0, 14), max_size=3),
-    some.booleans(),
-    some.booleans(),
+    strategies.lists(RUN, min_size=1, max_size=3),
+    strategies.lists(strategies.integers(0, 14), max_size=3),
+    strategies.booleans(),
+    strategies.booleans(),
 )
 def test_the_column_of_payloads_has_the_payloads_of_the_items(
     runs: list[list[tuple[int, int, bytes]]], touched: list[int], backwards: bool, as_lists: bool

@@ -10,8 +10,7 @@ from types import FrameType
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.values import ready_items
 from stampede_rt.values.answers import ItemBatch
@@ -19,7 +18,7 @@ from stampede_rt.values.columns import DecodedRun, ItemColumns
 from stampede_rt.values.model import Item
 from stampede_rt.values.ready_items import ReadyItems, SeenSeqs
 
-LENGTHS = some.lists(some.integers(1, 4), max_size=4)
+LENGTHS = strategies.lists(strategies.integers(1, 4), max_size=4)
 
 
 def run(first_seq: int, length: int, *, durations: bool = False) -> ItemColumns:
@@ -47,7 +46,7 @@ def runs_of(lengths: Sequence[int], first_seq: int = 1) -> list[Sequence[Item]]:
     return runs
 
 
-@given(some.lists(some.one_of(LENGTHS, some.just("one"), some.just("all")), max_size=12))
+@given(strategies.lists(strategies.one_of(LENGTHS, strategies.just("one"), strategies.just("all")), max_size=12))
 def test_steps_and_batches_in_any_sequence_give_each_item_once_and_in_order(turns: list[Any]) -> None:
     ready, added, taken = ReadyItems(), 0, list[int]()
     for turn in turns:

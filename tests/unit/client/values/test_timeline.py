@@ -5,8 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.errors import InvalidArgument, InvalidInterval
 from stampede_rt.values.timeline import (
@@ -26,7 +25,7 @@ from stampede_rt.values.timeline import (
     parse_match,
 )
 
-instants = some.integers(MIN_INSTANT, MAX_INSTANT)
+instants = strategies.integers(MIN_INSTANT, MAX_INSTANT)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +100,7 @@ def test_only_intervals_with_newest_or_oldest_wait_for_an_item() -> None:
     assert parse_interval(0, NOW).resolve(now=7, newest=None, oldest=None) == ResolvedInterval(0, 7)
 
 
-@given(instants, some.integers(-(2**62), 2**62))
+@given(instants, strategies.integers(-(2**62), 2**62))
 def test_sums_stay_within_64_bits(instant: int, offset: int) -> None:
     bound = NOW + timedelta(microseconds=offset // 1000)
     resolved = parse_interval(bound, bound).resolve(now=instant, newest=None, oldest=None)

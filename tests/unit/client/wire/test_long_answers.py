@@ -8,8 +8,7 @@ from contextlib import suppress
 
 import pytest
 from google.protobuf.message import DecodeError
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
@@ -20,13 +19,16 @@ from stampede_rt.wire.long_answers import LONG_BYTES, LongRun, read_answer
 from stampede_rt.wire.runs import encode_run, seal_run
 
 DECODER = ItemDecoder(incarnation=7, content_type="text/plain", payloads=True)
-runs_of_items = some.lists(
-    some.tuples(
-        some.lists(some.tuples(some.integers(0, 50), some.integers(-1, 20), some.binary(max_size=30)), min_size=1),
-        some.booleans(),
-        some.sampled_from([None, {"lens": "wide", "k": ""}]),
-        some.sampled_from(["", "image/raw"]),
-        some.one_of(some.none(), some.integers(0, 100)),
+runs_of_items = strategies.lists(
+    strategies.tuples(
+        strategies.lists(
+            strategies.tuples(strategies.integers(0, 50), strategies.integers(-1, 20), strategies.binary(max_size=30)),
+            min_size=1,
+        ),
+        strategies.booleans(),
+        strategies.sampled_from([None, {"lens": "wide", "k": ""}]),
+        strategies.sampled_from(["", "image/raw"]),
+        strategies.one_of(strategies.none(), strategies.integers(0, 100)),
     ),
     min_size=1,
     max_size=4,
@@ -74,14 +76,16 @@ def test_items_keep_their_payloads_when_the_memory_of_the_response_is_used_again
     assert all(type(item.payload) is bytes for item in items)
 
 
-@given(runs_of_items, some.data())
-def test_a_damaged_response_gives_an_error_or_other_items_and_no_defect(runs: object, data: some.DataObject) -> None:
+@given(runs_of_items, strategies.data())
+def test_a_damaged_response_gives_an_error_or_other_items_and_no_defect(
+    runs: object, data: strategies.DataObject
+) -> None:
     raw = bytearray(response_of(runs).SerializeToString())
-    if data.draw(some.booleans()):
-        del raw[data.draw(some.integers(0, len(raw) - 1)) :]
+    if data.draw(strategies.booleans()):
+        del raw[data.draw(strategies.integers(0, len(raw) - 1)) :]
     for _ in range(3):
         if raw:
-            raw[data.draw(some.integers(0, min(200, len(raw) - 1)))] = data.draw(some.integers(0, 255))
+            raw[data.draw(strategies.integers(0, min(200, len(raw) - 1)))] = data.draw(strategies.integers(0, 255))
     with suppress(DecodeError, StampedeError):
         items_in(bytes(raw))
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.v1 import item_pb2
 from stampede_rt.wire.plain_runs import plain_run_parts, read_plain_run, read_sealed_run, sealed_payload_at
 from stampede_rt.wire.run_slices import sealed_columns
 from stampede_rt.wire.runs import encode_run, parse_run, seal_run
 
-instants = some.integers(-(2**63), 2**63 - 1)
+instants = strategies.integers(-(2**63), 2**63 - 1)
 
 
-@given(some.binary(max_size=300), some.none() | instants, some.none() | instants)
+@given(strategies.binary(max_size=300), strategies.none() | instants, strategies.none() | instants)
 def test_a_plain_run_has_the_bytes_that_protobuf_encodes(
     payload: bytes, time: int | None, duration: int | None
 ) -> None:
@@ -31,13 +30,13 @@ def test_a_plain_run_has_the_bytes_that_protobuf_encodes(
     assert read_plain_run(made) == read_plain_run(memoryview(made)) == (time, duration, len(payload))
 
 
-@given(some.binary(max_size=40), some.data())
-def test_a_cut_run_is_not_plain(payload: bytes, data: some.DataObject) -> None:
+@given(strategies.binary(max_size=40), strategies.data())
+def test_a_cut_run_is_not_plain(payload: bytes, data: strategies.DataObject) -> None:
     made = b"".join(plain_run_parts(payload, 5, 6))
-    assert read_plain_run(made[: data.draw(some.integers(0, len(made) - 1))]) is None
+    assert read_plain_run(made[: data.draw(strategies.integers(0, len(made) - 1))]) is None
 
 
-@given(some.binary(max_size=60))
+@given(strategies.binary(max_size=60))
 def test_any_bytes_read_as_plain_are_a_run_of_these_columns(raw: bytes) -> None:
     found = read_plain_run(raw)
     if found is not None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import item_pb2
@@ -12,11 +11,11 @@ from stampede_rt.wire.runs import run_parts
 
 
 @given(
-    some.integers(1, 2**64 - 1),
-    some.lists(some.binary(max_size=300), min_size=1, max_size=4),
-    some.none() | some.integers(-1, 2**62),
-    some.booleans(),
-    some.sampled_from(({}, {"k": "v"})),
+    strategies.integers(1, 2**64 - 1),
+    strategies.lists(strategies.binary(max_size=300), min_size=1, max_size=4),
+    strategies.none() | strategies.integers(-1, 2**62),
+    strategies.booleans(),
+    strategies.sampled_from(({}, {"k": "v"})),
 )
 def test_a_framed_put_is_decoded_as_the_message(
     number: int, payloads: list[bytes], wait: int | None, first: bool, labels: dict[str, str]

@@ -6,8 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 from google.protobuf.message import DecodeError
-from hypothesis import given, settings
-from hypothesis import strategies as some
+from hypothesis import given, settings, strategies
 
 from stampede_rt.errors import ItemTooLarge, MalformedRun
 from stampede_rt.v1 import item_pb2
@@ -17,8 +16,10 @@ from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 from stampede_rt.wire.run_slices import sealed_columns, sealed_parts, slice_run
 from stampede_rt.wire.runs import ITEM_BYTES_MAX, RUN_BYTES_MAX, encode_run, parse_run, seal_run, select_items
 
-items = some.lists(
-    some.tuples(some.integers(0, 50), some.integers(-1, 20), some.binary(max_size=20)), min_size=1, max_size=12
+items = strategies.lists(
+    strategies.tuples(strategies.integers(0, 50), strategies.integers(-1, 20), strategies.binary(max_size=20)),
+    min_size=1,
+    max_size=12,
 )
 decoder = ItemDecoder(incarnation=7, content_type="text/plain", payloads=True)
 
@@ -32,7 +33,7 @@ def encoded(columns: list[tuple[int, int, bytes]], **rest: object) -> bytes:
     return encode_run(payloads, times=times, durations=durations, **rest)  # type: ignore[arg-type]
 
 
-@given(items, some.integers(0, 2**63))
+@given(items, strategies.integers(0, 2**63))
 def test_every_decoded_column_is_as_it_was_encoded(columns: list[tuple[int, int, bytes]], first_seq: int) -> None:
     sealed = seal_run(encoded(columns, attributes={"k": "v"}), first_seq)
     found = decoder.decode([delivered(sealed)])
@@ -42,10 +43,16 @@ def test_every_decoded_column_is_as_it_was_encoded(columns: list[tuple[int, int,
     assert found[0].attributes == {"k": "v"}
 
 
-@given(items, some.integers(1, 2**63), some.booleans(), some.sampled_from([{}, {"k": "v"}]), some.data())
+@given(
+    items,
+    strategies.integers(1, 2**63),
+    strategies.booleans(),
+    strategies.sampled_from([{}, {"k": "v"}]),
+    strategies.data(),
+)
 def test_the_parts_of_a_sealed_run_are_the_parts_that_a_parser_finds(
     columns: list[tuple[int, int, bytes]], first_seq: int, stamped: bool, attributes: dict[str, str],
-    data: some.DataObject,
+    data: strategies.DataObject,
 ) -> None:  # fmt: skip
     _, durations, payloads = zip(*columns, strict=True)
     times = [7] * len(columns)
@@ -60,10 +67,10 @@ def test_the_parts_of_a_sealed_run_are_the_parts_that_a_parser_finds(
     assert (found.first_seq, [*found.times]) == (parsed.first_seq, [*parsed.time_unix_nano])
     assert [*(found.durations or ())] == [*parsed.duration_nanos]
     assert [*found.lengths] == [*parsed.payload_length_bytes]
-    assert sealed_columns(sealed[: data.draw(some.integers(0, len(sealed) - 1))]) is None
+    assert sealed_columns(sealed[: data.draw(strategies.integers(0, len(sealed) - 1))]) is None
 
 
-@given(some.binary(max_size=60))
+@given(strategies.binary(max_size=60))
 def test_bytes_that_are_no_run_have_no_columns_or_the_columns_that_a_parser_finds(raw: bytes) -> None:
     found = sealed_columns(raw)
     if found is not None and item_parses(raw):
@@ -78,11 +85,11 @@ def item_parses(raw: bytes) -> bool:
     return True
 
 
-@given(items, some.data())
-def test_a_slice_is_the_same_items(columns: list[tuple[int, int, bytes]], data: some.DataObject) -> None:
+@given(items, strategies.data())
+def test_a_slice_is_the_same_items(columns: list[tuple[int, int, bytes]], data: strategies.DataObject) -> None:
     sealed = seal_run(encoded(columns), 5)
-    lo = data.draw(some.integers(0, len(columns) - 1))
-    hi = data.draw(some.integers(lo + 1, len(columns)))
+    lo = data.draw(strategies.integers(0, len(columns) - 1))
+    hi = data.draw(strategies.integers(lo + 1, len(columns)))
     (whole,) = decoder.decode_each([delivered(sealed)])
     (cut,) = decoder.decode_each([delivered(slice_run(sealed, lo, hi))])
     assert [(item.time, item.seq, item.payload) for item in cut] == [
@@ -92,9 +99,9 @@ def test_a_slice_is_the_same_items(columns: list[tuple[int, int, bytes]], data: 
     assert (bare.payloads, list(bare.payload_length_bytes)) == (b"", [len(p) for _, _, p in columns[lo:hi]])
 
 
-@given(items, some.data())
-def test_the_rest_of_a_run_keeps_its_order(columns: list[tuple[int, int, bytes]], data: some.DataObject) -> None:
-    kept = sorted(data.draw(some.sets(some.integers(0, len(columns) - 1), min_size=1)))
+@given(items, strategies.data())
+def test_the_rest_of_a_run_keeps_its_order(columns: list[tuple[int, int, bytes]], data: strategies.DataObject) -> None:
+    kept = sorted(data.draw(strategies.sets(strategies.integers(0, len(columns) - 1), min_size=1)))
     rest = parse_run(select_items(encoded(columns), kept))
     assert list(rest.times or ()) == [columns[i][0] for i in kept]
     assert list(rest.lengths) == [len(columns[i][2]) for i in kept]
@@ -187,8 +194,8 @@ def test_the_client_copies_and_parses_only_the_fields_before_the_payloads_of_a_l
 
 @settings(max_examples=200)
 @given(
-    some.lists(some.binary(max_size=3), min_size=1, max_size=RUN_ITEMS_MAX),
-    some.dictionaries(some.text(max_size=4), some.text(max_size=200), max_size=20),
+    strategies.lists(strategies.binary(max_size=3), min_size=1, max_size=RUN_ITEMS_MAX),
+    strategies.dictionaries(strategies.text(max_size=4), strategies.text(max_size=200), max_size=20),
 )
 def test_no_run_of_the_contract_is_too_long(payloads: list[bytes], attributes: dict[str, str]) -> None:
     raw = encode_run(payloads, times=[1] * len(payloads), durations=[2] * len(payloads), attributes=attributes)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.wire.varints import decode_varint, encode_varint
 
 
-@given(some.integers(0, 2**64 - 1), some.binary(max_size=3))
+@given(strategies.integers(0, 2**64 - 1), strategies.binary(max_size=3))
 def test_a_decoded_number_is_as_it_was_encoded(value: int, before: bytes) -> None:
     encoded = encode_varint(value)
     assert decode_varint(before + encoded + b"rest", len(before)) == (value, len(before) + len(encoded))

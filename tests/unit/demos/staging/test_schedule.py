@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt_demos.staging.schedule import LoopedClock, planned_blocks, planned_frames
 
@@ -27,7 +26,7 @@ def test_a_day_of_frames_has_not_drifted_by_a_nanosecond():
     assert clock.offset(25 * 86_400) == 86_400_000 * MS
 
 
-@given(some.lists(some.integers(1, 100), min_size=1, max_size=20), some.integers(-5, 5000))
+@given(strategies.lists(strategies.integers(1, 100), min_size=1, max_size=20), strategies.integers(-5, 5000))
 def test_the_count_before_an_instant_is_the_number_of_items_that_begin_earlier(gaps, nanos):
     ends = np.cumsum(gaps).tolist()
     clock = LoopedClock([0, *ends[:-1]], ends[-1])

@@ -81,12 +81,12 @@ class RemoteMember:
     def _ahead_bytes(self) -> int:
         return AHEAD_ITEMS * self._item_bytes
 
-    async def keep(self, dial: Dial, on_news: Callable[[], None]) -> None:
+    async def keep(self, dial: Dial, on_change: Callable[[], None]) -> None:
         """Follow the member at its owner. If that fails, try again at the host that the directory then names."""
         while True:  # paced by the sleep; ends by cancellation
             if self.target:
                 try:
-                    await self._listen(dial, on_news)
+                    await self._listen(dial, on_change)
                 except StampedeError as error:
                     logger.debug(
                         "cannot follow a member",
@@ -96,7 +96,7 @@ class RemoteMember:
                         self._begin_anew()
             await asyncio.sleep(PAUSE_SECONDS)
 
-    async def _listen(self, dial: Dial, on_news: Callable[[], None]) -> None:
+    async def _listen(self, dial: Dial, on_change: Callable[[], None]) -> None:
         target = self.target
         channel = dial(target)
         call: Any = channel_service_pb2_grpc.ChannelServiceStub(channel).Subscribe()
@@ -104,7 +104,7 @@ class RemoteMember:
         try:
             async for response in call:
                 self._take(response)
-                on_news()
+                on_change()
         except grpc.RpcError as error:
             raise from_rpc_error(error, target) from error
         finally:

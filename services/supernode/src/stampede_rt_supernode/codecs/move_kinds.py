@@ -64,7 +64,7 @@ def releases_from(messages: Iterable[move_pb2.MoveToRelease]) -> tuple[MoveToRel
     return tuple(MoveToRelease(channel_id=one.channel_id, epoch=one.epoch) for one in messages)
 
 
-def _several_message(operation: CommitMoves) -> pb.CommitMovesCommand:
+def _commits_message(operation: CommitMoves) -> pb.CommitMovesCommand:
     return pb.CommitMovesCommand(
         to_host_id=operation.to_host_id,
         to_boot_incarnation=operation.to_boot_incarnation,
@@ -72,7 +72,7 @@ def _several_message(operation: CommitMoves) -> pb.CommitMovesCommand:
     )
 
 
-def _read_several(message: pb.CommitMovesCommand) -> CommitMoves:
+def _read_commits(message: pb.CommitMovesCommand) -> CommitMoves:
     return CommitMoves(
         to_host_id=message.to_host_id,
         to_boot_incarnation=message.to_boot_incarnation,
@@ -126,8 +126,8 @@ CODECS: tuple[KindCodec[Any, Any, Any, Any], ...] = (
         outcome="moves_committed",
         operation=CommitMoves,
         result=MovesCommitted,
-        write=_several_message,
-        read=_read_several,
+        write=_commits_message,
+        read=_read_commits,
         write_result=lambda one: pb.MovesCommittedResult(channels=map(channel_record, one.channels)),
         read_result=lambda message: MovesCommitted(channels=tuple(map(channel_from, message.channels))),
     ),

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.errors import InvalidArgument, MalformedRun
 from stampede_rt.v1 import channel_service_pb2 as pb
@@ -39,9 +38,12 @@ def as_read(request: PutRequest) -> tuple[object, ...]:
 
 
 @given(
-    some.lists(some.tuples(some.integers(1, 2**64 - 1), some.none() | some.integers(-1, 2**62)), max_size=4),
-    some.booleans(),
-    some.sampled_from([b"", b"short", LONG]),
+    strategies.lists(
+        strategies.tuples(strategies.integers(1, 2**64 - 1), strategies.none() | strategies.integers(-1, 2**62)),
+        max_size=4,
+    ),
+    strategies.booleans(),
+    strategies.sampled_from([b"", b"short", LONG]),
 )
 def test_a_request_of_several_runs_is_decoded_as_by_protobuf(
     puts: list[tuple[int, int | None]], first: bool, payload: bytes
@@ -54,7 +56,7 @@ def test_a_request_of_several_runs_is_decoded_as_by_protobuf(
     assert as_read(read_request(raw)) == as_protobuf(raw)
 
 
-@given(some.binary(max_size=40), some.integers(0, 40))
+@given(strategies.binary(max_size=40), strategies.integers(0, 40))
 def test_a_changed_request_is_decoded_as_by_protobuf_or_refused(garbage: bytes, at: int) -> None:
     raw = b"".join(put_pieces(put_head(b"c" * 16, 7, 9), 3, run_parts([LONG], times=None), 5))
     changed = raw[:at] + garbage + raw[at + len(garbage) :]

@@ -53,7 +53,7 @@ def test_an_item_is_kept_until_earlier_items_are_collected_so_that_no_span_grows
     assert held(channel) == []
 
 
-def test_the_refusal_of_one_consumer_too_many_names_the_time_at_which_a_place_gets_free() -> None:
+def test_the_refusal_of_a_consumer_beyond_the_places_names_the_time_at_which_a_place_becomes_free() -> None:
     channel = three_items()
     channel.consume(ANN, [], CLOCK)
     channel.consume(BOB, [], CLOCK)

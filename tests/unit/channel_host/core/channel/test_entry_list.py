@@ -5,15 +5,14 @@ from __future__ import annotations
 from operator import attrgetter
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt_channel_host.core.channel import entry_list
 from stampede_rt_channel_host.core.channel.entry_list import EntryList
 from stampede_rt_channel_host.core.channel.run import OneRun
 
-times = some.lists(some.integers(0, 12), max_size=60)
-keys = some.integers(-1, 13)
+times = strategies.lists(strategies.integers(0, 12), max_size=60)
+keys = strategies.integers(-1, 13)
 
 
 def filled(added: list[int]) -> tuple[EntryList, list[OneRun]]:
@@ -48,7 +47,7 @@ def test_a_list_finds_the_neighbours_of_a_key(added: list[int], key: int) -> Non
     assert [made.nth(at) for at in range(len(entries) + 1)] == [*entries, None]
 
 
-@given(times, keys, keys, some.integers(0, 61))
+@given(times, keys, keys, strategies.integers(0, 61))
 def test_a_range_has_all_entries_between_two_keys_except_entries_below_a_seq(
     added: list[int], low: int, high: int, seq: int
 ) -> None:
@@ -67,15 +66,15 @@ def test_a_range_has_all_entries_between_two_keys_except_entries_below_a_seq(
     assert len(down) <= len(wanted) + 1
 
 
-@given(times, some.data())
-def test_entries_leave_from_the_front_and_from_anywhere(added: list[int], data: some.DataObject) -> None:
+@given(times, strategies.data())
+def test_entries_leave_from_the_front_and_from_anywhere(added: list[int], data: strategies.DataObject) -> None:
     made, entries = filled(added)
     while entries:
-        if data.draw(some.booleans()):
+        if data.draw(strategies.booleans()):
             entries.pop(0)
             made.remove_first()
         else:
-            made.remove(entries.pop(data.draw(some.integers(0, len(entries) - 1))))
+            made.remove(entries.pop(data.draw(strategies.integers(0, len(entries) - 1))))
         assert ([*made], len(made)) == (entries, len(entries))
         assert [*made.between(-1, 13)] == entries
         last = OneRun(len(added) + 1, 5, -1, 1, b"")

@@ -1,18 +1,17 @@
-"""A read that finds its only item without a walk gives the answer of the walk."""
+"""A read that finds its only item directly gives the same answer as a walk over the index."""
 
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match
 from stampede_rt_channel_host.core.channel import ChannelCore, ReadAnswer, selection
 from tests.support.channel_host.channel_cores import a_channel, get, put
 
-runs = some.lists(some.lists(some.integers(0, 30), min_size=1, max_size=4), max_size=12)
-durations = some.sampled_from((None, 0, 1, 5, -1))
-policies = some.sampled_from(({}, {"max_items": 5}, {"max_age_nanos": 12}, {"overlap_nanos": 4}))
+runs = strategies.lists(strategies.lists(strategies.integers(0, 30), min_size=1, max_size=4), max_size=12)
+durations = strategies.sampled_from((None, 0, 1, 5, -1))
+policies = strategies.sampled_from(({}, {"max_items": 5}, {"max_age_nanos": 12}, {"overlap_nanos": 4}))
 
 
 def filled(puts: list[list[int]], duration: int | None, policy: dict[str, int]) -> ChannelCore:
@@ -26,7 +25,7 @@ def facts(answer: ReadAnswer | None) -> tuple[object, ...] | None:
     return None if answer is None else ([*answer.slices], *answer[1:])
 
 
-@given(runs, durations, policies, some.integers(-2, 34), some.integers(10, 40))
+@given(runs, durations, policies, strategies.integers(-2, 34), strategies.integers(10, 40))
 def test_the_item_at_an_instant_is_the_one_that_a_walk_finds(
     puts: list[list[int]], duration: int | None, policy: dict[str, int], time: int, now: int
 ) -> None:
@@ -39,7 +38,7 @@ def test_the_item_at_an_instant_is_the_one_that_a_walk_finds(
     assert short in (None, walked)
 
 
-@given(runs, durations, policies, some.integers(0, 34), some.integers(10, 40))
+@given(runs, durations, policies, strategies.integers(0, 34), strategies.integers(10, 40))
 def test_the_last_item_of_an_interval_is_the_one_that_a_walk_finds(
     puts: list[list[int]], duration: int | None, policy: dict[str, int], bound: int, now: int
 ) -> None:

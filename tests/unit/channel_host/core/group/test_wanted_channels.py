@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 
-from hypothesis import given
-from hypothesis import strategies as some
+from hypothesis import given, strategies
 
 from stampede_rt_channel_host.core.group.wanted_channels import WantedChannels
 
@@ -63,7 +62,7 @@ def test_the_creator_with_most_channels_is_still_found_when_all_others_have_left
     assert wanted.largest_creator == "b"
 
 
-STEPS = some.lists(some.tuples(some.integers(0, 3), some.integers(0, 11)), max_size=60)
+STEPS = strategies.lists(strategies.tuples(strategies.integers(0, 3), strategies.integers(0, 11)), max_size=60)
 
 
 @given(STEPS)

@@ -15,14 +15,14 @@ CREDIT_MAX = 2**62
 
 
 class Credit:
-    """The credit of one stream. Calls `on_news` when the reader grants credit, and when the reader closes its side.
+    """The credit of one stream. Calls `on_change` when the reader grants credit, and when the reader closes its side.
 
     `left` may be below 0, because the last message may have cost more than the credit that was left. `is_final`: the
     reader has closed its side, and grants no further credit.
     """
 
-    def __init__(self, on_news: Callable[[], None]) -> None:
-        self._on_news = on_news
+    def __init__(self, on_change: Callable[[], None]) -> None:
+        self._on_change = on_change
         self.left = 0
         self.is_final = False
         self._is_for_one = False  # whether the credit is for one response
@@ -40,20 +40,20 @@ class Credit:
         if amount:
             rest = 0 if one_response or self._is_for_one else self.left
             self.left, self._is_for_one = min(rest + amount, CREDIT_MAX), one_response
-            self._on_news()
+            self._on_change()
 
     def spend(self, amount: int) -> None:
         """Take off the credit that a sent message costs."""
         self.left = 0 if self._is_for_one and amount else self.left - amount
 
     def close(self) -> None:
-        """Never call `on_news` again. It usually refers to the owner of this object."""
-        self._on_news = lambda: None
+        """Never call `on_change` again. It usually refers to the owner of this object."""
+        self._on_change = lambda: None
 
     def end(self) -> None:
         """Note that the reader grants no further credit."""
         self.is_final = True
-        self._on_news()
+        self._on_change()
 
 
 async def requests_of(read: Callable[[], Awaitable[Any]]) -> AsyncIterator[Any]:

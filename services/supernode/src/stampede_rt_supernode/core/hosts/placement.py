@@ -37,17 +37,17 @@ def least_loaded(tables: Tables, hosts: Iterable[HostRecord], count: Callable[[H
     among these the first host. If no load is known, only `count` decides: no load is known while the feature level is
     below LOADS_LEVEL. Private hosts are left out.
     """
-    among = [host for host in hosts if not is_private(host)]
-    if all(host.load is None for host in among):
-        return min(among, key=count, default=None)
-    owned = sum(_owned(tables, host) for host in among)
+    candidates = [host for host in hosts if not is_private(host)]
+    if all(host.load is None for host in candidates):
+        return min(candidates, key=count, default=None)
+    owned = sum(_owned(tables, host) for host in candidates)
 
     def rank(host: HostRecord) -> tuple[bool, bool, bool, int, int]:
         load = load_permille(tables, host)
-        far_more = _owns_far_more(_owned(tables, host), owned, len(among))
+        far_more = _owns_far_more(_owned(tables, host), owned, len(candidates))
         return is_full(tables, host), load >= FULL_PERMILLE, far_more, load // STEP_PERMILLE, count(host)
 
-    return min(among, key=rank)
+    return min(candidates, key=rank)
 
 
 def is_private(host: HostRecord) -> bool:
@@ -74,9 +74,9 @@ def _owned(tables: Tables, host: HostRecord) -> int:
     return host.channels + tables.queues.count_at(host.host_id)
 
 
-def _owns_far_more(owned: int, by_all: int, hosts: int) -> bool:
-    """Whether a host owns far more than its share: `owned` of the `by_all` things that `hosts` hosts own."""
-    return hosts > 1 and (owned - SHARE_FREE) * (hosts - 1) > SHARE_FACTOR * (by_all - owned)
+def _owns_far_more(owned: int, owned_by_all: int, hosts: int) -> bool:
+    """Whether a host owns far more than its share: `owned` of the `owned_by_all` things that `hosts` hosts own."""
+    return hosts > 1 and (owned - SHARE_FREE) * (hosts - 1) > SHARE_FACTOR * (owned_by_all - owned)
 
 
 def _memory_permille(host: HostRecord) -> int:
