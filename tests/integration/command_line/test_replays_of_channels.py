@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt.cli.main import main
+from stampede_rt.files.writing import FileWriter
 from stampede_rt.values.timeline import format_instant
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.sharing.shared_cluster import shared_cluster_fixture
@@ -47,6 +49,24 @@ def test_a_replay_ignores_later_items_when_it_checks_which_items_the_channel_tak
     words = ("--from", str(began), "--to", str(began + 2 * 10**9), "--as", "cut/", "--speed", "max", "--shift", "now")
     status, out, error_output = run("replay", "until/cam", *words, "-o", "json")
     assert (status, json.loads(out)["items"]) == (0, {"cut/until/cam": 2}), error_output
+
+
+@pytest.mark.parametrize("verb", ["replay", "export"])
+def test_a_full_disk_is_told_without_advice_to_recover_a_removed_file(
+    run: Command, rt: st.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: str
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    rt.channel("full/cam", max_age="60s").put(b"x")
+    monkeypatch.setattr(FileWriter, "_add", full)
+    output = ["--file", str(tmp_path / "a.mcap")] if verb == "export" else ["--as", "full-again/"]
+    status, _, error_output = run(verb, "full/cam", *output)
+    assert status == 1
+    assert "No space left on device; free space; no new file was written" in error_output
+    assert "recover" not in error_output
+    assert ("$TMPDIR" in error_output) is (verb == "replay")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_replay_makes_no_channel_for_a_topic_without_items_in_its_interval(

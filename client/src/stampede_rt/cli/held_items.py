@@ -16,7 +16,7 @@ from stampede_rt.cli.exit_statuses import INCOMPLETE
 from stampede_rt.cli.output import joined
 from stampede_rt.cli.progress import shown_progress
 from stampede_rt.cli.record import recording_progress
-from stampede_rt.errors import InvalidArgument, Unavailable
+from stampede_rt.errors import FileError, InvalidArgument, Unavailable
 from stampede_rt.escaping import escaped
 from stampede_rt.files.schedule import window_text
 from stampede_rt.values.peering import ClockOffset
@@ -43,12 +43,22 @@ def file_of(
     if len(sources) == 1 and os.path.exists(sources[0]):
         yield sources[0], 0
         return
+    from stampede_rt.files.writing import PART_SUFFIX
+
     with tempfile.TemporaryDirectory(prefix=".stampede-held-", dir=folder) as made:
-        path = Path(made) / "held.mcap"
-        summary = _record(arguments, sources, path, arguments.start if from_start else None)
+        path = Path(made) / f"held.mcap{PART_SUFFIX}"  # an error then says that no file stays
+        try:
+            summary = _record(arguments, sources, path, arguments.start if from_start else None)
+        except FileError as error:
+            raise _not_copied(error, folder) from error
         if needs_items:
             _check_items(summary, path, arguments.start, arguments.end)
         yield str(path), 0 if summary.complete else INCOMPLETE
+
+
+def _not_copied(error: FileError, folder: Path | None) -> FileError:
+    where = "; $TMPDIR names the folder for it" if folder is None else ""
+    return FileError(f"the items of the channels do not fit into a temporary file: {error.message}{where}")
 
 
 def since_of(start: int | None, now: int, clock: ClockOffset | None) -> str:

@@ -130,8 +130,25 @@ class McapSource:
         return [self._topics[name] for name in sorted(policies) if name in self._topics]
 
     def first_time(self, name: str, start: int, end: int) -> int | None:
-        """See `FileSource.first_time`. Late items may come after the first ones, so this looks at all chunks."""
-        return self._bound(name, self._places_of(name), 1, start, end)
+        """See `FileSource.first_time`. Late items may come after the first ones, so this looks at all chunks.
+
+        Raises FileError if `events` would raise it for the first item of the topic. So a caller learns of it earlier.
+        """
+        places = self._places_of(name)
+        found = self._bound(name, places, 1, start, end)
+        if found is not None:
+            self._check_first(name, places, start, end)
+        return found
+
+    def _check_first(self, name: str, places: set[int], start: int, end: int) -> None:
+        for place in sorted(places):
+            first, last = self._chunks[place].message_start_time, self._chunks[place].message_end_time
+            if first and (last < start or first >= end):
+                continue
+            for event in self._decoded(place).get(name, ()):
+                if isinstance(event, FileEntry) and start <= event.time < end:
+                    check_unpacked(self.path, event)
+                    return
 
     def _bound(
         self, name: str, places: set[int], sign: int, start: int = MIN_INSTANT, end: int = TIME_MAX + 1

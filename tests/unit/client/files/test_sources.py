@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -183,6 +184,9 @@ def test_the_compressed_messages_of_a_rosbag_are_played_from_its_folder_and_refu
     assert payloads_of(packed) == payloads_of(plain)
     with pytest.raises(FileError, match="compressed messages of a rosbag2; name the folder"):
         played(next(one for one in packed.iterdir() if one.suffix in (".db3", ".mcap")))
+    source = source_of(next(one for one in packed.iterdir() if one.suffix in (".db3", ".mcap")))
+    with closing(source), pytest.raises(FileError, match="name the folder of the bag"):
+        source.first_time("/chatter", MIN_INSTANT, MAX_INSTANT)  # before a replay makes the channel
 
 
 @pytest.mark.parametrize("plugin", list(StoragePlugin))
