@@ -1,8 +1,9 @@
-"""Check that docstrings, comments and names of tests have no clause without its noun, such as "What was collected".
+"""Check that docstrings, comments and names have a noun: not "What was collected", but "the collected items".
 
 The explanation of an argument needs its noun, too, as in "`epoch`: the epoch of the channel". The rule is under "Plain
 prose" in CONTRIBUTING. A docstring may be a question ("Who leads?"). In texts and names the check also refuses the
-words of TWO_MEANINGS. A program cannot check the other rules.
+words of TWO_MEANINGS. No docstring may begin with "As `name`": say what the function does. No variable may have one of
+the VAGUE_NAMES. A program cannot check the other rules.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("client/src", "services", "benchmarks", "demos", "deploy", "tools", "web", "tests")
 GENERATED = {"v1", "_sync"}  # the stubs, and the client that is derived from _async/
 
-FIRST_WORDS = re.compile(r"(What|Whatever|Who|Whoever|Whose|Those|Of|Earlier(?=,))\b(?![^.:]*\?)")
+FIRST_WORDS = re.compile(r"(What|Whatever|Who|Whoever|Whose|Those|Of|Earlier(?=,)|As(?= `))\b(?![^.:]*\?)")
+VAGUE_NAMES = {"told", "said", "heard"}  # the name must say what the variable holds
 PHRASES = re.compile(r"\b([Ww]hoever|by the book)\b|(`: of)\b|(`: (?:the|its) \w+'s)[.,;]")
 # The first words of a comment: a comment at the end of a line, or the first line of other comments.
 COMMENT_WORDS = re.compile(r"(?:^|  )(?:#:?|//) ([Ww]hat|[Ww]ho|[Ww]hoever|[Ww]hatever|[Ww]hose|[Tt]hose|[Oo]f)\b")
@@ -33,7 +35,11 @@ TEST_NAMES = re.compile(
 def complaints(path: str, source: str) -> Iterator[str]:
     """Yield a line for each docstring, name of a test and comment that breaks the rule."""
     yield from complaints_about_lines(path, source)
-    for node in _statements(ast.parse(source)):
+    tree = ast.parse(source)
+    for name, line in _variables(tree) if not VAGUE_NAMES.isdisjoint(re.findall(r"\w+", source)) else ():
+        if name in VAGUE_NAMES:
+            yield f'{path}:{line}: name the thing that the variable holds, instead of "{name}"'
+    for node in _statements(tree):
         if found := _headless_words(node):
             line = getattr(node, "lineno", 1)
             yield f'{path}:{line}: name the noun instead of "{found}", see "Plain prose" in CONTRIBUTING.md'
@@ -63,6 +69,16 @@ def _statements(parent: ast.AST) -> Iterator[ast.AST]:
         for node in below if isinstance(below, list) else ():
             yield node
             yield from _statements(node)
+
+
+def _variables(tree: ast.AST) -> Iterator[tuple[str, int]]:
+    """Yield the names and lines of all variables, attributes and arguments that a module assigns or declares."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()) | ast.arg(arg=name):
+                yield name, node.lineno
+            case ast.ExceptHandler(name=str(name)):
+                yield name, node.lineno
 
 
 def _headless_words(node: ast.AST) -> str | None:

@@ -81,12 +81,12 @@ class Supernode(
 ):
     """Knows two peers, and their clocks if it leads.
 
-    `believed`: the leader in its list; `said`: the leader in its refusals.
+    `believed`: the leader in its list; `named_leader`: the leader in its refusals.
     """
 
     def __init__(self, *, leads: bool) -> None:
         self.leads = leads
-        self.believed = self.said = ""
+        self.believed = self.named_leader = ""
         self.members: tuple[str, ...] = ()
         self.asked: list[bool] = []
 
@@ -108,7 +108,7 @@ class Supernode(
     async def ListPeers(self, request: peer_pb.ListPeersRequest, context: Any) -> peer_pb.ListPeersResponse:
         self.asked.append(request.with_clocks)
         if request.with_clocks and not self.leads:
-            await abort(context, NotLeader("ask another", metadata={"leader_endpoint": self.said}))
+            await abort(context, NotLeader("ask another", metadata={"leader_endpoint": self.named_leader}))
         clock = peer_pb2.ClockOffset(offset_nanos=7, uncertainty_nanos=1, supernode_id="s2")
         place = int(request.page_token or 0)
         peer = peer_pb2.PeerRecord(name=f"peer/{place}", alive=True, clock=clock if request.with_clocks else None)
@@ -131,7 +131,7 @@ async def two_supernodes() -> AsyncIterator[tuple[Supernode, Supernode]]:
             addresses.append((await stack.enter_async_context(serving(register))).address)
         for one in made:
             one.members = tuple(addresses)
-            one.believed = one.said = addresses[1]
+            one.believed = one.named_leader = addresses[1]
         yield made
 
 

@@ -18,7 +18,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Bound, Interval, Match
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
-from stampede_rt_channel_host.archive.written_parts import SeqGap
+from stampede_rt_channel_host.archive.written_parts import MissingSeqs
 from stampede_rt_channel_host.core.archive import (
     ArchivedRead,
     ArchivedRun,
@@ -83,7 +83,7 @@ class History:
                 runs = [one for one in (self._put() for _ in range(self.dice.randint(1, 3))) if one is not None]
                 if runs and self.dice.random() < 0.15:  # max_bytes has collected them
                     last, self.is_whole = runs[-1].run, False
-                    files.write([SeqGap(runs[0].run.first_seq, last.first_seq + len(last))], NO_LIMITS)
+                    files.write([MissingSeqs(runs[0].run.first_seq, last.first_seq + len(last))], NO_LIMITS)
                 elif runs:
                     files.write([runs], NO_LIMITS)
             files.close(CleanStop(7, epoch=epoch))

@@ -343,10 +343,10 @@ async def test_a_recording_of_many_small_items_leaves_the_event_loop_free(
 def test_a_hurried_end_asks_a_host_that_is_away_for_no_longer_than_the_end_may_take(
     rt: st.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[float] = []
+    timeouts: list[float] = []
 
     def away(_: channel_recording.Channel, timeout_s: float) -> st.ChannelStats:
-        asked.append(timeout_s)
+        timeouts.append(timeout_s)
         raise st.Unavailable("its host is away")
 
     channels = [rt.channel(f"hurried/{number}", max_age="60s") for number in range(3)]
@@ -355,7 +355,7 @@ def test_a_hurried_end_asks_a_host_that_is_away_for_no_longer_than_the_end_may_t
             channel.put(b"x")
         monkeypatch.setattr(channel_recording.Channel, "_stats_within", away)
         recorder.hurry(0.5)
-    assert len(asked) == 3
-    assert max(asked) <= 0.5
+    assert len(timeouts) == 3
+    assert max(timeouts) <= 0.5
     assert recorder.summary is not None
     assert [one.gaps[-1].reason for one in recorder.summary.channels] == ["UNAVAILABLE"] * 3

@@ -20,7 +20,7 @@ class CheckedReplica(NewerReplica):
     """The newer release's directory. It reports a command in the log that the log should have refused."""
 
     def apply(self, index: int, command: bytes) -> bytes:
-        """As in production."""
+        """Do the same as in production."""
         if not self.takes(command):
             raise PromiseBroken(f"entry {index} needs a higher feature level than {self.feature_level}")
         return super().apply(index, command)

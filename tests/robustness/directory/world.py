@@ -180,7 +180,7 @@ class WatchedDirectory(DirectoryReplica):
         self._ended = ended
 
     def apply(self, index: int, command: bytes) -> bytes:
-        """As in production."""
+        """Do the same as in production."""
         before = self._alive()
         encoded = super().apply(index, command)
         self._ended(index, before - self._alive())

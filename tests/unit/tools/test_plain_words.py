@@ -17,6 +17,7 @@ from tools.plain_words import complaints, complaints_about_lines
         "Earlier, it waited.",
         "List the segments. `epoch`: of the channel.",
         "List the segments. `epoch`: the channel's, at present.",
+        "As `read`, in pieces.",
     ],
 )
 def test_a_docstring_without_its_noun_is_found(text: str) -> None:
@@ -82,6 +83,16 @@ def test_a_comment_without_its_noun_is_found(start: str, words: str) -> None:
     "source", ["# The most\n# of one request.\nx = 1\n", 'x = "# of"\n', "x = 1  # offers, if any\n"]
 )
 def test_other_comments_pass(source: str) -> None:
+    assert list(complaints("a.py", source)) == []
+
+
+@pytest.mark.parametrize("source", ["told = 1", "self.said = 1", "def f(heard): pass", "lambda told: told"])
+def test_a_variable_that_does_not_name_the_thing_that_it_holds_is_found(source: str) -> None:
+    assert any("name the thing that the variable holds" in line for line in complaints("a.py", source))
+
+
+@pytest.mark.parametrize("source", ["print(told)", "heard_at = 1", "def tell(): pass"])
+def test_other_names_of_variables_pass(source: str) -> None:
     assert list(complaints("a.py", source)) == []
 
 

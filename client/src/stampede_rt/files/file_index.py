@@ -144,11 +144,11 @@ class ContentCounts:
             topic = index.topics.get(number)
             is_own = topic is not None and (topic.incarnation is not None or topic.name == FACTS_TOPIC)
             if topic is not None and not (foreign_only and is_own):
-                told = stated.channel_message_counts.get(number, 0)
-                wrong += _difference(f"messages of topic {topic.name!r}", told, self._messages[number])
+                stated_count = stated.channel_message_counts.get(number, 0)
+                wrong += _difference(f"messages of topic {topic.name!r}", stated_count, self._messages[number])
         wrong += _difference("attachments", stated.attachment_count, self._attachments)
         return wrong + _difference("records of metadata", stated.metadata_count, self._metadata)
 
 
-def _difference(what: str, told: int, found: int) -> list[str]:
-    return [f"the index says {told} {what}, the file has {found}"] if told != found else []
+def _difference(what: str, stated: int, found: int) -> list[str]:
+    return [f"the index says {stated} {what}, the file has {found}"] if stated != found else []

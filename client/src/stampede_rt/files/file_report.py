@@ -60,11 +60,11 @@ class FileReport:
                 "the messages can be read, but the bytes around them do not have their checksum; `stampede file "
                 "recover` writes the messages to a file with new indexes"
             )
-        for told in self.stated.channels if self.stated else ():
-            one = found.get((told.channel, told.incarnation))
+        for stated in self.stated.channels if self.stated else ():
+            one = found.get((stated.channel, stated.incarnation))
             has = 0 if one is None else one.recorded
-            if has != told.recorded:
-                wrong.append(f"channel {told.channel}: the summary says {told.recorded} items, the file has {has}")
+            if has != stated.recorded:
+                wrong.append(f"channel {stated.channel}: the summary says {stated.recorded} items, the file has {has}")
         return [*wrong, *self.differences]
 
 
@@ -181,11 +181,12 @@ def _changed(path: str) -> str:
 def _with_losses(found: RecordingSummary, stated: RecordingSummary | None, losses: list[str]) -> RecordingSummary:
     """Add the losses that no gap of a channel names. `stated`: the summary in the file."""
     by_key = {(one.channel, one.incarnation): one for one in found.channels}
-    for told in stated.channels if stated else ():
-        one = by_key.get((told.channel, told.incarnation))
-        has = 0 if one is None else one.recorded + sum(recorded_between(gap, told) for gap in one.gaps)
-        if has < told.recorded:
-            losses.append(f"{told.recorded - has} items of channel {told.channel}, which the summary of the file names")
+    for counts in stated.channels if stated else ():
+        one = by_key.get((counts.channel, counts.incarnation))
+        has = 0 if one is None else one.recorded + sum(recorded_between(gap, counts) for gap in one.gaps)
+        if has < counts.recorded:
+            missing = counts.recorded - has
+            losses.append(f"{missing} items of channel {counts.channel}, which the summary of the file names")
     return replace(found, absent=() if stated is None else tuple(stated.absent), damaged=tuple(losses[:LOSSES_MAX]))
 
 

@@ -125,10 +125,10 @@ class FileTally:
             if key[1] is not None:
                 gaps += self._lost_before(key, counts, known.get(key), first)
                 gaps += self._lost_behind(key, counts, known.get(key), last)
-        for key, told in known.items():
-            if key not in self._counts and told.recorded:
-                times = (told.start, told.end)
-                gaps.append(_gap(key, last, told.first_seq, told.last_seq, told.recorded, times))
+        for key, stated in known.items():
+            if key not in self._counts and stated.recorded:
+                times = (stated.start, stated.end)
+                gaps.append(_gap(key, last, stated.first_seq, stated.last_seq, stated.recorded, times))
         for gap in gaps:
             self._add_gap(gap)
         return gaps
@@ -140,37 +140,37 @@ class FileTally:
         each channel.
         """
         gaps = []
-        for told in intended.channels:
-            counts = self._counts.get((told.channel, told.incarnation), _Counts())
+        for planned in intended.channels:
+            counts = self._counts.get((planned.channel, planned.incarnation), _Counts())
             if counts.gap_count == len(counts.gaps):
                 known, named = set(counts.gaps), _seqs_of(counts.gaps)
-                gaps += [one for one in told.gaps if one not in known and not _is_within(one, named)]
+                gaps += [one for one in planned.gaps if one not in known and not _is_within(one, named)]
         for gap in gaps:
             self._add_gap(gap)
         return gaps
 
-    def _lost_before(self, key: Key, counts: _Counts, told: RecordedCounts | None, detail: str) -> list[RecordingGap]:
+    def _lost_before(self, key: Key, counts: _Counts, stated: RecordedCounts | None, detail: str) -> list[RecordingGap]:
         """Return the gap before the first item, if damage came before it."""
         if counts.damaged_before is None or counts.first_seq is None or counts.first_seq == 1:
             return []
-        if told is None:
+        if stated is None:
             return [_gap(key, detail, None, counts.first_seq - 1, None, counts.damaged_before)]
-        if told.first_seq is None or told.first_seq >= counts.first_seq:
+        if stated.first_seq is None or stated.first_seq >= counts.first_seq:
             return []
-        items = _lost_at_most(told.first_seq, counts.first_seq - 1, counts, told)
-        return [_gap(key, detail, told.first_seq, counts.first_seq - 1, items, counts.damaged_before)]
+        items = _lost_at_most(stated.first_seq, counts.first_seq - 1, counts, stated)
+        return [_gap(key, detail, stated.first_seq, counts.first_seq - 1, items, counts.damaged_before)]
 
-    def _lost_behind(self, key: Key, counts: _Counts, told: RecordedCounts | None, detail: str) -> list[RecordingGap]:
+    def _lost_behind(self, key: Key, counts: _Counts, stated: RecordedCounts | None, detail: str) -> list[RecordingGap]:
         """Return the gap after the last item, if damage came there."""
         if counts.damaged_after is None:
             return []
         first = counts.damaged_after + 1
-        if told is None:
+        if stated is None:
             return [_gap(key, detail, first, None, None, (counts.damaged_times[0], None))]
-        if told.last_seq is None or told.last_seq < first:
+        if stated.last_seq is None or stated.last_seq < first:
             return []
-        items = _lost_at_most(first, told.last_seq, counts, told)
-        return [_gap(key, detail, first, told.last_seq, items, counts.damaged_times)]
+        items = _lost_at_most(first, stated.last_seq, counts, stated)
+        return [_gap(key, detail, first, stated.last_seq, items, counts.damaged_times)]
 
     @property
     def disordered(self) -> list[str]:
@@ -207,24 +207,24 @@ def _gap(
     )  # fmt: skip
 
 
-def _lost_at_most(first_seq: int, last_seq: int, counts: _Counts, told: RecordedCounts) -> int:
-    """Return the greatest number of items of the summary `told` between two seqs, if the file has none of them."""
-    return min(_recorded_at_most(first_seq, last_seq, told), max(0, told.recorded - counts.recorded))
+def _lost_at_most(first_seq: int, last_seq: int, counts: _Counts, stated: RecordedCounts) -> int:
+    """Return the greatest number of items of the summary `stated` between two seqs, if the file has none of them."""
+    return min(_recorded_at_most(first_seq, last_seq, stated), max(0, stated.recorded - counts.recorded))
 
 
-def recorded_between(gap: RecordingGap, told: RecordedCounts) -> int:
+def recorded_between(gap: RecordingGap, stated: RecordedCounts) -> int:
     """Return the number of items that the recorder had written with the seqs of a gap of damage; 0 for another gap.
 
-    `told`: the recorder's counts of the channel. The number is too great if the recorder did not name the other seqs.
+    `stated`: the recorder's counts of the channel. The number is too great if the recorder did not name the other seqs.
     """
     if gap.reason != DAMAGED or gap.first_seq is None or gap.last_seq is None:
         return 0
-    return min(gap.items or 0, _recorded_at_most(gap.first_seq, gap.last_seq, told))
+    return min(gap.items or 0, _recorded_at_most(gap.first_seq, gap.last_seq, stated))
 
 
-def _recorded_at_most(first_seq: int, last_seq: int, told: RecordedCounts) -> int:
+def _recorded_at_most(first_seq: int, last_seq: int, stated: RecordedCounts) -> int:
     """Return how many seqs between two seqs, inclusive, are not in a gap that the recorder has named."""
-    named = _seqs_of(told.gaps)
+    named = _seqs_of(stated.gaps)
     return sum(given_between(first, last + 1) for first, last in named.missing(first_seq, last_seq))
 
 

@@ -26,9 +26,9 @@ class UnnamedLosses(TypedDict):
 
 def losses_of(readers: Iterable[FileReader]) -> UnnamedLosses:
     """Return the losses of a file that is made of these files. Raises FileError."""
-    told = [summary for one in readers if (summary := one.summary())]
-    absent = dict.fromkeys(text for summary in told for text in summary.absent)
-    damaged = dict.fromkeys(text for summary in told for text in summary.damaged)
+    summaries = [summary for one in readers if (summary := one.summary())]
+    absent = dict.fromkeys(text for summary in summaries for text in summary.absent)
+    damaged = dict.fromkeys(text for summary in summaries for text in summary.damaged)
     return UnnamedLosses(absent=tuple(absent)[:LOSSES_MAX], damaged=tuple(damaged)[:LOSSES_MAX])
 
 

@@ -111,8 +111,8 @@ class _Merged:
                 yield event
         elif isinstance(event, RecordingGap):
             key = (event.channel, event.incarnation)
-            held, told = self._held.get(key, SeqRanges()), self._gaps.setdefault(key, SeqRanges())
-            yield from _remaining(event, held, told)
+            held, reported = self._held.get(key, SeqRanges()), self._gaps.setdefault(key, SeqRanges())
+            yield from _remaining(event, held, reported)
         else:
             yield event
 
@@ -142,16 +142,16 @@ class _Merged:
         return not known
 
 
-def _remaining(gap: RecordingGap, held: SeqRanges, told: SeqRanges) -> Iterator[RecordingGap]:
+def _remaining(gap: RecordingGap, held: SeqRanges, reported: SeqRanges) -> Iterator[RecordingGap]:
     first, last = gap.first_seq, gap.last_seq
     if first is not None and last is None:
         gap = replace(gap, first_seq=held.end_from(first))
     if first is None or last is None:
         yield gap
         return
-    parts = [part for begin, end in held.missing(first, last) for part in told.missing(begin, end)]
+    parts = [part for begin, end in held.missing(first, last) for part in reported.missing(begin, end)]
     for begin, end in parts:
-        told.add_range(begin, end)
+        reported.add_range(begin, end)
     if parts and gap.items != last - first + 1:  # nobody knows which of these seqs an item had
         most = sum(end - begin + 1 for begin, end in parts)
         items = None if gap.items is None else min(gap.items, most)

@@ -309,10 +309,10 @@ def _unplayable(path: str, index: FileIndex | None, states_no_index: bool) -> Fi
 
 def _damaged(reader: FileReader) -> Sequence[str]:
     try:
-        told = reader.summary()
+        summary = reader.summary()
     except FileError as error:
         return (error.message,)
-    return () if told is None else (*told.absent, *told.damaged)
+    return () if summary is None else (*summary.absent, *summary.damaged)
 
 
 def _by_topic(content: ChunkContent) -> dict[str, list[Event]]:

@@ -15,8 +15,8 @@ SUMMARY_NAME = "stampede.summary"  # the name of the metadata record
 def summary_fields(summary: RecordingSummary) -> dict[str, str]:
     """Return the metadata that keeps a summary."""
     channels = json.dumps([one.to_json() for one in summary.channels], ensure_ascii=False, separators=(",", ":"))
-    told = {"version": "1", "channels": channels, "absent": json.dumps(list(summary.absent))}
-    return told | ({"damaged": json.dumps(list(summary.damaged))} if summary.damaged else {})
+    fields = {"version": "1", "channels": channels, "absent": json.dumps(list(summary.absent))}
+    return fields | ({"damaged": json.dumps(list(summary.damaged))} if summary.damaged else {})
 
 
 def summary_of(path: str, values: dict[str, str]) -> RecordingSummary:

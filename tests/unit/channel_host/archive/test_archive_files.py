@@ -12,7 +12,7 @@ from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.archive.archive_folder import ArchiveFolder
 from stampede_rt_channel_host.archive.clean_stop import CleanStop, read_stop
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
-from stampede_rt_channel_host.archive.written_parts import SeqGap
+from stampede_rt_channel_host.archive.written_parts import MissingSeqs
 from stampede_rt_channel_host.core.archive import (
     ROW_BYTES,
     ArchivedRun,
@@ -205,7 +205,7 @@ def test_an_archive_beyond_its_bytes_or_age_drops_whole_segments(tmp_path: Path)
 
 def test_a_file_lists_the_seqs_that_were_never_archived(tmp_path: Path) -> None:
     files, _ = opened(tmp_path)
-    files.write([[ArchivedRun(1, run_at(1))], SeqGap(3, 9), [ArchivedRun(2, run_at(9))]], NO_LIMITS)
+    files.write([[ArchivedRun(1, run_at(1))], MissingSeqs(3, 9), [ArchivedRun(2, run_at(9))]], NO_LIMITS)
     files.close(None)
     files, segments = opened(tmp_path)
     assert (segments[0].items, segments[0].end_seq) == (4, 11)
@@ -233,7 +233,7 @@ def test_a_folder_that_cannot_be_made_is_named_with_its_reason(tmp_path: Path) -
 
 def test_a_read_names_the_items_that_are_missing_between_two_segments(tmp_path: Path) -> None:
     files, _ = opened(tmp_path)
-    files.write([[ArchivedRun(1, run_at(1))], SeqGap(3, 6)], NO_LIMITS)
+    files.write([[ArchivedRun(1, run_at(1))], MissingSeqs(3, 6)], NO_LIMITS)
     files.close(None)
     files, _ = opened(tmp_path)
     segments = files.write([[ArchivedRun(2, run_at(6))]], NO_LIMITS)

@@ -15,7 +15,7 @@ from stampede_rt.values.timeline import Bound, Interval, Match
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.recorder import ChannelRecorder
 from stampede_rt_channel_host.archive.segment_files import SegmentFiles
-from stampede_rt_channel_host.archive.written_parts import SeqGap
+from stampede_rt_channel_host.archive.written_parts import MissingSeqs
 from stampede_rt_channel_host.channels.past_reads import PastReader
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.core.archive import (
@@ -96,8 +96,8 @@ def check(
                 found, reason = read(files, segments, start, end, newest_first=newest_first)
                 wanted = {*range(start, end + 1)}
                 assert {*found} == wanted - lacks
-                told = "LOST" if wanted & lacks or not knows_times else None
-                assert reason == told, (start, end, newest_first, reason)
+                expected_reason = "LOST" if wanted & lacks or not knows_times else None
+                assert reason == expected_reason, (start, end, newest_first, reason)
 
 
 @pytest.mark.parametrize("restarts", [1, 2])
@@ -150,13 +150,13 @@ def test_a_file_that_loses_all_its_blocks_after_the_start_is_a_loss(tmp_path: Pa
 
 def test_items_that_max_bytes_collected_before_all_archived_ones_are_a_loss(tmp_path: Path) -> None:
     files, _ = opened(tmp_path)
-    segments = files.write([SeqGap(1, 5), [ArchivedRun(1, run_at(5))]], NO_LIMITS)
+    segments = files.write([MissingSeqs(1, 5), [ArchivedRun(1, run_at(5))]], NO_LIMITS)
     check(files, segments, {1, 2, 3, 4}, 6)
 
 
 def test_items_that_max_bytes_collected_after_all_archived_ones_are_a_loss(tmp_path: Path) -> None:
     files, _ = opened(tmp_path)
-    segments = files.write([[ArchivedRun(1, run_at(1))], SeqGap(3, 7)], NO_LIMITS)
+    segments = files.write([[ArchivedRun(1, run_at(1))], MissingSeqs(3, 7)], NO_LIMITS)
     channel = ChannelCore(Policy(max_items=100), incarnation=7)
     channel.restore([run_at(7)], after=6, next_seq=9, loss=(None, None))
     for start in range(1, 9):
@@ -170,7 +170,7 @@ def test_items_that_max_bytes_collected_after_all_archived_ones_are_a_loss(tmp_p
 
 def test_a_loss_stays_if_the_next_host_has_written_nothing_else(tmp_path: Path) -> None:
     files_of(tmp_path, (1, 5))
-    for parts in ([SeqGap(5, 5, 300)], [[ArchivedRun(600, run_at(5))]]):
+    for parts in ([MissingSeqs(5, 5, 300)], [[ArchivedRun(600, run_at(5))]]):
         files, segments = opened(tmp_path)
         segments = files.write(parts, NO_LIMITS)
         files.close(None)
@@ -223,8 +223,8 @@ def test_a_read_as_of_an_instant_says_lost_for_the_items_after_the_last_known_on
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, as_of: int, reason: str
 ) -> None:
     files, _ = opened(tmp_path / "c")
-    files.write([[ArchivedRun(0, run_at(1))], SeqGap(3, 7), [ArchivedRun(600, run_at(601))]], NO_LIMITS)
-    files.write([SeqGap(603, 605)], NO_LIMITS)
+    files.write([[ArchivedRun(0, run_at(1))], MissingSeqs(3, 7), [ArchivedRun(600, run_at(601))]], NO_LIMITS)
+    files.write([MissingSeqs(603, 605)], NO_LIMITS)
     files.close(None)
     channel = ChannelCore(Policy(max_items=100), incarnation=7)
     channel.restore((), after=602, next_seq=605, loss=(None, None))
@@ -236,7 +236,7 @@ def test_a_read_as_of_an_instant_says_lost_for_the_items_after_the_last_known_on
 def test_a_hole_after_a_first_file_without_a_whole_block_is_a_loss(tmp_path: Path, newest_first: bool) -> None:
     [first] = files_of(tmp_path, (1, 5))
     files, _ = opened(tmp_path)
-    segments = files.write([SeqGap(5, 9), [ArchivedRun(600, run_at(9))]], NO_LIMITS)
+    segments = files.write([MissingSeqs(5, 9), [ArchivedRun(600, run_at(9))]], NO_LIMITS)
     ruin(first)
     files = SegmentFiles(tmp_path, {})
     for start, end in ((2, 3), (6, 6), (6, 9), (1, 10)):
@@ -265,7 +265,7 @@ def test_items_without_known_times_are_a_loss_wherever_the_limits_let_them_come(
             if seq != 19 or after_start:
                 files.write([[ArchivedRun(seq, run_at(seq))]], NO_LIMITS)
             else:
-                files.write([SeqGap(19, 21)], NO_LIMITS)
+                files.write([MissingSeqs(19, 21)], NO_LIMITS)
         files.close(CleanStop(7, epoch=2))
     if after_start:
         raw = bytearray((path := sorted(tmp_path.glob("*.segment"))[-1]).read_bytes())
@@ -274,8 +274,8 @@ def test_items_without_known_times_are_a_loss_wherever_the_limits_let_them_come(
     files, segments = opened(tmp_path)
     channel = ChannelCore(policy, incarnation=7)
     channel.restore((), after=32, next_seq=33, loss=(None, None))
-    told = [time for time in range(1, 33) if read(files, segments, time, time, channel)[1] == "LOST"]
-    assert told == [*range(first, last + 1)]
+    expected_reason = [time for time in range(1, 33) if read(files, segments, time, time, channel)[1] == "LOST"]
+    assert expected_reason == [*range(first, last + 1)]
 
 
 def test_a_read_of_the_newest_items_says_lost_for_a_loss_after_them() -> None:

@@ -25,7 +25,7 @@ from stampede_rt_channel_host.channels.joined_runs import (
 )
 from stampede_rt_channel_host.copies.messages import run_of
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Offer, Query, ReferencedBody, Run, Slice
-from stampede_rt_channel_host.core.channel.run import OneRun
+from stampede_rt_channel_host.core.channel.run import SingleItemRun
 
 
 class Put(NamedTuple):
@@ -101,7 +101,7 @@ def test_joined_runs_have_the_same_items_and_columns(given_puts: list[Put]) -> N
 
 def may_join(run: Run) -> bool:
     parsed = item_pb2.ItemRun.FromString(bytes(run.body))
-    return isinstance(run, OneRun) and not parsed.content_type and run.length <= ITEM_BYTES_MAX
+    return isinstance(run, SingleItemRun) and not parsed.content_type and run.length <= ITEM_BYTES_MAX
 
 
 def follows(one: Run, other: Run) -> bool:

@@ -13,7 +13,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import NOW, OLDEST, Bound, Interval, Match
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.segment_files import SegmentFiles
-from stampede_rt_channel_host.archive.written_parts import SeqGap
+from stampede_rt_channel_host.archive.written_parts import MissingSeqs
 from stampede_rt_channel_host.channels.restored_channel import restore_channel
 from stampede_rt_channel_host.core.archive import (
     ArchivedRead,
@@ -147,7 +147,7 @@ def test_a_channel_whose_items_have_times_before_a_loss_takes_and_shows_later_it
     files.close(None)
     files, _ = opened(tmp_path)
     lost_before = 500  # the host was lost at 500, and the items after it have the times 5 and 6
-    files.write([SeqGap(5, 5, lost_before), [ArchivedRun(600, run_at(5))]], NO_LIMITS)
+    files.write([MissingSeqs(5, 5, lost_before), [ArchivedRun(600, run_at(5))]], NO_LIMITS)
     files.close(CleanStop(7, lost_from=4, lost_before=lost_before, epoch=2))
     host = RestartedChannel(tmp_path)
     kept = host.channel.put(Offer(times=[7], durations=None, lengths=[1]), CLOCK, lambda *_: b"7")
@@ -163,7 +163,7 @@ def test_a_ring_asks_the_host_for_the_newest_item_if_only_the_archive_has_items(
     write(files, 1, 2)
     files.close(None)
     files, _ = opened(tmp_path)
-    files.write([SeqGap(5, 5, 500), [ArchivedRun(600, run_at(5))]], NO_LIMITS)
+    files.write([MissingSeqs(5, 5, 500), [ArchivedRun(600, run_at(5))]], NO_LIMITS)
     files.close(CleanStop(7, lost_from=4, lost_before=500, epoch=2))
     channel = RestartedChannel(tmp_path).channel
     channel.record(channel.next_seq)

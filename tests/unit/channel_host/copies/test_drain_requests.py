@@ -53,9 +53,9 @@ async def test_no_message_names_a_channel_twice_or_one_that_was_given_up_or_too_
     for _ in range(3):
         given_up = await asyncio.gather(*(requests.take(one, 0.0) for one in CHANNELS), return_exceptions=True)
         assert {type(one) for one in given_up} == {DeadlineExceeded}
-    asked = [asyncio.ensure_future(requests.take(one, 30.0)) for one in CHANNELS[1:]]
+    requested = [asyncio.ensure_future(requests.take(one, 30.0)) for one in CHANNELS[1:]]
     channel.is_open.set()
-    assert await asyncio.gather(*asked) == [True] * len(asked)
+    assert await asyncio.gather(*requested) == [True] * len(requested)
     await requests.aclose()
 
     later = [one for names in channel.named[1:] for one in names]  # the first message was under way before

@@ -323,7 +323,7 @@ class HostArchive:
         await self._end.finish(recorders, boot_incarnation, seconds_max)
 
     async def close(self, recorders: Sequence[ChannelRecorder], boot_incarnation: int = 0) -> None:
-        """As `finish`. After CLOSE_SECONDS_MAX, or a cancellation, ends the work, and lets other processes use the
+        """Finish. After CLOSE_SECONDS_MAX, or a cancellation, ends the work, and lets other processes use the
         folder.
         """
         ends_s = time.monotonic() + CLOSE_SECONDS_MAX

@@ -15,7 +15,7 @@ from stampede_rt_channel_host.archive.former_files import FormerFiles
 from stampede_rt_channel_host.archive.moved_items import MovedItems, lacks_from
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits, SegmentFiles
 from stampede_rt_channel_host.archive.waiting_puts import WaitingPuts
-from stampede_rt_channel_host.archive.written_parts import Advances, SeqGap
+from stampede_rt_channel_host.archive.written_parts import Advances, MissingSeqs
 from stampede_rt_channel_host.core.archive import (
     ADVANCE_BYTES,
     NOTHING_LOST,
@@ -34,7 +34,7 @@ SLICES_PER_NOTE = 2048  # a look at this many takes about 1 ms
 GAPS_KEPT = 64
 ADVANCES_MAX = 4096  # if so many wait for the archive, a new one replaces the latest of them
 SETTLE_SECONDS_MAX = 1.0  # the longest wait of a reader for a write that has items which have left memory
-Part = list[ArchivedRun] | SeqGap | Advances
+Part = list[ArchivedRun] | MissingSeqs | Advances
 
 
 class WriteJob(NamedTuple):
@@ -72,7 +72,7 @@ class ChannelRecorder:
         """Whether the host has given the channel up: the archive no longer writes its items."""
         self.failure = ""
         """Why the last write failed; empty: it succeeded."""
-        self._gaps: list[SeqGap] = []  # seqs that the archive will never have; the earliest gaps are joined
+        self._gaps: list[MissingSeqs] = []  # seqs that the archive will never have; the earliest gaps are joined
         self._moved = asyncio.Event()  # is set, and replaced, when a write has ended
         self.limits = ArchiveLimits(None, None)
         self.encoded_retries: Callable[[], bytes] = bytes
@@ -92,7 +92,7 @@ class ChannelRecorder:
         self._advance: int | None = None  # the latest advance
         self._lost_before: int | None = None  # see `note_loss`; None: no loss is to be written
         self._found_to: int | None = None
-        self._has_told_loss = False
+        self._has_reported_loss = False
         channel.record(self.archived_to)
         self.begin()
 
@@ -225,16 +225,16 @@ class ChannelRecorder:
 
     def withdraw_loss(self) -> bool:
         """Note that the former owner stopped cleanly. Returns whether the next write must revoke a reported loss."""
-        self._lost_before, self._found_to = NOTHING_LOST if self._has_told_loss else None, None
-        return self._has_told_loss
+        self._lost_before, self._found_to = NOTHING_LOST if self._has_reported_loss else None, None
+        return self._has_reported_loss
 
     def take(self) -> WriteJob:
         """The next items to write, in seq order, with gaps where memory has lost items."""
         parts: list[Part] = []
         if self._lost_before is not None:
             seq = self.archived_to if self._found_to is None else self._found_to
-            self._has_told_loss = True
-            parts.append(SeqGap(seq, seq, self._lost_before))
+            self._has_reported_loss = True
+            parts.append(MissingSeqs(seq, seq, self._lost_before))
         if self._advances:  # before the items that the host accepted after them
             parts.append(Advances(self.archived_to, tuple(self._advances)))
             self._advances_taken = len(self._advances)
@@ -249,13 +249,13 @@ class ChannelRecorder:
                 break
             last = run
             if run.first_seq > expected:
-                parts.append(SeqGap(expected, run.first_seq))
+                parts.append(MissingSeqs(expected, run.first_seq))
             expected = self._add(parts, run)
             unheld += len(run) - slice_.items
             size += len(run.body)
         else:
             if expected < self._channel.next_seq:
-                parts.append(SeqGap(expected, self._channel.next_seq))
+                parts.append(MissingSeqs(expected, self._channel.next_seq))
                 expected = self._channel.next_seq
         self._channel.backlog.taken(expected, unheld)
         return WriteJob(self.files, parts, self.limits, expected, size)
@@ -287,16 +287,16 @@ class ChannelRecorder:
     def written(self, job: WriteJob, segments: tuple[Segment, ...]) -> None:
         """Note that a job is on stable storage."""
         self.keep(segments)
-        told = [one.lost_before for one in job.parts if isinstance(one, SeqGap) and one.lost_before is not None]
-        if self._lost_before in told:
-            self._has_told_loss = self._lost_before != NOTHING_LOST
+        missing = [one for one in job.parts if isinstance(one, MissingSeqs)]
+        if any(one.lost_before is not None and one.lost_before == self._lost_before for one in missing):
+            self._has_reported_loss = self._lost_before != NOTHING_LOST
             self._lost_before = None
-        gaps = [one for one in job.parts if isinstance(one, SeqGap) and one.lost_before is None]
+        gaps = [one for one in job.parts if isinstance(one, MissingSeqs) and one.lost_before is None]
         named = sum(given_between(one.first_seq, one.end_seq) for one in gaps)
         self.named += named
         self._gaps += gaps
         if len(over := self._gaps[:-GAPS_KEPT]):  # the earliest gaps become one
-            self._gaps[: len(over) + 1] = [SeqGap(self._gaps[0].first_seq, self._gaps[len(over)].end_seq)]
+            self._gaps[: len(over) + 1] = [MissingSeqs(self._gaps[0].first_seq, self._gaps[len(over)].end_seq)]
         del self._advances[: sum(len(one.rows) for one in job.parts if isinstance(one, Advances))]
         self._advances_taken = 0
         self._end_puts(job.end_seq, named)

@@ -15,7 +15,7 @@ from stampede_rt_channel_host.archive.kept_blocks import FoundBlocks, KeptBlocks
 from stampede_rt_channel_host.archive.segment_folder import SegmentFolder, reads_of
 from stampede_rt_channel_host.archive.segment_reads import SegmentReads
 from stampede_rt_channel_host.archive.stable_writes import start_flush, sync_folder, write_all
-from stampede_rt_channel_host.archive.written_parts import Advances, SeqGap, WrittenPart, by_instants
+from stampede_rt_channel_host.archive.written_parts import Advances, MissingSeqs, WrittenPart, by_instants
 from stampede_rt_channel_host.core.archive import (
     ADVANCE_BYTES,
     HEAD_BYTES,
@@ -210,7 +210,7 @@ class SegmentFiles(SegmentReads):
             self._append_block(*encode_advances(part.rows, part.seq, self._near), limits)
             self._advance = part.rows[-1]
             return
-        if isinstance(part, SeqGap):
+        if isinstance(part, MissingSeqs):
             accepted = self._begun_at if part.lost_before is None else part.lost_before
             self._append_block(*encode_gap(part.first_seq, part.end_seq, self._near, accepted), limits)
             return

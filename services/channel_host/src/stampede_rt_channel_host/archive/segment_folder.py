@@ -28,7 +28,7 @@ class SegmentPlace(Protocol):
         ...
 
     def at_hand(self, number: int) -> AbstractContextManager[ReadAt]:
-        """As `opened`, for bytes that are in memory. Raises BlockingIOError if it would have to wait for a disk."""
+        """Like `opened`, but only for bytes in memory. Raises BlockingIOError if it would have to wait for a disk."""
         ...
 
     def blocks(self, segment: Segment, begin: int = 0) -> Sequence[PlacedBlock]:
@@ -95,7 +95,7 @@ class SegmentFolder:
 
     @contextmanager
     def at_hand(self, number: int) -> Iterator[ReadAt]:
-        """As `opened`, for bytes that are in memory. Raises BlockingIOError if it would have to wait for a disk."""
+        """Like `opened`, but only for bytes in memory. Raises BlockingIOError if it would have to wait for a disk."""
         with self.file_of(number).open("rb", buffering=0) as file:
             yield lambda offset, size: _read_at_hand(file.fileno(), offset, size)
 

@@ -194,7 +194,7 @@ class SegmentReads:
         return None
 
     def _known_blocks_of(self, segment: Segment) -> SegmentBlocks:
-        """As `_blocks_of`. Raises WindowNeedsThread if no read has found the blocks yet."""
+        """Like `_blocks_of`. Raises WindowNeedsThread if no read has found the blocks yet."""
         found = self._kept.get(self, segment.number)
         if found.length < segment.length:
             raise WindowNeedsThread

@@ -10,7 +10,7 @@ from stampede_rt_channel_host.core.archive import ArchivedAdvance, ArchivedRun
 from stampede_rt_channel_host.core.channel import make_run
 
 
-class SeqGap(NamedTuple):
+class MissingSeqs(NamedTuple):
     """Seqs whose items the archive does not have: `first_seq` up to `end_seq`, exclusive.
 
     `lost_before`, if stated: items before this instant were lost with a host, and their seqs are not known.
@@ -28,7 +28,7 @@ class Advances(NamedTuple):
     rows: tuple[ArchivedAdvance, ...]
 
 
-WrittenPart = Sequence[ArchivedRun] | SeqGap | Advances
+WrittenPart = Sequence[ArchivedRun] | MissingSeqs | Advances
 
 
 def by_instants(joined: ArchivedRun) -> Iterator[ArchivedRun]:

@@ -13,7 +13,7 @@ from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 from stampede_rt.wire.plain_runs import sealed_payload_at
 from stampede_rt.wire.runs import RUN_BYTES_MAX, encode_run, seal_run
 from stampede_rt_channel_host.core.channel import ABSENT, DeliveredSlice, ItemKey, Run, Slice, make_run
-from stampede_rt_channel_host.core.channel.run import OneRun
+from stampede_rt_channel_host.core.channel.run import SingleItemRun
 
 ITEM_BYTES_MAX = 4096  # a copy of a longer payload costs about as much as the run that it saves
 
@@ -70,13 +70,13 @@ class _Joining:
     """Single items that become one run."""
 
     def __init__(self) -> None:
-        self._runs: list[OneRun] = []
+        self._runs: list[SingleItemRun] = []
         self._payloads: list[bytes] = []
         self._bytes = self._end_seq = self._last_time = 0
 
     def take(self, run: Run) -> bool:
         """Add a run. Returns False if it has several items, labels or a long payload, or does not follow the others."""
-        if not isinstance(run, OneRun) or run.length > ITEM_BYTES_MAX:
+        if not isinstance(run, SingleItemRun) or run.length > ITEM_BYTES_MAX:
             return False
         if self._runs and not self._is_followed_by(run):
             return False
@@ -90,7 +90,7 @@ class _Joining:
         self._end_seq, self._last_time = run.first_seq + 1, run.first_time
         return True
 
-    def _is_followed_by(self, run: OneRun) -> bool:
+    def _is_followed_by(self, run: SingleItemRun) -> bool:
         has_room = len(self._runs) < RUN_ITEMS_MAX and self._bytes + run.length <= RUN_BYTES_MAX
         return has_room and run.first_seq == self._end_seq and run.first_time >= self._last_time
 
@@ -105,7 +105,7 @@ def _whole(run: Run) -> tuple[Slice, int]:
     return Slice(run, 0, len(run)), len(run)
 
 
-def _run_of(runs: Sequence[OneRun], payloads: Sequence[bytes]) -> Run:
+def _run_of(runs: Sequence[SingleItemRun], payloads: Sequence[bytes]) -> Run:
     times, lengths = [one.first_time for one in runs], [one.length for one in runs]
     all_durations = [one.duration for one in runs]
     durations = all_durations if max(all_durations) > ABSENT else None

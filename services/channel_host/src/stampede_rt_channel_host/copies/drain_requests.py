@@ -99,9 +99,9 @@ class DrainRequests:
                 answer.set_result(None)
 
     def _fail(self, failure: StampedeError) -> None:
-        asked, self._asked = self._asked, {}
+        answers, self._asked = self._asked, {}
         self._new.clear()
-        for answer in asked.values():
+        for answer in answers.values():
             if not answer.done():
                 answer.set_exception(failure)
 

@@ -74,7 +74,7 @@ def _read_fixed(raw: bytes | memoryview) -> FedItem | None:
 
 
 def _read_message(raw: bytes | memoryview) -> FedItem:
-    """As `read_item`, for fields in any places."""
+    """Like `read_item`, but the fields may be in any places."""
     item = pb.FeedResponse.FromString(bytes(raw)).item
     if not (item.seq and item.run):
         raise InvalidArgument("the feed has an item without a seq or run; install the same release")

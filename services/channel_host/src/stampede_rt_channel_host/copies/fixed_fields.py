@@ -38,7 +38,7 @@ class FixedFields:
         return found[1::2] if found[::2] == self._tags else None
 
     def read_only(self, raw: bytes | memoryview) -> tuple[int, ...] | None:
-        """As `read`, for a message that has no other fields. None for all other messages."""
+        """Read a message that has only these fields. None for all other messages."""
         return self.read(raw) if len(raw) == self.size_bytes and raw[0] == self.first_tag else None
 
 

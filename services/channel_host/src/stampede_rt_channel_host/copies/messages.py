@@ -25,9 +25,9 @@ from stampede_rt_channel_host.core.channel import (
     ItemKey,
     Losses,
     NewItem,
-    OneRun,
     OwnerPart,
     Run,
+    SingleItemRun,
     make_run,
 )
 
@@ -185,7 +185,7 @@ def run_of(body: bytes) -> Run:
 def run_of_item(item: NewItem) -> Run:
     """The run that the copy stores for a part of a feed that was sent ahead. Raises InvalidArgument as `run_of`."""
     if item.items == 1:
-        return OneRun(item.seq, item.time, item.duration, item.length, item.body)
+        return SingleItemRun(item.seq, item.time, item.duration, item.length, item.body)
     run = run_of(bytes(item.body))
     if (run.first_seq, len(run), run.payload_bytes(0, len(run))) != (item.seq, item.items, item.length):
         raise InvalidArgument("the feed has a run that disagrees with its items; install one release on both hosts")

@@ -171,7 +171,7 @@ class MoveDirectory(GatheredMoves):
         return found.queue, found.target
 
     async def commit_queue(self, queue_id: bytes, epoch: int, request_id: bytes, permit: bytes = b"") -> RecordedQueue:
-        """As `commit`, for one queue. Each has a call of its own, because users of the queue wait meanwhile."""
+        """Commit the move of one queue. Each queue has a call of its own, because users of the queue wait meanwhile."""
         request = pb.CommitQueueMoveRequest(
             request_id=request_id,
             queue_id=queue_id,

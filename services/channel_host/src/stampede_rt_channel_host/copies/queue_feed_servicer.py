@@ -136,7 +136,7 @@ class _Feed:
     def take_put(self, put: AheadPut, request_bytes: int, write: Callable[[bytes], None]) -> bool:
         """Apply a request that is a put. Returns False, and does nothing, if the copy cannot take it in any case.
 
-        As `take_steps`, answers the request before this host repeats the step.
+        Like `take_steps`, it answers the request before this host repeats the step.
         """
         queue_id = self.record.queue_id
         copy = self._copies.of(queue_id)

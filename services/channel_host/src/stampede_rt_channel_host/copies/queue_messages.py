@@ -97,7 +97,7 @@ class ArrivingQueue:
         return state
 
     def values(self) -> QueueHandoff:
-        """As `state`, for parts that need not be a whole queue. Raises InvalidArgument if some are missing."""
+        """Like `state`, but the parts need not be a whole queue. Raises InvalidArgument if some are missing."""
         if self._facts is None or not self._rest.ends:
             raise _nonsense("no facts, or no end")
         rest, counters = self._rest, self._facts.counters

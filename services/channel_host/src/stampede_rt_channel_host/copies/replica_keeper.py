@@ -58,7 +58,7 @@ class KeptReplicas(ABC):
         self._listed_s = -LIST_SECONDS
         self._lacks = True
         self._missing_s = MISSING_SECONDS
-        self._has_told = False
+        self._has_reported = False
         self._work: dict[bytes, asyncio.Task[None]] = {}  # by the host of a replica
 
     @property
@@ -153,7 +153,7 @@ class KeptReplicas(ABC):
         wanted = self.wanted
         in_sync = sum(state is ReplicaState.IN for state in self._replication.states().values())
         if in_sync == wanted:
-            self._has_told = False
+            self._has_reported = False
         self._lacks = in_sync != wanted or len(self._replication.states()) != wanted
 
     async def _list(self) -> ListedReplicas:
@@ -188,8 +188,8 @@ class KeptReplicas(ABC):
 
     def _tell(self, error: StampedeError) -> None:
         """Log a failure, once until the next success."""
-        if not self._has_told:
-            self._has_told = True
+        if not self._has_reported:
+            self._has_reported = True
             logger.warning(
                 "the replicas of a channel or queue are incomplete; the host tries again",
                 extra={"event": "replicas_incomplete", "channel": self.name, "why": str(error)},

@@ -59,13 +59,13 @@ def test_a_missing_object_and_an_abandoned_listing_are_not_failures_of_the_store
 
 
 def test_other_calls_do_not_wait_while_one_call_tries_a_store_that_hangs() -> None:
-    asked, answers = threading.Event(), threading.Event()
+    started, answers = threading.Event(), threading.Event()
 
     class HangingStore(FakeStore):
         def read(self, name: str, offset: int, size: int) -> bytes:
             if self.failure:
                 return super().read(name, offset, size)
-            asked.set()
+            started.set()
             answers.wait(10)
             return b"x"
 
@@ -78,7 +78,7 @@ def test_other_calls_do_not_wait_while_one_call_tries_a_store_that_hangs() -> No
     clock.now += PAUSE_SECONDS
     trying = threading.Thread(target=guarded.read, args=("a", 0, 1))
     trying.start()
-    assert asked.wait(10)
+    assert started.wait(10)
     clock.now += 100 * PAUSE_SECONDS
     with pytest.raises(StoreError, match="away"):
         guarded.read("a", 0, 1)

@@ -12,7 +12,7 @@ from stampede_rt_channel_host.channels.frames import EncodedMessage
 from stampede_rt_channel_host.channels.gets.outbox import ANSWERS_QUEUED_MAX, QUEUED_BYTES_MAX, Outbox
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.channel import Pieces, Slice
-from stampede_rt_channel_host.core.channel.run import OneRun
+from stampede_rt_channel_host.core.channel.run import SingleItemRun
 from stampede_rt_channel_host.core.channel.slices_in_parts import SlicesInParts
 
 
@@ -139,7 +139,7 @@ async def test_a_dropped_answer_frees_its_items_and_makes_room() -> None:
 
 
 def gathered(parts: int) -> SlicesInParts:
-    return SlicesInParts(deque([Slice(OneRun(seq, seq, -1, 1, b"x"), 0, 1)] for seq in range(1, parts + 1)))
+    return SlicesInParts(deque([Slice(SingleItemRun(seq, seq, -1, 1, b"x"), 0, 1)] for seq in range(1, parts + 1)))
 
 
 async def test_unsent_items_of_a_dropped_call_or_an_ended_stream_are_freed_in_pieces() -> None:

@@ -13,7 +13,7 @@ from stampede_rt.wire.runs import run_parts, seal_run
 from stampede_rt_channel_host.core.archive import block
 from stampede_rt_channel_host.core.archive.block import ArchivedRun, decode_head, encode_items, is_whole
 from stampede_rt_channel_host.core.channel import ReferencedBody
-from stampede_rt_channel_host.core.channel.run import OneRun
+from stampede_rt_channel_host.core.channel.run import SingleItemRun
 
 
 @pytest.mark.parametrize("length", [0, 1, 15, 16, 80, 255, 256, 257, 4095, 4097, 300_001])
@@ -38,7 +38,7 @@ def test_a_host_without_isal_writes_the_same_blocks_and_finds_each_flipped_bit(
     found.loader.exec_module(other)
     assert other.crc32 is zlib.crc32
     body = ReferencedBody(run_parts((bytes(5000),), times=(7,)), bytes(5000), {}, "").followed_by(seal_run(b"", 1))
-    run = ArchivedRun(1, OneRun(1, 7, -1, 5000, body))
+    run = ArchivedRun(1, SingleItemRun(1, 7, -1, 5000, body))
     head, (encoded, *content) = encode_items([run])
     assert (head, [encoded, *content]) == other.encode_items([run])
     assert decode_head(encoded) == other.decode_head(encoded)

@@ -9,16 +9,16 @@ from hypothesis import given, strategies
 
 from stampede_rt_channel_host.core.channel import entry_list
 from stampede_rt_channel_host.core.channel.entry_list import EntryList
-from stampede_rt_channel_host.core.channel.run import OneRun
+from stampede_rt_channel_host.core.channel.run import SingleItemRun
 
 times = strategies.lists(strategies.integers(0, 12), max_size=60)
 keys = strategies.integers(-1, 13)
 
 
-def filled(added: list[int]) -> tuple[EntryList, list[OneRun]]:
+def filled(added: list[int]) -> tuple[EntryList, list[SingleItemRun]]:
     """Return a list with an entry for each time, in the order of seqs, and the sorted entries."""
     made = EntryList(attrgetter("first_time"))
-    entries = [OneRun(seq, time, -1, 1, b"") for seq, time in enumerate(added, 1)]
+    entries = [SingleItemRun(seq, time, -1, 1, b"") for seq, time in enumerate(added, 1)]
     for entry in entries:
         made.add(entry)
     return made, sorted(entries, key=attrgetter("first_time"))
@@ -77,7 +77,7 @@ def test_entries_leave_from_the_front_and_from_anywhere(added: list[int], data: 
             made.remove(entries.pop(data.draw(strategies.integers(0, len(entries) - 1))))
         assert ([*made], len(made)) == (entries, len(entries))
         assert [*made.between(-1, 13)] == entries
-        last = OneRun(len(added) + 1, 5, -1, 1, b"")
+        last = SingleItemRun(len(added) + 1, 5, -1, 1, b"")
         made.add(last)
         assert made.last_up_to(5) is last
         made.remove(last)

@@ -103,7 +103,7 @@ class KnownObjects:
         self.add(dict.fromkeys(names, 0))
 
     def drop(self, names: Iterable[str], to: int) -> None:
-        """As `remove`, because all segments up to the number `to` leave the archive."""
+        """Remove objects, because all segments up to the number `to` leave the archive."""
         self.add({_DROPPED: to} | dict.fromkeys(names, 0))
 
 

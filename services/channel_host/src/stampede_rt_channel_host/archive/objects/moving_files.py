@@ -56,7 +56,7 @@ class MovingFiles(SegmentFiles):
         return self.stored.known(epoch, is_whole=is_whole)
 
     def open_found(self, epoch: int, incarnation: int, found: Mapping[int, StoredSegment]) -> OpenedArchive:
-        """As `open`. `found`: the segments in the store. Raises OSError."""
+        """Do the same as `open`. `found`: the segments in the store. Raises OSError."""
         opened = self.open(epoch, incarnation, self.stored.adopt(found))
         self.stored.note(epoch)
         if self.is_listed and not self.is_elsewhere:
@@ -64,7 +64,7 @@ class MovingFiles(SegmentFiles):
         return opened._replace(stop=opened.stop or self.former_stop)
 
     def open_unknown(self, epoch: int, incarnation: int) -> OpenedArchive:
-        """As `open`, for a host that does not know the segments in the store. Raises OSError."""
+        """Open the archive at a host that does not know the segments in the store. Raises OSError."""
         opened = self.open(epoch, incarnation)
         self.stored.forget_known()
         self.is_known = self.is_listed = False

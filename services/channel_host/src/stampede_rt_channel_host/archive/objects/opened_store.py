@@ -122,7 +122,7 @@ def _refuses(error: BaseException) -> bool:
     return isinstance(error, _REFUSED) or any(word in str(error) for word in words)
 
 
-def _said(error: BaseException) -> tuple[str, str] | None:
+def _code_and_message(error: BaseException) -> tuple[str, str] | None:
     """The code and the message in the answer of a store; None: the error has no such answer."""
     found = re.search(r"<Code>(.*?)</Code>.*?<Message>(.*?)</Message>", str(error), re.DOTALL)
     return None if found is None else (found[1], found[2].partition("\n")[0].rstrip(". "))
@@ -130,16 +130,16 @@ def _said(error: BaseException) -> tuple[str, str] | None:
 
 def _lacks_object(error: FileNotFoundError) -> bool:
     """Whether the store has no such object. False: it has no such bucket, or does not know the caller."""
-    said = _said(error)
-    return said is None or said[0] in _NO_OBJECT
+    answer = _code_and_message(error)
+    return answer is None or answer[0] in _NO_OBJECT
 
 
 def _short(error: BaseException, url: str) -> str:
     """The text of an error: one line, without queries of URLs, which may have credentials, and without long paths."""
-    text, said = str(error).partition("\n\n")[0], _said(error)
+    text, answer = str(error).partition("\n\n")[0], _code_and_message(error)
     place = re.search(r"https?://[^/\s]+", text)
-    if said is not None:
-        text = f"{said[0]}: {said[1]}{'' if place is None else f' ({place[0]})'}"
+    if answer is not None:
+        text = f"{answer[0]}: {answer[1]}{'' if place is None else f' ({place[0]})'}"
     text = re.sub(r"(https?://[^/\s]+/)[^\s\"')]*", r"\1...", text)
     text = re.sub(r"\?[^\s\"')]*", "?...", text)
     allow = _ALLOW_HTTP.get(url.partition("://")[0], "AWS_ALLOW_HTTP")

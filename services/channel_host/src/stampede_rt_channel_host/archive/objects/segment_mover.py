@@ -74,7 +74,7 @@ class SegmentMover:
         """The thread of the archive's writes, the only thread that changes files."""
         self._task: asyncio.Task[None] | None = None
         self._wake = asyncio.Event()
-        self._told: set[str] = set()  # the objects that report clean stops
+        self._reported: set[str] = set()  # the objects that report clean stops
         self._moving = asyncio.Lock()  # held during the moves
 
     def start(self) -> None:
@@ -293,7 +293,7 @@ class SegmentMover:
         served = [name for files in self._recorders if (name := await self.in_writer(files.name_of_stop)) is not None]
         stops: dict[str, Callable[[], None]] = dict.fromkeys(served, _nothing)
         stops.update(await self.in_writer(self._leftovers.stops))
-        left = [one for one in stops.items() if one[0] not in self._told]
+        left = [one for one in stops.items() if one[0] not in self._reported]
         for at in range(0, len(left), STOPS_IN_PARALLEL):
             some = left[at : at + STOPS_IN_PARALLEL]
             ends = await asyncio.gather(*(self._note_stop(*one) for one in some), return_exceptions=True)
@@ -303,7 +303,7 @@ class SegmentMover:
     async def _note_stop(self, name: str, then: Callable[[], None]) -> None:
         """Make the object of a clean stop, and then call `then` in the thread of the writes. Raises OSError."""
         await self.store.create(name, STOP_TEXT)
-        self._told.add(name)
+        self._reported.add(name)
         await self.in_writer(then)
 
     async def in_thread(self, call: Callable[[], Result]) -> Result:

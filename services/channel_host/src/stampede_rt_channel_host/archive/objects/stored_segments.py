@@ -233,7 +233,7 @@ class StoredSegments(SegmentFolder):
         self._leave(number)
 
     def remove_all(self, numbers: Sequence[int]) -> int:
-        """As `SegmentFolder.remove_all`. The list on the disk takes one write for all of them."""
+        """Like `SegmentFolder.remove_all`. The list on the disk takes one write for all of them."""
         try:
             self._note_limits(numbers)
         except OSError:

@@ -161,10 +161,10 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         """
         places = self._columns.places
         first = (self[at].head for at in range(places[0] if places else len(self)))
-        told = next((one.first_accepted for one in first if _tells_loss(one)), None)
-        if told is None or any(_tells_loss(one.head) and one.head.first_accepted == NOTHING_LOST for one in self):
+        reported = next((one.first_accepted for one in first if _tells_loss(one)), None)
+        if reported is None or any(_tells_loss(one.head) and one.head.first_accepted == NOTHING_LOST for one in self):
             return None
-        return told
+        return reported
 
     @property
     def of_advances(self) -> Sequence[PlacedBlock]:

@@ -104,7 +104,7 @@ def below(blocks: Sequence[PlacedBlock], length: int, end_seq: int) -> list[Plac
 
 
 def up_to(blocks: Sequence[PlacedBlock], length: int, end_seq: int) -> list[PlacedBlock]:
-    """As `below`, with the blocks without seqs at the end of the segment: advances, and notes of losses."""
+    """Like `below`, but with the blocks without seqs at the end of the segment: advances, and notes of losses."""
     ends = [one for one in blocks if one.end <= length and one.head.first_seq == one.head.end_seq == end_seq]
     return [*below(blocks, length, end_seq), *ends]
 

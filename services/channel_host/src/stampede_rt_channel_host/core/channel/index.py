@@ -26,7 +26,7 @@ from stampede_rt_channel_host.core.channel.index_entries import (
 )
 from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.oldest_items import OldestItems
-from stampede_rt_channel_host.core.channel.run import OneRun, Run, Slice
+from stampede_rt_channel_host.core.channel.run import Run, SingleItemRun, Slice
 
 _time_of, _seq_of = attrgetter("first_time"), attrgetter("first_seq")
 
@@ -46,7 +46,7 @@ class ChannelIndex:
 
     def insert(self, run: Run) -> None:
         """Add all items of a run. Its seqs must be above all seqs in the index."""
-        if isinstance(run, OneRun):
+        if isinstance(run, SingleItemRun):
             self._open(run.first_time)
             self._add(run)
             return
@@ -94,7 +94,7 @@ class ChannelIndex:
         of `time` begin at `time`.
         """
         entry = self._last_up_to(time)
-        if entry is None or isinstance(entry, OneRun):
+        if entry is None or isinstance(entry, SingleItemRun):
             return
         if entry.last_time > time:
             self._split(entry, bisect_right(entry.run.times, time, entry.lo, entry.hi))
@@ -226,7 +226,7 @@ class ChannelIndex:
         if found is None:
             return None
         entry, following = found
-        if not isinstance(entry, IndexPart):  # a OneRun; `isinstance` is slow for subclasses of ABC
+        if not isinstance(entry, IndexPart):  # a SingleItemRun; `isinstance` is slow for subclasses of ABC
             return Slice(entry, 0, 1), following
         times = entry.run.times
         end = bisect_right(times, time, entry.lo, entry.hi)
@@ -237,7 +237,7 @@ class ChannelIndex:
     def oldest_item(self, floor: ItemKey) -> OldestItems | None:
         """The first item, if it is a run of its own at or above `floor`; otherwise None."""
         first, following = self._by_time.first, self._by_time.nth(1)
-        if not isinstance(first, OneRun) or (first.first_time, first.first_seq) < floor:
+        if not isinstance(first, SingleItemRun) or (first.first_time, first.first_seq) < floor:
             return None
         rest = None if following is None else Slice(following.run, following.lo, following.hi)
         return OldestItems(1, first.length, Slice(first, 0, 1), rest)

@@ -9,7 +9,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
-from stampede_rt_channel_host.core.channel.run import OneRun, Run, Slice
+from stampede_rt_channel_host.core.channel.run import Run, SingleItemRun, Slice
 
 
 class IndexPart:
@@ -38,7 +38,7 @@ class IndexPart:
         self.run, self.lo, self.hi = run, 0, len(run)
 
 
-Entry = IndexPart | OneRun
+Entry = IndexPart | SingleItemRun
 """One entry of the index. A run of one item is its own entry."""
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.channel.item_keys import ItemKey
-from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, Body, OneRun, Slice
+from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, Body, SingleItemRun, Slice
 from stampede_rt_channel_host.core.dedup import KeptRun
 from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunPart
 
@@ -52,7 +52,7 @@ class NewItem(NamedTuple):
 def new_item(part: Slice) -> NewItem | None:
     """A run that the channel has stored, for copies without the owner's facts. None if the slice is a part of a run."""
     run = part.run
-    if isinstance(run, OneRun):
+    if isinstance(run, SingleItemRun):
         return NewItem(run.first_seq, 0, 0, run.first_time, run.duration, run.length, False, 0, run.body)
     if not part.is_whole:
         return None

@@ -14,7 +14,14 @@ from stampede_rt_channel_host.core.channel.fed_channel import FedChannel
 from stampede_rt_channel_host.core.channel.feeding import ChannelFeed, FeedPart
 from stampede_rt_channel_host.core.channel.held_items import Cut
 from stampede_rt_channel_host.core.channel.pieces import Pieces
-from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, ColumnRun, OneRun, Run, Slice, make_run
+from stampede_rt_channel_host.core.channel.run import (
+    ITEM_OVERHEAD_BYTES,
+    ColumnRun,
+    Run,
+    SingleItemRun,
+    Slice,
+    make_run,
+)
 
 PIECE_BYTES = 256 * 2**10
 _WHOLE = 2**62  # more bytes than any channel holds
@@ -79,8 +86,8 @@ class ReplicatedView:
     def _run_of(self, part: Slice) -> Run:
         """The items as a run of the shown channel. It shares the columns and the body of a whole run."""
         run = part.run
-        if isinstance(run, OneRun):
-            return OneRun(run.first_seq, run.first_time, run.duration, run.length, run.body)
+        if isinstance(run, SingleItemRun):
+            return SingleItemRun(run.first_seq, run.first_time, run.duration, run.length, run.body)
         if part.is_whole:
             whole = ColumnRun(run.first_seq, run.times, run.durations, run.lengths, run.body, run.span)
             whole.whole_bytes = run.payload_bytes(0, len(run))

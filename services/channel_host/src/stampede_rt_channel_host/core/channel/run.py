@@ -176,7 +176,7 @@ class ColumnRun(Run):
         return run
 
 
-class OneRun(Run):
+class SingleItemRun(Run):
     """A run of one item. It has all attributes of an index entry, so it needs no separate entry."""
 
     __slots__ = ("duration", "first_time", "length")
@@ -235,7 +235,7 @@ def make_run(
 ) -> Run:  # fmt: skip
     """A run in its smallest layout. Copies the columns. `span`: the span of `times`, if the caller knows it."""
     if len(lengths) == 1:
-        return OneRun(first_seq, times[0], ABSENT if durations is None else durations[0], lengths[0], body)
+        return SingleItemRun(first_seq, times[0], ABSENT if durations is None else durations[0], lengths[0], body)
     run = ColumnRun(first_seq, pack(times), None if durations is None else pack(durations), pack(lengths), body, span)
     run.whole_bytes = sum(lengths)
     return run
