@@ -108,6 +108,21 @@ def test_the_instants_of_acceptance_move_along_also_after_a_crash(rt: Any, clust
         assert payloads(channel.get(began, began + 104 * MS, as_of=instant)) == [*range(104 - HELD, count)]
 
 
+def test_a_move_back_repeats_no_item_that_was_archived_before_the_first_move(rt: Any) -> None:
+    """The feed joins items. The archive of the first host may end within such a run."""
+    channel, began = rt.channel(f"rig/{next(numbers)}", host="h1", max_items=1000, archive="7d"), time.time_ns() - 10**9
+    put(channel, began, 0, 40)
+    wait_until(lambda: channel.stats().archive.items, "the archive has items")
+    put(channel, began, 40, 60)
+    rt.move(channel, "h2")
+    rt.move(channel, "h1")
+    put(channel, began, 60, 61)
+    assert payloads(channel.get(began - 1, began + 61 * MS)) == [*range(61)]
+    channel.configure(max_items=1)
+    wait_until(lambda: channel.stats().held == 1, "the archive has all items")
+    assert payloads(channel.get(began - 1, began + 61 * MS)) == [*range(61)]
+
+
 def test_no_move_or_drain_gives_a_recorded_channel_to_a_host_without_an_archive(rt: Any, cluster: LocalCluster) -> None:
     channel, _ = filled(rt)
     with pytest.raises(st.InvalidArgument, match="this host has no archive; move it to a host that has one"):

@@ -68,8 +68,7 @@ class ChannelRecorder:
         self.keep(segments)
         self.named = 0
         """The items that max_bytes collected before the archive had them, and that its files name."""
-        self.is_stopped = False
-        """Whether the host has given the channel up: the archive no longer writes its items."""
+        self.is_stopped = False  # whether the host has given the channel up: the archive no longer writes its items
         self.failure = ""
         """Why the last write failed; empty: it succeeded."""
         self._gaps: list[MissingSeqs] = []  # seqs that the archive will never have; the earliest gaps are joined
@@ -265,9 +264,11 @@ class ChannelRecorder:
             parts.append([])
         runs = parts[-1]
         assert isinstance(runs, list), "the last part is a list of runs"
-        accepted, end_seq = self._accepted, run.first_seq + len(run)
-        rows = accepted.between(run.first_seq, end_seq) if len(run) > 1 else None
-        runs.append(ArchivedRun(accepted.at(run.first_seq) or 0, run, rows if rows and len(rows.ends) > 1 else None))
+        begin, end_seq = max(run.first_seq, self.archived_to), run.first_seq + len(run)
+        rows = self._accepted.between(begin, end_seq) if len(run) > 1 else None  # a move or a start has joined puts
+        if rows is not None and begin == run.first_seq and len(rows.ends) < 2:
+            rows = None
+        runs.append(ArchivedRun(self._accepted.at(begin) or 0, run, rows, begin))
         return end_seq
 
     def keep(self, segments: tuple[Segment, ...]) -> None:

@@ -36,7 +36,8 @@ def by_instants(joined: ArchivedRun) -> Iterator[ArchivedRun]:
     if joined.rows is None:
         yield joined
         return
-    run, slicer, lo = joined.run, RunSlicer(bytes(joined.run.body)), 0
+    run, slicer = joined.run, RunSlicer(bytes(joined.run.body))
+    lo = max(0, joined.begin - run.first_seq)
     for end_seq, accepted in zip(*joined.rows, strict=True):
         hi = len(run) if end_seq == joined.rows.ends[-1] else end_seq - run.first_seq
         durations = None if run.durations is None else run.durations[lo:hi]

@@ -131,6 +131,7 @@ class Recordings:
         opened = self._opened.pop(hosted.record.channel_id, None)
         if opened is not None and self.archive is not None:
             has_moved = hosted.moving is not None  # the archive gets all items that came with the move
+            opened.files.raise_epoch(hosted.record.epoch)  # the files were opened before the move was committed
             recording = Recording(
                 self.archive, opened, hosted.channel, slice_run, hosted.archived, from_memory=has_moved
             )

@@ -326,3 +326,15 @@ async def test_no_item_is_lost_if_the_store_fails_while_a_host_takes_over_the_la
     store.failure = ""
     assert seqs(new, new.find_again(new.stored.find(2), 11)) == [*range(1, 11)]
     assert not new.lacks_items(11)
+
+
+@pytest.mark.asyncio
+async def test_a_new_owner_misses_the_last_file_of_a_former_owner_whose_earlier_files_have_come(tmp_path: Path) -> None:
+    store = FakeStore()
+    former = host(tmp_path, "a", store, 1)
+    for first in (1, 5):
+        write_closed(former, first)
+    await move(former, store)
+    owner = host(tmp_path, "b", store, 1)  # opened before the move is committed
+    owner.raise_epoch(2)
+    assert (owner.lacks_former(9), owner.lacks_former(10)) == (False, True)

@@ -77,12 +77,13 @@ class ArchivedRun(NamedTuple):
     """A run to archive, and the host's clock when its items were accepted.
 
     `rows`: None, or the instants of several puts whose items one run has. A host that moves a channel joins them, and
-    so does a host that starts.
+    so does a host that starts. `begin`: with `rows`, the first seq to archive.
     """
 
     accepted: int
     run: Run
     rows: AcceptedRows | None = None
+    begin: int = 0
 
     def below(self, end_seq: int, cut: CutRun) -> ArchivedRun:
         """The run without its items from `end_seq` on. At least one item is below."""
