@@ -13,10 +13,18 @@ _ENTRY_BYTES = 1024  # the memory of a segment without blocks
 
 
 class FoundBlocks(NamedTuple):
-    """The blocks of a segment up to the offset `length`."""
+    """The blocks of a segment up to the offset `length`.
+
+    `cut_at`: None, or the seq from which on the items are left out, because the next segment has them.
+    """
 
     length: int
     blocks: SegmentBlocks
+    cut_at: int | None = None
+
+    def has_left_out(self, end_seq: int) -> bool:
+        """Whether items below `end_seq` are left out."""
+        return self.cut_at is not None and self.cut_at < end_seq
 
 
 class KeptBlocks:

@@ -129,7 +129,9 @@ class SegmentFiles(SegmentReads):
         others, numbers = {one.number: one for one in stored}, self._files.numbers()
         for number in sorted((*numbers, *others), reverse=True):
             if number in others:
-                segment, torn, bad = self._below(others[number], following), 0, 0
+                segment, torn, bad = self._without(others[number], following), 0, 0
+                if segment is None and others[number].first_seq >= (following or 0):  # otherwise a damaged block stays
+                    self._files.remove(number)
             else:
                 last = number == numbers[-1]
                 segment, torn, bad = self._open_one(number, following, is_last=last, may_be_torn=last and may_be_torn)
@@ -144,17 +146,15 @@ class SegmentFiles(SegmentReads):
         self._segments = tuple(found)
         return OpenedArchive(self._segments, None, torn_bytes, damaged)
 
-    def _below(self, segment: Segment, following: int | None) -> Segment | None:
-        """A closed segment without the items from the seq `following` on, which the next segment has."""
+    def _without(self, segment: Segment, following: int | None) -> Segment | None:
+        """A closed segment without the items from the seq `following` on, which the next segment has; None: it has no
+        others.
+        """
         if following is None or segment.end_seq <= following:
             return segment
         blocks = below(self._files.blocks(segment), segment.length, following)
         short = summary(segment.number, blocks[-1].end if blocks else 0, blocks)
-        if short is not None:
-            return short._replace(first_seq=segment.first_seq)
-        if segment.first_seq >= following:  # otherwise a damaged block, which stays
-            self._files.remove(segment.number)
-        return None
+        return None if short is None else short._replace(first_seq=segment.first_seq)
 
     def _open_one(
         self, number: int, following: int | None, *, is_last: bool, may_be_torn: bool

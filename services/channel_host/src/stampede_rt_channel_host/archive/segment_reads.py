@@ -38,6 +38,7 @@ from stampede_rt_channel_host.core.archive import (
     reach_of,
     window_of,
 )
+from stampede_rt_channel_host.core.archive.stored_segment import up_to
 from stampede_rt_channel_host.core.channel import AcceptedRows, Run
 
 Opened = Callable[[int], AbstractContextManager[ReadAt]]
@@ -196,9 +197,9 @@ class SegmentReads:
     def _known_blocks_of(self, segment: Segment) -> SegmentBlocks:
         """Like `_blocks_of`. Raises WindowNeedsThread if no read has found the blocks yet."""
         found = self._kept.get(self, segment.number)
-        if found.length < segment.length:
+        if found.length < segment.length or found.has_left_out(segment.end_seq):
             raise WindowNeedsThread
-        return found.blocks.before(segment.length)
+        return self._below(found.blocks, segment)
 
     def _blocks_of(self, segment: Segment) -> SegmentBlocks:
         """The blocks of a segment, as far as it had grown when the read began.
@@ -206,6 +207,8 @@ class SegmentReads:
         If somebody has removed its file, only the blocks that earlier reads have found.
         """
         found = self._kept.get(self, segment.number)
+        if found.has_left_out(segment.end_seq):  # the read began before the next segment came
+            return SegmentBlocks(self.place.blocks(segment))
         if found.length < segment.length:
             try:
                 more = self.place.blocks(segment, found.length)
@@ -215,7 +218,19 @@ class SegmentReads:
                 return found.blocks
             found = FoundBlocks(segment.length, found.blocks.followed_by(more))
             self._kept.keep(self, segment.number, found)
-        return found.blocks.before(segment.length)
+        return self._below(found.blocks, segment)
+
+    def _below(self, found: SegmentBlocks, segment: Segment) -> SegmentBlocks:
+        """The blocks that the segment has. An earlier read may have found more of them, before the next segment came
+        from the former owner with their last items.
+        """
+        blocks = found.before(segment.length)
+        last = [one for one in (blocks.items_at(-1), blocks[-1] if blocks else None) if one is not None]
+        if all(one.head.end_seq <= segment.end_seq for one in last):
+            return blocks
+        blocks = SegmentBlocks(up_to(blocks, segment.length, segment.end_seq))
+        self._kept.keep(self, segment.number, FoundBlocks(segment.length, blocks, segment.end_seq))
+        return blocks
 
 
 def _as_they_are(runs: Sequence[Run]) -> Sequence[Run]:

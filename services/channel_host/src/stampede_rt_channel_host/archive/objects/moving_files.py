@@ -158,14 +158,19 @@ class MovingFiles(SegmentFiles):
             if one.number < latest and one.first_seq < archived_to:
                 kept[one.number] = one
         ordered: list[Segment] = []
+        repeated: list[int] = []  # segments whose items the next segment has
         following = max([archived_to, *(one.end_seq for one in self._segments)])
         for number in sorted(kept, reverse=True):
-            segment = self._below(kept[number], following)
+            segment = self._without(kept[number], following)
             if segment is not None:
                 ordered.append(segment)
                 following = segment.begin
+            elif kept[number].first_seq >= following:  # otherwise a damaged block, which stays
+                repeated.append(number)
         self._segments = tuple(reversed(ordered))
         self._unplaced.clear()
+        for number in repeated:  # off the list first: a read must not report a removed segment as lost
+            self.stored.remove(number)
         return self._segments
 
     @property

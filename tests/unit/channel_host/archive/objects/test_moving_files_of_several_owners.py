@@ -1,0 +1,74 @@
+"""Segments of several owners of one channel, which have some items twice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
+from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
+from stampede_rt_channel_host.core.archive import ArchivedRun
+from tests.support.channel_host.object_stores import FakeStore, move, opened_files
+from tests.unit.channel_host.archive.test_archive_files import ALL, decode, seqs, write
+
+ITEMS = [*range(1, 9)]
+
+
+def cut(body: bytes, begin: int, end: int) -> bytes:
+    return b"%d cut" % (int(body.split(b" ")[0]) + begin)
+
+
+async def moved_back(tmp_path: Path, store: FakeStore, first_seq: int) -> tuple[MovingFiles, MovingFiles]:
+    """The files of a host to which a channel has moved back, and those of the host that it has left.
+
+    The second host has items from `first_seq` on, and has not moved its file to the store yet.
+    """
+    first = opened_files(tmp_path / "a", store, 1, cut)
+    write(first, 1, 4)
+    first.close(None)
+    await move(first, store)
+    second = opened_files(tmp_path / "b", store, 2, cut)
+    if first_seq % 2:
+        write(second, first_seq, (9 - first_seq) // 2)
+    else:
+        second.write([[ArchivedRun(9, decode(cut(b"%d" % (first_seq - 1), 1, 2)))]], ArchiveLimits(None, None))
+    second.close(None)
+    return opened_files(tmp_path / "a", store, 3, cut), second
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("first_seq", [8, 7, 5])
+async def test_a_read_before_the_file_of_the_former_owner_came_does_not_double_its_items(
+    tmp_path: Path, first_seq: int
+) -> None:
+    """In an earlier version, the host kept the places of the blocks that it had found, with all their items."""
+    store = FakeStore()
+    files, second = await moved_back(tmp_path, store, first_seq)
+    before = files.segments
+    assert seqs(files, before) == ITEMS
+    await move(second, store)
+    after = files.find_again(files.stored.find(3), 9)
+    assert seqs(files, after) == ITEMS
+    assert seqs(files, before) == ITEMS, "of a read that began before the file came"
+    assert seqs(files, after) == ITEMS
+    window = files.load(after, ALL, decode, lambda: None)
+    assert window.holes == []
+
+
+@pytest.mark.asyncio
+async def test_a_segment_leaves_the_list_before_its_object_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In an earlier version, a read between both steps took the removed segment for a damaged one."""
+    store = FakeStore()
+    files, second = await moved_back(tmp_path, store, 1)
+    (repeated,) = files.segments
+    await move(second, store)
+    listed: list[bool] = []
+    remove = files.stored.remove
+    monkeypatch.setattr(files.stored, "remove", lambda number: (listed.append(files.has(number)), remove(number)))
+    assert seqs(files, files.find_again(files.stored.find(3), 9)) == ITEMS
+    assert listed == [False]
+    with pytest.raises(FileNotFoundError):  # the caller reads the present segments then
+        files.load((repeated,), ALL, decode, lambda: None)
