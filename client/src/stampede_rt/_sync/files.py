@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from stampede_rt._sync.player import Player
     from stampede_rt._sync.reader import Reader
     from stampede_rt._sync.recorder import Recorder
-    from stampede_rt.files.sources import FileSource
+    from stampede_rt.files.file_source import FileSource
 
 
 OLDEST_ITEM = "oldest"  # the value of `since` for all items that the channels hold

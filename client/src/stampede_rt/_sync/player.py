@@ -15,9 +15,9 @@ from stampede_rt._sync.session import Session
 from stampede_rt.errors import FileError, InvalidArgument, StampedeError
 from stampede_rt.files.chunk_content import Event
 from stampede_rt.files.entries import FileAdvance, FileEntry
+from stampede_rt.files.file_source import FileSource, SourceTopic, none_chosen
 from stampede_rt.files.names import channel_name
 from stampede_rt.files.schedule import Schedule, target_policy, window_text
-from stampede_rt.files.sources import FileSource, SourceTopic, none_chosen
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.transports.concurrency_sync import BackgroundStart, BackgroundTask, Signal, in_thread
 from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap, ReplaySummary

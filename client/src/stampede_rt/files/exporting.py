@@ -14,8 +14,8 @@ from typing import Any, Protocol
 from stampede_rt.errors import FileError
 from stampede_rt.files.cells import BOOL, FLOAT, FLOATS, INT, INTS, LONG, LONGS, Columns, cells_of
 from stampede_rt.files.entries import FileEntry
+from stampede_rt.files.file_source import FileSource, none_chosen
 from stampede_rt.files.names import channel_name
-from stampede_rt.files.sources import FileSource, none_chosen
 from stampede_rt.files.writing import PART_SUFFIX, opened_new, replaced, write_fault
 from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap
 

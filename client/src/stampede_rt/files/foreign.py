@@ -15,8 +15,9 @@ from typing import Any
 from stampede_rt.errors import FileError
 from stampede_rt.files.chunk_content import Event
 from stampede_rt.files.entries import FileEntry, Topic
+from stampede_rt.files.file_source import Chosen, FileSource, SourceTopic, check_unpacked, time_of_first
 from stampede_rt.files.framing import MAGIC
-from stampede_rt.files.sources import Chosen, FileSource, McapSource, SourceTopic, check_unpacked, time_of_first
+from stampede_rt.files.sources import McapSource
 
 CDR = "application/x-ros-cdr"
 XDF_BYTES_MAX = 1024**3

@@ -24,7 +24,7 @@ try:
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import McapError
     from mcap.opcode import Opcode
-    from mcap.records import Attachment, Chunk, DataEnd, McapRecord, Message
+    from mcap.records import Attachment, Chunk, McapRecord, Message
     from mcap.stream_reader import breakup_chunk
 except ImportError as missing:
     raise FileError(
@@ -217,12 +217,6 @@ class RecordFile:
             found = zlib.crc32(part, found)
             offset += len(part)
         return found
-
-    def states_sum(self, frame: RecordFrame, found: int) -> bool:
-        """Whether the record ends the data, and states their checksum `found`, or 0 for no checksum."""
-        if frame.opcode != Opcode.DATA_END or frame.length != 4:
-            return False
-        return self.record(frame, DataEnd).data_section_crc in (0, found)
 
     def attachment(self, frame: RecordFrame) -> Attachment:
         """Decode an attachment. Raises FileError, also if it does not have the checksum that it states (0: none)."""

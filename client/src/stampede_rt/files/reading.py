@@ -15,6 +15,7 @@ from mcap.records import Schema as SchemaRecord
 
 from stampede_rt.errors import FileError
 from stampede_rt.files.chunk_content import ChunkContent, IncarnationKey
+from stampede_rt.files.data_sum import DataSum
 from stampede_rt.files.entries import FACTS_TOPIC, FileEntry, ReadFacts, Schema, Topic, content_type_of_encoding
 from stampede_rt.files.file_index import FileIndex, is_indexed, read_index, states_no_index, topic_of
 from stampede_rt.files.framing import MAGIC, Damage, RecordFile, RecordFrame
@@ -45,7 +46,6 @@ class FileReader:
         self.states_no_index = False  # whether the end of the file says that it has no index; known after `index`
         # Whether the bytes before the index have the stated checksum, if there is one; known after `contents`.
         self.data_is_whole = True
-        self._sum = (0, 0)  # the checksum of the bytes before a place, and this place
         self._has_chunks = False  # whether this reader has found a chunk so far
         first = self._records.frame_at(len(MAGIC))
         if first is not None and first.opcode == Opcode.HEADER:
@@ -74,9 +74,9 @@ class FileReader:
 
     def contents(self) -> Iterator[ChunkContent | Damage | Attachment | Metadata]:
         """Yield the chunks in the order of the file, damaged parts, attachments, and metadata."""
-        self._sum, self.data_is_whole = (0, 0), self.index is None
+        data_sum, self.data_is_whole = self.data_sum(), self.index is None
         for frame in self._frames():
-            self._add_to_sum(frame.offset)
+            data_sum.read_to(frame.offset)
             if isinstance(frame, Damage):
                 yield self._with_times(frame)
             elif frame.opcode not in (Opcode.DATA_END, Opcode.FOOTER):
@@ -84,17 +84,17 @@ class FileReader:
                     yield found
             elif self.index is None:  # damaged, or a file without an index: search on for its end mark
                 if frame.opcode == Opcode.DATA_END:
-                    self.data_is_whole = self._records.states_sum(frame, self._sum[0])
+                    self.data_is_whole = data_sum.is_stated_at(frame.offset)
             elif frame.offset < self.index.data_end:
                 yield Damage(frame.offset, self.index.data_end, "the data end before the place that the index names")
                 return
             else:
-                self.data_is_whole = self._records.states_sum(frame, self._sum[0])
+                self.data_is_whole = data_sum.is_stated_at(frame.offset)
                 return
 
-    def _add_to_sum(self, end: int) -> None:
-        found, offset = self._sum
-        self._sum = (self._records.checksum(offset, end, found), end)
+    def data_sum(self) -> DataSum:
+        """Return a checksum of the data that has no bytes yet."""
+        return DataSum(self._records)
 
     def _frames(self) -> Iterator[RecordFrame | Damage]:
         self._has_chunks = self.index is not None and bool(self.index.chunks)

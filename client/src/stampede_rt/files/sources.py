@@ -1,4 +1,4 @@
-"""Sources of items for replay and import: files of several kinds, read in the order in which the items are put."""
+"""MCAP files as sources of items for replay and import, read in the order in which the items are put."""
 
 from __future__ import annotations
 
@@ -6,89 +6,19 @@ import heapq
 import json
 import os
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from stampede_rt.errors import FileError
 from stampede_rt.files.chunk_content import ChunkContent, Event
 from stampede_rt.files.entries import FACTS_TOPIC, POLICY_KEY, TIME_MAX, FileEntry
 from stampede_rt.files.file_index import FileIndex
+from stampede_rt.files.file_source import Chosen, SourceTopic, check_unpacked
 from stampede_rt.files.interval_filter import IntervalFilter
 from stampede_rt.files.reading import FileReader
 from stampede_rt.values.timeline import MIN_INSTANT
 
 CACHE_BYTES = 64 * 1024 * 1024  # the most bytes of decoded chunks
-TOPICS_NAMED = 5  # the most topics that an error names
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-Chosen = Callable[[str], bool]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SourceTopic:
-    """A topic of a source: its name, and the policy of its channel if the source knows it.
-
-    `start` and `end` are its first and last time. A source that does not know the times of each topic gives the times
-    of all its chosen topics together.
-    """
-
-    name: str
-    policy: Mapping[str, Any]
-    start: int
-    end: int
-
-
-def none_chosen(source: FileSource) -> str:
-    """Return the text of the error if no topic of a file is chosen. It names some topics."""
-    topics = source.topics(lambda _: True)
-    names = ", ".join(repr(one.name) for one in topics[:TOPICS_NAMED]) or "no topics"
-    more = f" and {len(topics) - TOPICS_NAMED} more" if len(topics) > TOPICS_NAMED else ""
-    return f"the file {source.path!r} has none of the chosen topics; it has {names}{more}"
-
-
-def check_unpacked(path: str, entry: FileEntry) -> None:
-    """Check that a message is not compressed by itself. Raises FileError.
-
-    Rosbag2 can compress each message in CDR. Only `metadata.yaml` says so. A message in CDR cannot begin in this way.
-    """
-    if entry.topic.encoding == "cdr" and entry.seq is None and entry.data.startswith(_ZSTD_MAGIC):
-        raise FileError(
-            f"the file {path!r} has compressed messages of a rosbag2; name the folder of the bag, whose metadata.yaml "
-            "says so"
-        )
-
-
-class FileSource(Protocol):
-    """A file from which a program puts items. `events` yields each event with a time, and these times never fall."""
-
-    path: str
-
-    @property
-    def damaged(self) -> Sequence[str]:
-        """The items or channels that the file may lack, besides the gaps that `events` yields."""
-        ...
-
-    def topics(self, chosen: Chosen) -> Sequence[SourceTopic]:
-        """The chosen topics that have messages, by name."""
-        ...
-
-    def events(self, chosen: Chosen, start: int, end: int) -> Iterator[tuple[int, Event]]:
-        """Yield the items with a time from `start` on and before `end`, and the gaps and advances between them."""
-        ...
-
-    def first_time(self, name: str, start: int, end: int) -> int | None:
-        """The least time of the items of a topic from `start` on and before `end`; None: there are none."""
-        ...
-
-    def close(self) -> None:
-        """Close the file."""
-        ...
-
-
-def time_of_first(source: FileSource, name: str, start: int, end: int) -> int | None:
-    """The time of the first item of a topic in an interval; None: there is none."""
-    events = source.events(lambda one: one == name, start, end)
-    return next((event.time for _, event in events if isinstance(event, FileEntry)), None)
 
 
 class McapSource:
@@ -102,14 +32,22 @@ class McapSource:
         if index is None or not index.chunks or not _names_messages(index) or not self._reader.indexes_all():
             self._reader.__exit__()
             raise _unplayable(self.path, index, self._reader.states_no_index)
-        self.damaged = _damaged(self._reader)
+        self._damaged = _damaged(self._reader)
         self._chunks = sorted(index.chunks, key=lambda one: one.chunk_start_offset)
         self._index = index
         self._cache: OrderedDict[int, dict[str, list[Event]]] = OrderedDict()
         self._cached_bytes = 0
         self._topics: dict[str, SourceTopic] = {}
         self._facts_ids = {number for number, topic in index.topics.items() if topic.name == FACTS_TOPIC}
+        self._sum = self._reader.data_sum()
+        self._summed = 0  # the chunks in this checksum
+        self._is_compared = False  # whether this checksum has been compared with the one that the file states
         self._loose: dict[int, dict[str, list[Event]]] = {}  # see `_gaps_and_advances_at`; by the position of the chunk
+
+    @property
+    def damaged(self) -> Sequence[str]:
+        """See `FileSource.damaged`. The last text says that the checksum is wrong; known after `events`."""
+        return self._damaged
 
     def close(self) -> None:
         """Close the file."""
@@ -199,7 +137,8 @@ class McapSource:
     def events(self, chosen: Chosen, start: int, end: int) -> Iterator[tuple[int, Event]]:
         """Yield the events of all chosen topics, merged by time. Each topic keeps the order of the file.
 
-        At the end come the gaps of channels without an item in the file.
+        At the end come the gaps of channels without an item in the file. Then this compares the checksum of the data,
+        which needs the bytes of all chunks, also of those before `start`.
         """
         names = {topic.name for topic in self._index.topics.values() if topic.name != FACTS_TOPIC}
         places = {name: found for name in sorted(names) if chosen(name) and (found := self._places_of(name))}
@@ -219,6 +158,18 @@ class McapSource:
                     window.add(event)
         window.finish()
         yield from ((due, event) for event in kept)
+        self._compare_sum()
+
+    def _compare_sum(self) -> None:
+        if not self._is_compared and not self._sum.is_stated_at(self._index.data_end):
+            self._damaged = (*self._damaged, _changed(self.path))
+        self._is_compared = True
+
+    def _add_to_sum(self, place: int) -> None:
+        """Add a chunk that has been read to the checksum, if all chunks before it are in the checksum."""
+        if place == self._summed:
+            self._sum.read_to(self._chunks[place].chunk_start_offset + self._chunks[place].chunk_length)
+            self._summed += 1
 
     def _places_of(self, name: str) -> set[int]:
         """Return the positions of the chunks that have items of a topic."""
@@ -249,6 +200,7 @@ class McapSource:
         due, window = start, IntervalFilter(start, end, lambda _: True, kept.append)
         for place in range(begin, len(self._chunks)):
             found = self._decoded(place) if place in places else self._gaps_and_advances_at(place)
+            self._add_to_sum(place)
             for event in found.get(name, ()):
                 window.add(event)
                 for one in kept:
@@ -304,6 +256,13 @@ def _unplayable(path: str, index: FileIndex | None, states_no_index: bool) -> Fi
     return FileError(
         f"the file {path!r} cannot be played: it has no index of all its messages; `stampede file merge` writes a file "
         "with such an index"
+    )
+
+
+def _changed(path: str) -> str:
+    return (
+        f"the bytes of the file {path!r} do not have the checksum that the file states, so items may be missing, "
+        "changed or repeated, or metadata may have changed; `stampede file verify` may find the place"
     )
 
 

@@ -14,9 +14,10 @@ from rosbags.rosbag2 import StoragePlugin
 from stampede_rt.errors import FileError
 from stampede_rt.files.editing import cut
 from stampede_rt.files.entries import FileEntry, item_entry
+from stampede_rt.files.file_source import FileSource
 from stampede_rt.files.foreign import source_of
 from stampede_rt.files.merging import merge
-from stampede_rt.files.sources import FileSource, McapSource
+from stampede_rt.files.sources import McapSource
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 from tests.support.files.foreign_files import rosbag, xdf_file
 from tests.support.files.recordings import MS, START, entries, item, topic, write
