@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 
 from mcap.records import Attachment, Metadata
 
-from stampede_rt.errors import FileError
 from stampede_rt.files.chunk_content import ChunkContent, Event
 from stampede_rt.files.file_index import ContentCounts
 from stampede_rt.files.file_tally import FileTally, recorded_between
 from stampede_rt.files.framing import Damage
 from stampede_rt.files.intact import LOSSES_MAX
 from stampede_rt.files.reading import FileReader
-from stampede_rt.files.summaries import SUMMARY_NAME, summary_of
+from stampede_rt.files.summaries import SUMMARY_NAME
 from stampede_rt.values.recording import RecordingSummary
 
 DAMAGES_KEPT_MAX = 1000
@@ -72,21 +71,21 @@ class _Found:
     """Gathers the findings about one file while its parts come."""
 
     def __init__(self, reader: FileReader) -> None:
-        self.reader = reader
-        self.tally, self.counts = FileTally(), ContentCounts()
+        self.reader, self.stated = reader, reader.summary_if_readable()
+        self.tally, self.counts = FileTally(self.stated), ContentCounts()
         self.damages: list[Damage] = []
         self.damaged_bytes = self.unknown = 0
         self.outer_bytes = 0  # damaged bytes before the summary, outside of known chunks
         self.has_inner_damage = False  # whether a part before the summary is damaged
-        self.last: Metadata | None = None  # the last record of a summary
+        self.has_summary = False  # whether a record of a summary has come
 
     def damage(self, part: Damage) -> None:
         length = part.end - part.offset
         self.damaged_bytes += length
-        if self.last is None:
+        if not self.has_summary:
             self.has_inner_damage = True
             self.outer_bytes += length if part.times == (None, None) else 0
-        self.tally.damage(part.times)
+        self.tally.damage(part.times, f"the file is damaged at byte {part.offset}: {part.detail}")
         if len(self.damages) < DAMAGES_KEPT_MAX:
             self.damages.append(part)
 
@@ -95,17 +94,12 @@ class _Found:
         if isinstance(part, ChunkContent):
             self.unknown += part.unknown
         elif isinstance(part, Metadata) and part.name == SUMMARY_NAME:
-            self.last = part
+            self.has_summary = True
 
     def report(self, take: Callable[[Event], None]) -> FileReport:
         """Return the findings. Passes the gaps that the file does not name to `take`."""
-        reader, stated = self.reader, _stated(self.reader, self.last)
-        gaps = []
-        if self.damages:
-            gaps += self.tally.ends_torn(_detail(self.damages[0]), _detail(self.damages[-1]), stated)
-        if stated is not None:
-            gaps += self.tally.gaps_without_chunk(stated)
-        for gap in gaps:
+        reader, stated = self.reader, self.stated
+        for gap in self.tally.ends():
             take(gap)
         differences = self.counts.differences(reader.index, foreign_only=stated is not None)
         losses = self._unnamed_losses(stated)
@@ -167,10 +161,6 @@ def walked(
     return found.report(take)
 
 
-def _detail(damage: Damage) -> str:
-    return f"the file is damaged at byte {damage.offset}: {damage.detail}"
-
-
 def _changed(path: str) -> str:
     return (
         f"the bytes around the messages of the file {path!r} do not have their checksum, so attachments, metadata or "
@@ -188,14 +178,3 @@ def _with_losses(found: RecordingSummary, stated: RecordingSummary | None, losse
             missing = counts.recorded - has
             losses.append(f"{missing} items of channel {counts.channel}, which the summary of the file names")
     return replace(found, absent=() if stated is None else tuple(stated.absent), damaged=tuple(losses[:LOSSES_MAX]))
-
-
-def _stated(reader: FileReader, last: Metadata | None) -> RecordingSummary | None:
-    """Return the summary in a file; None if there is none that can be read.
-
-    `last`: the last record of a summary that the reading has met; None: take the record that the index names.
-    """
-    try:
-        return reader.summary() if last is None else summary_of(reader.path, last.metadata)
-    except FileError:
-        return None

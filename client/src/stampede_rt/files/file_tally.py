@@ -37,12 +37,17 @@ class _Counts:
 class FileTally:
     """Counts entries, gaps and advances in the order of a file.
 
-    After `damage` the next seq of each channel shows how many of its items the damage may have taken.
+    After `damage` the next seq of each channel shows how many of its items the damage may have taken. `intended`: the
+    summary of the recorder, if the file still has it; it says where each channel began and ended.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, intended: RecordingSummary | None = None) -> None:
+        self._known: dict[Key, RecordedCounts] = {
+            (one.channel, one.incarnation): one for one in (intended.channels if intended else ())
+        }
         self._counts: dict[Key, _Counts] = {}
         self._damaged_so_far: TimeBounds | None = None
+        self._first_damage = self._last_damage = ""
         self.foreign: dict[Topic, int] = {}  # messages of topics that are not channels of Stampede RT
 
     def add(self, event: FileEntry | RecordingGap | FileAdvance) -> list[RecordingGap]:
@@ -66,7 +71,7 @@ class FileTally:
             self.foreign[entry.topic] = self.foreign.get(entry.topic, 0) + 1
         if entry.seq is None:
             return []
-        revealed = []
+        revealed = self._lost_before(entry, counts) if counts.first_seq is None else []
         if counts.damaged_after is not None and entry.seq > counts.damaged_after:
             if entry.seq > counts.damaged_after + 1:
                 revealed.append(
@@ -99,8 +104,9 @@ class FileTally:
         if len(counts.gaps) < GAPS_KEPT_MAX:
             counts.gaps.append(gap)
 
-    def damage(self, times: TimeBounds = (None, None)) -> None:
+    def damage(self, times: TimeBounds = (None, None), detail: str = "") -> None:
         """Note that a part of the file is damaged here. `times`: the bounds of the times of its items."""
+        self._first_damage, self._last_damage = self._first_damage or detail, detail
         so_far = self._damaged_so_far
         self._damaged_so_far = times if so_far is None else joined_times(so_far, times)
         for key, counts in self._counts.items():
@@ -111,37 +117,29 @@ class FileTally:
             else:
                 counts.damaged_times = joined_times(counts.damaged_times, times)
 
-    def ends_torn(self, first: str, last: str, intended: RecordingSummary | None = None) -> list[RecordingGap]:
-        """End a damaged or torn file. Returns the gaps before the first and after the last item of each channel.
-
-        `first`, `last`: the first and the last damage. `intended`: the summary of the recorder, if the file still has
-        it; it says where each channel ended.
-        """
-        known: dict[Key, RecordedCounts] = {
-            (one.channel, one.incarnation): one for one in (intended.channels if intended else ())
-        }
+    def ends(self) -> list[RecordingGap]:
+        """End the file. Returns the gaps after the last item of each channel, and those that only the summary has."""
         gaps = []
         for key, counts in self._counts.items():
             if key[1] is not None:
-                gaps += self._lost_before(key, counts, known.get(key), first)
-                gaps += self._lost_behind(key, counts, known.get(key), last)
-        for key, stated in known.items():
+                gaps += self._lost_behind(key, counts, self._known.get(key))
+        for key, stated in self._known.items() if self._damaged_so_far is not None else ():
             if key not in self._counts and stated.recorded:
                 times = (stated.start, stated.end)
-                gaps.append(_gap(key, last, stated.first_seq, stated.last_seq, stated.recorded, times))
+                gaps.append(_gap(key, self._last_damage, stated.first_seq, stated.last_seq, stated.recorded, times))
         for gap in gaps:
             self._add_gap(gap)
-        return gaps
+        return gaps + self._gaps_without_chunk()
 
-    def gaps_without_chunk(self, intended: RecordingSummary) -> list[RecordingGap]:
+    def _gaps_without_chunk(self) -> list[RecordingGap]:
         """Count the gaps of the summary of the recorder that the file lacks, and return them.
 
         Their chunk was lost. A gap of damage may have counted their items. A summary has at most GAPS_KEPT_MAX gaps of
         each channel.
         """
         gaps = []
-        for planned in intended.channels:
-            counts = self._counts.get((planned.channel, planned.incarnation), _Counts())
+        for key, planned in self._known.items():
+            counts = self._counts.get(key, _Counts())
             if counts.gap_count == len(counts.gaps):
                 known, named = set(counts.gaps), _seqs_of(counts.gaps)
                 gaps += [one for one in planned.gaps if one not in known and not _is_within(one, named)]
@@ -149,28 +147,32 @@ class FileTally:
             self._add_gap(gap)
         return gaps
 
-    def _lost_before(self, key: Key, counts: _Counts, stated: RecordedCounts | None, detail: str) -> list[RecordingGap]:
-        """Return the gap before the first item, if damage came before it."""
-        if counts.damaged_before is None or counts.first_seq is None or counts.first_seq == 1:
+    def _lost_before(self, first: FileEntry, counts: _Counts) -> list[RecordingGap]:
+        """Count and return the gap before the first item of a channel, if damage came before it."""
+        times, seq = counts.damaged_before, first.seq or 0
+        if counts.damaged_after == 0:  # the file has an advance of the channel, and then the damage
+            times = counts.damaged_times if times is None else joined_times(times, counts.damaged_times)
+            counts.damaged_after = None
+        key = (first.topic.name, first.topic.incarnation)
+        stated = self._known.get(key)
+        begin, items = (None, None) if stated is None else (stated.first_seq, _lost_at_most(seq, stated))
+        if times is None or seq == 1 or (stated is not None and (begin is None or begin >= seq)):
             return []
-        if stated is None:
-            return [_gap(key, detail, None, counts.first_seq - 1, None, counts.damaged_before)]
-        if stated.first_seq is None or stated.first_seq >= counts.first_seq:
-            return []
-        items = _lost_at_most(stated.first_seq, counts.first_seq - 1, counts, stated)
-        return [_gap(key, detail, stated.first_seq, counts.first_seq - 1, items, counts.damaged_before)]
+        gap = _gap(key, self._first_damage, begin, seq - 1, items, times)
+        self._add_gap(gap)
+        return [gap]
 
-    def _lost_behind(self, key: Key, counts: _Counts, stated: RecordedCounts | None, detail: str) -> list[RecordingGap]:
+    def _lost_behind(self, key: Key, counts: _Counts, stated: RecordedCounts | None) -> list[RecordingGap]:
         """Return the gap after the last item, if damage came there."""
         if counts.damaged_after is None:
             return []
         first = counts.damaged_after + 1
         if stated is None:
-            return [_gap(key, detail, first, None, None, (counts.damaged_times[0], None))]
+            return [_gap(key, self._last_damage, first, None, None, (counts.damaged_times[0], None))]
         if stated.last_seq is None or stated.last_seq < first:
             return []
-        items = _lost_at_most(first, stated.last_seq, counts, stated)
-        return [_gap(key, detail, first, stated.last_seq, items, counts.damaged_times)]
+        items = min(_recorded_at_most(first, stated.last_seq, stated), max(0, stated.recorded - counts.recorded))
+        return [_gap(key, self._last_damage, first, stated.last_seq, items, counts.damaged_times)]
 
     @property
     def disordered(self) -> list[str]:
@@ -207,9 +209,10 @@ def _gap(
     )  # fmt: skip
 
 
-def _lost_at_most(first_seq: int, last_seq: int, counts: _Counts, stated: RecordedCounts) -> int:
-    """Return the greatest number of items of the summary `stated` between two seqs, if the file has none of them."""
-    return min(_recorded_at_most(first_seq, last_seq, stated), max(0, stated.recorded - counts.recorded))
+def _lost_at_most(seq: int, stated: RecordedCounts) -> int:
+    """Return the greatest number of items of the summary `stated` before its item `seq`."""
+    found = 0 if stated.first_seq is None else _recorded_at_most(stated.first_seq, seq - 1, stated)
+    return min(found, max(0, stated.recorded - 1))
 
 
 def recorded_between(gap: RecordingGap, stated: RecordedCounts) -> int:

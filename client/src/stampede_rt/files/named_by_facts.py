@@ -20,14 +20,16 @@ def topics_of(
 
     `unnamed` has for each number of a topic that the file does not name the sequences of its messages in the chunk, in
     the order of the first messages. `named` has the sequences of the other messages of the chunk by the name and the
-    incarnation of their topics. Messages of other programs have no facts, so their topics are not found.
+    incarnation of their topics. Messages of other programs have no facts, so their topics are not found. If such
+    messages have the sequences of a channel, nobody knows which of them are its items: then neither is found.
     """
-    runs, found = _runs_of(unnamed, named, facts), {}
-    for number, sequences in unnamed.items():  # the runs have the same order
-        topic = next((one for one, candidates in runs.items() if candidates == [*sequences]), None)
-        if topic is not None:
-            found[number] = topic
-            del runs[topic]
+    runs = _runs_of(unnamed, named, facts)
+    found: dict[int, Topic] = {}
+    for wanted in {tuple(sequences) for sequences in unnamed.values()}:
+        numbers = [number for number, sequences in unnamed.items() if tuple(sequences) == wanted]
+        topics = [topic for topic, sequences in runs.items() if tuple(sequences) == wanted]
+        if len(numbers) == len(topics):
+            found |= zip(numbers, topics, strict=True)  # both have the order of the first messages
     return found
 
 

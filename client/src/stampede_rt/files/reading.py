@@ -174,6 +174,22 @@ class FileReader:
         found = self.metadata(SUMMARY_NAME)
         return None if found is None else summary_of(self.path, found)
 
+    def summary_if_readable(self) -> RecordingSummary | None:
+        """Return the summary; None if there is none, or if it is damaged.
+
+        If the index names no summary, this reads the heads of all records to find it.
+        """
+        with suppress(FileError):
+            if (found := self.summary()) is not None:
+                return found
+        frames = [one for one in self._frames() if isinstance(one, RecordFrame) and one.opcode == Opcode.METADATA]
+        for frame in reversed(frames):
+            with suppress(FileError):
+                record = self._records.record(frame, Metadata)
+                if record.name == SUMMARY_NAME:
+                    return summary_of(self.path, record.metadata)
+        return None
+
     def _read(self, frame: RecordFrame) -> ChunkContent | Attachment | Metadata | None:
         if frame.opcode == Opcode.CHUNK:
             self._has_chunks = True

@@ -106,7 +106,8 @@ class RecordedCounts:
     def from_json(cls, value: Mapping[str, Any]) -> RecordedCounts:
         """Return the counts of a JSON object. Raises ValueError, KeyError or TypeError if the object has none."""
         counts: dict[str, Any] = {name: _whole(value[name]) or 0 for name in _COUNTS}
-        counts |= {name: _whole(value.get(name)) for name in ("first_seq", "last_seq", "start", "end", "advance")}
+        counts |= {name: _whole(value[name]) for name in ("first_seq", "last_seq", "start", "end")}
+        counts["advance"] = _whole(value.get("advance"))
         gaps = tuple(RecordingGap.from_json(gap) for gap in value["gaps"][:GAPS_KEPT_MAX])
         return cls(channel=str(value["channel"]), incarnation=incarnation_of(value["incarnation"]), gaps=gaps, **counts)
 

@@ -11,12 +11,12 @@ from mcap.writer import Writer
 from stampede_rt.cli.main import main as stampede
 from stampede_rt.files.chunk_content import ChunkContent
 from stampede_rt.files.editing import cut, recover, verify
-from stampede_rt.files.entries import POLICY_KEY, FileEntry, Topic, item_entry
+from stampede_rt.files.entries import POLICY_KEY, FileAdvance, FileEntry, Topic, item_entry
 from stampede_rt.files.merging import merge
 from stampede_rt.files.reading import FileReader
 from stampede_rt.files.sources import McapSource
 from stampede_rt.values.recording import RecordingGap
-from tests.support.files.recordings import INCARNATION, MS, START, entries, item, read, seqs_of, write
+from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, item, read, seqs_of, write
 
 ITEMS = range(1, 31)
 FOREIGN = FileEntry(Topic("/tf", "ros1"), 5, 5, 0, b"transform", None, 5, None, {}, "")
@@ -179,7 +179,6 @@ def test_a_policy_is_lost_only_if_both_its_chunk_and_the_end_of_the_file_are(tmp
 
 @pytest.mark.parametrize("finished", [True, False])
 def test_a_cut_of_the_beginning_keeps_the_gap_of_a_damaged_first_chunk(tmp_path: Path, finished: bool) -> None:
-    """The recovered file names this gap in its last chunk."""
     path, saved = tmp_path / "a.mcap", tmp_path / "saved.mcap"
     write(path, entries("cam", range(1, 13), random.Random(1).randbytes(400_000)), finish=finished)
     recover(damaged(path, middle(chunks_of(path)[0])), saved)
@@ -213,3 +212,43 @@ def test_a_chunk_that_a_faulty_copy_has_twice_is_recovered_once(whole: Path, tmp
     assert not verify(tmp_path / "twice.mcap").intact
     assert recover(tmp_path / "twice.mcap", tmp_path / "saved.mcap").summary.recorded == 61
     assert seqs_of(read(tmp_path / "saved.mcap")[0]) == [*ITEMS]
+
+
+@pytest.mark.parametrize("lost_end", [0, 3, 2000])
+def test_the_gap_of_a_damaged_first_chunk_comes_before_the_first_item(tmp_path: Path, lost_end: int) -> None:
+    """The recorder's summary says what the chunk had. A damaged index does not hide it. A missing end does."""
+    advance = FileAdvance("cam", INCARNATION, START, 0)
+    events = [*entries("cam", range(3, 31), b"x" * 99), gap("cam", 31, 33), *entries("cam", range(34, 90), b"x" * 99)]
+    path, saved = tmp_path / "a.mcap", tmp_path / "saved.mcap"
+    write(path, [advance, *entries("imu", range(1, 10)), *events], compression="none")
+    first, second = chunks_of(path)[:2]
+    recover(damaged(path, middle(second), path.stat().st_size - lost_end), saved)
+    source = McapSource(saved)
+    found = [event for _, event in source.events(lambda name: name == "cam", 0, 2**62)]
+    source.close()
+    seqs = [(one.first_seq, one.last_seq, one.items) for one in found if isinstance(one, RecordingGap)]
+    begin, items = (None, None) if lost_end == 2000 else (3, 10)
+    assert seqs[:2] == [(begin, 12, items), (31, 33, 3)]
+    place = next(at for at, one in enumerate(found) if isinstance(one, RecordingGap))
+    assert seqs_of(found[:place]) == []
+    assert seqs_of(found[place:])[0] == 13
+    assert first[1] < second[0]
+
+
+def test_messages_of_another_program_with_the_sequences_of_a_channel_do_not_become_its_items(tmp_path: Path) -> None:
+    """The chunk that names both topics is damaged, and the end of the file is missing."""
+    pairs = [(FOREIGN._replace(sequence=seq), entries("cam", [seq])[0]) for seq in ITEMS]
+    path = write(tmp_path / "mixed.mcap", [one for pair in pairs for one in pair], finish=False)
+    saved = tmp_path / "saved.mcap"
+    report = recover(damaged(path, middle(chunks_of(path)[0])), saved)
+    assert seqs_of(read(saved)[0]) == []
+    assert (report.unknown, report.summary.complete) == (50, False)
+
+
+def test_a_summary_with_a_damaged_name_of_a_field_says_nothing_about_the_first_chunk(tmp_path: Path) -> None:
+    path, saved = write(tmp_path / "a.mcap", entries("cam", ITEMS)), tmp_path / "saved.mcap"
+    torn = damaged(path, middle(chunks_of(path)[0]))
+    torn.write_bytes(torn.read_bytes().replace(b'"first_seq":1,"last_seq":30', b'"firsu_seq":1,"last_seq":30'))
+    recover(torn, saved)
+    [found] = verify(saved).summary.channels
+    assert [(one.first_seq, one.last_seq) for one in found.gaps] == [(None, 10)]
