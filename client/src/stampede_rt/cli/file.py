@@ -155,7 +155,10 @@ def run_merge(arguments: argparse.Namespace) -> int:
     """Merge files."""
     from stampede_rt.files.merging import merge
 
-    return _written(merge(arguments.paths, arguments.file, overwrite=arguments.overwrite), arguments)
+    def warn(text: str) -> None:
+        print(f"stampede: {escaped(text)}", file=sys.stderr)
+
+    return _written(merge(arguments.paths, arguments.file, overwrite=arguments.overwrite, warn=warn), arguments)
 
 
 def _written(summary: RecordingSummary, arguments: argparse.Namespace) -> int:

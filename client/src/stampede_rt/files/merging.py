@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import heapq
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import combinations, groupby
 
 from mcap.records import Attachment, Metadata
 
@@ -25,15 +26,21 @@ from stampede_rt.values.recording import RecordingGap, RecordingSummary
 
 MERGED_MAX = 64  # files
 Ranges = dict[tuple[str, int], SeqRanges]
+Times = dict[tuple[str, int], tuple[int, int]]  # the least and the greatest time of the items
 
 
 def merge(
-    paths: Sequence[str | os.PathLike[str]], output: str | os.PathLike[str], *, overwrite: bool = False
+    paths: Sequence[str | os.PathLike[str]],
+    output: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    warn: Callable[[str], object] = lambda _: None,
 ) -> RecordingSummary:
     """Write the items of several files to one, each item once. An item of one file fills the gap of another.
 
     The items of a channel are written in the order of their seqs, also late items, as long as at most 64 MiB of items
-    must wait for earlier ones. Metadata and attachments come once, too.
+    must wait for earlier ones. Metadata and attachments come once, too. Calls `warn` with a sentence for each channel
+    of which the output may have items twice, under two incarnations.
 
     Raises FileError, also if a file is damaged; InvalidArgument.
     """
@@ -41,7 +48,7 @@ def merge(
         raise InvalidArgument(f"{len(paths)} files cannot be merged; give 1 to {MERGED_MAX}")
     for path in paths:
         check_other(path, output)
-    held = _seqs_of(paths)
+    held, times = _seqs_of(paths)
     with ExitStack() as stack:
         readers = [stack.enter_context(FileReader(path)) for path in paths]
         writer = stack.enter_context(replacing(output, overwrite=overwrite))
@@ -63,19 +70,41 @@ def merge(
         order.finish()
         summary = tally.summary(os.fspath(output), **losses_of(readers))
         finish_with(writer, summary)
+    for text in _repetitions(held, times):
+        warn(text)
     return summary
 
 
-def _seqs_of(paths: Sequence[str | os.PathLike[str]]) -> Ranges:
-    """Return the seqs of the items in all files together."""
+def _repetitions(held: Ranges, times: Mapping[tuple[str, int], tuple[int, int]]) -> Iterator[str]:
+    """Yield a sentence for each two incarnations of a channel that have seqs and times in common.
+
+    After a crash the archive of a channel gives its items under the next incarnation. Only the host knows this.
+    """
+    in_order = sorted(held, key=lambda key: (key[0], *times[key]))
+    for _, keys in groupby(in_order, key=lambda key: key[0]):
+        for one, other in combinations(keys, 2):
+            common = held[one].common(held[other]) if times[other][0] <= times[one][1] else 0
+            if common:
+                yield (
+                    f"channel {one[0]!r} may have up to {common} items twice: its incarnations {one[1]} and {other[1]} "
+                    "have these seqs, and times in common, as after a crash of a host whose archive had kept the items"
+                )
+
+
+def _seqs_of(paths: Sequence[str | os.PathLike[str]]) -> tuple[Ranges, Times]:
+    """Return the seqs of the items in all files together, and their times."""
     held: Ranges = {}
+    times: Times = {}
     for path in paths:
         with FileReader(path) as reader:
             for part in intact_contents(reader):
                 for entry in part.entries if isinstance(part, ChunkContent) else ():
                     if entry.seq is not None and entry.topic.incarnation is not None:
-                        held.setdefault((entry.topic.name, entry.topic.incarnation), SeqRanges()).add(entry.seq)
-    return held
+                        key = (entry.topic.name, entry.topic.incarnation)
+                        held.setdefault(key, SeqRanges()).add(entry.seq)
+                        least, greatest = times.get(key, (entry.time, entry.time))
+                        times[key] = min(least, entry.time), max(greatest, entry.time)
+    return held, times
 
 
 def _by_time(number: int, reader: FileReader) -> Iterator[tuple[int, int, Event | Attachment | Metadata]]:

@@ -53,3 +53,11 @@ class SeqRanges:
                 yield first, self._firsts[place] - 1
             first = self._lasts[place] + 1
             place += 1
+
+    def common(self, other: SeqRanges) -> int:
+        """Return how many seqs both sets have."""
+        ranges = zip(self._firsts, self._lasts, strict=True)
+        return sum(
+            last - first + 1 - sum(end - begin + 1 for begin, end in other.missing(first, last))
+            for first, last in ranges
+        )

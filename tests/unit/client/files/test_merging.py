@@ -11,16 +11,17 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.writer import Writer
 
+from stampede_rt.cli.main import main as stampede
 from stampede_rt.errors import FileError
 from stampede_rt.files.editing import cut, finish_with, recover, verify
-from stampede_rt.files.entries import FileAdvance, FileEntry
+from stampede_rt.files.entries import FileAdvance, FileEntry, Topic, item_entry
 from stampede_rt.files.file_tally import FileTally
 from stampede_rt.files.merging import merge
 from stampede_rt.files.sources import McapSource
 from stampede_rt.files.writing import FileWriter
 from stampede_rt.values.recording import RecordingGap
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
-from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, read, write
+from tests.support.files.recordings import INCARNATION, MS, START, entries, gap, item, read, write
 
 ABSENT = "channel 'lidar': its host did not answer in time"
 OPEN_GAP = RecordingGap(channel="cam", incarnation=INCARNATION, reason="LOST", detail="the host was lost", first_seq=31)
@@ -115,3 +116,21 @@ def test_a_file_with_messages_of_unnamed_topics_is_refused_except_by_recover(tmp
         McapSource(path)
     assert len(recover(path, output).summary.damaged) == 1
     assert [one.topic.name for one in read(output)[0] if isinstance(one, FileEntry)] == ["cam"]
+
+
+@pytest.mark.parametrize(("seqs", "later_ms", "common"), [((5, 14), 0, 6), ((11, 14), 0, 0), ((5, 14), 900, 0)])
+def test_a_merge_says_that_two_incarnations_may_have_the_same_items(
+    tmp_path: Path, seqs: tuple[int, int], later_ms: int, common: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A crash of the host lies between the recordings. If it had no archive, the seqs begin anew, with later times."""
+    paths = [str(write(tmp_path / "a.mcap", entries("cam", range(1, 11))))]
+    for name in ("cam", "imu"):
+        after = [
+            item_entry(Topic(name, "", INCARNATION + 1), item(seq, time=START + (seq + later_ms) * MS))
+            for seq in range(*seqs)
+        ]
+        paths.append(str(write(tmp_path / f"{name}.mcap", after)))
+    assert stampede(["file", "merge", *paths, "-o", str(tmp_path / "both.mcap")]) == 0
+    printed = capsys.readouterr().err
+    assert printed.count("stampede: ") == (1 if common else 0)
+    assert (f"channel 'cam' may have up to {common} items twice" in printed) == bool(common)
