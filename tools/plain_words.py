@@ -2,8 +2,8 @@
 
 The explanation of an argument needs its noun, too, as in "`epoch`: the epoch of the channel". The rule is under "Plain
 prose" in CONTRIBUTING. A docstring may be a question ("Who leads?"). In texts and names the check also refuses the
-words of TWO_MEANINGS. No docstring may begin with "As `name`": say what the function does. No variable may have one of
-the VAGUE_NAMES. A program cannot check the other rules.
+words of TWO_MEANINGS. No docstring may begin with "As `name`": say what the function does. No variable or function may
+have one of the VAGUE_NAMES, with or without an underscore before it. A program cannot check the other rules.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ FOLDERS = ("client/src", "services", "benchmarks", "demos", "deploy", "tools", "
 GENERATED = {"v1", "_sync"}  # the stubs, and the client that is derived from _async/
 
 FIRST_WORDS = re.compile(r"(What|Whatever|Who|Whoever|Whose|Those|Of|Earlier(?=,)|As(?= `))\b(?![^.:]*\?)")
-VAGUE_NAMES = {"told", "said", "heard"}  # the name must say what the variable holds
+# A name must say what the variable holds, or what the function does.
+VAGUE_NAMES = {"asked", "coming", "go_on", "goes_on", "hear", "heard", "is_level", "news", "said", "strays", "told"}
 PHRASES = re.compile(r"\b([Ww]hoever|by the book)\b|(`: of)\b|(`: (?:the|its) \w+'s)[.,;]")
 # The first words of a comment: a comment at the end of a line, or the first line of other comments.
 COMMENT_WORDS = re.compile(r"(?:^|  )(?:#:?|//) ([Ww]hat|[Ww]ho|[Ww]hoever|[Ww]hatever|[Ww]hose|[Tt]hose|[Oo]f)\b")
@@ -36,9 +37,9 @@ def complaints(path: str, source: str) -> Iterator[str]:
     """Yield a line for each docstring, name of a test and comment that breaks the rule."""
     yield from complaints_about_lines(path, source)
     tree = ast.parse(source)
-    for name, line in _variables(tree) if not VAGUE_NAMES.isdisjoint(re.findall(r"\w+", source)) else ():
-        if name in VAGUE_NAMES:
-            yield f'{path}:{line}: name the thing that the variable holds, instead of "{name}"'
+    for name, line in _assigned_names(tree) if any(map(_is_vague, re.findall(r"\w+", source))) else ():
+        if _is_vague(name):
+            yield f'{path}:{line}: name the thing that "{name}" holds, or what it does'
     for node in _statements(tree):
         if found := _headless_words(node):
             line = getattr(node, "lineno", 1)
@@ -71,11 +72,17 @@ def _statements(parent: ast.AST) -> Iterator[ast.AST]:
             yield from _statements(node)
 
 
-def _variables(tree: ast.AST) -> Iterator[tuple[str, int]]:
-    """Yield the names and lines of all variables, attributes and arguments that a module assigns or declares."""
+def _is_vague(name: str) -> bool:
+    return name.lstrip("_") in VAGUE_NAMES
+
+
+def _assigned_names(tree: ast.AST) -> Iterator[tuple[str, int]]:
+    """Yield the names and lines of all variables, attributes, arguments and functions that a module defines."""
     for node in ast.walk(tree):
         match node:
             case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()) | ast.arg(arg=name):
+                yield name, node.lineno
+            case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
                 yield name, node.lineno
             case ast.ExceptHandler(name=str(name)):
                 yield name, node.lineno

@@ -177,8 +177,8 @@ async def come_at_the_same_time(
     """How long each client had to wait, and the CPU time of the supernodes and of the clients meanwhile."""
     addresses, share = [supernode.address for supernode in cluster.supernodes], -(-clients // CLIENT_PROCESSES)
     loop, at, before = asyncio.get_running_loop(), time.monotonic() + 0.5, cpu_seconds(cluster)
-    coming = [loop.run_in_executor(processes, come, addresses, share, at) for _ in range(CLIENT_PROCESSES)]
-    parts = await asyncio.gather(*coming)
+    loads = [loop.run_in_executor(processes, come, addresses, share, at) for _ in range(CLIENT_PROCESSES)]
+    parts = await asyncio.gather(*loads)
     took = [seconds for part, _ in parts for seconds in part]
     return took, cpu_seconds(cluster) - before, sum(cpu for _, cpu in parts)
 

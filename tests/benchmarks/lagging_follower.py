@@ -158,7 +158,7 @@ async def measure(channels: int, writes_per_second: float, megabits_per_second: 
 
 
 async def restart_and_watch(leader: Supernode, follower: Supernode, load: Load, seconds: float) -> bool:
-    await level(leader, follower)
+    await wait_until_caught_up(leader, follower)
     await asyncio.sleep(LOOK_SECONDS)
     print(f"before: lacks {await lag(leader, follower):,}", flush=True)
     await follower.end(signal.SIGKILL)
@@ -174,7 +174,7 @@ async def restart_and_watch(leader: Supernode, follower: Supernode, load: Load, 
     return behind < CAUGHT_UP_ENTRIES
 
 
-async def level(leader: Supernode, follower: Supernode) -> None:
+async def wait_until_caught_up(leader: Supernode, follower: Supernode) -> None:
     """Wait until the follower has all entries of the leader, at most as long as a start may take."""
     async for _ in processes.attempts():
         if await lag(leader, follower) < CAUGHT_UP_ENTRIES:

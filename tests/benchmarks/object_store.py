@@ -84,13 +84,13 @@ def read_all(files: MovingFiles, end_seq: int) -> None:
     """Read all frames in their order, as a subscription does."""
     seq = 1
     while seq < end_seq:
-        seq = files.load_part(files.segments, (seq, end_seq), READ_BYTES, run_of, _go_on).end_seq
+        seq = files.load_part(files.segments, (seq, end_seq), READ_BYTES, run_of, _do_not_rest).end_seq
 
 
 def look_at(files: MovingFiles, instant: int) -> None:
     """Read the frame of an instant, as `at` does."""
     window = WantedItems(instant, (instant + 1, 0), 0, READ_BYTES // 4)
-    files.load(files.segments, WantedWindow(window, FIRST_KEY, LAST_KEY), run_of, _go_on)
+    files.load(files.segments, WantedWindow(window, FIRST_KEY, LAST_KEY), run_of, _do_not_rest)
 
 
 class PlainObstore:
@@ -164,7 +164,7 @@ def stored_again(folder: Path) -> MovingFiles:
     return stored.files
 
 
-def _go_on() -> None:
+def _do_not_rest() -> None:
     """Do nothing: no other work waits for a turn."""
 
 

@@ -95,8 +95,10 @@ class MemoryChannel:
 
     async def configure(self, **changes: Any) -> Policy:
         stated = parse_policy(**changes)
-        news = {field.name: getattr(stated, field.name) for field in fields(stated)}
-        policy = replace(self.core.policy, **{name: value for name, value in news.items() if value is not None})
+        stated_fields = {field.name: getattr(stated, field.name) for field in fields(stated)}
+        policy = replace(
+            self.core.policy, **{name: value for name, value in stated_fields.items() if value is not None}
+        )
         self.core.configure(policy, st.now())
         self._wake()
         return policy

@@ -88,7 +88,7 @@ class Supernode(
         self.leads = leads
         self.believed = self.named_leader = ""
         self.members: tuple[str, ...] = ()
-        self.asked: list[bool] = []
+        self.clock_flags: list[bool] = []
 
     async def Bind(self, request: Any, context: Any) -> frontend_pb.BindResponse:
         return frontend_pb.BindResponse(supernodes=self._records()[:1], protocol_version=1)
@@ -106,7 +106,7 @@ class Supernode(
         ]
 
     async def ListPeers(self, request: peer_pb.ListPeersRequest, context: Any) -> peer_pb.ListPeersResponse:
-        self.asked.append(request.with_clocks)
+        self.clock_flags.append(request.with_clocks)
         if request.with_clocks and not self.leads:
             await abort(context, NotLeader("ask another", metadata={"leader_endpoint": self.named_leader}))
         clock = peer_pb2.ClockOffset(offset_nanos=7, uncertainty_nanos=1, supernode_id="s2")
@@ -144,10 +144,10 @@ async def test_a_client_asks_the_leader_for_clock_offsets_after_a_wrong_hint(con
     async with two_supernodes() as (follower, leader):
         address, _ = follower.members
         assert await reported_clocks(connected, address) == {"peer/0": 7, "peer/1": 7}
-        assert (follower.asked, leader.asked) == ([], [True, True])
+        assert (follower.clock_flags, leader.clock_flags) == ([], [True, True])
         follower.believed = address
         assert await reported_clocks(connected, address) == {"peer/0": 7, "peer/1": 7}
-        assert follower.asked == [True]
+        assert follower.clock_flags == [True]
 
 
 @pytest.mark.parametrize("leader", ["", NOBODY], ids=["none", "out of reach"])
@@ -157,4 +157,4 @@ async def test_without_the_leader_peers_are_listed_without_their_clocks(connecte
         follower.members = (address, leader) if leader else (address,)
         follower.believed = leader
         assert await reported_clocks(connected, address) == {"peer/0": None, "peer/1": None}
-        assert follower.asked == [False, False]
+        assert follower.clock_flags == [False, False]

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import pytest
 
 from stampede_rt.multicast.assembling import Assembler
+from stampede_rt.multicast.encryption import DatagramOpener, Encryptor, Signer, Verifier
 from stampede_rt.multicast.layout import (
     DATA_BYTES_MAX,
     DATAGRAM_BYTES_MAX,
@@ -21,7 +22,6 @@ from stampede_rt.multicast.layout import (
 )
 from stampede_rt.multicast.multicast_receiver import ASSEMBLED_BYTES_MAX, HELD_BYTES_MAX, MulticastReceiver
 from stampede_rt.multicast.repair_pace import REORDERED_S, RepairStep
-from stampede_rt.multicast.sealing import DatagramOpener, Sealer, Signer, Verifier
 
 STEPS = 120
 STREAM = b"stream-1"
@@ -54,7 +54,7 @@ class SendingHost:
     def __init__(self, rng: random.Random, key: bytes) -> None:
         self.rng, self.items, self.beats = rng, list[NumberedItem](), 0
         self.signer = Signer(STREAM, rng.randbytes(KEY_BYTES))
-        self.sealer = Sealer(STREAM, 1, key)
+        self.encryptor = Encryptor(STREAM, 1, key)
 
     @property
     def next_seq(self) -> int:
@@ -77,7 +77,7 @@ class SendingHost:
 
     def sealed(self, kind: MessageKind, first: int, end: int, body: bytes) -> Iterator[bytes]:
         for part in parts_of(self.signer.sign(MulticastMessage(kind, first, end, body))):
-            yield self.sealer.seal(part)
+            yield self.encryptor.encrypt(part)
 
 
 class Network:
@@ -112,11 +112,11 @@ class Network:
 
     def of_other_reader(self, next_seq: int) -> Iterator[bytes]:
         """Items by a reader of the channel, who has the key, but cannot sign."""
-        sealer = Sealer(STREAM, 1, self.key)
-        sealer._number = self.rng.randrange(2**40, 2**41)
+        encryptor = Encryptor(STREAM, 1, self.key)
+        encryptor._number = self.rng.randrange(2**40, 2**41)
         body = self.rng.randbytes(SIGNATURE_BYTES) + encoded([NumberedItem(next_seq, b"false")])
         for part in parts_of(MulticastMessage(MessageKind.ITEMS, next_seq, next_seq + 1, body)):
-            yield sealer.seal(part)
+            yield encryptor.encrypt(part)
 
     def arriving(self) -> list[bytes]:
         arrive = [one for one in self.under_way if self.rng.random() < 0.7]

@@ -23,7 +23,7 @@ def ask(address: str, files: st.TlsFiles | None, call: Callable[[Any], Any]) -> 
     answer.
     """
 
-    async def asked() -> str:
+    async def error_text() -> str:
         assert files is not None
         async with dial(address, secret=None, tls=TlsReader(files)) as channel:
             while True:  # ends with the test's timeout
@@ -35,4 +35,4 @@ def ask(address: str, files: st.TlsFiles | None, call: Callable[[Any], Any]) -> 
                 else:
                     return ""
 
-    return asyncio.run(asked())
+    return asyncio.run(error_text())

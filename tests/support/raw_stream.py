@@ -25,7 +25,7 @@ class RawStream:
         self.is_greeted = False
         """Whether a TCP port has greeted."""
         self._frames = FrameReader({FrameKind.MESSAGE: 2**25, FrameKind.STATUS: 2**16, FrameKind.ALIVE: 0})
-        self._came: deque[tuple[int, bytes]] = deque()
+        self._received: deque[tuple[int, bytes]] = deque()
 
     async def begin(
         self, method: str, *, version: int = PROTOCOL_VERSION, secret: str = "", cluster: str = "", ticket: bytes = b""
@@ -53,22 +53,22 @@ class RawStream:
     async def frame(self) -> tuple[int, bytes] | None:
         """Return the next frame, or None at the end of the connection."""
         async with asyncio.timeout(SECONDS_MAX):
-            while not self._came:
+            while not self._received:
                 try:
                     data = await self.reader.read(2**16)
                 except ConnectionError:
                     return None
                 if not data:
                     return None
-                self._came.extend(self._frames.feed(data))
-        return self._came.popleft()
+                self._received.extend(self._frames.feed(data))
+        return self._received.popleft()
 
     async def take_greeting(self) -> None:
         """Take the greeting, which is the first frame of a TCP port. If it is a refusal, leave it for the test."""
         frame = await self.frame()
         self.is_greeted = frame is not None and frame[0] == FrameKind.ALIVE
         if frame is not None and not self.is_greeted:
-            self._came.appendleft(frame)
+            self._received.appendleft(frame)
 
     async def message(self) -> bytes:
         """Return the next message."""

@@ -41,14 +41,14 @@ VOTE = raft_pb.RaftMessage(vote_request=raft_pb.RaftVoteRequest(term=FAR, last_l
 CLAIM = raft_pb.RaftMessage(append_entries=raft_pb.RaftAppendEntries(term=FAR, commit_index=FAR, previous_log_index=1))
 
 
-async def raft_claims(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def raft_claims(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """Streams of the log under the names of invented and of real members, with votes and claims of a far later term."""
     supernode = attacked.channel(attacked.supernode)
     token = await _join_token(attacked, supernode, "spare")
     known: Any = DirectoryServiceStub(supernode).ListSupernodes
     listed = await known(directory_pb.ListSupernodesRequest(), metadata=attacked.member_metadata)
     names = [one.supernode_id for one in listed.supernodes]
-    under_way()
+    on_begun()
     for number in itertools.count():
         callers = [*names, f"invented{number % 100}"]
         await all_of(*(_claim(attacked, supernode, token.log_cluster_id, one, names[0]) for one in callers))
@@ -76,7 +76,7 @@ async def _join_token(attacked: AttackedCluster, supernode: grpc.aio.Channel, na
     return await make(request, metadata=attacked.member_metadata)
 
 
-async def join_tokens(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def join_tokens(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """Newcomers with tokens that are made with the public id of the cluster as their key, or for another address."""
     supernode = attacked.channel(attacked.supernode)
     genuine = await _join_token(attacked, supernode, "spare")
@@ -87,7 +87,7 @@ async def join_tokens(attacked: AttackedCluster, under_way: Callable[[], None]) 
         return {one.supernode_id for one in found.supernodes}
 
     before = await members()
-    under_way()
+    on_begun()
     while True:
         await all_of(*(_join(attacked, supernode, genuine) for _ in range(CALLERS)))
         if await members() != before:
@@ -110,7 +110,7 @@ async def _join(attacked: AttackedCluster, supernode: grpc.aio.Channel, genuine:
             await add(request, timeout=CALL_SECONDS, metadata=attacked.member_metadata)
 
 
-async def cut_floors(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def cut_floors(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """Links of hosts that do not exist. They claim that a group was shown up to the end of time."""
     supernode, host = attacked.channel(attacked.supernode), attacked.channel(attacked.host)
     token = await _join_token(attacked, supernode, "spare")
@@ -125,7 +125,7 @@ async def cut_floors(attacked: AttackedCluster, under_way: Callable[[], None]) -
             cut_unix_nano=2**63 - 1,
             spec_version=info.spec_version,
         )
-        under_way()
+        on_begun()
         while True:
             await all_of(*(_exchange(attacked, host, token.cluster_id, floor) for _ in range(CALLERS)))
             with suppress(StampedeError):
@@ -150,14 +150,14 @@ async def _exchange(
         pass
 
 
-async def globs(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def globs(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """Lists of channels by a pattern with 24 stars, at the host and at the supernode."""
     supernode, host = attacked.channel(attacked.supernode), attacked.channel(attacked.host)
     async with attacked.connect() as rt:
         await (await rt.channel(f"{attacked.thing}/{'a' * 100}")).put(b"x")
     at_host: Any = GatekeeperServiceStub(host).ListHostedChannels
     at_supernode: Any = DirectoryServiceStub(supernode).ListChannels
-    under_way()
+    on_begun()
     while True:
         await all_of(
             *(at_host(gate_pb.ListHostedChannelsRequest(name_glob=STARS), timeout=CALL_SECONDS,

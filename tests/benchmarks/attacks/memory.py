@@ -59,39 +59,39 @@ async def put_all(
                 pass
 
 
-async def repeated_fields(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def repeated_fields(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """150 puts in which a field of 4 MiB comes twice, of which only the last one is an item's payload."""
     twice = item_pb2.ItemRun(payloads=bytes(4 * MIB)).SerializeToString() + encode_run([b"one"], times=None)
-    await _put_and_stay(attacked, itertools.repeat(twice, TWICE), under_way)
+    await _put_and_stay(attacked, itertools.repeat(twice, TWICE), on_begun)
 
 
-async def attributes(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def attributes(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """20,000 items of one byte, with the most attributes that an item may have."""
     run = encode_run([b"x"], times=None, attributes={"k": "x" * 16_000})
-    await _put_and_stay(attacked, itertools.repeat(run, ATTRIBUTED_ITEMS), under_way)
+    await _put_and_stay(attacked, itertools.repeat(run, ATTRIBUTED_ITEMS), on_begun)
 
 
-async def refused_runs(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def refused_runs(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """800 runs of 1 MiB whose payload lengths are wrong."""
     bad = item_pb2.ItemRun(payload_length_bytes=[1], payloads=bytes(MIB)).SerializeToString()
-    await _put_and_stay(attacked, itertools.repeat(bad, REFUSED), under_way)
+    await _put_and_stay(attacked, itertools.repeat(bad, REFUSED), on_begun)
 
 
-async def late_clock(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def late_clock(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """800 items of 1 MiB by a producer whose clock is an hour behind."""
     late = encode_run([bytes(MIB)], times=[st.now() - HOUR_NANOS])
-    await _put_and_stay(attacked, itertools.repeat(late, REFUSED), under_way)
+    await _put_and_stay(attacked, itertools.repeat(late, REFUSED), on_begun)
 
 
-async def _put_and_stay(attacked: AttackedCluster, runs: Any, under_way: Callable[[], None]) -> None:
+async def _put_and_stay(attacked: AttackedCluster, runs: Any, on_begun: Callable[[], None]) -> None:
     async with attacked.connect() as rt:
         await rt.channel(NAME, max_age="10s")
-        under_way()
+        on_begun()
         await put_all(attacked, NAME, runs)
         await for_ever()
 
 
-async def waiting_puts(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def waiting_puts(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """40 puts of 15 MiB into a full channel, each on its own connection. All of them wait without limit."""
     async with attacked.connect() as rt:
         await rt.channel(NAME, max_items=1, consumers=1)
@@ -99,17 +99,17 @@ async def waiting_puts(attacked: AttackedCluster, under_way: Callable[[], None])
         await put_all(attacked, NAME, [encode_run([b"first"], times=None)])
         run = item_pb2.ItemRun.FromString(encode_run([bytes(WAITING_BYTES)], times=None))
         request = pb.PutRequest(**known, puts=[pb.PutRun(first_number=1, run=run)])
-        await _put_and_wait(attacked, PUT_METHOD, request, under_way)
+        await _put_and_wait(attacked, PUT_METHOD, request, on_begun)
 
 
-async def waiting_enqueues(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def waiting_enqueues(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """Like `waiting_puts`, but with a queue."""
     async with attacked.connect() as rt:
         await (await rt.queue(NAME, max_items=1)).put(b"first")
         known = await queue_known(attacked)
         run = item_pb2.ItemRun.FromString(encode_run([bytes(WAITING_BYTES)], times=None))
         request = queue_pb.EnqueueRequest(**known, runs=[queue_pb.EnqueueRun(first_number=1, run=run)])
-        await _put_and_wait(attacked, ENQUEUE_METHOD, request, under_way)
+        await _put_and_wait(attacked, ENQUEUE_METHOD, request, on_begun)
 
 
 async def queue_known(attacked: AttackedCluster) -> dict[str, Any]:
@@ -121,40 +121,40 @@ async def queue_known(attacked: AttackedCluster) -> dict[str, Any]:
     return {"queue_id": record.queue_id, "epoch": record.epoch}
 
 
-async def _put_and_wait(attacked: AttackedCluster, method: str, request: Any, under_way: Callable[[], None]) -> None:
+async def _put_and_wait(attacked: AttackedCluster, method: str, request: Any, on_begun: Callable[[], None]) -> None:
     uploads, messages = Uploads(attacked, method), [*messages_of(request.SerializeToString())]
     for _ in range(WAITING):
         uploads.begin(messages)
     await uploads.until_stuck()
-    under_way()
+    on_begun()
     await for_ever()
 
 
-async def silent_subscriptions(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def silent_subscriptions(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """60 subscriptions with unlimited credit, whose readers never read."""
     async with attacked.connect() as rt:
         await _held(await rt.channel(NAME, max_age="1h"))
         opened = pb.SubscribeOpen(**await attacked.bound(NAME), start=time_pb2.Bound(instant_unix_nano=MIN_INSTANT))
         request = pb.SubscribeRequest(open=opened, credit_bytes=2**60)
         calls = [stub(attacked, ChannelServiceStub).Subscribe(metadata=attacked.metadata) for _ in range(STREAMS)]
-        under_way()
+        on_begun()
         await all_of(*(call.write(request) for call in calls))
         await for_ever()
 
 
-async def silent_gets(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def silent_gets(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """60 streams with 16 gets of all items each, whose answers no reader reads."""
     async with attacked.connect() as rt:
         known = await held_channel(attacked, rt)
         calls = [stub(attacked, ChannelServiceStub).Get(metadata=attacked.metadata) for _ in range(STREAMS)]
-        under_way()
+        on_begun()
         for call_id in range(1, 17):
             request = pb.GetRequest(call_id=call_id, interval=everything(), **known)
             await all_of(*(call.write(request) for call in calls))
         await for_ever()
 
 
-async def silent_takers(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def silent_takers(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """60 takers of a queue, with credit for all messages, that never read."""
     async with attacked.connect() as rt:
         queue = await rt.queue(NAME, copies=STREAMS)
@@ -162,14 +162,14 @@ async def silent_takers(attacked: AttackedCluster, under_way: Callable[[], None]
             await queue.put(bytes(MIB))
         known = await queue_known(attacked)
         calls = [stub(attacked, QueueServiceStub).Take(metadata=attacked.metadata) for _ in range(STREAMS)]
-        under_way()
+        on_begun()
         for taker_id, call in enumerate(calls, start=1):
             opened = queue_pb.TakeOpen(taker_id=taker_id, **known)
             await call.write(queue_pb.TakeRequest(open=opened, credit=1000))
         await for_ever()
 
 
-async def unknown_fields(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def unknown_fields(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """1280 gets that wait, with 200 KiB each of fields that the contract does not have."""
     async with attacked.connect() as rt:
         await rt.channel(NAME)
@@ -180,7 +180,7 @@ async def unknown_fields(attacked: AttackedCluster, under_way: Callable[[], None
         )
         get = pb.GetRequest(call_id=1, interval=ahead, wait_nanos=-1, **known).SerializeToString()
         raw = get + FIELD_999 + _varint(UNKNOWN_BYTES) + bytes(UNKNOWN_BYTES)
-        under_way()
+        on_begun()
         calls = [
             attacked.channel(attacked.target).stream_stream("/stampede_rt.v1.ChannelService/Get")(
                 metadata=attacked.metadata

@@ -36,13 +36,13 @@ GROUP_MEMBERS = 64
 WATCHES = 2000
 
 
-async def large_gets(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def large_gets(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """8 callers get all of 50,000 items, again and again."""
     async with attacked.connect() as rt:
         await rt.channel(NAME, max_items=ITEMS)
         await put_all(attacked, NAME, [encode_run([b"x" * 20], times=None)] * ITEMS, runs_per_request=100)
         known = await attacked.bound(NAME)
-        under_way()
+        on_begun()
         await all_of(*(_get_again_and_again(attacked, known) for _ in range(GETTERS)))
 
 
@@ -54,7 +54,7 @@ async def _get_again_and_again(attacked: AttackedCluster, known: dict[str, Any])
             assert not response.HasField("error"), response.error
 
 
-async def many_subscriptions(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def many_subscriptions(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """3000 subscriptions to the channel of the good clients; all are read."""
     opened = pb.SubscribeOpen(**await attacked.bound(GOOD_CHANNEL))
     request = pb.SubscribeRequest(open=opened, credit_bytes=2**60)
@@ -63,7 +63,7 @@ async def many_subscriptions(attacked: AttackedCluster, under_way: Callable[[], 
         one = stub(attacked, ChannelServiceStub)
         calls += [one.Subscribe(metadata=attacked.metadata) for _ in range(SUBSCRIPTIONS_OF_ONE_CONNECTION)]
     await all_of(*(call.write(request) for call in calls))
-    under_way()
+    on_begun()
     await all_of(*map(_read_all, calls))
 
 
@@ -72,9 +72,9 @@ async def _read_all(call: Any) -> None:
         pass
 
 
-async def new_channels(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def new_channels(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """16 callers make channels as fast as they can."""
-    under_way()
+    on_begun()
     numbers = itertools.count()
     await all_of(*(_create(attacked, numbers) for _ in range(CREATORS)))
 
@@ -89,20 +89,20 @@ async def _create(attacked: AttackedCluster, numbers: itertools.count[int]) -> N
             await open_channel(request, metadata=attacked.metadata, timeout=10)
 
 
-async def new_queues(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def new_queues(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """Queues are made one after the other."""
     async with attacked.connect() as rt:
-        under_way()
+        on_begun()
         for number in itertools.count():
             with suppress(st.StampedeError):
                 await rt.queue(f"{NAME}/{number}")
 
 
-async def new_groups(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def new_groups(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """Groups of 64 channels are made and deleted as fast as 16 callers can."""
     async with attacked.connect() as rt:
         ids = [(await rt.channel(f"{NAME}/{number}")).info.channel_id for number in range(GROUP_MEMBERS)]
-    under_way()
+    on_begun()
     numbers = itertools.count()
     await all_of(*(_make_groups(attacked, numbers, ids) for _ in range(CREATORS)))
 
@@ -122,9 +122,9 @@ async def _make_groups(attacked: AttackedCluster, numbers: itertools.count[int],
             await stub.DeleteGroup(delete, metadata=attacked.metadata, timeout=10)
 
 
-async def new_peers(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def new_peers(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """Peers with mailboxes are registered as fast as 16 callers can."""
-    under_way()
+    on_begun()
     numbers = itertools.count()
     await all_of(*(_register(attacked, numbers) for _ in range(CREATORS)))
 
@@ -142,7 +142,7 @@ async def _register(attacked: AttackedCluster, numbers: itertools.count[int]) ->
             await register(request, metadata=attacked.metadata, timeout=10)
 
 
-async def silent_watches(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def silent_watches(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """2000 watches of the directory and 2000 of its peers, without a reader, while channels are created and deleted."""
     calls: list[Any] = []
     for _ in range(2):
@@ -151,14 +151,14 @@ async def silent_watches(attacked: AttackedCluster, under_way: Callable[[], None
         for _ in range(WATCHES // 2):
             calls.append(watch(directory_service_pb2.WatchRequest(include_hosts=True), metadata=attacked.metadata))
             calls.append(peers(peer_service_pb2.WatchPeersRequest(), metadata=attacked.metadata))
-    under_way()
+    on_begun()
     async with attacked.connect() as rt:
         for number in itertools.count():
             with suppress(st.StampedeError):
                 await (await rt.channel(f"{NAME}/{number}")).delete()
 
 
-async def silent_cuts(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def silent_cuts(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """60 streams of a group's cut events and 60 of its matches, with unlimited credit, without a reader."""
     async with attacked.connect() as rt:
         members = [await rt.channel(f"{NAME}/{side}", max_age="5s") for side in ("left", "right")]
@@ -168,7 +168,7 @@ async def silent_cuts(attacked: AttackedCluster, under_way: Callable[[], None]) 
             request = group_directory_service_pb2.ResolveGroupRequest(name=NAME)
             found = await resolve(request, metadata=attacked.metadata)
         await all_of(*_silent_readers(attacked, found))
-        under_way()
+        on_begun()
         while True:
             at = st.now()
             for member in members:
@@ -196,11 +196,11 @@ def _silent_readers(attacked: AttackedCluster, found: Any) -> list[Any]:
 READERS: list[Any] = []  # a call without a reference would be ended
 
 
-async def health_watches(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def health_watches(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """4096 Watch streams of the health service, with the secret, without a reader."""
     calls = []
     for _ in range(5):
         watch = attacked.channel(attacked.target).unary_stream("/grpc.health.v1.Health/Watch")
         calls += [watch(b"", metadata=attacked.metadata) for _ in range(1000)]
-    under_way()
+    on_begun()
     await for_ever()

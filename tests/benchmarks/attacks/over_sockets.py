@@ -21,13 +21,13 @@ UNREAD_MESSAGES = 10  # the messages that are not puts, for each socket of `malf
 PAUSE_SECONDS = 0.05  # between the end of a socket and the next one in its place
 
 
-async def silent_sockets(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def silent_sockets(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """1100 sockets that send nothing, not even the first frame. When a socket ends, the attacker opens another one."""
 
-    await again_and_again(await _target(attacked), SILENT, RawStream.has_ended, under_way)
+    await again_and_again(await _target(attacked), SILENT, RawStream.has_ended, on_begun)
 
 
-async def unfinished_frames(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def unfinished_frames(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """1000 authenticated streams of puts over sockets. Each sends a frame of 256 KiB, except for its last byte."""
 
     async def begin(stream: RawStream) -> None:
@@ -35,12 +35,12 @@ async def unfinished_frames(attacked: AttackedCluster, under_way: Callable[[], N
         await stream.send_bytes(head_of(FrameKind.MESSAGE, MESSAGE_BYTES_MAX) + bytes(MESSAGE_BYTES_MAX - 1))
         await stream.has_ended()
 
-    await again_and_again(await _target(attacked), UNFINISHED, begin, under_way)
+    await again_and_again(await _target(attacked), UNFINISHED, begin, on_begun)
 
 
-async def malformed_frames(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def malformed_frames(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """200 sockets at a time that send bytes that are no frames, or messages that are not puts."""
-    await again_and_again(await _target(attacked), UNREAD, garbage(attacked), under_way)
+    await again_and_again(await _target(attacked), UNREAD, garbage(attacked), on_begun)
 
 
 def garbage(attacked: AttackedCluster) -> Callable[[RawStream], Awaitable[None]]:
@@ -59,7 +59,7 @@ def garbage(attacked: AttackedCluster) -> Callable[[RawStream], Awaitable[None]]
 
 
 async def again_and_again(
-    target: str, sockets: int, play: Callable[[RawStream], Awaitable[None]], under_way: Callable[[], None]
+    target: str, sockets: int, play: Callable[[RawStream], Awaitable[None]], on_begun: Callable[[], None]
 ) -> None:
     """Play this number of connections at the same time. When a connection ends, open another one."""
 
@@ -67,7 +67,7 @@ async def again_and_again(
         async with raw_stream(target) as stream:
             await play(stream)
 
-    under_way()
+    on_begun()
     await all_of(*(keep_on(one, PAUSE_SECONDS) for _ in range(sockets)))
 
 

@@ -32,12 +32,12 @@ FLOODERS = 64  # callers that begin a handshake, leave, and begin the next one
 Play = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
-async def tcp_silent(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def tcp_silent(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """1100 TCP connections that send nothing, not even the first frame; as one ends, the attacker opens another one."""
-    await again_and_again(attacked.data_target, SILENT, RawStream.has_ended, under_way)
+    await again_and_again(attacked.data_target, SILENT, RawStream.has_ended, on_begun)
 
 
-async def tcp_unfinished(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def tcp_unfinished(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """1000 authenticated streams of puts over TCP. Each sends a frame of 256 KiB, except for its last byte."""
 
     async def begin(stream: RawStream) -> None:
@@ -45,15 +45,15 @@ async def tcp_unfinished(attacked: AttackedCluster, under_way: Callable[[], None
         await stream.send_bytes(head_of(FrameKind.MESSAGE, MESSAGE_BYTES_MAX) + bytes(MESSAGE_BYTES_MAX - 1))
         await stream.has_ended()
 
-    await again_and_again(attacked.data_target, UNFINISHED, begin, under_way)
+    await again_and_again(attacked.data_target, UNFINISHED, begin, on_begun)
 
 
-async def tcp_malformed(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def tcp_malformed(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """200 TCP connections at a time that send no frames, or messages that are not puts."""
-    await again_and_again(attacked.data_target, UNREAD, garbage(attacked), under_way)
+    await again_and_again(attacked.data_target, UNREAD, garbage(attacked), on_begun)
 
 
-async def tcp_silent_gets(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def tcp_silent_gets(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """60 streams over TCP with 16 gets of all items each, whose answers no reader reads."""
     async with attacked.connect() as rt:
         known = await held_channel(attacked, rt)
@@ -65,10 +65,10 @@ async def tcp_silent_gets(attacked: AttackedCluster, under_way: Callable[[], Non
                 await stream.send(FrameKind.MESSAGE, request.SerializeToString())
             await asyncio.Event().wait()
 
-        await again_and_again(attacked.data_target, READERS, ask, under_way)
+        await again_and_again(attacked.data_target, READERS, ask, on_begun)
 
 
-async def tcp_half_closed(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def tcp_half_closed(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """1000 streams of puts over TCP whose callers close only their own side, read nothing, and open the next ones."""
 
     async def half_close(stream: RawStream) -> None:
@@ -76,10 +76,10 @@ async def tcp_half_closed(attacked: AttackedCluster, under_way: Callable[[], Non
         stream.writer.write_eof()
         await asyncio.sleep(1.0)
 
-    await again_and_again(attacked.data_target, UNFINISHED, half_close, under_way)
+    await again_and_again(attacked.data_target, UNFINISHED, half_close, on_begun)
 
 
-async def tls_unfinished(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def tls_unfinished(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """1100 connections that begin a handshake and never finish it; as one ends, the attacker opens another one."""
 
     async def begin(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -87,20 +87,20 @@ async def tls_unfinished(attacked: AttackedCluster, under_way: Callable[[], None
         while await reader.read(2**16):
             pass
 
-    await _connections(attacked, SILENT, begin, under_way)
+    await _connections(attacked, SILENT, begin, on_begun)
 
 
-async def tls_hellos(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def tls_hellos(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """64 callers without a certificate begin handshakes and leave immediately, as fast as they can."""
 
     async def begin(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.write(hello())
         await reader.read(1)
 
-    await _connections(attacked, FLOODERS, begin, under_way, pause_s=0.0)
+    await _connections(attacked, FLOODERS, begin, on_begun, pause_s=0.0)
 
 
-async def tls_malformed(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def tls_malformed(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """200 connections at a time that send no handshake, or break one off in its middle."""
     numbers = itertools.count()
 
@@ -109,7 +109,7 @@ async def tls_malformed(attacked: AttackedCluster, under_way: Callable[[], None]
         writer.write((b"\xff" * 77, first[: len(first) // 2] + b"\0" * 100, first + first)[next(numbers) % 3])
         await reader.read()
 
-    await _connections(attacked, UNREAD, send, under_way)
+    await _connections(attacked, UNREAD, send, on_begun)
 
 
 def hello() -> bytes:
@@ -123,7 +123,7 @@ def hello() -> bytes:
 
 
 async def _connections(
-    attacked: AttackedCluster, count: int, play: Play, under_way: Callable[[], None], pause_s: float = PAUSE_SECONDS
+    attacked: AttackedCluster, count: int, play: Play, on_begun: Callable[[], None], pause_s: float = PAUSE_SECONDS
 ) -> None:
     host, _, port = attacked.data_port.rpartition(":")
 
@@ -134,5 +134,5 @@ async def _connections(
         finally:
             writer.transport.abort()
 
-    under_way()
+    on_begun()
     await all_of(*(keep_on(one, pause_s) for _ in range(count)))

@@ -25,18 +25,18 @@ CALLERS = 64
 FAR_NANOS = 3600 * 10**9
 
 
-async def many_streams(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def many_streams(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """5000 streams of puts, on which nothing is put."""
     calls: list[Any] = []
     for _ in range(CONNECTIONS):
         one = ChannelServiceStub(attacked.channel(attacked.target))
         calls += [one.Put(metadata=attacked.metadata) for _ in range(STREAMS_OF_ONE)]
     await all_of(*(call.wait_for_connection() for call in calls))
-    under_way()
+    on_begun()
     await for_ever()
 
 
-async def blocked_gets(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def blocked_gets(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """30,000 gets wait for an item of the good clients' channel an hour ahead. Refused gets are sent again."""
     known = await attacked.bound(GOOD_CHANNEL)
     start = time_pb2.Bound(instant_unix_nano=st.now() + FAR_NANOS)
@@ -45,7 +45,7 @@ async def blocked_gets(attacked: AttackedCluster, under_way: Callable[[], None])
     )
     calls: list[Any] = [stub(attacked, ChannelServiceStub).Get(metadata=attacked.metadata) for _ in range(GET_STREAMS)]
     working = [asyncio.ensure_future(_block(call, request)) for call in calls]
-    under_way()
+    on_begun()
     await all_of(*working)
 
 
@@ -58,12 +58,12 @@ async def _block(call: Any, request: pb.GetRequest) -> None:
         await call.write(request)
 
 
-async def busy_puts(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def busy_puts(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """64 streams put 16 items of 100 bytes at a time, and wait only for the acks."""
     async with attacked.connect() as rt:
         await rt.channel(NAME, max_items=1000)
         known = await attacked.bound(NAME)
-        under_way()
+        on_begun()
         await all_of(*(_put_again_and_again(attacked, known) for _ in range(PUT_STREAMS)))
 
 
@@ -79,10 +79,10 @@ async def _put_again_and_again(attacked: AttackedCluster, known: dict[str, Any])
             acked += len(pb.PutResponse.FromString(await call.read()).acks)
 
 
-async def single_calls(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def single_calls(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """64 callers ask for a channel's status again after each answer."""
     known = await attacked.bound(GOOD_CHANNEL)
-    under_way()
+    on_begun()
     await all_of(*(_ask_again_and_again(attacked, known) for _ in range(CALLERS)))
 
 
@@ -94,21 +94,21 @@ async def _ask_again_and_again(attacked: AttackedCluster, known: dict[str, Any])
             await ask(request, metadata=attacked.metadata, timeout=10)
 
 
-async def held_bytes(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def held_bytes(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """Items of 1 MiB, one after the other, into a channel of the attacker that keeps them for an hour."""
     async with attacked.connect() as rt:
         channel = await rt.channel(NAME, max_age="1h", max_bytes=2**40)
-        under_way()
+        on_begun()
         while True:
             with suppress(st.StampedeError):
                 await channel.put(bytes(MIB), timeout=1.0)
 
 
-async def archived_bytes(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def archived_bytes(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """Items of 1 MiB, one after the other, into a channel of the attacker's that is recorded for ever."""
     async with attacked.connect() as rt:
         channel = await rt.channel(NAME, max_items=2, archive="forever")
-        under_way()
+        on_begun()
         while True:
             with suppress(st.StampedeError):
                 await channel.put(bytes(MIB), timeout=1.0)

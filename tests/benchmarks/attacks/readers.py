@@ -24,15 +24,15 @@ ITEM_SECONDS = 0.01
 TAKERS, ENQUEUERS, RUN_ITEMS, CREDIT = 64, 16, 16, 64
 
 
-async def many_cuts(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def many_cuts(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """1000 streams of the cut events of a group with the good clients' channel; all are read."""
     group = await _group_with_good_channel(attacked)
     opened = group_service_pb2.SubscribeCutsOpen(group_id=group.group.group_id, decides=True)
     request = group_service_pb2.SubscribeCutsRequest(open=opened, credit=2**31)
-    await _read_many(attacked, "SubscribeCuts", request, under_way)
+    await _read_many(attacked, "SubscribeCuts", request, on_begun)
 
 
-async def many_matches(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def many_matches(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """1000 streams of the matches of a group with the good clients' channel; all are read."""
     group = await _group_with_good_channel(attacked)
     good = next(one for one in group.channels if one.name == GOOD_CHANNEL)
@@ -40,7 +40,7 @@ async def many_matches(attacked: AttackedCluster, under_way: Callable[[], None])
         group_id=group.group.group_id, per_channel_id=good.channel_id, epoch=good.epoch, tolerance_nanos=10**9
     )
     request = group_service_pb2.SubscribeMatchesRequest(open=opened, credit_bytes=2**60)
-    await _read_many(attacked, "SubscribeMatches", request, under_way)
+    await _read_many(attacked, "SubscribeMatches", request, on_begun)
 
 
 async def _group_with_good_channel(attacked: AttackedCluster) -> Any:
@@ -51,13 +51,13 @@ async def _group_with_good_channel(attacked: AttackedCluster) -> Any:
         return await resolve(group_directory_service_pb2.ResolveGroupRequest(name=NAME), metadata=attacked.metadata)
 
 
-async def _read_many(attacked: AttackedCluster, method: str, request: Any, under_way: Callable[[], None]) -> None:
+async def _read_many(attacked: AttackedCluster, method: str, request: Any, on_begun: Callable[[], None]) -> None:
     calls: list[Any] = []
     for _ in range(READERS // READERS_OF_ONE_CONNECTION):
         one = stub(attacked, GroupServiceStub)
         calls += [getattr(one, method)(metadata=attacked.metadata) for _ in range(READERS_OF_ONE_CONNECTION)]
     await all_of(*(call.write(request) for call in calls))
-    under_way()
+    on_begun()
     await all_of(_put_items(attacked), *map(_read_all, calls))
 
 
@@ -76,12 +76,12 @@ async def _read_all(call: Any) -> None:
         pass
 
 
-async def busy_takes(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def busy_takes(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """64 takers take and acknowledge messages as fast as they come; 16 streams enqueue as fast as they are acked."""
     async with attacked.connect() as rt:
         await rt.queue(NAME, max_items=10_000, on_full="reject")
         known = await queue_known(attacked)
-        under_way()
+        on_begun()
         takers = (_take_again_and_again(attacked, known, taker_id) for taker_id in range(1, TAKERS + 1))
         await all_of(*takers, *(_enqueue_again_and_again(attacked, known) for _ in range(ENQUEUERS)))
 

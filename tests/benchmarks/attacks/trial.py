@@ -121,14 +121,14 @@ class TrialCluster:
         self.found = AttackResult(name)
         self.setup = setup
         self.case = CASES[name]
-        self.cluster = LocalCluster(hosts=1, supernodes=1, tls=self.case.secured, on_line=self._hear)
+        self.cluster = LocalCluster(hosts=1, supernodes=1, tls=self.case.secured, on_line=self._read_log_line)
         assert self.cluster.folder is not None, "a cluster that keeps its state has a folder"
         archive = ["--archive", str(self.cluster.folder / "archive"), "--archive-bytes-max", MEMORY_BUDGET]
         self._data_port = free_ports(1)[0]
         arguments = ["--data-port", str(self._data_port), "--memory-bytes-max", MEMORY_BUDGET, *archive]
         self.cluster.hosts[0].arguments += arguments
 
-    def _hear(self, process: ServiceProcess, line: str) -> None:
+    def _read_log_line(self, process: ServiceProcess, line: str) -> None:
         if not process.is_ready:
             return
         self.found.log_bytes += len(line) + 1

@@ -27,10 +27,10 @@ UNARY = {
 }
 
 
-async def health_headers(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def health_headers(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """Keep 4096 calls of Health/Check open that have headers only. Replaces each call that ends."""
     raws = [await RawConnection.open(attacked.host) for _ in range(CALLS // CONNECTION_CALLS)]
-    under_way()
+    on_begun()
     while True:
         for raw in raws:
             for stream in [await raw.call(CHECK) for _ in range(CONNECTION_CALLS)]:
@@ -39,31 +39,31 @@ async def health_headers(attacked: AttackedCluster, under_way: Callable[[], None
                         await raw.ended[stream].wait()
 
 
-async def unfinished_health(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def unfinished_health(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """50 calls of Health/Check with a message of 20 MiB each that is never finished."""
-    await _unfinished(attacked, CHECK, {}, under_way)
+    await _unfinished(attacked, CHECK, {}, on_begun)
 
 
-async def unfinished_puts(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def unfinished_puts(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """50 streams of puts with a request of 20 MiB each, of which the last piece never comes, with a client's token."""
     uploads, messages = Uploads(attacked, PUT_METHOD), [*messages_of(bytes(UNFINISHED_BYTES))][:-1]
     for _ in range(UNFINISHED):
         uploads.begin(messages)
     await uploads.until_stuck()
-    under_way()
+    on_begun()
     await for_ever()
 
 
-async def unfinished_messages(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def unfinished_messages(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """1000 streams of puts with a message of 256 KiB each that is never finished, with a client's token."""
-    await _unfinished(attacked, PUT_METHOD, dict(attacked.metadata), under_way, 1000, MESSAGE_BYTES_MAX)
+    await _unfinished(attacked, PUT_METHOD, dict(attacked.metadata), on_begun, 1000, MESSAGE_BYTES_MAX)
 
 
 async def _unfinished(
     attacked: AttackedCluster,
     method: str,
     metadata: dict[str, str],
-    under_way: Callable[[], None],
+    on_begun: Callable[[], None],
     streams: int = UNFINISHED,
     message_bytes: int = UNFINISHED_BYTES,
 ) -> None:
@@ -71,13 +71,13 @@ async def _unfinished(
     await raw.greeted.wait()
     begun = [await raw.call(method, metadata) for _ in range(streams)]
     await all_of(*(raw.send_as_allowed(stream, message_bytes, message_bytes - 1) for stream in begun))
-    under_way()
+    on_begun()
     await for_ever()
 
 
-async def resets(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def resets(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """Calls that are reset as soon as they are made, on 10 connections."""
-    under_way()
+    on_begun()
     await all_of(*(_flood(attacked) for _ in range(FLOOD_CONNECTIONS)))
 
 
@@ -91,7 +91,7 @@ async def _flood(attacked: AttackedCluster) -> None:
             await raw.aclose()
 
 
-async def idle_connections(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def idle_connections(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """1100 connections on which nothing happens, to a host whose soft limit of open files is 1024."""
     name, _, port = attacked.host.rpartition(":")
     held = []
@@ -99,13 +99,13 @@ async def idle_connections(attacked: AttackedCluster, under_way: Callable[[], No
         with suppress(OSError, TimeoutError):
             async with asyncio.timeout(2.0):
                 held.append(await asyncio.open_connection(name, int(port)))
-    under_way()
+    on_begun()
     await for_ever()
 
 
-async def malformed(attacked: AttackedCluster, under_way: Callable[[], None]) -> None:
+async def malformed(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
     """Malformed requests of 77 bytes, to methods of all services. Half of the callers have the secret."""
-    under_way()
+    on_begun()
     await all_of(*(_send_malformed(attacked, with_secret=bool(number % 2)) for number in range(CALLERS)))
 
 

@@ -19,7 +19,7 @@ from tests.benchmarks.longest_pause.watch import PATIENCE_SECONDS, Work
 from tests.support.channel_host.rig import MAX_INSTANT, MIN_INSTANT, OpenedChannel, Rig, between
 
 
-def asked(rig: Rig, channel: OpenedChannel, verb: str) -> Work:
+def client_process(rig: Rig, channel: OpenedChannel, verb: str) -> Work:
     """A client in a process of its own."""
 
     async def work() -> None:

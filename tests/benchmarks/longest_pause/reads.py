@@ -6,7 +6,7 @@ import asyncio
 
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
-from tests.benchmarks.longest_pause.client import asked
+from tests.benchmarks.longest_pause.client import client_process
 from tests.benchmarks.longest_pause.filling import fill, in_order, interleaved, opened
 from tests.benchmarks.longest_pause.sizes import (
     PAGE_ITEMS,
@@ -18,7 +18,7 @@ from tests.support.channel_host.rig import MAX_INSTANT, MIN_INSTANT, Rig, betwee
 async def large_get(rig: Rig, items: int) -> tuple[str, Work]:
     channel, hosted = await opened(rig)
     interleaved(hosted, rig, items)
-    return f"get of {items:,} items of two producers that interleave, no payloads", asked(rig, channel, "get")
+    return f"get of {items:,} items of two producers that interleave, no payloads", client_process(rig, channel, "get")
 
 
 async def given_up_get(rig: Rig, items: int) -> tuple[str, Work]:
@@ -42,7 +42,7 @@ async def given_up_get(rig: Rig, items: int) -> tuple[str, Work]:
 async def subscription(rig: Rig, items: int) -> tuple[str, Work]:
     channel, hosted = await opened(rig)
     in_order(hosted, rig, items)
-    return f"subscribe from the oldest of {items:,} single puts on", asked(rig, channel, "subscribe")
+    return f"subscribe from the oldest of {items:,} single puts on", client_process(rig, channel, "subscribe")
 
 
 async def page(rig: Rig, items: int) -> tuple[str, Work]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from tests.benchmarks.longest_pause.client import asked
+from tests.benchmarks.longest_pause.client import client_process
 from tests.benchmarks.longest_pause.filling import fill, opened
 from tests.benchmarks.longest_pause.sizes import (
     CALLS,
@@ -74,7 +74,7 @@ async def left_gets(rig: Rig, gets: int) -> tuple[str, Work]:
 async def subscribers(rig: Rig, count: int) -> tuple[str, Work]:
     """Puts into a channel with many subscriptions, each of which gets a message."""
     channel, hosted = await opened(rig)
-    client = asyncio.create_task(asked(rig, channel, "follow")())  # type: ignore[arg-type]
+    client = asyncio.create_task(client_process(rig, channel, "follow")())  # type: ignore[arg-type]
     async with asyncio.timeout(PATIENCE_SECONDS):
         await until(lambda: len(hosted.subscriptions) == count)
 

@@ -97,8 +97,8 @@ class Client(NamedTuple):
         """
         kind = SHOWN[stale_after[0]]
         found = [rows()[one] for one in stale_after]
-        allowed = [(failure, row.asked) for row in found for failure in row.failure.split(" or ")]
-        assert (self.trace.failed(kind), self.trace.asked(kind)) in allowed
+        allowed = [(failure, row.parties) for row in found for failure in row.failure.split(" or ")]
+        assert (self.trace.failed(kind), self.trace.parties(kind)) in allowed
 
 
 @pytest.fixture
@@ -321,10 +321,12 @@ async def test_both_clients_ask_a_front_end_when_all_supernodes_are_gone(
     for client, channel in zip(clients, channels, strict=True):
         client.trace.clear()
         await channel.put(b"1")
-        assert client.trace.asked("channel") == "", "known hosts need no directory"
+        assert client.trace.parties("channel") == "", "known hosts need no directory"
     asking = [asyncio.ensure_future(client.call("hosts")) for client in clients]
     for client in clients:
-        await until(lambda client=client: "front-end" in client.trace.asked("supernode"), "the client asks a front-end")
+        await until(
+            lambda client=client: "front-end" in client.trace.parties("supernode"), "the client asks a front-end"
+        )
     await asyncio.to_thread(run_again, cluster)
     await asyncio.wait(asking)
     for client, channel, count in zip(clients, channels, asking, strict=True):

@@ -44,7 +44,7 @@ class Row(NamedTuple):
     entry: str
     stale_after: str
     failure: str
-    asked: str
+    parties: str
 
 
 def documented() -> list[Row]:
@@ -70,7 +70,7 @@ class Trace:
         """The first failure of an entry of this kind since `clear`."""
         return next((what for one, what in self._events if one == kind), NOTHING)
 
-    def asked(self, kind: str) -> str:
+    def parties(self, kind: str) -> str:
         """Return the parties that the client asked after that failure, each once, in order."""
         failed = next((at for at, (one, _) in enumerate(self._events) if one == kind), -1)
         return ", ".join(dict.fromkeys(what for one, what in self._events[failed + 1 :] if one == "asked"))

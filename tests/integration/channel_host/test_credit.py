@@ -100,12 +100,12 @@ async def test_a_reader_with_too_much_credit_gets_everything_in_bounded_messages
 
 
 def test_credit_is_limited_however_much_a_reader_grants() -> None:
-    news: list[None] = []
-    credit = Credit(lambda: news.append(None))
+    grants: list[None] = []
+    credit = Credit(lambda: grants.append(None))
     for _ in range(3):
         credit.grant(2**64 - 1)
     credit.grant(0)
-    assert (credit.left, len(news), credit.is_over) == (CREDIT_MAX, 3, False)
+    assert (credit.left, len(grants), credit.is_over) == (CREDIT_MAX, 3, False)
     credit.spend(CREDIT_MAX + 5)
     credit.end()
     assert (credit.left, credit.is_over) == (-5, True)

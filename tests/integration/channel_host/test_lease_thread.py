@@ -30,7 +30,7 @@ class HostWithLease:
     def __init__(self, cluster: LocalCluster) -> None:
         dialer = Dialer(secret=cluster.secret)
         self.states: list[bool] = []
-        self.news = asyncio.Event()
+        self.changed = asyncio.Event()
         self.server = ServiceServer(secret=cluster.secret)
         self.host = ChannelHost(
             HostIdentity(host_id=b"the-host-id-here", name="here", boot_incarnation=7),
@@ -45,7 +45,7 @@ class HostWithLease:
 
     def _note_state(self, serving: bool) -> None:
         self.states.append(serving)
-        self.news.set()
+        self.changed.set()
 
 
 def _fail(failure: BaseException) -> None:
@@ -103,8 +103,8 @@ async def test_an_event_loop_that_is_blocked_for_very_long_loses_the_lease_and_g
         assert not one.host.store.lease_held()
         async with asyncio.timeout(30):
             while one.states != [True, False, True]:
-                one.news.clear()
-                await one.news.wait()
+                one.changed.clear()
+                await one.changed.wait()
         assert one.host.store.lease_held()
 
 

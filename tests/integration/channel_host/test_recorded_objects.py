@@ -161,12 +161,12 @@ def test_live_readers_are_served_while_the_store_is_away_and_doctor_names_the_re
     assert numbers(channel.get(began + (ITEMS + 15) * MS, st.NOW)) == list(range(ITEMS + 15, ITEMS + 20))
     assert channel.newest().payload == b"%d" % (ITEMS + 19)
 
-    def told() -> str:
+    def doctor_output() -> str:
         stampede(["doctor", "--url", cluster.address])
         return capsys.readouterr().out
 
-    wait_until(lambda: "store fails" in told(), "doctor names the store")
-    assert "s3://archives/rig" in told()
+    wait_until(lambda: "store fails" in doctor_output(), "doctor names the store")
+    assert "s3://archives/rig" in doctor_output()
     server.start()
     moved(server, folder, channel, "h2")
     assert numbers(channel.get(began, st.NOW)) == list(range(ITEMS + 20))

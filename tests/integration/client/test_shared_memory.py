@@ -59,7 +59,7 @@ def ring_files(pid: int) -> int:
 
 
 def count_calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Note each read that asks the host."""
+    """Note each read that calls the host."""
     from stampede_rt._sync import reader
 
     calls: list[str] = []
@@ -101,7 +101,7 @@ def test_an_unchanged_newest_item_is_copied_out_of_memory_once(
             assert found == [item._replace(end=None)] * 100
             assert found[0].attributes is not found[1].attributes  # type: ignore[union-attr]
             assert set(copies) == {item.seq}
-            assert len(copies) < 50, "the host's clock is shown anew five times a second"
+            assert len(copies) < 50, "the reader copies the item again only after each update of the host's clock"
 
 
 def test_the_default_transport_shares_memory_after_some_reads_and_shows_it(cluster: LocalCluster) -> None:
@@ -221,7 +221,7 @@ async def test_asyncio_readers_of_shared_memory_share_one_waiting_thread(cluster
         assert [(await one).payload for one in waiting] == [b"y"] * 5
 
 
-def test_readers_stop_trusting_the_memory_of_a_killed_host_and_no_file_remains(own_cluster: LocalCluster) -> None:
+def test_readers_leave_the_memory_of_a_killed_host_and_no_file_remains(own_cluster: LocalCluster) -> None:
     with channel_of(own_cluster, "ring/killed") as channel:
         mapping = mapping_of(channel)
         before = channel.newest()

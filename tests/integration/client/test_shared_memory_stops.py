@@ -49,7 +49,7 @@ def reader_of(cluster: LocalCluster, name: str) -> Iterator[subprocess.Popen[str
             reader.kill()
 
 
-def heard(reader: subprocess.Popen[str]) -> tuple[int, int, int]:
+def next_report(reader: subprocess.Popen[str]) -> tuple[int, int, int]:
     """The seq of the reader's next item, the number of items dropped before, and the seq of the newest item."""
     assert reader.stdout is not None
     seq, dropped, newest = map(int, reader.stdout.readline().split())
@@ -76,10 +76,10 @@ def test_a_stopped_reader_delays_no_other_caller_and_continues_at_its_position(
         channel = rt.channel(name, max_items=held)
         channel.put(checked_payload(0))
         with reader_of(cluster, name) as reader:
-            heard(reader)
+            next_report(reader)
             for number in (1, 2):
                 channel.put(checked_payload(number))
-            assert [heard(reader)[0] for _ in range(2)] == [2, 3]
+            assert [next_report(reader)[0] for _ in range(2)] == [2, 3]
             wait_until(lambda: not channel.stats().subscriptions)  # the reader follows the ring
             reader.send_signal(signal.SIGSTOP)
             last = [channel.put(checked_payload(number)) for number in range(40)][-1]
@@ -87,7 +87,7 @@ def test_a_stopped_reader_delays_no_other_caller_and_continues_at_its_position(
             reader.send_signal(signal.SIGCONT)
             seqs, dropped, newest = [3], 0, 0
             while seqs[-1] < last.seq:
-                seq, dropped, newest = heard(reader)
+                seq, dropped, newest = next_report(reader)
                 seqs.append(seq)
             assert seqs == sorted(set(seqs))
             assert (len(seqs) - 1, newest) == (40 - dropped, last.seq)

@@ -27,7 +27,7 @@ STAMPEDE = [sys.executable, "-m", "stampede_rt.cli"]
 
 
 @pytest.fixture(autouse=True)
-def _things(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
+def _contents(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STAMPEDE_URL", cluster.address)
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(cluster.secret_file))
     with st.connect(cluster.address) as rt:

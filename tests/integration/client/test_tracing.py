@@ -27,7 +27,7 @@ def spans(monkeypatch: pytest.MonkeyPatch) -> InMemorySpanExporter:
     return exporter
 
 
-def told(spans: InMemorySpanExporter) -> Counter[tuple[str, str]]:
+def span_counts(spans: InMemorySpanExporter) -> Counter[tuple[str, str]]:
     return Counter((one.name, str(next(iter((one.attributes or {}).values())))) for one in spans.get_finished_spans())
 
 
@@ -46,7 +46,7 @@ def test_each_logical_call_has_one_span(cluster: LocalCluster, spans: InMemorySp
         assert message is not None
         with left.subscribe(start=st.OLDEST) as items:
             next(items)
-    found = told(spans)
+    found = span_counts(spans)
     for call in ("open", "put", "enqueue", "take", "subscribe"):
         assert found[f"stampede {call}", name] == (3 if call == "open" else 1), call  # a channel, a group and a queue
     assert found["stampede get", name] == 2  # one get of the channel, and one of the group
@@ -57,7 +57,7 @@ async def test_the_asynchronous_client_makes_the_same_spans(cluster: LocalCluste
         left = await rt.channel("traced/async")
         await left.put(b"x")
         assert await left.newest() is not None
-    found = told(spans)
+    found = span_counts(spans)
     assert [found[f"stampede {call}", "traced/async"] for call in ("open", "put", "get")] == [1, 1, 1]
 
 

@@ -195,12 +195,12 @@ async def test_asyncio_puts_by_reference_wait_for_the_disk_and_a_cancelled_one_e
     async with aio.host(cluster.address, archive=folder, drain="0s") as rt:
         channel = await rt.channel("emb-rec/aio", max_items=10, archive="1h", ack="disk")
         assert [(await channel.put(b"x")).seq for _ in range(3)] == [1, 2, 3]
-        begin, go_on = asyncio.Event(), asyncio.Event()
+        begin, may_continue = asyncio.Event(), asyncio.Event()
         loop, write = asyncio.get_running_loop(), SegmentFiles.write
 
         def slow(*arguments: object) -> object:
             loop.call_soon_threadsafe(begin.set)
-            asyncio.run_coroutine_threadsafe(go_on.wait(), loop).result(LIMIT_S)
+            asyncio.run_coroutine_threadsafe(may_continue.wait(), loop).result(LIMIT_S)
             return write(*arguments)  # type: ignore[arg-type]
 
         monkeypatch.setattr(SegmentFiles, "write", slow)
@@ -211,7 +211,7 @@ async def test_asyncio_puts_by_reference_wait_for_the_disk_and_a_cancelled_one_e
             await putting
         with pytest.raises(st.NotArchived, match="the disk is too slow"):
             await channel.put(b"late", timeout=0.01)
-        go_on.set()
+        may_continue.set()
         assert (await channel.put(b"next")).seq == 6
         found = await channel.get(st.OLDEST, st.NEWEST)
         assert [one.payload for one in found] == [b"x", b"x", b"x", b"cancelled", b"late", b"next"]

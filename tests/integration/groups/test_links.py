@@ -41,7 +41,9 @@ async def synced(channels: list[GroupedChannel], group: group_pb2.GroupRecord, c
         await channel.host.until_cut(group, cut)
 
 
-async def heard(at: GroupedChannel, channel: GroupedChannel, group: group_pb2.GroupRecord, newest: int) -> None:
+async def wait_until_known(
+    at: GroupedChannel, channel: GroupedChannel, group: group_pb2.GroupRecord, newest: int
+) -> None:
     """Wait until the host of `at` has heard the newest time of `channel`."""
 
     def is_heard(status: group_pb2.GroupStatus) -> bool:
@@ -102,7 +104,7 @@ async def test_a_member_is_followed_though_the_group_was_last_named_at_its_host_
     hosted.named_s = -1_000.0  # no caller has named the group for long, but the host has just asked for the record
     cluster.directory.change_members(group.group_id, [left, right, third, fourth])
     await fourth.put(t + 5)
-    await heard(left, fourth, group, t + 5)
+    await wait_until_known(left, fourth, group, t + 5)
 
 
 async def test_a_host_that_missed_a_new_member_learns_of_it_from_the_host_that_waits_for_it(cluster: Cluster) -> None:
@@ -117,7 +119,7 @@ async def test_a_host_that_missed_a_new_member_learns_of_it_from_the_host_that_w
     cluster.directory.change_members(group.group_id, [left, right, third], reported=False)
     await left.host.host.groups._look_up_again(group.group_id)
     await third.put(t + 5)
-    await heard(left, third, group, t + 5)
+    await wait_until_known(left, third, group, t + 5)
 
 
 async def test_hosts_agree_on_the_idle_channels_without_waiting_for_a_sign_of_life(

@@ -59,11 +59,11 @@ def network() -> Iterator[NamespaceNetwork]:
         yield made
 
 
-def blocks_of(walk: dict[str, list[int]], machines: list[Machine]) -> Iterator[tuple[Machine, str]]:
+def blocks_of(route: dict[str, list[int]], machines: list[Machine]) -> Iterator[tuple[Machine, str]]:
     """Every block of these chapters: its machine, and its text with the addresses of the namespaces."""
     chapters = re.split(r"^## (.*)\n", PAGE.read_text(), flags=re.MULTILINE)
     texts = dict(zip(chapters[1::2], chapters[2::2], strict=True))
-    for title, numbers in walk.items():
+    for title, numbers in route.items():
         for number, text in zip(numbers, re.split(f"(?={SECOND})", texts[title]), strict=True):
             for block in re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
                 yield machines[number], here(block, machines)
@@ -86,17 +86,17 @@ def machines(network: NamespaceNetwork, tmp_path: Path) -> list[Machine]:
 
 
 @pytest.mark.parametrize(
-    ("walk", "sentence"),
+    ("route", "sentence"),
     [(WITH_SECRET, "hello from the second machine"), (WITH_CERTIFICATES, "client-laptop.pem")],
     ids=["secret", "certificates"],
 )
 def test_the_recipe_for_two_machines_works_as_it_stands(
-    walk: dict[str, list[int]], sentence: str, machines: list[Machine], monkeypatch: pytest.MonkeyPatch
+    route: dict[str, list[int]], sentence: str, machines: list[Machine], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     services: list[ServiceProcess] = []
     printed = ""
     try:
-        for machine, block in blocks_of(walk, machines):
+        for machine, block in blocks_of(route, machines):
             words = shlex.split(block.replace("\\\n", "").replace("certs/", f"{machine.home}/certs/"))
             if words[0] == "stampede" and words[1] in MODULES:
                 services.append(start(machine, words, monkeypatch))

@@ -121,12 +121,12 @@ async def test_calls_wait_for_the_move_and_are_refused_after_a_while(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(queue_content, "HELD_SECONDS_MAX", 0.05)
-    reached, goes_on = asyncio.Event(), asyncio.Event()
+    reached, may_continue = asyncio.Event(), asyncio.Event()
     taken_over = queue_arrivals.QueueArrivals._take_over
 
     async def waits(self: Any, record: Any, core: Any, permit: bytes) -> Any:
         reached.set()
-        await goes_on.wait()
+        await may_continue.wait()
         return await taken_over(self, record, core, permit)
 
     monkeypatch.setattr(queue_arrivals.QueueArrivals, "_take_over", waits)
@@ -134,7 +134,7 @@ async def test_calls_wait_for_the_move_and_are_refused_after_a_while(
     await reached.wait()
     with pytest.raises(grpc.aio.AioRpcError, match="takes too long"):
         await pair.queue.status()
-    goes_on.set()
+    may_continue.set()
     await move
     assert await payloads(pair.at_other()) == [b"a", b"b", b"c"]
 

@@ -148,10 +148,10 @@ def wait_for_puts(producing: BackgroundProducer, items: int) -> None:
 def eventually(holds: Callable[[], Any], what: str) -> None:
     """`wait_until`, for conditions that ask the cluster, which may not answer for a moment."""
 
-    def asked() -> bool:
+    def holds_now() -> bool:
         try:
             return bool(holds())
         except st.StampedeError:
             return False
 
-    wait_until(asked, what)
+    wait_until(holds_now, what)

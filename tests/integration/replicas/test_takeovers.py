@@ -38,11 +38,11 @@ async def rig(request: pytest.FixtureRequest, cluster: LocalCluster) -> AsyncIte
 async def mirrored(thing: Any) -> None:
     """Wait until the replica of a channel or queue is in sync, and has everything."""
     async with asyncio.timeout(WAIT_SECONDS_MAX):
-        while not is_level(await thing.stats()):
+        while not has_replica_with_everything(await thing.stats()):
             await pause()
 
 
-def is_level(stats: Any) -> bool:
+def has_replica_with_everything(stats: Any) -> bool:
     copies = stats.copies if isinstance(stats, st.ChannelStats) else stats.replicas
     return any(one.in_sync and one.waiting == 0 for one in copies)
 

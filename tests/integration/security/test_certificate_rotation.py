@@ -30,7 +30,7 @@ class Load:
         self._tls = tls
         self._over = threading.Event()
         self.failures: list[str] = []
-        self.counts = {"put": 0, "get": 0, "heard": 0, "connect": 0, "directory": 0}
+        self.counts = {"put": 0, "get": 0, "received": 0, "connect": 0, "directory": 0}
 
     @contextmanager
     def running(self) -> Iterator[None]:
@@ -53,7 +53,7 @@ class Load:
                 self._over.set()
                 for thread in threads:
                     thread.join()
-                wait_until(lambda: self.counts["heard"] >= self.counts["put"], "every put is heard")
+                wait_until(lambda: self.counts["received"] >= self.counts["put"], "every put is received")
                 subscription.close()
                 listener.join()
 
@@ -68,9 +68,9 @@ class Load:
 
     def _listen(self, subscription: st.Subscription) -> None:
         for _ in subscription:
-            self.counts["heard"] += 1
+            self.counts["received"] += 1
 
-    def go_on(self) -> None:
+    def wait_for_progress(self) -> None:
         """Wait until each kind of call has succeeded several times more."""
         goal = {name: count + (3 if name == "connect" else PROGRESS_ITEMS) for name, count in self.counts.items()}
         wait_until(
@@ -140,19 +140,19 @@ def test_certificates_and_authority_are_replaced_under_load_without_a_failed_cal
     services = files_of(certificates, cluster)
     load = Load(cluster.address, caller)
     with load.running():
-        load.go_on()
+        load.wait_for_progress()
         certificates.add_authority()  # the services trust both authorities from here on
         newcomer = copied(certificates.issue(Role.CLIENT, "newcomer"), tmp_path / "newcomer")
         for address in services:
             wait_until(lambda address=address: accepts(address, newcomer), f"{address} trusts the new authority")
-        load.go_on()
+        load.wait_for_progress()
         certificates.renew()
         for address, file in services.items():
             wait_until(
                 lambda address=address, file=file: shows(address, file, newcomer),
                 f"{address} shows its new certificate",
             )
-        load.go_on()
+        load.wait_for_progress()
         certificates.forget_former()
         (only,) = describe(certificates.ca.read_bytes())
         assert only.is_authority
@@ -162,9 +162,9 @@ def test_certificates_and_authority_are_replaced_under_load_without_a_failed_cal
                 lambda address=address: not accepts(address, late),
                 f"{address} refuses the former certificate",
             )
-        load.go_on()
+        load.wait_for_progress()
         cluster.supernodes[0].restart()  # the other services know only the new authority by now
-        load.go_on()
+        load.wait_for_progress()
     assert load.failures == []
     with pytest.raises(st.PermissionDenied, match="is not of an authority in"):
         st.connect(cluster.address, tls=late)

@@ -60,7 +60,7 @@ def test_streams_end_with_their_certificate_and_continue_with_the_renewed_one(
             certificates.issue(Role.CLIENT, "cam")
             payloads: list[bytes] = []
 
-            def goes_on() -> int:
+            def used_and_reconnected() -> int:
                 channel.put(b"next")
                 jobs.put(b"job")
                 message = jobs.get(timeout=10)
@@ -69,7 +69,7 @@ def test_streams_end_with_their_certificate_and_continue_with_the_renewed_one(
                 payloads.append(next(items).payload)
                 return items.reconnects
 
-            wait_until(goes_on, "the subscription has come back over a new connection")
+            wait_until(used_and_reconnected, "the subscription has come back over a new connection")
             assert set(payloads) == {b"next"}
 
 

@@ -95,7 +95,7 @@ async def ended(found: dict[str, RawStream], names: set[str]) -> None:
                 del numbers[number]
 
 
-async def told(stream: RawStream) -> str:
+async def status_text(stream: RawStream) -> str:
     """The text of the status that the host has sent."""
     return str((await stream.status()).message)
 
@@ -120,14 +120,14 @@ async def test_a_revoked_token_ends_all_streams_of_its_caller(
         assert await asyncio.to_thread(run, ["token", "revoke", str(file), "--url", cluster.address]) == 0
         await ended(found, ALL)
         for name in ALL - {"reads nothing"}:  # to the caller that reads nothing the host cannot write
-            assert "revoked" in await told(found[name]), name
+            assert "revoked" in await status_text(found[name]), name
 
 
 async def test_an_expired_token_ends_all_streams_of_its_caller(cluster: LocalCluster, operator: Operator) -> None:
     async with streams(cluster, operator.new_token("brief", 3 * 10**9)) as found:
         await ended(found, ALL)
         for name in ALL - {"reads nothing"}:
-            assert "the token of client brief has ended" in await told(found[name]), name
+            assert "the token of client brief has ended" in await status_text(found[name]), name
 
 
 async def test_subscriptions_end_and_waiting_gets_are_refused_when_the_right_is_lost(
@@ -139,7 +139,7 @@ async def test_subscriptions_end_and_waiting_gets_are_refused_when_the_right_is_
         await asyncio.to_thread(operator.add, "reader", "read", NAME, "--deny")
         await ended(found, SUBSCRIPTIONS)
         for name in SUBSCRIPTIONS - {"reads nothing"}:
-            assert f"may not read channel {NAME}" in await told(found[name]), name
+            assert f"may not read channel {NAME}" in await status_text(found[name]), name
         for name in ("a get that waits", "has ended its side"):
             refused = pb.GetResponse.FromString(await found[name].message())
             assert f"may not read channel {NAME}" in refused.error.message

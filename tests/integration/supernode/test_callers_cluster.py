@@ -33,7 +33,7 @@ from stampede_rt_runtime.server import serving
 class FakeSupernode(directory_service_pb2_grpc.DirectoryServiceServicer, peer_service_pb2_grpc.PeerServiceServicer):
     """A supernode that knows no hosts and no peers.
 
-    `mute`: the supernode answers no ping. `served` has the cluster that each caller named, and `clocks_asked` whether
+    `mute`: the supernode answers no ping. `served` has the cluster that each caller named, and `clock_flags` whether
     the caller asked for clocks, which only the leader reports. The supernode lists the addresses in `members`, and
     names the first as the leader.
     """
@@ -41,7 +41,7 @@ class FakeSupernode(directory_service_pb2_grpc.DirectoryServiceServicer, peer_se
     def __init__(self, cluster_id: str, *, former: tuple[str, ...] = (), mute: bool = False) -> None:
         self.cluster_id, self.former, self.mute = cluster_id, former, mute
         self.served: list[str] = []
-        self.clocks_asked: list[bool] = []
+        self.clock_flags: list[bool] = []
         self.members: list[str] = []
 
     def judge(self, callers: str) -> StampedeError | None:
@@ -68,7 +68,7 @@ class FakeSupernode(directory_service_pb2_grpc.DirectoryServiceServicer, peer_se
         return directory_pb.ListSupernodesResponse(supernodes=records)
 
     async def ListPeers(self, request: Any, context: Any) -> peer_pb.ListPeersResponse:  # noqa: N802
-        self.clocks_asked.append(request.with_clocks)
+        self.clock_flags.append(request.with_clocks)
         return peer_pb.ListPeersResponse()
 
     async def Watch(self, request: Any, context: Any) -> AsyncIterator[directory_pb.WatchResponse]:  # noqa: N802
@@ -179,12 +179,12 @@ async def test_a_call_for_the_leader_skips_another_cluster_at_the_known_leaders_
     frontend = await world.frontend(FakeFrontend("x", targets))
     async with connected(kind, frontend) as client:
         await client.peers()
-        assert (former.clocks_asked, follower.clocks_asked) == ([True], [])
+        assert (former.clock_flags, follower.clock_flags) == ([True], [])
         former.cluster_id = "y"  # as if an operator had restored a backup there
         if others_know:
             follower.members = targets[1:]
         await client.peers()
-        assert (former.clocks_asked, follower.clocks_asked) == ([True], [others_know])
+        assert (former.clock_flags, follower.clock_flags) == ([True], [others_know])
 
 
 @pytest.fixture

@@ -42,7 +42,7 @@ def hello(cluster_id: str, name: str, to: Supernode, **more: Any) -> pb.RaftHell
     )
 
 
-async def said(to: Supernode, greeting: pb.RaftHello, *messages: pb.RaftMessage) -> str:
+async def refusal_text(to: Supernode, greeting: pb.RaftHello, *messages: pb.RaftMessage) -> str:
     """Open a stream and send the messages. Returns the status text with which it ends; empty if it does not end."""
     call = raft_service_pb2_grpc.RaftServiceStub(to.channel).Exchange()  # type: ignore[no-untyped-call]
     await call.write(pb.RaftServiceExchangeRequest(hello=greeting))
@@ -83,7 +83,7 @@ async def test_outsiders_neither_add_members_nor_depose_the_leader(tmp_path: Pat
         before = await terms(cluster)
         for number in range(40):
             greeting = hello(cluster_id, f"invented{number % 20}", leader, address=f"127.0.0.1:{1 + number}")
-            assert "is no other member" in await said(leader, greeting, VOTE, CLAIM)
+            assert "is no other member" in await refusal_text(leader, greeting, VOTE, CLAIM)
         notes = json.loads((tmp_path / leader.name / FILE_NAME).read_text()[9:])["known"]
         assert set(notes) == {one.name for one in cluster.others(leader)}
         assert await terms(cluster) == before
@@ -102,7 +102,7 @@ async def test_a_process_with_the_name_of_a_member_needs_the_store_of_that_membe
                 break
         before = await terms(cluster)
         for store_id in ("", "invented"):
-            refusal = await said(leader, hello(cluster_id, other.name, leader, store_id=store_id), VOTE, CLAIM)
+            refusal = await refusal_text(leader, hello(cluster_id, other.name, leader, store_id=store_id), VOTE, CLAIM)
             assert "has come with another store before" in refusal
         assert await terms(cluster) == before
         await open_channel(leader, "cam/1")
@@ -122,9 +122,9 @@ async def test_a_liar_with_the_store_of_a_member_ends_no_process_and_raises_no_t
         [before] = await terms_of(leader)
         greeting = hello(cluster_id, taken.name, leader, store_id=store_id)
         for lie in (VOTE, CLAIM):
-            assert await said(leader, greeting, lie) != ""
+            assert await refusal_text(leader, greeting, lie) != ""
         same_term = pb.RaftMessage(append_entries=pb.RaftAppendEntries(term=before, previous_log_index=1))
-        assert await said(leader, greeting, same_term) != ""
+        assert await refusal_text(leader, greeting, same_term) != ""
         assert await terms_of(leader) == {before}
         await open_channel(leader, "cam/1")
         await taken.start()

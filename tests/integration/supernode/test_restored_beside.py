@@ -80,7 +80,7 @@ def payloads(channel: st.Channel) -> list[bytes]:
     return [item.payload for item in channel.get(st.OLDEST, st.NEWEST)]
 
 
-def heard(process: ServiceProcess, text: str) -> bool:
+def has_logged(process: ServiceProcess, text: str) -> bool:
     return any(text in line for line in process.last_lines)
 
 
@@ -106,7 +106,8 @@ def test_hosts_and_front_ends_stay_in_their_cluster_and_lose_no_item(cluster: Lo
                     until(
                         # A host asks the stranger only if it learned the address before the front-end left it out.
                         lambda host=host: (
-                            heard(host, "is of another cluster") or heard(frontend, "another cluster's supernode")
+                            has_logged(host, "is of another cluster")
+                            or has_logged(frontend, "another cluster's supernode")
                         ),
                         f"{host.name} is refused by the stranger, or the front-end leaves the stranger out",
                     )

@@ -187,7 +187,7 @@ class Readers:
         assert one.oracle.owed & held <= made.oracle.meant, "each missing item is meant for the reader"
         made.last_given = last
 
-    def go_on(self, which: int) -> None:
+    def resume_by_cursor(self, which: int) -> None:
         """Continue a subscription by its cursor. It must get each item once."""
         if not self.subscribers:
             return
@@ -219,7 +219,7 @@ class Readers:
 
     def _deliver(self, one: Subscriber, pair: LivingPair, horizon: Horizon, limit_bytes: int) -> None:
         oracle, clock = one.oracle, self.world.clock
-        if not _has_news(oracle, horizon.cut):
+        if not _may_show_items(oracle, horizon.cut):
             assert one.every.take(horizon, clock, limit_bytes).is_empty
             return
         assert horizon.cut is not None
@@ -250,7 +250,7 @@ class Readers:
         while part.more:
             part = one.newest.take(horizon, self.world.clock)
             assert part.is_empty
-        if _has_news(one.of_newest, horizon.cut):
+        if _may_show_items(one.of_newest, horizon.cut):
             assert horizon.cut is not None
             one.of_newest.owe()
             visible = one.of_newest.owed & one.of_newest.visible(horizon.cut)
@@ -284,7 +284,7 @@ def _is_foreign(query: Query, incarnation: int) -> bool:
     return any(one.incarnation not in (0, incarnation) for one in positions)
 
 
-def _has_news(oracle: OracleFollower, cut: int | None) -> bool:
+def _may_show_items(oracle: OracleFollower, cut: int | None) -> bool:
     if cut is None or (oracle.cut is not None and cut < oracle.cut):
         return False
     return cut != oracle.cut or len(oracle.channel.log) != oracle.seen_seq

@@ -146,8 +146,8 @@ def resume(rng: RandomSource, scenario: Scenario) -> None:
     scenario.readers.resume(rng.below(12))
 
 
-def go_on(rng: RandomSource, scenario: Scenario) -> None:
-    scenario.readers.go_on(rng.below(4))
+def resume_by_cursor(rng: RandomSource, scenario: Scenario) -> None:
+    scenario.readers.resume_by_cursor(rng.below(4))
 
 
 def deliver(rng: RandomSource, scenario: Scenario) -> None:
@@ -237,7 +237,7 @@ Happening = Callable[[RandomSource, Scenario], None]
 STEPS: tuple[Happening, ...] = (
     rest, put, put, tick, read, put, deliver, take_events, subscribe, put, subscribe_cuts, exchange, match, put, begin,
     take_matches, advance, tick, change_member, deliver_stale_message, put, use_up, original, migrate, resume, exchange,
-    lose, bring_back, put, read, give_up, take_events, deliver, go_on,
+    lose, bring_back, put, read, give_up, take_events, deliver, resume_by_cursor,
 )  # fmt: skip
 
 

@@ -48,7 +48,7 @@ class World:
     def horizon(self) -> Horizon:
         return Horizon(self.cut, lambda: "no channel holds the cut back")
 
-    def go_on(self) -> None:
+    def put_some(self) -> None:
         """Some puts, in order or late; perhaps a later cut, and a write of the archive."""
         for _ in range(self.draw.randrange(1, 12)):
             self.now += self.draw.choice([0, 0, 1, 1, 2, 3])
@@ -67,7 +67,7 @@ def test_a_group_subscription_over_an_archive_equals_one_over_memory(seed: int) 
     draw = random.Random(seed)
     world = World(draw)
     for _ in range(draw.randrange(4)):
-        world.go_on()
+        world.put_some()
     start, small = Bound(None, draw.randrange(-1, world.now + 2)), world.small
     expected = VisibleAllCursor(world.large, world.horizon, world.now, start=start)
     found = VisibleAllCursor(small.channel, world.horizon, world.now, start=start, archived=True)
@@ -86,7 +86,7 @@ def test_a_group_subscription_over_an_archive_equals_one_over_memory(seed: int) 
             saved = found.saved
             assert saved is not None
             found = VisibleAllCursor(small.channel, world.horizon, world.now, saved=replace(saved), archived=True)
-        world.go_on()
+        world.put_some()
 
 
 def test_the_scenarios_had_steps_that_came_from_the_archive() -> None:

@@ -82,15 +82,15 @@ def test_items_out_of_order_by_no_more_than_the_lateness_are_matched_as_if_all_w
 ) -> None:  # fmt: skip
     rng = random.Random(seed)
     replay = Replay(tolerance, lateness, unique=unique, is_far=bool(rng.randrange(2)))
-    coming = {
+    times_left = {
         name: [time for time, _ in sorted(items, key=lambda one: one[0] + min(one[1], lateness))]
         for name, items in ((OWN, own), (OTHER, other))
     }
     if not lateness:  # a second item at the time of the newest one would then be late
-        coming = {name: [*dict.fromkeys(times)] for name, times in coming.items()}
-    while any(coming.values()):
-        name = rng.choice([one for one, left in coming.items() if left])
-        replay.put(name, coming[name].pop(0))
+        times_left = {name: [*dict.fromkeys(times)] for name, times in times_left.items()}
+    while any(times_left.values()):
+        name = rng.choice([one for one, left in times_left.items() if left])
+        replay.put(name, times_left[name].pop(0))
         if rng.randrange(2):
             replay.take()
         if not rng.randrange(4):

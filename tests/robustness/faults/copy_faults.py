@@ -38,7 +38,7 @@ class ReplicatedChannel:
         self.names: dict[bytes, str] = {}
         self._reader = channel.subscribe(st.OLDEST)
         self._got: set[tuple[int, int]] = set()  # incarnation and seq
-        self._news = asyncio.Event()
+        self._wakeup = asyncio.Event()
         self._tasks = [asyncio.create_task(self._read()), asyncio.create_task(self._put())]
 
     async def find(self) -> tuple[Host, Host]:
@@ -59,15 +59,15 @@ class ReplicatedChannel:
             raise AssertionError(f"{self.channel.name} has another incarnation, although a replica was in sync")
         async with patience(f"the reader of {self.channel.name} did not get seq {item.seq}"):
             while (item.incarnation, item.seq) not in self._got:
-                await self._news.wait()
-                self._news.clear()
+                await self._wakeup.wait()
+                self._wakeup.clear()
         if bool(self._reader.losses) != bool(takeovers):
             raise AssertionError(f"the reader of {self.channel.name} heard of {self._reader.losses} losses")
 
     async def _read(self) -> None:
         async for item in self._reader:
             self._got.add((item.incarnation, item.seq))
-            self._news.set()
+            self._wakeup.set()
 
     async def _put(self) -> None:
         """Put during the fault, so that there is something to lose."""
@@ -86,7 +86,7 @@ class ReplicatedChannel:
     def _host(self, name: str) -> Host:
         return next(one for one in self.scene.cluster.hosts if one.name == name)
 
-    async def go_on(self, since: float) -> float:
+    async def wait_for_put(self, since: float) -> float:
         """Put until a put is acknowledged. Returns the time since `since`. Raises AssertionError, TimeoutError."""
         async with patience(f"no put into {self.channel.name} was acknowledged"):
             while True:
@@ -175,7 +175,7 @@ async def kill_owner(scene: Scene) -> None:
     async with _prepare(scene) as (found, owner, replica):
         began = time.monotonic()
         await owner.kill()
-        recovery = await found.go_on(began)
+        recovery = await found.wait_for_put(began)
         await started(owner)
         evidence = f"{KILLED}; from {owner.name} to {replica.name}"
         scene.ended("copies: kill -9 of the owner", began, recovery, evidence=evidence)
@@ -189,7 +189,7 @@ async def restart_owner(scene: Scene) -> None:
         began = time.monotonic()
         await owner.kill()
         await started(owner)
-        recovery = await found.go_on(began)
+        recovery = await found.wait_for_put(began)
         scene.ended("copies: kill -9 and a restart of the owner", began, recovery, evidence=KILLED)
 
 
@@ -199,11 +199,11 @@ async def freeze_owner(scene: Scene) -> None:
         began = time.monotonic()
         await owner.freeze()
         try:
-            recovery = await found.go_on(began)
+            recovery = await found.wait_for_put(began)
             await asyncio.sleep(max(0.0, began + FROZEN_SECONDS - time.monotonic()))
         finally:
             owner.thaw()
-        await found.go_on(began)
+        await found.wait_for_put(began)
         scene.ended("copies: SIGSTOP of the owner", began, recovery, evidence=STOPPED)
 
 
@@ -212,7 +212,7 @@ async def kill_replica(scene: Scene) -> None:
     async with _prepare(scene) as (found, _, replica):
         began = time.monotonic()
         await replica.kill()
-        recovery = await found.go_on(began)
+        recovery = await found.wait_for_put(began)
         await started(replica)
         scene.ended("copies: kill -9 of the replica's host", began, recovery, evidence=KILLED)
 
@@ -228,7 +228,7 @@ async def freeze_replica(scene: Scene) -> None:
             await asyncio.sleep(DISTURBED_SECONDS)
         finally:
             replica.thaw()
-        recovery = await found.go_on(began)
+        recovery = await found.wait_for_put(began)
         scene.ended("copies: SIGSTOP of the replica's host", began, recovery, evidence=STOPPED)
 
 
@@ -239,7 +239,7 @@ async def cut_copies(scene: Scene) -> None:
         began = time.monotonic()
         async with cut(scene, [pair, pair[::-1]]) as evidence:
             await asyncio.sleep(DISTURBED_SECONDS)
-        recovery = await found.go_on(began)
+        recovery = await found.wait_for_put(began)
         scene.ended("copies: no link between owner and replica", began, recovery, evidence=evidence)
 
 
@@ -250,7 +250,7 @@ async def cut_off_owner(scene: Scene) -> None:
         pairs = [pair for other in others for pair in ((owner.namespace, other), (other, owner.namespace))]
         began = time.monotonic()
         async with cut(scene, pairs) as evidence:
-            recovery = await found.go_on(began)
+            recovery = await found.wait_for_put(began)
         scene.ended("copies: the owner is cut off", began, recovery, evidence=evidence)
 
 
@@ -265,7 +265,7 @@ async def slow_links(scene: Scene) -> None:
         try:
             await asyncio.sleep(DISTURBED_SECONDS)
             await owner.kill()
-            recovery = await found.go_on(began)
+            recovery = await found.wait_for_put(began)
         finally:
             counts = [await relay.set_conditions(0, 0, 0, 0) for relay in relays]
         await started(owner)
@@ -287,7 +287,7 @@ async def kill_during_move(scene: Scene) -> None:
         outcome = (await asyncio.gather(move, return_exceptions=True))[0]
         if isinstance(outcome, BaseException) and not isinstance(outcome, st.StampedeError):
             raise outcome
-        recovery = await found.go_on(began)
+        recovery = await found.wait_for_put(began)
         await started(to)
         role = "the replica's host" if to is replica else "a host without a copy"
         note = f"a move to {role} had {'failed' if isinstance(outcome, BaseException) else 'ended'}"
@@ -318,7 +318,7 @@ async def fill_replica(scene: Scene) -> None:
         filler = await found.traffic.rt.channel(name, host=replica.name, **FILLER)
         try:
             filled = await _fill(filler, began)
-            recovery = await found.go_on(time.monotonic())
+            recovery = await found.wait_for_put(time.monotonic())
         finally:
             await filler.delete()
         evidence = f"{replica.name} refused an item after {filled >> 20} MiB"

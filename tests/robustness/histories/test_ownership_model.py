@@ -97,9 +97,9 @@ def test_items_in_the_memory_of_a_dead_host_are_not_counted_as_lost() -> None:
 
 def test_items_that_a_replica_still_has_are_not_lost() -> None:
     late = put(b"3", 8, A, 3)
-    goes_on = [FIRST, SECOND, late, put(b"4", 10, A + 1, 3), listed(12, A + 1, (1, b"1"), (2, b"2"), (3, b"4"))]
-    assert (judge_items(goes_on).gone_with_host, early_losses(goes_on)) == (1, [])
-    lacks_more = [*goes_on[:-1], listed(12, A + 1, (1, b"1"), (3, b"4"))]
+    continued = [FIRST, SECOND, late, put(b"4", 10, A + 1, 3), listed(12, A + 1, (1, b"1"), (2, b"2"), (3, b"4"))]
+    assert (judge_items(continued).gone_with_host, early_losses(continued)) == (1, [])
+    lacks_more = [*continued[:-1], listed(12, A + 1, (1, b"1"), (3, b"4"))]
     assert judge_items(lacks_more).gone_with_host == 2
     assert "1 items were lost" in early_losses(lacks_more)[0]
     assert early_losses(lacks_more[:-1]) == [], "no reader has read the items that exist"

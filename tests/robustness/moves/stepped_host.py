@@ -57,7 +57,7 @@ QUEUE_DESTINATION_STEPS = {
 }
 QUEUE_SOURCE_STEPS = {
     "source: holds the queue": Step(HostedQueue, "hold", is_after=True),
-    "source: all replicas have the queue": Step(HostedQueue, "level", is_after=True),
+    "source: all replicas have the queue": Step(HostedQueue, "wait_until_replicated", is_after=True),
     "source: hears who owns the queue": Step(QueueHandovers, "_end"),
 }
 

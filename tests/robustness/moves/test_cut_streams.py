@@ -82,10 +82,10 @@ class Fault:
             self._is_over.set()
             return True
         self._victim.pause()
-        threading.Timer(self._frozen_s, self._go_on, [self._victim]).start()
+        threading.Timer(self._frozen_s, self._resume, [self._victim]).start()
         return False
 
-    def _go_on(self, victim: ServiceProcess) -> None:
+    def _resume(self, victim: ServiceProcess) -> None:
         victim.resume()
         self._is_over.set()
 

@@ -154,14 +154,14 @@ class Scenario:
             moving = pool.submit(move, destination)
             wait_until(lambda: not plan.exists() or moving.done(), f"the move is at the step {step!r}")
             assert not plan.exists(), moving.result()
-            self._go_on(victim, fault, process)
+            self._resume(victim, fault, process)
             failure = moving.result(SETTLED_S)
         count = len(load.acknowledged)
         wait_until(lambda: len(load.acknowledged) > count + 20, "puts go on")
         load.stop()
         print(*case, "->", failure or "moved")
 
-    def _go_on(self, victim: str, fault: str, process: ServiceProcess) -> None:
+    def _resume(self, victim: str, fault: str, process: ServiceProcess) -> None:
         if fault == "stop":
             time.sleep(FROZEN_S)
             process.resume()

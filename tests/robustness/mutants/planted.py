@@ -257,7 +257,7 @@ MUTANTS = (
         file=f"{HOST}/copies/handoff_decision.py",
         edits=(
             ("            self._move.hold()\n", "            pass\n"),
-            ("if not self._move.is_held or not self._is_level():", "if not self._is_level():"),
+            ("if not self._move.is_held or not self._is_fully_replicated():", "if not self._is_fully_replicated():"),
         ),
         noticed_by="drains",
     ),
@@ -300,7 +300,7 @@ MUTANTS = (
     Mutant(
         name="flags_survive_a_loss",
         file=f"{SUPERNODE}/core/replicas/transitions.py",
-        edits=(("in_sync=one.in_sync and one.acknowledged and goes_on", "in_sync=one.in_sync"),),
+        edits=(("in_sync=one.in_sync and one.acknowledged and continues", "in_sync=one.in_sync"),),
         noticed_by="tests/unit/supernode/core/replicas/test_transitions.py",
     ),
     Mutant(
@@ -375,9 +375,14 @@ MUTANTS = (
         noticed_by="tests/unit/channel_host/copies/test_ahead_item_sender.py",
     ),
     Mutant(
-        name="a_stray_replica_of_a_channel_continues_after_a_break",
+        name="a_diverged_replica_of_a_channel_continues_after_a_break",
         file=f"{HOST}/channels/replication.py",
-        edits=(("        former = self._feeds", "        self.strays.discard(host_id)\n        former = self._feeds"),),
+        edits=(
+            (
+                "        former = self._feeds",
+                "        self.diverged_host_ids.discard(host_id)\n        former = self._feeds",
+            ),
+        ),
         noticed_by="tests/unit/channel_host/copies/test_ahead_item_sender.py",
     ),
     Mutant(
@@ -387,9 +392,9 @@ MUTANTS = (
         noticed_by="tests/unit/channel_host/queues/test_replicated_queue.py",
     ),
     Mutant(
-        name="a_stray_replica_of_a_queue_continues",
+        name="a_diverged_replica_of_a_queue_continues",
         file=f"{HOST}/copies/queue_feed.py",
-        edits=(("if self._host_id in replication.strays:", "if False:"),),
+        edits=(("if self._host_id in replication.diverged_host_ids:", "if False:"),),
         noticed_by="tests/unit/channel_host/copies/test_queue_feed_ahead.py",
     ),
     Mutant(
@@ -456,7 +461,7 @@ MUTANTS = (
     ),
     Mutant(
         name="items_of_another_reader",
-        file="client/src/stampede_rt/multicast/sealing.py",
+        file="client/src/stampede_rt/multicast/encryption.py",
         edits=(
             ("except InvalidSignature:\n            return None", "except InvalidSignature:\n            return bare"),
         ),

@@ -67,7 +67,7 @@ class Probe:
         self._cluster, self._write, self._every_s, self._patience_s = cluster, write, every_s, patience_s
         self.served: list[tuple[float, float]] = []
         self.stalls: list[tuple[float, float]] = []
-        self._news = asyncio.Condition()
+        self._wakeup = asyncio.Condition()
 
     async def run(self) -> None:
         """Probe until cancelled."""
@@ -94,8 +94,8 @@ class Probe:
         except grpc.aio.AioRpcError:
             return
         self.served.append((invoked, time.monotonic()))
-        async with self._news:
-            self._news.notify_all()
+        async with self._wakeup:
+            self._wakeup.notify_all()
 
     def longest_gap_s(self, began: float, ended: float) -> float:
         """The longest time between two acknowledged writes, or between one of them and the beginning or end of the
@@ -113,8 +113,8 @@ class Probe:
 
         Raises TimeoutError.
         """
-        async with asyncio.timeout(seconds), self._news:
-            await self._news.wait_for(lambda: any(invoked >= moment for invoked, _ in self.served[-200:]))
+        async with asyncio.timeout(seconds), self._wakeup:
+            await self._wakeup.wait_for(lambda: any(invoked >= moment for invoked, _ in self.served[-200:]))
         return min(answered for invoked, answered in self.served if invoked >= moment) - moment
 
 

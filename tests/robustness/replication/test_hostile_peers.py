@@ -50,13 +50,13 @@ class VictimNetwork:
     def __init__(self) -> None:
         self.dropped: list[str] = []
         # The ids of the requests without an answer.
-        self.asked: list[int] = []
+        self.request_ids: list[int] = []
 
     def release(self, messages: Sequence[Outgoing]) -> None:
         """Send nothing: no peer gives a true answer."""
         for _, message in messages:
             if isinstance(message, ForwardedCommand | ReadIndexRequest):
-                self.asked = [*self.asked[-20:], message.request_id]
+                self.request_ids = [*self.request_ids[-20:], message.request_id]
 
     def has_room(self, member_id: str) -> bool:
         """Always true."""
@@ -166,7 +166,8 @@ def test_no_message_of_a_member_ends_a_process_or_spoils_its_store(seed: int, tm
     victim = Victim(random_source, tmp_path)
     for _ in range(MESSAGES):
         victim.deliver(
-            random_source.choice("bbc"), FalseMessages(random_source, victim.replica, victim.network.asked).message()
+            random_source.choice("bbc"),
+            FalseMessages(random_source, victim.replica, victim.network.request_ids).message(),
         )
         if random_source.random() < 0.5:
             victim.step()

@@ -48,7 +48,7 @@ class Load:
                 continue
             self.acknowledged.append(command)
 
-    async def goes_on(self) -> None:
+    async def wait_for_progress(self) -> None:
         """Wait until some more writes were acknowledged."""
         target = len(self.acknowledged) + 5
         await until(lambda: len(self.acknowledged) >= target)
@@ -67,17 +67,17 @@ async def under_load(cluster: LiveCluster) -> AsyncIterator[Load]:
 
 async def test_a_cluster_of_one_grows_to_three_and_shrinks_back_under_load(tmp_path: Path) -> None:
     async with LiveCluster(1, tmp_path, snapshot_every=40) as cluster, under_load(cluster) as load:
-        await load.goes_on()
+        await load.wait_for_progress()
         for _ in range(2):
             await cluster.add(await cluster.volunteer())
-            await load.goes_on()
+            await load.wait_for_progress()
         ids = {member.member_id for member in running(await cluster.leader()).status().members}
         assert ids == {"m0", "m1", "m2"}
         first = cluster.all[0]
         await cluster.remove(first)
-        await load.goes_on()
+        await load.wait_for_progress()
         await cluster.remove(await cluster.leader())
-        await load.goes_on()
+        await load.wait_for_progress()
         [last] = cluster.all
         await running(last).confirm_read(timeout=30.0)
         held = set(commands_of(last))

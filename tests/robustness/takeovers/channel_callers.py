@@ -121,7 +121,7 @@ class ChannelCallers:
         lost = 0
         for at, incarnation in enumerate(order):
             times = self.known.get(incarnation, {})
-            if not goes_on(order, at):
+            if not is_continued(order, at):
                 continue  # no replica was in sync
             missing = {item: since for item, since in times.items() if item not in there}
             lost += len(missing)
@@ -137,7 +137,7 @@ class ChannelCallers:
         return lost
 
 
-def goes_on(order: list[int], at: int) -> bool:
+def is_continued(order: list[int], at: int) -> bool:
     """Whether all later incarnations have begun with the items of a replica."""
     return all(after == (before + 1) % 2**64 for before, after in zip(order[at:], order[at + 1 :], strict=False))
 

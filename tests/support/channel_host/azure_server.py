@@ -88,11 +88,11 @@ class AzureServer:
     def _make_container(self) -> None:
         path = f"/{ACCOUNT}/{CONTAINER}"
         headers = {"x-ms-date": formatdate(usegmt=True), "x-ms-version": "2021-08-06"}
-        named = "".join(f"{name}:{value}\n" for name, value in sorted(headers.items()))
-        text = "PUT" + "\n" * 12 + f"{named}/{ACCOUNT}{path}\nrestype:container"
-        seal = b64encode(hmac.digest(b64decode(KEY), text.encode(), "sha256")).decode()
+        header_lines = "".join(f"{name}:{value}\n" for name, value in sorted(headers.items()))
+        text = "PUT" + "\n" * 12 + f"{header_lines}/{ACCOUNT}{path}\nrestype:container"
+        signature = b64encode(hmac.digest(b64decode(KEY), text.encode(), "sha256")).decode()
         connection = HTTPConnection("127.0.0.1", self._port, timeout=START_SECONDS_MAX)
-        signed = {**headers, "Content-Length": "0", "Authorization": f"SharedKey {ACCOUNT}:{seal}"}
+        signed = {**headers, "Content-Length": "0", "Authorization": f"SharedKey {ACCOUNT}:{signature}"}
         connection.request("PUT", f"{path}?restype=container", headers=signed)
         answer = connection.getresponse()
         assert answer.status == 201, answer.read()

@@ -94,6 +94,6 @@ async def held_stream(sockets: SocketServer, method: str) -> HeldStream:
     connection.connection_made(transport)
     opening = socket_stream_pb2.StreamOpening(method=method, protocol_version=PROTOCOL_VERSION)
     receive(connection, frame_of(FrameKind.OPENING, opening.SerializeToString()))
-    await until(lambda: connection._came is not None)
+    await until(lambda: connection._waiter is not None)
     await asyncio.sleep(0)
     return HeldStream(connection, transport)

@@ -19,10 +19,10 @@ class SupernodeAnswers(access_service_pb2_grpc.AccessServiceServicer):
     """A supernode's answers. `version` 0: the supernode refuses to answer."""
 
     def __init__(self) -> None:
-        self.version, self.asked = 7, 0
+        self.version, self.calls = 7, 0
 
     async def GetAccessState(self, request: Any, context: Any) -> access_service_pb2.GetAccessStateResponse:  # noqa: N802
-        self.asked += 1
+        self.calls += 1
         if not self.version:
             await context.abort(grpc.StatusCode.UNAVAILABLE, "not now")
         return access_service_pb2.GetAccessStateResponse(version=self.version, cluster_id="c", revoked_serials=["a1"])
@@ -43,20 +43,20 @@ async def test_a_front_end_asks_for_a_later_version_once_and_for_an_earlier_one_
     async with followed() as (supernode, control, follower, channel):
         for version in (7, 7, 6, 0):
             await follower.take_version("c", version, channel)
-        assert (supernode.asked, control.version) == (1, 7)
+        assert (supernode.calls, control.version) == (1, 7)
         supernode.version = 9
         await follower.take_version("c", 8, channel)
         state = control.refresh()
         assert state is not None
-        assert (supernode.asked, state.version, state.revoked_serials) == (2, 9, frozenset({"a1"}))
+        assert (supernode.calls, state.version, state.revoked_serials) == (2, 9, frozenset({"a1"}))
 
 
 async def test_a_cluster_that_takes_the_place_of_another_has_versions_of_its_own() -> None:
     async with followed() as (supernode, control, follower, channel):
         await follower.take_version("former", 0, channel)
-        assert (supernode.asked, control.version) == (0, 0)
+        assert (supernode.calls, control.version) == (0, 0)
         await follower.take_version("c", 7, channel)
-        assert (supernode.asked, control.version) == (1, 7)
+        assert (supernode.calls, control.version) == (1, 7)
 
 
 async def test_a_front_end_asks_again_if_a_supernode_does_not_answer() -> None:
@@ -66,4 +66,4 @@ async def test_a_front_end_asks_again_if_a_supernode_does_not_answer() -> None:
         assert control.refresh() is None
         supernode.version = 7
         await follower.take_version("c", 7, channel)
-        assert (supernode.asked, control.version) == (2, 7)
+        assert (supernode.calls, control.version) == (2, 7)

@@ -38,7 +38,7 @@ class Directory(grpc.GenericRpcHandler):
     """One method of each kind of call. It keeps the requests."""
 
     def __init__(self) -> None:
-        self.asked: list[Any] = []
+        self.requests: list[Any] = []
 
     def service(self, details: grpc.HandlerCallDetails) -> Any:
         kinds: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
@@ -54,11 +54,11 @@ class Directory(grpc.GenericRpcHandler):
         return make(behavior, pb.ListChannelsRequest.FromString, pb.ListChannelsResponse.SerializeToString)
 
     async def list(self, request: pb.ListChannelsRequest, _context: Any) -> pb.ListChannelsResponse:
-        self.asked.append(request)
+        self.requests.append(request)
         return pb.ListChannelsResponse(next_page_token=request.name_glob)
 
     async def watch(self, request: pb.ListChannelsRequest, _context: Any) -> AsyncIterator[pb.ListChannelsResponse]:
-        self.asked.append(request)
+        self.requests.append(request)
         yield pb.ListChannelsResponse(next_page_token=request.name_glob)
 
     async def follow(self, requests: Any, context: Any) -> None:
@@ -173,7 +173,7 @@ async def test_bytes_that_are_no_request_are_refused_without_a_traceback(
             code, details = await one.sent(method, NO_REQUEST)
     assert code is grpc.StatusCode.INVALID_ARGUMENT
     assert f"the 3 bytes that were sent are no request of {method}" in details
-    assert one.directory.asked == []
+    assert one.directory.requests == []
     assert [record.levelname for record in caplog.records if record.levelno > logging.DEBUG] == []
 
 

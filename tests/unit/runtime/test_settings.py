@@ -228,9 +228,9 @@ def test_a_required_setting_of_the_sample_has_its_example(tmp_path: Path) -> Non
 
 
 def test_arguments_that_ask_for_help_are_distinguished_from_a_run_a_wrong_flag_and_a_verb() -> None:
-    def told(*words: str) -> str | None:
+    def shown_help(*words: str) -> str | None:
         return help_of(Sample, service="host", argv=words)
 
-    assert "usage: stampede host" in (told("--help") or "")
-    assert "[host]" in (told("--sample-settings") or "")
-    assert told() is told("--nonsense") is told("init", "--help") is None
+    assert "usage: stampede host" in (shown_help("--help") or "")
+    assert "[host]" in (shown_help("--sample-settings") or "")
+    assert shown_help() is shown_help("--nonsense") is shown_help("init", "--help") is None

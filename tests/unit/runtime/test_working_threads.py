@@ -33,25 +33,25 @@ def test_as_many_calls_run_at_the_same_time_as_there_are_threads() -> None:
 
 
 def test_one_thread_performs_calls_in_order_and_a_shutdown_lets_it_end_them() -> None:
-    threads, seen, go_on = WorkingThreads(1, "test"), list[int](), threading.Event()
-    threads.submit(go_on.wait, LIMIT_S)
+    threads, seen, may_continue = WorkingThreads(1, "test"), list[int](), threading.Event()
+    threads.submit(may_continue.wait, LIMIT_S)
     for number in range(100):
         threads.submit(seen.append, number)
     cancelled = threads.submit(seen.append, -1)
     assert cancelled.cancel()
     threads.shutdown(wait=False)
-    go_on.set()
+    may_continue.set()
     threads.shutdown()
     assert seen == [*range(100)]
 
 
 def test_a_shutdown_may_leave_out_the_calls_that_wait() -> None:
-    threads, go_on, begun = WorkingThreads(1, "test"), threading.Event(), threading.Event()
-    running = threads.submit(lambda: (begun.set(), go_on.wait(LIMIT_S)))
+    threads, may_continue, begun = WorkingThreads(1, "test"), threading.Event(), threading.Event()
+    running = threads.submit(lambda: (begun.set(), may_continue.wait(LIMIT_S)))
     assert begun.wait(LIMIT_S)
     waiting = threads.submit(divmod, 7, 2)
     threads.shutdown(wait=False, cancel_futures=True)
-    go_on.set()
+    may_continue.set()
     assert running.result(LIMIT_S)[1]
     with pytest.raises(CancelledError):
         waiting.result(LIMIT_S)

@@ -1,6 +1,6 @@
 """The streams of the paper's Figure 7: 30 frames and 2 captions a second, each with its own host and consumer.
 
-The producer's two threads, both hosts and both consumers know nothing of each other.
+Nothing but the times of the items coordinates the producer's two threads, both hosts and both consumers.
 """
 
 from __future__ import annotations
@@ -87,13 +87,15 @@ def play(
 def _produce(channels: Sequence[st.Channel], setting: Setting, start: int, end: int) -> None:
     """Put frames and captions when they are due, on two threads as in the paper. Then advance both channels."""
     video, captions = channels
-    frames = _times(start, end, FRAMES_PER_SECOND)
-    texts = [at + setting.captions_after_nanos for at in _times(start, end, CAPTIONS_PER_SECOND)]
+    frame_times = _times(start, end, FRAMES_PER_SECOND)
+    caption_times = [at + setting.captions_after_nanos for at in _times(start, end, CAPTIONS_PER_SECOND)]
     interrupted = threading.Event()
     with ThreadPoolExecutor(2) as threads:
         putting = [
-            threads.submit(_put_all, video, frames, 0, FRAME_BYTES, setting.bound == "end", interrupted),
-            threads.submit(_put_all, captions, texts, setting.decoding_nanos, CAPTION_BYTES, False, interrupted),
+            threads.submit(_put_all, video, frame_times, 0, FRAME_BYTES, setting.bound == "end", interrupted),
+            threads.submit(
+                _put_all, captions, caption_times, setting.decoding_nanos, CAPTION_BYTES, False, interrupted
+            ),
         ]
         try:
             for one in putting:
@@ -139,9 +141,9 @@ def consume(start: int, end: int) -> list[Receipt]:
     receipts: list[Receipt] = []
     rt, source = _prepared.pop()
     with rt:
-        behind = start - 1
-        while items := source.get(behind, end, bounds="()", match="start", timeout=PATIENCE_SECONDS):
+        last_time = start - 1
+        while items := source.get(last_time, end, bounds="()", match="start", timeout=PATIENCE_SECONDS):
             received = time.time_ns()
             receipts += [Receipt(item.time, received) for item in items]
-            behind = items[-1].time
+            last_time = items[-1].time
     return receipts

@@ -98,7 +98,7 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
                 self._found = None
                 if matched is not None and matching.wants(matched):
                     return matched
-            elif not await self._go_on(matching):
+            elif not await self._take_next_change(matching):
                 break
         return None
 
@@ -106,7 +106,7 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
         """Begin to match."""
         raise NotImplementedError
 
-    async def _go_on(self, matching: ArchivedMatching) -> bool:
+    async def _take_next_change(self, matching: ArchivedMatching) -> bool:
         """Take later items into account. Returns False if there are none."""
         return False
 

@@ -131,7 +131,7 @@ class ChannelRecording:
 
     async def _next_tally(self, tally: ChannelTally, incarnation: int, live_seq: int) -> ChannelTally:
         """End the tally of a lost owner. The next one has the items that a replica accepts from `live_seq` on."""
-        await self._sink.seal(tally, None, None)
+        await self._sink.end_channel(tally, None, None)
         self.tallies.append(ChannelTally(self.name, incarnation, live_seq))
         return self.tallies[-1]
 
@@ -221,7 +221,7 @@ class ChannelRecording:
             end=end,
         )  # fmt: skip
         await self._sink.write(tally, RecordedBatch(gaps=[gap]), self._metadata)
-        await self._sink.seal(tally, read_to, None)
+        await self._sink.end_channel(tally, read_to, None)
         self._stream = None
 
     async def finish(self, drain_s: float) -> None:
@@ -244,7 +244,7 @@ class ChannelRecording:
         if unknown is not None:
             await self._end_incarnation(*unknown)
         else:
-            await self._sink.seal(self.tallies[-1], end_seq, advance)
+            await self._sink.end_channel(self.tallies[-1], end_seq, advance)
 
     def _give_up(self, stream: RecordingStream | None) -> None:
         if stream is not None:

@@ -19,9 +19,9 @@ from stampede_rt._async.stream_reconnector import StreamReconnector
 from stampede_rt._async.subscription import Subscription
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
+from stampede_rt.multicast.encryption import DatagramOpener, Verifier
 from stampede_rt.multicast.multicast_receiver import MulticastReceiver
 from stampede_rt.multicast.repair_pace import BEAT_S_MAX, RepairStep
-from stampede_rt.multicast.sealing import DatagramOpener, Verifier
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
 from stampede_rt.transports.concurrency_async import in_thread, monotonic_s, sleep
 from stampede_rt.transports.multicast_async import GroupSocket
@@ -58,7 +58,7 @@ class MulticastSubscription(Subscription):
         self._socket: GroupSocket | None = None
         self._receiving: MulticastReceiver | None = None
         self._is_following = False  # whether the items come from datagrams
-        self._asked_seq = 0  # the seq that the open repair asks for; 0: no repair is open
+        self._repair_seq = 0  # the seq that the open repair asks for; 0: no repair is open
         self._not_before_s, self._again_s = 0.0, AGAIN_S
         self._item_bytes = 1.0  # about the bytes of one item
         self._before = MulticastStats()  # the counts of earlier streams
@@ -122,7 +122,7 @@ class MulticastSubscription(Subscription):
         receiving.merge.pass_to(cursor.next_seq)
         now_s = monotonic_s()
         receiving.take_datagrams(socket.poll(), now_s)
-        if receiving.has_received and receiving.merge.is_level:
+        if receiving.has_received and receiving.merge.is_contiguous:
             self._is_following = True
             await self._repair(receiving)  # from now on the host sends only requested items
         elif receiving.pace.next_step(now_s, is_missing=False)[0] is RepairStep.LEAVE:
@@ -155,14 +155,14 @@ class MulticastSubscription(Subscription):
 
     async def _repair(self, receiving: MulticastReceiver) -> None:
         """Ask the host for the first missing items, and wait for its answer."""
-        stream, self._asked_seq = self._stream, receiving.merge.next_seq
+        stream, self._repair_seq = self._stream, receiving.merge.next_seq
         wanted = min(receiving.merge.missing_items * self._item_bytes, REPAIR_BYTES_MAX)
-        request = channel_pb.SubscribeRequest(repair_next_seq=self._asked_seq, credit_bytes=max(1, int(wanted)))
+        request = channel_pb.SubscribeRequest(repair_next_seq=self._repair_seq, credit_bytes=max(1, int(wanted)))
         if stream is not None:
             with suppress(Unavailable):  # the next response raises the reason of a broken stream
                 await stream.send(request)
         try:
-            while self._asked_seq and self._receiving is receiving and not self._closed:
+            while self._repair_seq and self._receiving is receiving and not self._closed:
                 await self._receive()
         except BaseException:  # a cancelled step ends the stream, and a reader of datagrams would not notice this
             self._reopen()
@@ -194,8 +194,8 @@ class MulticastSubscription(Subscription):
         if response.HasField("cursor"):
             receiving.merge.pass_to(response.cursor.next_seq)
         self._add(receiving.merge.take(), receiving)
-        if response.repair_next_seq == self._asked_seq:
-            self._asked_seq = 0
+        if response.repair_next_seq == self._repair_seq:
+            self._repair_seq = 0
 
     def _take_gap(self, gap: channel_pb.SubscriptionGap, receiving: MulticastReceiver) -> None:
         """Take the held items up to the end of the gap. The gap then counts only items that the reader did not get."""
@@ -243,7 +243,7 @@ class MulticastSubscription(Subscription):
     def _stop_receiving(self) -> None:
         self._before = replace(self.multicast, following=False)
         socket, self._socket, self._receiving = self._socket, None, None
-        self._is_following, self._asked_seq = False, 0
+        self._is_following, self._repair_seq = False, 0
         if socket is not None:
             socket.close()
 

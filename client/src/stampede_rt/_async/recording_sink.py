@@ -65,14 +65,14 @@ class RecordingSink:
             tally.advance = advance[0]
             self.writer.add_advance(FileAdvance(tally.channel, tally.incarnation, *advance))
 
-    async def seal(self, tally: ChannelTally, accepted_to: int | None, advance: int | None) -> None:
+    async def end_channel(self, tally: ChannelTally, accepted_to: int | None, advance: int | None) -> None:
         """End a channel at the last seq that its host has accepted; None: at the last written seq.
 
         Writes the gaps that remain. A batch that comes later is not written. Raises FileError.
         """
-        await self.do(partial(self._seal, tally, accepted_to, advance))
+        await self.do(partial(self._end_channel, tally, accepted_to, advance))
 
-    def _seal(self, tally: ChannelTally, accepted_to: int | None, advance: int | None) -> None:
+    def _end_channel(self, tally: ChannelTally, accepted_to: int | None, advance: int | None) -> None:
         last = max(tally.written_to, tally.written_to if accepted_to is None else accepted_to)
         for gap in tally.ends(last, tally.written_to):
             self.writer.add_gap(gap)

@@ -99,7 +99,7 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
                 self._found = None
                 if matched is not None and matching.wants(matched):
                     return matched
-            elif not self._go_on(matching):
+            elif not self._take_next_change(matching):
                 break
         return None
 
@@ -107,7 +107,7 @@ class ArchivedMatches(BoundToProcess, Generic[Key]):
         """Begin to match."""
         raise NotImplementedError
 
-    def _go_on(self, matching: ArchivedMatching) -> bool:
+    def _take_next_change(self, matching: ArchivedMatching) -> bool:
         """Take later items into account. Returns False if there are none."""
         return False
 

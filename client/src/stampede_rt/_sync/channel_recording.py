@@ -132,7 +132,7 @@ class ChannelRecording:
 
     def _next_tally(self, tally: ChannelTally, incarnation: int, live_seq: int) -> ChannelTally:
         """End the tally of a lost owner. The next one has the items that a replica accepts from `live_seq` on."""
-        self._sink.seal(tally, None, None)
+        self._sink.end_channel(tally, None, None)
         self.tallies.append(ChannelTally(self.name, incarnation, live_seq))
         return self.tallies[-1]
 
@@ -222,7 +222,7 @@ class ChannelRecording:
             end=end,
         )  # fmt: skip
         self._sink.write(tally, RecordedBatch(gaps=[gap]), self._metadata)
-        self._sink.seal(tally, read_to, None)
+        self._sink.end_channel(tally, read_to, None)
         self._stream = None
 
     def finish(self, drain_s: float) -> None:
@@ -245,7 +245,7 @@ class ChannelRecording:
         if unknown is not None:
             self._end_incarnation(*unknown)
         else:
-            self._sink.seal(self.tallies[-1], end_seq, advance)
+            self._sink.end_channel(self.tallies[-1], end_seq, advance)
 
     def _give_up(self, stream: RecordingStream | None) -> None:
         if stream is not None:

@@ -53,7 +53,9 @@ class Producer(BoundToProcess):
         self._builder = RunBuilder()
         self._unacked = UnackedRuns()
         self._steps = Steps()  # guards the builder and the order of writes; the threads that bring acks do not wait
-        self._news: deque[tuple[int, channel_pb.PutAck | StampedeError]] = deque()  # each with its stream's generation
+        self._outcomes: deque[tuple[int, channel_pb.PutAck | StampedeError]] = (
+            deque()
+        )  # each with its stream's generation
         self._interrupting_bytes = 0  # the bytes of items that signal handlers put while they interrupted other puts
         self._changed = Signal()  # is set when an ack has come, or when the stream has ended
         self._stream: RunStream | None = None
@@ -296,33 +298,33 @@ class Producer(BoundToProcess):
             self._backoff = None  # no run is unacknowledged, so no ack will end the backoff
 
     def _acked(self, generation: int, response: channel_pb.PutResponse) -> None:
-        self._news.extend([(generation, ack) for ack in response.acks])
+        self._outcomes.extend([(generation, ack) for ack in response.acks])
         self._steps.offer(self._take_news)
 
     def _ended(self, generation: int, error: StampedeError) -> None:
-        self._news.append((generation, error))
+        self._outcomes.append((generation, error))
         self._steps.offer(self._take_news)
 
     def _take_news(self) -> None:
         """Note the acks and the end of the stream. If a signal interrupts this, the next call goes on."""
-        if not self._news:
+        if not self._outcomes:
             return
-        while self._news:
-            generation, news = self._news[0]
+        while self._outcomes:
+            generation, outcome = self._outcomes[0]
             if generation == self._generation and self._failure is None:
-                self._note(news)
-            self._news.popleft()
+                self._note(outcome)
+            self._outcomes.popleft()
         if self._failure is not None or not (len(self._unacked) or len(self._builder)):
             _in_flight.discard(self)
         elif self._unacked.is_idle:
             self._send_filled()
         self._changed.set()
 
-    def _note(self, news: channel_pb.PutAck | StampedeError) -> None:
-        if isinstance(news, StampedeError):
-            self._failure = news
-        elif self._unacked.awaits(news.first_number):  # otherwise an interrupted call has counted this ack
-            self._count(news)
+    def _note(self, outcome: channel_pb.PutAck | StampedeError) -> None:
+        if isinstance(outcome, StampedeError):
+            self._failure = outcome
+        elif self._unacked.awaits(outcome.first_number):  # otherwise an interrupted call has counted this ack
+            self._count(outcome)
 
     def _count(self, ack: channel_pb.PutAck) -> None:
         refusal = from_error_message(ack.error) if ack.HasField("error") else None

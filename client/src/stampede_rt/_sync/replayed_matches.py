@@ -48,7 +48,7 @@ class ReplayedMatches(ArchivedMatches[ReplayedChannel]):
         self._feeds = list(zip(members, feeds, strict=True))
         return matching
 
-    def _go_on(self, matching: ArchivedMatching) -> bool:
+    def _take_next_change(self, matching: ArchivedMatching) -> bool:
         """Take the earliest of the next changes of all members. Returns False at the end of the replay."""
         if not self._is_loaded:
             matching.load_all()

@@ -79,7 +79,7 @@ class ReplayedVisible(ReplayedSteps):
                 self._late = self._late if self._ready else None
             elif self._cut < self._seen:
                 self._show()
-            elif not self._go_on():
+            elif not self._take_next_change():
                 break
         return None
 
@@ -115,7 +115,7 @@ class ReplayedVisible(ReplayedSteps):
         if not items.more:
             self._cut = self._seen
 
-    def _go_on(self) -> bool:
+    def _take_next_change(self) -> bool:
         """Take the earliest of the next changes of all members. Returns False at the end of the replay."""
         due = [(one.feed.next_change, at) for at, one in enumerate(self._followers) if one.feed.next_change is not None]
         if not due:

@@ -327,8 +327,8 @@ class Subscription(BoundToProcess):
         if response.HasField("gap"):
             self._count_gap(response.gap)
         if self._decoder is not None and (response.runs or runs):
-            came = self._decoder.decode_long(runs) if runs else self._decoder.decode_each(response.runs)
-            unseen = self._unseen(came)
+            received = self._decoder.decode_long(runs) if runs else self._decoder.decode_each(response.runs)
+            unseen = self._unseen(received)
             self._ready.add(unseen)
             self._ready_bytes += sum(map(cost_of, unseen))
         if response.HasField("cursor"):

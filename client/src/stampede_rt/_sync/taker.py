@@ -161,7 +161,7 @@ class Taker:
     def _work(self) -> None:
         """Keep a stream open as long as messages are wanted."""
         try:
-            while self._goes_on():
+            while self._is_still_wanted():
                 attempt(self._locator, self._take_at, CALL_TIMEOUT_S)
         except StampedeError as error:
             self._fail(error)
@@ -169,7 +169,7 @@ class Taker:
             self._fail(StampedeError(f"{self._state.kind} {self._state.name!r} failed with a defect: {error!r}"))
             raise
 
-    def _goes_on(self) -> bool:
+    def _is_still_wanted(self) -> bool:
         with self._mutex:
             wanted = not self._session.closed and self._wanted() > 0
             if not wanted:

@@ -210,10 +210,10 @@ class _EventRecordings:
         if events.dropped:
             self._miss(f"{events.dropped} events have no file: they left {self._arguments.on} before they were read")
         with self._mutex:
-            goes_on = not self._stopping and self._error is None
-            if goes_on:
+            continues = not self._stopping and self._error is None
+            if continues:
                 self._events = self._channel.subscribe(start=self._since)
-            return goes_on
+            return continues
 
     def _miss(self, what: str) -> None:
         self._incomplete = True

@@ -17,7 +17,7 @@ from stampede_rt.cli.channel_rates import SORTS, ChannelRates, Look, arranged, r
 from stampede_rt.cli.looking import look_at
 from stampede_rt.cli.output import bytes_text
 from stampede_rt.cli.rates import period_seconds
-from stampede_rt.cli.top_columns import CHANNEL_MIN, GAP, HEADS, WIDTHS, fitting_heads
+from stampede_rt.cli.top_columns import CHANNEL_MIN, COLUMN_NAMES, GAP, WIDTHS, fitting_columns
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.escaping import escaped
 from stampede_rt.values.timeline import format_duration
@@ -159,7 +159,7 @@ def _table(before: Look, after: Look, view: TopView, console: Any) -> Any:
         padding=(0, GAP, 0, 0),
         pad_edge=False,
     )
-    _fill(table, shown, fitting_heads(console.size.width, max((len(row.channel) for row in rows), default=0)), Text)
+    _fill(table, shown, fitting_columns(console.size.width, max((len(row.channel) for row in rows), default=0)), Text)
     return table
 
 
@@ -168,7 +168,7 @@ def _fill(table: Any, rows: Sequence[ChannelRates], heads: Sequence[str], text: 
     for name in heads:
         table.add_column(name, justify="right", no_wrap=True, min_width=WIDTHS[name])
     for row in rows:
-        cells = dict(zip(HEADS, _cells(row), strict=True))
+        cells = dict(zip(COLUMN_NAMES, _cells(row), strict=True))
         table.add_row(text(escaped(row.channel)), *(text(cells[name]) for name in heads))
 
 

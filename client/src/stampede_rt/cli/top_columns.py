@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-HEADS = ("HOST", "ITEMS/S", "IN/S", "OUT/S", "AGE", "LAG", "HELD", "READERS", "REFUSED/S", "DROPS/S")
+COLUMN_NAMES = ("HOST", "ITEMS/S", "IN/S", "OUT/S", "AGE", "LAG", "HELD", "READERS", "REFUSED/S", "DROPS/S")
 """All columns but the channel's, in the order of the screen."""
 WIDTHS = {
     "ITEMS/S": 9, "AGE": 9, "IN/S": 10, "LAG": 6, "OUT/S": 10, "DROPS/S": 8, "HELD": 8, "READERS": 7, "REFUSED/S": 9,
@@ -13,7 +13,7 @@ GAP = 2  # between two columns
 CHANNEL_MIN, CHANNEL_MAX = 12, 32  # the characters that the other columns leave for long names
 
 
-def fitting_heads(terminal: int, longest_name: int) -> tuple[str, ...]:
+def fitting_columns(terminal: int, longest_name: int) -> tuple[str, ...]:
     """Return the heads that fit beside the names of the channels, in the order of the screen.
 
     `terminal` and `longest_name` are numbers of characters. A narrow terminal loses the least important columns first.
@@ -26,4 +26,4 @@ def fitting_heads(terminal: int, longest_name: int) -> tuple[str, ...]:
         if left < 0:
             break
         fitting.add(head)
-    return tuple(head for head in HEADS if head in fitting)
+    return tuple(head for head in COLUMN_NAMES if head in fitting)

@@ -11,7 +11,7 @@ from mcap.records import Attachment, Metadata
 from stampede_rt.errors import FileError, InvalidArgument
 from stampede_rt.files.chunk_content import ChunkContent, Event
 from stampede_rt.files.entries import FileAdvance, FileEntry
-from stampede_rt.files.file_report import FileReport, walked
+from stampede_rt.files.file_report import FileReport, scan_file
 from stampede_rt.files.file_tally import FileTally
 from stampede_rt.files.intact import intact_contents, losses_of
 from stampede_rt.files.interval_filter import IntervalFilter
@@ -28,7 +28,7 @@ def verify(path: str | os.PathLike[str], on_bytes: Callable[[int], object] = lam
     Calls `on_bytes` after each chunk, with the position of its end in the file. Raises FileError.
     """
     with FileReader(path) as reader:
-        return walked(reader, lambda _: None, on_bytes)
+        return scan_file(reader, lambda _: None, on_bytes)
 
 
 def recover(path: str | os.PathLike[str], output: str | os.PathLike[str], *, overwrite: bool = False) -> FileReport:
@@ -46,7 +46,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str], *, ove
                 "no file was written"
             )
         with replacing(output, overwrite=overwrite) as writer:
-            report = walked(reader, writer_of(writer), lambda _: None, _Repeated())
+            report = scan_file(reader, writer_of(writer), lambda _: None, _Repeated())
             finish_with(writer, report.summary)
     return report
 

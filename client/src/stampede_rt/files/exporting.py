@@ -22,7 +22,7 @@ from stampede_rt.values.recording import GAPS_KEPT_MAX, RecordingGap
 ROWS_PER_WRITE = 4096
 BYTES_PER_WRITE = 8 * 1024 * 1024  # the payload bytes that one write of a table gathers
 FORMATS = ("csv", "parquet")
-HEADS = ("time", "duration", "seq", "attributes")
+FIRST_COLUMNS = ("time", "duration", "seq", "attributes")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,7 +61,7 @@ class CsvTable:
         opened_new(path, overwrite=True).close()
         self._file = path.open("w", encoding="utf-8", newline="")
         self._writer = csv.writer(self._file)
-        self._writer.writerow([*HEADS, *columns.kinds])
+        self._writer.writerow([*FIRST_COLUMNS, *columns.kinds])
 
     def write(self, entries: Sequence[FileEntry], cells: Sequence[Sequence[Any]]) -> None:
         """Write rows."""
@@ -88,22 +88,22 @@ class ParquetTable:
             BOOL: pa.bool_(), INT: pa.int64(), LONG: pa.int64(), FLOAT: pa.float64(), INTS: pa.list_(pa.int64()),
             LONGS: pa.list_(pa.int64()), FLOATS: pa.list_(pa.float64()),
         }  # fmt: skip
-        of_heads = (pa.timestamp("ns", "UTC"), pa.int64(), pa.uint64(), pa.map_(pa.string(), pa.string()))
-        heads = zip(HEADS, of_heads, strict=True)
+        first_types = (pa.timestamp("ns", "UTC"), pa.int64(), pa.uint64(), pa.map_(pa.string(), pa.string()))
+        first_columns = zip(FIRST_COLUMNS, first_types, strict=True)
         values = [(name, types.get(kind or "", pa.string())) for name, kind in columns.kinds.items()]
-        self._pa, self._schema = pa, pa.schema([*heads, *values])
+        self._pa, self._schema = pa, pa.schema([*first_columns, *values])
         opened_new(path, overwrite=True).close()
         self._writer = pq.ParquetWriter(str(path), self._schema, compression="zstd")
 
     def write(self, entries: Sequence[FileEntry], cells: Sequence[Sequence[Any]]) -> None:
         """Write rows."""
-        heads: list[list[Any]] = [
+        first_columns: list[list[Any]] = [
             [entry.time for entry in entries],
             [entry.duration for entry in entries],
             [_seq(entry) for entry in entries],
             [list(entry.attributes.items()) for entry in entries],
         ]
-        columns = [*heads, *(list(column) for column in zip(*cells, strict=True))]
+        columns = [*first_columns, *(list(column) for column in zip(*cells, strict=True))]
         arrays = [self._pa.array(column, field.type) for column, field in zip(columns, self._schema, strict=True)]
         self._writer.write_table(self._pa.Table.from_arrays(arrays, schema=self._schema))
 
@@ -186,11 +186,11 @@ class _Topic:
     end: int
     gaps: list[RecordingGap]
 
-    def entries(self, *, note: bool = False) -> Iterator[FileEntry]:
+    def entries(self, *, collect_gaps: bool = False) -> Iterator[FileEntry]:
         for _, event in self.source.events(lambda name: name == self.name, self.start, self.end):
             if isinstance(event, FileEntry):
                 yield event
-            elif isinstance(event, RecordingGap) and note and len(self.gaps) < GAPS_KEPT_MAX:
+            elif isinstance(event, RecordingGap) and collect_gaps and len(self.gaps) < GAPS_KEPT_MAX:
                 self.gaps.append(event)
 
     def cells(self, entry: FileEntry) -> dict[str, Any]:
@@ -203,7 +203,7 @@ class _Topic:
 def _export(topic: _Topic, path: Path, form: str, overwrite: bool) -> int:
     with replaced(path, overwrite=overwrite) as written:
         columns = Columns()
-        for entry in topic.entries(note=True):
+        for entry in topic.entries(collect_gaps=True):
             columns.learn(topic.cells(entry))
         table, rows = _TABLES[form](written, columns), 0
         try:

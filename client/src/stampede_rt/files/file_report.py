@@ -133,7 +133,7 @@ class _Found:
         return losses
 
 
-def walked(
+def scan_file(
     reader: FileReader,
     take: Callable[[Event | Attachment | Metadata], None],
     on_bytes: Callable[[int], object],

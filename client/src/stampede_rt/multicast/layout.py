@@ -23,7 +23,7 @@ MESSAGE_BYTES_MAX = 2**20
 HEAD = struct.Struct(f">4s{STREAM_ID_BYTES}sHQ")
 _PART = struct.Struct(">BQQHH")
 _TAG_BYTES = 16  # the length of an AES-GCM tag
-SEAL_BYTES = HEAD.size + _TAG_BYTES
+ENCRYPTION_BYTES = HEAD.size + _TAG_BYTES
 """How much longer a datagram is than its part."""
 DATA_BYTES_MAX = DATAGRAM_BYTES_MAX - HEAD.size - _PART.size - _TAG_BYTES
 PARTS_MAX = -(-(MESSAGE_BYTES_MAX + SIGNATURE_BYTES) // DATA_BYTES_MAX)

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from stampede_rt.multicast.assembling import Assembler
+from stampede_rt.multicast.encryption import DatagramOpener, RejectReason, Verifier
 from stampede_rt.multicast.layout import MessageKind, MessagePart, MulticastMessage
 from stampede_rt.multicast.repair_pace import RepairPace
-from stampede_rt.multicast.sealing import DatagramOpener, RejectReason, Verifier
 from stampede_rt.multicast.seq_merge import SeqMerge
 from stampede_rt.values.statistics import MulticastStats
 

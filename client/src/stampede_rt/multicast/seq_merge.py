@@ -50,8 +50,8 @@ class SeqMerge(Generic[OneItem]):
         return self.announced_seq > self.next_seq
 
     @property
-    def is_level(self) -> bool:
-        """Whether the next item comes by multicast: it is held, or there is none yet."""
+    def is_contiguous(self) -> bool:
+        """Whether no item is missing before the first held one. Then the next item comes by multicast."""
         return not self.is_missing or bool(self._held and self._held[0].first_seq <= self.next_seq)
 
     @property

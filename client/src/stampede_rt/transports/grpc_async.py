@@ -296,8 +296,10 @@ class PutExchange(CallStream):
         try:
             return await within(future, timeout_s, self._target)
         except (asyncio.CancelledError, DeadlineExceeded) as reason:
-            goes_on = survives_cancel and isinstance(reason, asyncio.CancelledError) and len(self._waiting) <= CALLS_MAX
-            self.broken = self.broken or not goes_on
+            stays_usable = (
+                survives_cancel and isinstance(reason, asyncio.CancelledError) and len(self._waiting) <= CALLS_MAX
+            )
+            self.broken = self.broken or not stays_usable
             self._end_if_idle()
             raise
 

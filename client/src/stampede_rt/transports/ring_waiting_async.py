@@ -40,7 +40,7 @@ class RingWaits:
         self._waits: dict[_Wait, None] = {}
         self._mutex = threading.Lock()  # guards the waits and the thread
         self._has_thread = self._is_unavailable = False
-        self._news = ctypes.c_uint32(0)  # changes when the thread must look at the waits again
+        self._wakeup = ctypes.c_uint32(0)  # changes when the thread must look at the waits again
 
     @property
     def waiting(self) -> int:
@@ -89,8 +89,8 @@ class RingWaits:
             self._tell()
 
     def _tell(self) -> None:
-        self._news.value = (self._news.value + 1) & 0xFFFF_FFFF
-        futexes.wake(ctypes.addressof(self._news))
+        self._wakeup.value = (self._wakeup.value + 1) & 0xFFFF_FFFF
+        futexes.wake(ctypes.addressof(self._wakeup))
 
     def _run(self) -> None:
         is_idle = False
@@ -113,7 +113,7 @@ class RingWaits:
 
         Returns the words for which the other callers wait. The caller of this method has the mutex.
         """
-        words = {ctypes.addressof(self._news): self._news.value}
+        words = {ctypes.addressof(self._wakeup): self._wakeup.value}
         for wait in [*self._waits]:
             if wait.mapping.changes != wait.changes:
                 del self._waits[wait]

@@ -38,8 +38,8 @@ class SocketCall(asyncio.BufferedProtocol):
         self._frames = FrameReader(RECEIVED_BYTES_MAX, KEPT_BUFFER_BYTES_MAX)
         # asyncio's own way makes a new buffer for each read, which takes longer than the read
         self._buffer = memoryview(bytearray(RECEIVE_BYTES))
-        self._sealed = self._buffer if tls is None else memoryview(bytearray(RECEIVE_BYTES))
-        self._came: deque[FrameInBuffer] = deque()
+        self._encrypted = self._buffer if tls is None else memoryview(bytearray(RECEIVE_BYTES))
+        self._received: deque[FrameInBuffer] = deque()
         self._unread_bytes = 0
         # the end of the stream; no response comes after it
         self._error: SocketError | asyncio.CancelledError | None = None
@@ -49,7 +49,7 @@ class SocketCall(asyncio.BufferedProtocol):
 
         Returns False if it has not taken the response. The user gets that response, and any error of this function.
         """
-        self._news: asyncio.Future[None] | None = None
+        self._wakeup: asyncio.Future[None] | None = None
         self._room: asyncio.Future[None] | None = None
         self._done: list[Callable[[Any], object]] = []
         self._loop = asyncio.get_running_loop()
@@ -81,7 +81,7 @@ class SocketCall(asyncio.BufferedProtocol):
 
     def get_buffer(self, _sizehint: int) -> memoryview:
         """Return the place for the next bytes."""
-        return self._frames.place(self._buffer) if self._tls is None else self._sealed
+        return self._frames.place(self._buffer) if self._tls is None else self._encrypted
 
     def buffer_updated(self, nbytes: int) -> None:
         """Take the received frames. While the program reads no messages, further messages wait at the host."""
@@ -96,28 +96,28 @@ class SocketCall(asyncio.BufferedProtocol):
                 self._end(error_of(body))
                 return
             if kind == FrameKind.MESSAGE and not (len(frames) == 1 and self._answer(body)):
-                self._came.append((kind, body))
+                self._received.append((kind, body))
                 self._unread_bytes += len(body)
         if self._unread_bytes > UNREAD_BYTES_MAX and not self._is_paused:
             self._is_paused = True
             self._transport.pause_reading()
-        if self._came:
-            _wake(self._news)
+        if self._received:
+            _wake(self._wakeup)
 
     def _answer(self, body: bytes | memoryview) -> bool:
         """Let `take_in_same_turn` take a response if the user waits for one."""
-        news = self._news
-        if self.take_in_same_turn is None or self._came or news is None or news.done():
+        wakeup = self._wakeup
+        if self.take_in_same_turn is None or self._received or wakeup is None or wakeup.done():
             return False
         try:
             return self.take_in_same_turn(self._decoded(body))
         except Exception as defect:  # noqa: BLE001  # the user gets it, as if the user had read the response
-            news.set_exception(defect)
-            self._news = news = None  # the error references this frame, which must not reference the future
+            wakeup.set_exception(defect)
+            self._wakeup = wakeup = None  # the error references this frame, which must not reference the future
             return True
 
     def _opened(self, tls: TlsLayer, nbytes: int) -> Sequence[FrameInBuffer]:
-        tls.feed(self._sealed[:nbytes])
+        tls.feed(self._encrypted[:nbytes])
         frames: list[FrameInBuffer] = []
         while opened_bytes := tls.read(self._frames.place(self._buffer)):
             frames += self._frames.take(self._buffer, opened_bytes)
@@ -167,19 +167,19 @@ class SocketCall(asyncio.BufferedProtocol):
             self._send(message)
 
     def _send(self, data: bytes) -> None:
-        self._transport.write(data if self._tls is None else self._tls.seal((data,)))
+        self._transport.write(data if self._tls is None else self._tls.encrypt((data,)))
 
     def __aiter__(self) -> SocketCall:
         return self
 
     async def __anext__(self) -> Any:
         """Return the next response. Raises grpc.RpcError, or CancelledError if this side has cancelled the stream."""
-        while not self._came:
+        while not self._received:
             if self._is_over:
                 raise self._reason() or StopAsyncIteration
-            self._news = self._loop.create_future()
-            await self._news
-        _, body = self._came.popleft()
+            self._wakeup = self._loop.create_future()
+            await self._wakeup
+        _, body = self._received.popleft()
         self._unread_bytes -= len(body)
         if self._is_paused and self._unread_bytes <= UNREAD_BYTES_MAX and not self._is_over:
             self._is_paused, self._heard_s = False, self._loop.time()
@@ -193,7 +193,7 @@ class SocketCall(asyncio.BufferedProtocol):
     def cancel(self) -> None:
         """End the stream. Messages that the program has not read are lost."""
         if not self._is_over:
-            self._came.clear()
+            self._received.clear()
             self._end(asyncio.CancelledError())
 
     def add_done_callback(self, callback: Callable[[Any], object]) -> None:
@@ -220,7 +220,7 @@ class SocketCall(asyncio.BufferedProtocol):
             self._watch.cancel()
         if self._transport is not None:
             self._transport.abort()
-        _wake(self._news)
+        _wake(self._wakeup)
         _wake(self._room)
         for callback in self._done:
             self._loop.call_soon(callback, self)

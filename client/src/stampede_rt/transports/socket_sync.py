@@ -31,10 +31,10 @@ from stampede_rt.wire.stream_frames import FrameInBuffer, FrameKind, FrameReader
 
 NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)  # a send after the end of the connection must not end the process
 Buffers = Sequence[bytes | memoryview]
-_NOW = getattr(socket, "MSG_DONTWAIT", 0) | NO_SIGNAL
+_NO_WAIT = getattr(socket, "MSG_DONTWAIT", 0) | NO_SIGNAL
 PARTS_MAX = 512  # the most parts of a request that this module sends unjoined; the system takes 1024 in one call
-SHORT_BYTES_MAX = 4096  # a copy of a request of this length takes less time than a second part of a system call
-PART_BYTES_MIN = 1024  # the least average length of parts; shorter parts are joined in less time than sent
+SHORT_BYTES_MAX = 4096  # to join two parts of this length takes less time than to send them as two
+PART_BYTES_MIN = 1024  # the least average length of unjoined parts; to join shorter ones takes less time
 
 
 class SocketCall:
@@ -59,14 +59,14 @@ class SocketCall:
         self._socket, self._tls = connected, tls
         self._forks = forking.forks()
         self._frames = FrameReader(RECEIVED_BYTES_MAX, KEPT_BUFFER_BYTES_MAX)
-        self._came: deque[FrameInBuffer] = deque()
+        self._received: deque[FrameInBuffer] = deque()
         self._is_cancelled = False
         self._failure: SocketError | None = None  # the error of a send
         self._mutex = threading.Lock()  # guards the sending side
         self._backlog = _Backlog(connected)
         # a new buffer for each read would take longer than the read
         self._buffer = memoryview(bytearray(RECEIVE_BYTES))
-        self._sealed = self._buffer if tls is None else memoryview(bytearray(RECEIVE_BYTES))
+        self._encrypted = self._buffer if tls is None else memoryview(bytearray(RECEIVE_BYTES))
         self._limit = ReadLimit()
         connected.setblocking(True)
         self._readable = select.poll()  # unlike SO_RCVTIMEO, poll keeps its time limit even if many signals come
@@ -101,8 +101,8 @@ class SocketCall:
     def limit(self, timeout_s: float | None) -> ReadLimit:
         """Return a context in which the reading thread waits for at most `timeout_s`; None: without limit.
 
-        At the limit the reading thread cancels the stream. The context is a list, as with `Watchdog.limit`. It needs no
-        other thread.
+        At the limit the reading thread cancels the stream, and adds an entry to the list that the context returns, as
+        `Watchdog.limit` does. This limit needs no other thread.
         """
         self._limit.ends_s = inf if timeout_s is None else monotonic() + timeout_s
         return self._limit
@@ -110,16 +110,16 @@ class SocketCall:
     def __next__(self) -> Any:
         """Return the next response. Raises grpc.RpcError, or StopIteration at the end."""
         while True:
-            while not self._came:
+            while not self._received:
                 if self._failure is not None:
                     raise self._failure.again()
                 self._receive()
-            kind, body = self._came.popleft()
+            kind, body = self._received.popleft()
             if kind == FrameKind.MESSAGE:
                 decode = self._method.decode
                 return bytes(body) if decode is None else decode(body)
             if kind == FrameKind.STATUS:
-                self._came.append((kind, body))  # for the next call
+                self._received.append((kind, body))  # for the next call
                 self.cancel()
                 raise error_of(body) or StopIteration
 
@@ -134,11 +134,11 @@ class SocketCall:
             self._left_s()  # raises if the limit is over
             raise silent(SILENCE_S_MAX)
         try:
-            place = self._frames.place(self._buffer) if self._tls is None else self._sealed
-            came_bytes = self._socket.recv_into(place, 0, _NOW)
-            if not came_bytes:
+            place = self._frames.place(self._buffer) if self._tls is None else self._encrypted
+            received_bytes = self._socket.recv_into(place, 0, _NO_WAIT)
+            if not received_bytes:
                 raise cancelled() if self._is_cancelled else broken("the host has closed it")
-            self._take(came_bytes)
+            self._take(received_bytes)
         except BlockingIOError:
             return
         except OSError as error:
@@ -147,13 +147,13 @@ class SocketCall:
             self.cancel()
             raise broken(str(error)) from error
 
-    def _take(self, came_bytes: int) -> None:
+    def _take(self, received_bytes: int) -> None:
         if self._tls is None:
-            self._came.extend(self._frames.take(self._buffer, came_bytes))
+            self._received.extend(self._frames.take(self._buffer, received_bytes))
             return
-        self._tls.feed(self._sealed[:came_bytes])
+        self._tls.feed(self._encrypted[:received_bytes])
         while opened_bytes := self._tls.read(self._frames.place(self._buffer)):
-            self._came.extend(self._frames.take(self._buffer, opened_bytes))
+            self._received.extend(self._frames.take(self._buffer, opened_bytes))
 
     def _left_s(self) -> float:
         """Return how long the thread may wait for bytes. Cancels the stream and raises if its limit is over."""
@@ -165,14 +165,14 @@ class SocketCall:
         return min(left_s, SILENCE_S_MAX)
 
     def _write(self, buffers: Buffers) -> None:
-        """Send as much as the system takes now.
+        """Send as much as the system takes now, and the rest later: on this thread if the stream is used `in_turn`.
 
-        Send the rest on this thread or on another one. The caller holds the mutex.
+        Otherwise the thread of the backlog sends the rest. The caller holds the mutex.
         """
         if self._failure is not None:  # each further piece would wait for the host again
             return
         try:
-            left: Buffers = buffers if self._tls is None else (self._tls.seal(buffers),)
+            left: Buffers = buffers if self._tls is None else (self._tls.encrypt(buffers),)
             if not self._backlog.writes:
                 left = _send_some(self._socket, left)
             if left and self._in_turn:
@@ -185,13 +185,10 @@ class SocketCall:
             self._failure = error.again()
 
     def _send_rest(self, left: Buffers) -> None:
-        """Send the rest, and receive meanwhile.
-
-        As long as the host gives signs of life, it may take more bytes later.
-        """
+        """Send the rest, and receive meanwhile. Waits as long as the host sends signs of life."""
         poll = select.poll()
         poll.register(self._socket, select.POLLIN | select.POLLOUT)
-        while left and not any(kind == FrameKind.STATUS for kind, _ in self._came):
+        while left and not any(kind == FrameKind.STATUS for kind, _ in self._received):
             events = poll.poll(self._left_s() * 1000)
             if not events:
                 self._left_s()  # raises if the limit is over
@@ -264,7 +261,10 @@ def _buffers_of(request: bytes | list[bytes]) -> Iterable[Buffers]:
 
 
 def _long_buffers_of(request: bytes | list[bytes]) -> Iterator[Buffers]:
-    """Yield the frames of a request, each in parts. It would take as long to join parts of 900 KB as to send them."""
+    """Yield the frames of a request, each in parts.
+
+    Leaves long parts unjoined, because joining 900 KB takes as long as sending them.
+    """
     size = sum(map(len, request)) if isinstance(request, list) and len(request) <= PARTS_MAX else 0
     if max(JOINED_BYTES_MAX, PART_BYTES_MIN * len(request)) < size <= SOCKET_MESSAGE_BYTES_MAX:
         yield head_of(FrameKind.MESSAGE, size), *request
@@ -277,7 +277,7 @@ def _send_some(connected: socket.socket, left: Buffers) -> Buffers:
     """Send the bytes that the system takes without waiting. Returns the rest."""
     while left:
         try:
-            sent_bytes = connected.sendmsg(left, (), _NOW)
+            sent_bytes = connected.sendmsg(left, (), _NO_WAIT)
         except BlockingIOError:
             break
         left = () if sent_bytes == sum(map(len, left)) else _after(left, sent_bytes)
@@ -285,7 +285,7 @@ def _send_some(connected: socket.socket, left: Buffers) -> Buffers:
 
 
 def _after(buffers: Buffers, sent_bytes: int) -> Buffers:
-    """Return the parts of the buffers behind the sent bytes. The buffers hold more than the sent bytes."""
+    """Return the parts of the buffers after the sent bytes. The buffers must hold more than the sent bytes."""
     at = 0
     while sent_bytes >= len(buffers[at]):
         sent_bytes -= len(buffers[at])

@@ -79,7 +79,7 @@ class TcpArrival:
 
     def __init__(self, tls: TlsLayer | None) -> None:
         self._tls = tls
-        self._came = b""
+        self._received = b""
         self._has_shaken = tls is None
         self.is_done = False
         """Whether the host has greeted."""
@@ -96,15 +96,15 @@ class TcpArrival:
         if not data:
             raise ConnectionResetError("the host has closed the connection")
         if self._tls is None:
-            self._came += data
+            self._received += data
         else:
             self._tls.feed(data)
         answer = self._shake()
         if self._tls is not None and self._has_shaken:
-            self._came += _all_of(self._tls)
-        if not GREETING.startswith(self._came):
+            self._received += _all_of(self._tls)
+        if not GREETING.startswith(self._received):
             raise ConnectionRefusedError("the host takes no stream, or it is no host")
-        self.is_done = self._came == GREETING
+        self.is_done = self._received == GREETING
         return answer
 
     def _shake(self) -> bytes:

@@ -15,7 +15,7 @@ _URIS = "peer_uri"
 
 
 class TlsLayer:
-    """Encrypts and decrypts. One thread may call `seal` while another one calls `feed` and `read`."""
+    """Encrypts and decrypts. One thread may call `encrypt` while another one calls `feed` and `read`."""
 
     def __init__(self, context: ssl.SSLContext, *, server_name: str | None = None) -> None:
         """`server_name`: the name or address that the server's certificate must have; None: this is the server."""
@@ -65,7 +65,7 @@ class TlsLayer:
     def _has_more(self) -> bool:
         return bool(self._tls.pending() or self._incoming.pending)
 
-    def seal(self, parts: Iterable[bytes | memoryview]) -> bytes:
+    def encrypt(self, parts: Iterable[bytes | memoryview]) -> bytes:
         """Return the encrypted bytes for the peer. They must be sent in the order of the calls. Raises ssl.SSLError."""
         with self._mutex:
             for part in parts:

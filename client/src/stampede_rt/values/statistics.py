@@ -57,7 +57,7 @@ class MulticastStats:
     `items`: the items that came in them. `repairs`: the requests for items that no datagram brought. `repeated`: the
     datagrams and messages that brought nothing new. The reader dropped the other datagrams. `forged`: datagrams whose
     sender did not have the key, or was not the host. `foreign`: datagrams of other channels and programs. `other_key`:
-    datagrams that are sealed with a key that the reader does not have.
+    datagrams that are encrypted with a key that the reader does not have.
     """
 
     following: bool = False

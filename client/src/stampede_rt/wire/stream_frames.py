@@ -58,11 +58,11 @@ class FrameReader:
 
     __slots__ = (
         "_bytes_max",
-        "_came_bytes",
         "_kept_buffer",
         "_kept_bytes_max",
         "_new_buffer",
         "_partial",
+        "_received_bytes",
         "_wanted_bytes",
     )
 
@@ -84,12 +84,12 @@ class FrameReader:
         self._bytes_max: dict[int, int] = {int(kind): most for kind, most in bytes_max.items()}
         self._partial = bytearray()
         self._wanted_bytes = 0  # the length of the unfinished frame, or of its head
-        self._came_bytes = 0  # the bytes in the buffer of an unfinished frame; 0: the frame has no buffer yet
+        self._received_bytes = 0  # the bytes in the buffer of an unfinished frame; 0: the frame has no buffer yet
 
     @property
     def unfinished_bytes(self) -> int:
         """The number of bytes that have come of an unfinished frame."""
-        return self._came_bytes or len(self._partial)
+        return self._received_bytes or len(self._partial)
 
     @property
     def wanted_bytes(self) -> int:
@@ -106,16 +106,16 @@ class FrameReader:
 
         Then call `take`.
         """
-        return self.buffer() if self._came_bytes or self.missing_bytes > len(short) else short
+        return self.buffer() if self._received_bytes or self.missing_bytes > len(short) else short
 
-    def take(self, short: memoryview, came_bytes: int) -> Sequence[FrameInBuffer]:
+    def take(self, short: memoryview, received_bytes: int) -> Sequence[FrameInBuffer]:
         """Take the bytes that were written to `place`. Returns the frames that are complete now.
 
         The body of a long frame is a view of its buffer. Raises InvalidArgument, as `feed`.
         """
-        if not self._came_bytes:
-            return self.feed(short[:came_bytes])
-        found = self.filled_buffer(came_bytes)
+        if not self._received_bytes:
+            return self.feed(short[:received_bytes])
+        found = self.filled_buffer(received_bytes)
         return [] if found is None else [found]
 
     def buffer(self) -> memoryview:
@@ -123,11 +123,11 @@ class FrameReader:
 
         Write the bytes there, and tell `filled` how many. `feed` must not be called until the frame is complete.
         """
-        if not self._came_bytes:
+        if not self._received_bytes:
             begun, self._partial = self._partial, self._buffer_for(self._wanted_bytes)
-            self._came_bytes = len(begun)
+            self._received_bytes = len(begun)
             self._partial[: len(begun)] = begun
-        return memoryview(self._partial)[self._came_bytes : self._wanted_bytes]
+        return memoryview(self._partial)[self._received_bytes : self._wanted_bytes]
 
     def _buffer_for(self, frame_bytes: int) -> bytearray:
         if len(self._kept_buffer) >= frame_bytes and not has_views(self._kept_buffer):
@@ -139,16 +139,16 @@ class FrameReader:
 
     def filled(self, more_bytes: int) -> list[Frame]:
         """Take bytes that were written to `buffer`. Returns the frame if it is complete now."""
-        self._came_bytes += more_bytes
-        return [self._whole()] if self._came_bytes == self._wanted_bytes else []
+        self._received_bytes += more_bytes
+        return [self._whole()] if self._received_bytes == self._wanted_bytes else []
 
     def filled_buffer(self, more_bytes: int) -> tuple[int, memoryview] | None:
         """Like `filled`, but the frame's body is a view of the buffer, not a copy. None: the frame is unfinished.
 
         The buffer belongs to the caller from now on.
         """
-        self._came_bytes += more_bytes
-        if self._came_bytes < self._wanted_bytes:
+        self._received_bytes += more_bytes
+        if self._received_bytes < self._wanted_bytes:
             return None
         buffer, end = self._partial, self._wanted_bytes
         self.drop()
@@ -156,7 +156,7 @@ class FrameReader:
 
     def drop(self) -> None:
         """Free the bytes of an unfinished frame, if no more bytes will come."""
-        self._partial, self._came_bytes = bytearray(), 0
+        self._partial, self._received_bytes = bytearray(), 0
 
     def feed(self, data: bytes | memoryview) -> list[Frame]:
         """Take the next bytes, and return the frames that are complete now. Copies the bytes that it keeps.

@@ -125,12 +125,12 @@ def _last_story(cluster: LocalCluster, ended: queue.SimpleQueue[ServiceProcess])
     """Wait until the cluster cannot serve any more, and return why. Meanwhile, report parts that end."""
     while True:  # ends with Ctrl-C, or when too many parts have ended
         process = ended.get()
-        if not _goes_on_without(process, cluster):
+        if not _can_serve_without(process, cluster):
             return process.describe_end()
         print(f"stampede dev: {_shown(process.describe_end())}\nthe others go on", file=sys.stderr, flush=True)
 
 
-def _goes_on_without(process: ServiceProcess, cluster: LocalCluster) -> bool:
+def _can_serve_without(process: ServiceProcess, cluster: LocalCluster) -> bool:
     """Whether the rest of the cluster can still serve: a majority of the supernodes, and a host."""
     supernodes = [one for one in cluster.supernodes if not one.ended and one is not process]
     hosts = [one for one in cluster.hosts if not one.ended and one is not process]

@@ -92,7 +92,7 @@ def _create(secret_path: Path) -> None:
     try:
         with naming(secret_path), os.fdopen(descriptor, "w") as file:
             file.write(secrets.token_urlsafe(32) + "\n")
-        os.link(draft, secret_path)  # unlike rename, link never replaces a file: the first maker wins
+        os.link(draft, secret_path)  # unlike rename, link never replaces a file: the file of the first process stays
     except FileExistsError:
         pass  # another process has made the file meanwhile, and its secret counts
     finally:

@@ -3,7 +3,7 @@
 An item or record is freed with its last reference. Only objects in a reference cycle need the collector. Python starts
 the collector when there are many more objects than at its last run. A full channel drops an old item for each new one,
 so the number of objects hardly grows, and Python starts the collector rarely. By then all held items are newer than the
-last run, and the collector would walk over all of them in one go. Therefore the event loop starts the collector, too,
+last run, and the collector would scan all of them in one go. Therefore the event loop starts the collector, too,
 and does so more often when more objects are created (decision 0122).
 """
 

@@ -1,4 +1,4 @@
-"""The cluster with the called ports: one host, one supernode, one front-end, and their logs."""
+"""The cluster whose ports the fuzzer calls: one host, one supernode, one front-end, and their logs."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class FuzzedCluster:
             hosts=1,
             supernodes=1,
             tls=tls,
-            on_line=self._hear,
+            on_line=self._read_log_line,
             on_exit=self._ended,
             log_level="warning",
             archive=archive,
@@ -57,7 +57,7 @@ class FuzzedCluster:
 
     @property
     def metadata(self) -> Metadata:
-        """The metadata with the credential that the caller has in addition to its certificate."""
+        """The metadata with the secret. Empty if callers have certificates instead."""
         return () if self._tls else (("authorization", f"Bearer {self.processes.secret.text}"),)
 
     def channel(self, address: str, role: Role) -> grpc.aio.Channel:
@@ -95,13 +95,13 @@ class FuzzedCluster:
         return {"STAMPEDE_URL": self.processes.address, **credentials}
 
     def stop(self) -> None:
-        """Stop all processes. From here on their ends are not findings."""
+        """Stop all processes. After this call the end of a process is no finding."""
         self._stopping = True
         self.processes.stop()
 
     @property
     def target(self) -> ServiceProcess:
-        """The process behind the port."""
+        """The process whose port the fuzzer calls."""
         one = self.processes
         parts = {"supernode": one.supernodes, "frontend": one.frontends}
         return parts.get(self.outcome.port, one.hosts)[0]
@@ -112,10 +112,10 @@ class FuzzedCluster:
         return pages * resource.getpagesize() / 2**20
 
     def _pids(self) -> list[int]:
-        """The processes on which a lease depends."""
+        """The ids of the processes that renew a lease or grant it."""
         return [one.pid for one in (*self.processes.hosts, *self.processes.supernodes) if one.alive]
 
-    def _hear(self, process: ServiceProcess, line: str) -> None:
+    def _read_log_line(self, process: ServiceProcess, line: str) -> None:
         if not process.is_ready:  # during the start, services log errors about each other
             return
         if LEASE_LOST in line:

@@ -62,7 +62,7 @@ LISTED: tuple[tuple[Any, str, Any], ...] = (
 async def first_known(cluster: FuzzedCluster, good: str) -> KnownValues:
     """The values that callers know at first, by field, without the good client's channel and the host's identity."""
     known = KnownValues()
-    answer = await _asked(
+    answer = await _operator_call(
         cluster, DirectoryServiceStub, "ResolveChannel", directory_pb.ResolveChannelRequest(name=good)
     )
     known.spare(good, answer.channel.channel_id, answer.host.host_id, answer.host.boot_incarnation)
@@ -78,7 +78,7 @@ async def keep_targets(rt: Any, cluster: FuzzedCluster, known: KnownValues) -> N
             async with asyncio.timeout(CALL_SECONDS):
                 await _make(rt)
                 for service, method, request in LISTED:
-                    known.learn(await _asked(cluster, service, method, request))
+                    known.learn(await _operator_call(cluster, service, method, request))
         await asyncio.sleep(PERIOD_SECONDS)
 
 
@@ -96,6 +96,6 @@ async def _put(place: Any) -> None:
         await place.put(b"first", timeout=0)
 
 
-async def _asked(cluster: FuzzedCluster, service: Any, method: str, request: Any) -> Any:
+async def _operator_call(cluster: FuzzedCluster, service: Any, method: str, request: Any) -> Any:
     async with cluster.channel(cluster.processes.supernodes[0].address, Role.OPERATOR) as channel:
         return await getattr(service(channel), method)(request, metadata=cluster.metadata)

@@ -57,7 +57,7 @@ def test_a_run_that_misses_frames_is_refused() -> None:
         judge(frames(29), CAPTIONS)
 
 
-def test_consumers_in_places_of_their_own_get_every_frame_through_the_group() -> None:
+def test_consumers_in_separate_namespaces_get_every_frame_through_the_group() -> None:
     with nullcontext() if unavailable_because() else NamespaceNetwork(MACHINES) as network:
         frames, captions = play(Setting(name="grouped"), network, seconds=1)
     assert [frame.time - frames[0].time for frame in frames] == [n * NANOS_PER_SECOND // 30 for n in range(30)]

@@ -68,13 +68,13 @@ def test_items_and_a_new_folder_count_as_soon_as_the_channel_accepts_the_items()
     one.check(MIB - FOLDER_BYTES)
     with pytest.raises(Overloaded):
         one.check(MIB - FOLDER_BYTES + 1)
-    one.set_coming(1000, 1000)
+    one.set_unwritten(1000, 1000)
     assert disk.used_bytes == FOLDER_BYTES + 1000
     disk.of_channel(TWO, "cam").check(MIB - 2 * FOLDER_BYTES - 1000)
     with pytest.raises(Overloaded):
         disk.of_channel(TWO, "cam").check(MIB - 2 * FOLDER_BYTES - 999)
     one.set_bytes(FOLDER_BYTES + 900)
-    one.set_coming(0)
+    one.set_unwritten(0)
     assert disk.used_bytes == FOLDER_BYTES + 900
 
 

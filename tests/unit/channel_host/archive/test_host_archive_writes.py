@@ -118,13 +118,13 @@ class SlowDisk:
     """A disk whose next flush waits until the test lets it go on."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.reached, self.go_on = threading.Event(), threading.Event()
+        self.reached, self.may_continue = threading.Event(), threading.Event()
         self._fsync = os.fsync
         monkeypatch.setattr(f"{FILES}.os.fsync", self._flush)
 
     def _flush(self, file: int) -> None:
         self.reached.set()
-        assert self.go_on.wait(60)
+        assert self.may_continue.wait(60)
         self._fsync(file)
 
 
@@ -163,7 +163,7 @@ def test_a_stop_in_the_middle_of_a_write_repeats_no_item(tmp_path: Path, monkeyp
         put()
         closing = asyncio.create_task(archive.close([recorder]))
         await asyncio.sleep(0)
-        disk.go_on.set()
+        disk.may_continue.set()
         await closing
         return recorder.segments
 
@@ -203,7 +203,7 @@ def test_a_channel_that_is_given_up_in_the_middle_of_a_write_is_no_longer_writte
         put_first()
         archive.forget(first)
         archive.forget(second)
-        disk.go_on.set()
+        disk.may_continue.set()
         await archive.close([])
         return first.backlog_items + second.backlog_items
 
@@ -245,7 +245,7 @@ def test_items_that_come_during_a_write_wait_for_others(tmp_path: Path, monkeypa
         archive.hurry()
         assert await asyncio.to_thread(disk.reached.wait, 60)
         put()
-        disk.go_on.set()
+        disk.may_continue.set()
         await until(lambda: recorder.archived_to == 2)
         put()
         archive.hurry()

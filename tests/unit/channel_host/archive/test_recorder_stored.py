@@ -200,15 +200,15 @@ def test_a_recorder_of_a_channel_that_has_moved_sizes_its_items_a_part_at_a_time
         channel.put(Offer(times=[time], durations=None, lengths=[100]), time, lambda seq, kept, stamped: b"x" * 100)
     recorder = ChannelRecorder(channel, files, (), from_memory=True)
     monkeypatch.setattr(channel, "accepted_from", counted)
-    coming = []
+    unwritten = []
     for _ in range(4):
         looked.clear()
         assert recorder.note(30)
         assert len(looked) <= 10
-        coming.append(recorder.disk.coming)
-    assert coming == sorted(coming)
-    assert coming[0] < coming[2] == coming[3]
-    assert recorder.disk.coming >= 25 * 100
+        unwritten.append(recorder.disk.unwritten_bytes)
+    assert unwritten == sorted(unwritten)
+    assert unwritten[0] < unwritten[2] == unwritten[3]
+    assert recorder.disk.unwritten_bytes >= 25 * 100
 
 
 @pytest.mark.parametrize("hole_at", [5, 25])

@@ -147,8 +147,8 @@ def test_a_message_for_other_readers_is_encoded_again() -> None:
     shared = SharedDeliveries()
     plain = shared.encode(slices, b"", without_payloads=False, readers=2)
     bare = shared.encode(slices, b"", without_payloads=True, readers=2)
-    news = pb.SubscribeResponse(gap=pb.SubscriptionGap(first_seq=1, last_seq=2))
-    encoded = shared.encode(slices, news.SerializeToString(), without_payloads=False, readers=2)
+    response = pb.SubscribeResponse(gap=pb.SubscriptionGap(first_seq=1, last_seq=2))
+    encoded = shared.encode(slices, response.SerializeToString(), without_payloads=False, readers=2)
     assert bare.payload_bytes == 0
     assert bare.charge_bytes == plain.charge_bytes
     parsed = raw_run_pb2.RawSubscribeResponse.FromString(bare.encoded)

@@ -33,7 +33,7 @@ class Replicas(OwnedReplicas[Feed]):
         self._in_sync.put(NEXT)
         self._feeds[REPLICA] = self.feed = Feed(self, REPLICA)
 
-    def go_on(self) -> None:
+    def release_replicated(self) -> None:
         self.wake_waits()
 
     def join(self) -> None:

@@ -33,7 +33,7 @@ def test_a_long_read_of_an_archive_ends_with_its_present_window_when_its_caller_
     files, _ = opened(tmp_path / "c")
     write(files, 1, 100)
     files.close(CleanStop(7, epoch=2))
-    begun, go_on, loads = threading.Event(), threading.Event(), []
+    begun, may_continue, loads = threading.Event(), threading.Event(), []
 
     async def scenario() -> int:
         archive = archive_in(tmp_path / "a", monkeypatch)
@@ -50,7 +50,7 @@ def test_a_long_read_of_an_archive_ends_with_its_present_window_when_its_caller_
         def slow(*arguments: Any) -> Any:
             loads.append(1)
             begun.set()
-            assert go_on.wait(60)
+            assert may_continue.wait(60)
             return load(*arguments)
 
         monkeypatch.setattr(files, "load_at_hand", lambda *_: None)
@@ -61,7 +61,7 @@ def test_a_long_read_of_an_archive_ends_with_its_present_window_when_its_caller_
         reading.cancel()
         with pytest.raises(asyncio.CancelledError):
             await reading
-        go_on.set()
+        may_continue.set()
         held, _ = channel.look(1000)
         assert not held._snapshots, "the read keeps no items in memory"
         monkeypatch.setattr(files, "load", load)

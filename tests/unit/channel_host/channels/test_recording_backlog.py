@@ -189,7 +189,7 @@ async def test_a_read_from_the_oldest_item_waits_for_the_first_write_of_items_th
         disk = await put_during_a_write(one, monkeypatch)
         reading = asyncio.create_task(one.answer(Interval(OLDEST, NOW)))
         await asyncio.sleep(0)
-        disk.go_on.set()
+        disk.may_continue.set()
         assert await reading == ([*range(1, 9)], None)
 
 
@@ -204,7 +204,7 @@ async def test_a_read_waits_for_the_write_of_items_that_have_left_memory(
         disk = await put_during_a_write(one, monkeypatch)
         reading = asyncio.create_task(one.read())
         await asyncio.sleep(0)
-        disk.go_on.set()
+        disk.may_continue.set()
         assert await reading == ([*range(1, one.channel.next_seq)], None)
 
 
@@ -217,7 +217,7 @@ async def test_a_subscription_waits_for_the_write_of_items_that_have_left_memory
         disk = await put_during_a_write(one, monkeypatch, later_runs=5)
         feeding = asyncio.create_task(one.recording.since(cursor, LARGEST, lambda: CLOCK))
         await asyncio.sleep(0)
-        disk.go_on.set()
+        disk.may_continue.set()
         batch = await feeding
         assert batch is not None
         assert batch.gap is None
@@ -269,7 +269,7 @@ async def test_a_subscription_begins_with_items_that_have_left_memory_during_the
         cursor = run_to_end(one.channel.subscribing_all(CLOCK, **where))
         feeding = asyncio.create_task(one.recording.since(cursor, LARGEST, lambda: CLOCK))
         await asyncio.sleep(0)
-        disk.go_on.set()
+        disk.may_continue.set()
         batch = await feeding
         assert batch is not None
         assert batch.gap is None

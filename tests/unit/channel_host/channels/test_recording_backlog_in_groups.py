@@ -59,7 +59,7 @@ async def test_a_read_through_a_group_waits_for_the_first_write_of_items_that_ha
         disk = await put_during_a_write(one, monkeypatch)
         reading = asyncio.create_task(one.read_in_group(cut))
         await asyncio.sleep(0)
-        disk.go_on.set()
+        disk.may_continue.set()
         found, reason = await reading
         assert found == [*range(1, min(cut, one.channel.next_seq))]
         assert reason == ("HIDDEN" if cut == 5 else None)
@@ -74,7 +74,7 @@ async def test_a_subscription_through_a_group_begins_with_the_items_of_the_first
         hosted, channels = cast("HostedChannel", shell), cast("ChannelStore", shell)
         beginning = asyncio.create_task(resolved_start(hosted, channels, horizon, OLDEST))
         await asyncio.sleep(0)
-        disk.go_on.set()
+        disk.may_continue.set()
         assert await beginning == Bound(None, 1)
 
 
@@ -85,7 +85,7 @@ async def test_a_slow_reader_of_a_group_waits_for_the_write_of_items_that_have_l
         disk = await put_during_a_write(one, monkeypatch)
         reading = asyncio.create_task(one.recording.items_from((1, 9), LARGEST, lambda: CLOCK))
         await asyncio.sleep(0)
-        disk.go_on.set()
+        disk.may_continue.set()
         items, _, end = await reading
         assert next(part.first_seq for part in items) == 1
         assert end >= 5

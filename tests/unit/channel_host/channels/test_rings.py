@@ -108,10 +108,10 @@ class Worker:
     def __init__(self) -> None:
         self.may_begin = threading.Event()
         self.made: list[RingMemory] = []
-        self.asked = 0
+        self.calls = 0
 
     def __call__(self, size: Any) -> RingMemory:
-        self.asked += 1
+        self.calls += 1
         assert threading.current_thread() is not threading.main_thread()
         assert self.may_begin.wait(LIMIT_S)
         memory = RingMemory(size)
@@ -139,13 +139,13 @@ async def test_items_that_come_while_a_thread_takes_the_memory_are_in_the_ring_o
     host = Host()
     host.put(b"0", b"1")
     readers = [Reader(host), Reader(host)]
-    await until(lambda: worker.asked)
+    await until(lambda: worker.calls)
     host.put(b"2", b"3")
     later = Reader(host)
     await asyncio.sleep(0)
     worker.may_begin.set()
     views = [await one.ring() for one in (*readers, later)]
-    assert worker.asked == 1
+    assert worker.calls == 1
     host.put(b"4")
     assert [payloads_in(view) for view in views] == [[b"0", b"1", b"2", b"3", b"4"]] * 3
     assert views[0].words[CHANGES_WORD] == 2, "the readers share one ring"
@@ -155,7 +155,7 @@ async def test_items_that_come_while_a_thread_takes_the_memory_are_in_the_ring_o
 async def test_a_channel_that_ends_or_changes_meanwhile_gets_no_ring(worker: Worker, how: str) -> None:
     host = Host()
     readers = [Reader(host), Reader(host)]
-    await until(lambda: worker.asked)
+    await until(lambda: worker.calls)
     if how == "ended":
         run_to_end(host.hosted.ending(Unavailable("the channel has moved")))
     else:
@@ -171,10 +171,10 @@ async def test_a_channel_that_ends_or_changes_meanwhile_gets_no_ring(worker: Wor
 async def test_a_reader_that_asks_after_a_change_gets_a_ring_of_its_own(worker: Worker) -> None:
     host = Host()
     former = Reader(host)
-    await until(lambda: worker.asked)
+    await until(lambda: worker.calls)
     host.hosted.close_ring()
     later = Reader(host)
-    await until(lambda: worker.asked == 2)
+    await until(lambda: worker.calls == 2)
     worker.may_begin.set()
     with pytest.raises(Unavailable):
         await former.ring()
@@ -188,7 +188,7 @@ async def test_a_ring_whose_readers_have_gone_meanwhile_is_dropped(
     monkeypatch.setattr(rings_module, "KEPT_SECONDS", 0.0)
     host = Host()
     reader = Reader(host)
-    await until(lambda: worker.asked)
+    await until(lambda: worker.calls)
     reader.serving.cancel()
     worker.may_begin.set()
     await until(lambda: worker.made and is_closed(worker.made[0].file))
@@ -198,7 +198,7 @@ async def test_a_ring_whose_readers_have_gone_meanwhile_is_dropped(
 def test_a_host_that_ends_meanwhile_leaves_no_file(worker: Worker) -> None:
     async def stopped() -> None:
         Reader(Host())
-        await until(lambda: worker.asked)
+        await until(lambda: worker.calls)
         threading.Timer(0, worker.may_begin.set).start()
 
     asyncio.run(stopped())
@@ -213,7 +213,7 @@ async def test_a_ring_for_items_that_grow_meanwhile_takes_the_longer_ones(worker
     host = Host()
     host.put(b"small")
     reader = Reader(host)
-    await until(lambda: worker.asked)
+    await until(lambda: worker.calls)
     host.put(bytes(300_000))
     worker.may_begin.set()
     view = await reader.ring()

@@ -29,7 +29,7 @@ class Directory:
         return [StaleBinding(f"no {one}") if one < 0 else one * one for one in numbers]
 
 
-async def asked(calls: GatheredCalls[int, int], *numbers: int) -> list[asyncio.Task[int]]:
+async def begun_lookups(calls: GatheredCalls[int, int], *numbers: int) -> list[asyncio.Task[int]]:
     """Tasks that ask for these numbers, once all of them have begun."""
     tasks = [asyncio.create_task(calls.ask(one)) for one in numbers]
     for _ in range(3):
@@ -40,7 +40,7 @@ async def asked(calls: GatheredCalls[int, int], *numbers: int) -> list[asyncio.T
 async def test_lookups_that_arrive_during_a_call_share_the_next_calls() -> None:
     directory = Directory()
     calls = GatheredCalls(directory.ask, 2)
-    tasks = await asked(calls, 1) + await asked(calls, 2, 3, 4)
+    tasks = await begun_lookups(calls, 1) + await begun_lookups(calls, 2, 3, 4)
     directory.go.set()
     assert await asyncio.gather(*tasks) == [1, 4, 9, 16]
     assert directory.calls == [[1], [2, 3], [4]]
@@ -49,7 +49,7 @@ async def test_lookups_that_arrive_during_a_call_share_the_next_calls() -> None:
 
 async def test_each_lookup_gets_its_own_answer_or_error() -> None:
     directory = Directory()
-    tasks = await asked(GatheredCalls(directory.ask, 8), 0, 2, -3, 4)
+    tasks = await begun_lookups(GatheredCalls(directory.ask, 8), 0, 2, -3, 4)
     directory.go.set()
     done = await asyncio.gather(*tasks, return_exceptions=True)
     assert [str(one) for one in done] == ["0", "4", "no -3", "16"]
@@ -59,7 +59,7 @@ async def test_each_lookup_gets_its_own_answer_or_error() -> None:
 async def test_a_failed_call_fails_its_own_lookups_and_no_later_ones(fails: Exception) -> None:
     directory = Directory()
     calls = GatheredCalls(directory.ask, 8)
-    first, later = await asked(calls, 1), await asked(calls, 2, 3)
+    first, later = await begun_lookups(calls, 1), await begun_lookups(calls, 2, 3)
     directory.fails = fails
     directory.go.set()
     with pytest.raises(StampedeError, match=str(fails)) as caught:
@@ -71,7 +71,7 @@ async def test_a_failed_call_fails_its_own_lookups_and_no_later_ones(fails: Exce
 async def test_a_cancelled_lookup_is_left_out_and_delays_no_other_lookup() -> None:
     directory = Directory()
     calls = GatheredCalls(directory.ask, 8)
-    first, (gone, stays) = await asked(calls, 1), await asked(calls, 2, 3)
+    first, (gone, stays) = await begun_lookups(calls, 1), await begun_lookups(calls, 2, 3)
     first[0].cancel()
     gone.cancel()
     directory.go.set()
@@ -91,7 +91,7 @@ async def test_questions_that_come_soon_after_a_call_wait_for_each_other(monkeyp
     directory.go.set()
     calls = GatheredCalls(directory.ask, 3, interval_s=3600)
     assert await calls.ask(1) == 1, "a lone request does not wait"
-    soon = await asked(calls, 2) + await asked(calls, 3)
+    soon = await begun_lookups(calls, 2) + await begun_lookups(calls, 3)
     assert directory.calls == [[1]]
     is_time.set()
     assert await asyncio.gather(*soon) == [4, 9]
@@ -103,7 +103,7 @@ async def test_enough_questions_for_a_whole_call_do_not_wait() -> None:
     directory.go.set()
     calls = GatheredCalls(directory.ask, 3, interval_s=3600)
     assert await calls.ask(1) == 1
-    assert await asyncio.gather(*await asked(calls, 2, 3, 4)) == [4, 9, 16]
+    assert await asyncio.gather(*await begun_lookups(calls, 2, 3, 4)) == [4, 9, 16]
 
 
 @pytest.mark.parametrize(("took_s", "waits_s"), [(0.001, 0.01), (0.005, 0.02), (1.0, 0.05)])

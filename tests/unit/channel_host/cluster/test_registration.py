@@ -145,7 +145,7 @@ class SlowDirectory:
 
     def __init__(self) -> None:
         self.now = 100 * 10**9
-        self.asked: list[str] = []
+        self.methods: list[str] = []
 
     def boottime_nanos(self) -> int:
         return self.now
@@ -154,8 +154,8 @@ class SlowDirectory:
         return self.now
 
     async def call(self, method: str, request: object, timeout_s: float) -> object:
-        self.asked.append(method)
-        if len(self.asked) > 2:
+        self.methods.append(method)
+        if len(self.methods) > 2:
             await asyncio.Event().wait()
         self.now += 3 * 10**9
         if method == "RegisterHost":
@@ -183,7 +183,7 @@ async def test_a_lease_begins_when_the_host_sends_the_request() -> None:
         assert registration.lease_held() is held
     slow.now = start + 3 * 10**9
     keeping_on = asyncio.create_task(registration.keep())
-    while len(slow.asked) < 3:  # noqa: ASYNC110 - nothing announces it
+    while len(slow.methods) < 3:  # noqa: ASYNC110 - nothing announces it
         await asyncio.sleep(0)
     keeping_on.cancel()
     for seconds, held in ((6.9, True), (7.1, False)):

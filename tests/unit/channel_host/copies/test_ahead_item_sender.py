@@ -313,12 +313,12 @@ async def test_a_replica_begins_anew_again_if_its_feed_breaks_before_it_has_done
             await pauses()
             if not breaks:
                 feed.send(pb.FeedRequest(held_next_seq=1, sent_nanos=2).SerializeToString())
-            assert replication.strays == ({REPLICA} if breaks else set())
+            assert replication.diverged_host_ids == ({REPLICA} if breaks else set())
             feed.close()
             await pauses()
 
 
-async def test_the_owner_remembers_a_stray_replica_when_the_channel_gets_another_kind_of_replicas(
+async def test_the_owner_remembers_a_diverged_replica_when_the_channel_gets_another_kind_of_replicas(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """In an earlier version, the replica kept an item that the owner does not have."""

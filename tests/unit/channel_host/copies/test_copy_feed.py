@@ -33,7 +33,7 @@ class Rig:
         self.feed.is_opened = True
         self.feed._request()
 
-    def hears(self, charge_bytes: int = 0) -> bool:
+    def grants_credit(self, charge_bytes: int = 0) -> bool:
         """Take a message of the source. Returns whether the copy sends a request now."""
         self.feed._owes_request = False
         self.feed._note(pb.FeedState(source_next_seq=self.held.channel.next_seq), charge_bytes)
@@ -42,12 +42,12 @@ class Rig:
 
 def test_a_replica_reports_new_items_immediately_and_a_sign_of_life_needs_no_report() -> None:
     rig = Rig()
-    rig.hears()  # the copy has caught up
-    assert not rig.hears()
+    rig.grants_credit()  # the copy has caught up
+    assert not rig.grants_credit()
     rig.held.channel.next_seq = 6
-    assert rig.hears(charge_bytes=64)
+    assert rig.grants_credit(charge_bytes=64)
     assert rig.feed._request().held_next_seq == 6
-    assert not rig.hears()
+    assert not rig.grants_credit()
 
 
 def test_reports_soon_after_each_other_have_the_same_clock_reading() -> None:
@@ -59,7 +59,7 @@ def test_reports_soon_after_each_other_have_the_same_clock_reading() -> None:
     second = rig.feed._request().sent_nanos
     assert second == first + 100 * MS
     rig.clock.boot_nanos += MS
-    assert rig.hears(charge_bytes=WINDOW_BYTES // GRANTS)
+    assert rig.grants_credit(charge_bytes=WINDOW_BYTES // GRANTS)
     assert rig.feed._request().sent_nanos == second + MS
 
 
@@ -164,7 +164,7 @@ async def test_a_feed_that_is_stopped_in_the_turn_in_which_its_stream_breaks_end
     """Otherwise the keeper would take the error for a broken stream, and would feed a copy that it has stopped."""
     source: Any = SimpleNamespace(host_id=b"s" * 16, target="localhost:1", epoch=1)
     rig, broken = Rig(holds_items=False), BreakingSource()
-    rig.feed._news.set()
+    rig.feed._wakeup.set()
     channel: Any = broken
     task = asyncio.create_task(rig.feed.run(source, channel))
     while broken.writes < 2:  # noqa: ASYNC110 - turns of the loop

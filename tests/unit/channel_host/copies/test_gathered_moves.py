@@ -19,14 +19,14 @@ class Directory(GatheredMoves):
     def __init__(self) -> None:
         super().__init__()
         self.begun, self.all_begun = 0, asyncio.Event()
-        self.asked: list[list[bytes]] = []
+        self.lookups: list[list[bytes]] = []
 
     async def owner_of_one(self, channel_id: bytes) -> Any:
         return (await self.owners_of([channel_id]))[0]
 
     async def owners_of(self, channel_ids: Sequence[bytes]) -> Sequence[Any]:
         """Knows all channels but `gone`."""
-        self.asked.append([*channel_ids])
+        self.lookups.append([*channel_ids])
         return [(SimpleNamespace(channel_id=one), "owner") for one in channel_ids if one != b"gone"]
 
     async def commit_one(self, move: MoveCommit) -> Any:
@@ -61,7 +61,7 @@ async def test_moves_that_begin_at_the_same_time_ask_for_their_owners_together()
     asking = [asyncio.create_task(directory.owner_of(name)) for name in (b"a", b"gone", b"c")]
     async with asyncio.timeout(10):
         await asyncio.wait(asking)
-    assert directory.asked == [[b"a", b"gone", b"c"]]
+    assert directory.lookups == [[b"a", b"gone", b"c"]]
     assert asking[0].result()[0].channel_id == b"a"
     assert asking[2].result()[0].channel_id == b"c"
     with pytest.raises(ChannelNotFound, match=b"gone".hex()):
@@ -71,4 +71,4 @@ async def test_moves_that_begin_at_the_same_time_ask_for_their_owners_together()
 async def test_a_single_move_asks_for_one_owner_only() -> None:
     directory = Directory()
     found: Any = await directory.owner_of(b"a")
-    assert (found[0].channel_id, directory.asked) == (b"a", [[b"a"]])
+    assert (found[0].channel_id, directory.lookups) == (b"a", [[b"a"]])

@@ -79,7 +79,7 @@ def test_a_copy_continues_only_if_its_owner_has_all_steps_of_the_copy(
 ) -> None:
     """This owner began at step 10 in epoch 4, and has the steps from 8 on."""
     journal = SimpleNamespace(next_step=12, steps_from=lambda first, most: [] if 8 <= first <= 12 else None)
-    replication: Any = SimpleNamespace(journal=journal, since_epoch=4, start=10, strays=set())
+    replication: Any = SimpleNamespace(journal=journal, since_epoch=4, start=10, diverged_host_ids=set())
     hosted: Any = SimpleNamespace(queue=SimpleNamespace(incarnation=5))
     feed = QueueFeedStream(hosted, replication, lambda: 0, b"owner", b"replica", "replica:1")
     place = pb.FeedQueueResponse(next_step=next_step, incarnation=incarnation, owner_epoch=owner_epoch)
@@ -95,7 +95,7 @@ async def test_a_replica_of_an_earlier_release_begins_anew_instead_of_steps_that
     reports: list[int] = []
     replication: Any = SimpleNamespace(
         journal=journal, since_epoch=4, start=10, report=lambda host, feed, step: reports.append(step),
-        begin_anew=AsyncMock(return_value=False), strays=set(),
+        begin_anew=AsyncMock(return_value=False), diverged_host_ids=set(),
     )  # fmt: skip
     hosted: Any = SimpleNamespace(queue=SimpleNamespace(incarnation=5))
     feed = QueueFeedStream(hosted, replication, lambda: 0, b"owner", b"replica", "replica:1")
@@ -130,7 +130,7 @@ class DamagedReplica:
 async def test_damaged_bytes_end_the_feed_with_an_error_after_which_the_keeper_tries_again(whole_answers: int) -> None:
     journal = SimpleNamespace(next_step=1, takes_changes=True)
     replication: Any = SimpleNamespace(
-        journal=journal, strays=set(), add=lambda *_: None, discard=lambda *_: None,
+        journal=journal, diverged_host_ids=set(), add=lambda *_: None, discard=lambda *_: None,
         begin_anew=lambda host_id: asyncio.get_running_loop().create_future(),
     )  # fmt: skip
     hosted: Any = SimpleNamespace(record=SimpleNamespace(message=b""))

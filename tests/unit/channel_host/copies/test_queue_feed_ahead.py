@@ -198,7 +198,7 @@ async def test_a_replica_that_got_a_message_which_the_owner_could_not_store_begi
         assert not feed._continues(both.replica.feed.place())
         both.replication.add(REPLICA, feed)
         both.replication.report(REPLICA, feed, feed.next_step)
-        assert both.replication.strays == set()
+        assert both.replication.diverged_host_ids == set()
 
 
 async def test_an_error_while_a_put_is_sent_ends_the_feed_and_not_the_call(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,7 +211,7 @@ async def test_an_error_while_a_put_is_sent_ends_the_feed_and_not_the_call(monke
         assert both.put() is None
         with pytest.raises(RuntimeError, match="no socket"):
             await asyncio.wait_for(both.tasks[0], LIMIT_S)
-        assert both.replication.strays == set()
+        assert both.replication.diverged_host_ids == set()
 
 
 async def test_a_put_that_comes_in_the_task_of_the_feed_has_the_same_effect() -> None:

@@ -84,7 +84,7 @@ def test_a_copy_answers_a_step_that_surely_fits_before_it_repeats_the_step() -> 
         events.append("repeated")
 
     room = SimpleNamespace(claim=lambda size: None, set=lambda size: None)
-    copies = SimpleNamespace(of=lambda queue_id: copy, apply=repeat, heard=lambda copy, record: None)
+    copies = SimpleNamespace(of=lambda queue_id: copy, apply=repeat, note_message=lambda copy, record: None)
     queues: Any = SimpleNamespace(
         copies=copies, memory=SimpleNamespace(charge_for=lambda owner: room), known=lambda queue_id: None,
         in_use=SimpleNamespace(set=lambda: None),

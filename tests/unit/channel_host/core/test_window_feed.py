@@ -28,7 +28,7 @@ def test_a_feed_has_each_record_once_although_all_came_at_one_instant() -> None:
         assert [(run.producer_id, run.first_number) for run in found] == [(1, number), (2, number), (3, number)]
         for run in found:
             copy.adopt(run)
-        assert feed.is_level
+        assert feed.is_caught_up
         assert feed.take(1000) == []
     assert kept(copy) == kept(window)
 
@@ -38,7 +38,7 @@ def test_a_feed_gives_many_producers_in_parts_the_longest_silent_first() -> None
     for producer_id in range(1, 8):
         window.record(producer_id, 1, whole(producer_id, 1, producer_id))
     feed, found = WindowFeed(window, None), []
-    while not feed.is_level:
+    while not feed.is_caught_up:
         part = feed.take(2)
         assert len(part) <= 2
         found += [run.producer_id for run in part]
@@ -104,4 +104,4 @@ def test_a_put_that_left_the_window_is_not_taken_into_the_copy() -> None:
     window.expire(10**18)
     assert feed.take_put() is None
     assert feed.take(1000) == []
-    assert feed.is_level
+    assert feed.is_caught_up

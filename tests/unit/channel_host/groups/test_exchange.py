@@ -21,17 +21,17 @@ from stampede_rt_channel_host.groups.table import HostedGroups
 OWN, LEFT, RIGHT = b"o" * 16, b"l" * 16, b"r" * 16
 
 
-class WalkCounter(dict[bytes, HostedGroup]):
-    """Counts the walks over all groups."""
+class ScanCounter(dict[bytes, HostedGroup]):
+    """Counts the scans of all groups."""
 
-    walks = 0
+    scans = 0
 
     def __iter__(self):  # type: ignore[no-untyped-def]  # as dict has it
-        self.walks += 1
+        self.scans += 1
         return super().__iter__()
 
     def items(self):  # type: ignore[no-untyped-def]  # as dict has it
-        self.walks += 1
+        self.scans += 1
         return super().items()
 
 
@@ -40,12 +40,12 @@ class Groups:
 
     def __init__(self) -> None:
         self.table = HostedGroups()
-        self.table.groups = self.walked = WalkCounter()
+        self.table.groups = self.scanned = ScanCounter()
         identity: Any = SimpleNamespace(host_id=OWN, name="own")
         channels: Any = SimpleNamespace(scheduler=PieceScheduler(), lease_held=lambda: True, now=lambda: 0)
         dial: Any = None
         self.exchange = TimesExchange(
-            identity, channels, self.table, dial, lambda: "", on_stale=lambda _: None, on_asked=lambda _: None
+            identity, channels, self.table, dial, lambda: "", on_stale=lambda _: None, on_requested=lambda _: None
         )
 
     def adopt(self, number: int, *members: tuple[int, bytes], creator: str = "") -> None:
@@ -117,7 +117,7 @@ async def test_a_host_follows_the_channels_of_all_groups_until_the_last_group_is
 async def test_a_host_that_learns_of_a_group_looks_at_no_other_group(groups: Groups) -> None:
     for number in range(100):
         groups.adopt(number, (number, LEFT), (number + 1, RIGHT))
-    assert groups.walked.walks == 0
+    assert groups.scanned.scans == 0
     assert groups.wanted(LEFT) == {*range(100)}
 
 

@@ -32,7 +32,7 @@ class Notebook:
     def __init__(self) -> None:
         self.newest = 1
         self.received: list[tuple[pb.TimesUpdate, bool]] = []
-        self.asked: list[set[bytes]] = []
+        self.requested_ids: list[set[bytes]] = []
         self.has_lease = True
         self.stands = asyncio.Event()
         self.names: dict[bytes, str] = {}
@@ -52,8 +52,8 @@ class Notebook:
     def greeted(self, link: HostLink) -> None:
         self.stands.set()
 
-    def asked_for(self, channel_ids: set[bytes]) -> None:
-        self.asked.append(channel_ids)
+    def channels_requested(self, channel_ids: set[bytes]) -> None:
+        self.requested_ids.append(channel_ids)
 
     def check_lease(self) -> None:
         if not self.has_lease:
@@ -112,7 +112,7 @@ async def test_the_other_host_gets_only_the_newest_state_of_its_wanted_channels(
     assert len(updates) <= 2  # one message may have been under way; all later changes became one message
     assert [len(one.times) for one in updates] == [1] * len(updates)
     assert updates[-1].floors[0].cut_unix_nano == 99
-    assert notebook.asked == [{b"one", b"two"}]
+    assert notebook.requested_ids == [{b"one", b"two"}]
     await wire.end()
 
 

@@ -21,13 +21,13 @@ from stampede_rt_channel_host.groups.table import HostedGroups
 HOST, NOW, GROUPS = b"h" * 16, 1_000_000, 100
 
 
-class WalkCounter(dict[bytes, KnownTimes]):
-    """Counts the walks over all channels."""
+class ScanCounter(dict[bytes, KnownTimes]):
+    """Counts the scans of all channels."""
 
-    walks = 0
+    scans = 0
 
     def __iter__(self):  # type: ignore[no-untyped-def]  # as dict has it
-        self.walks += 1
+        self.scans += 1
         return super().__iter__()
 
 
@@ -54,19 +54,19 @@ def ignored(one: bytes) -> None: ...
 
 async def test_a_group_that_loses_members_deletes_their_state_and_looks_at_no_other_members() -> None:
     table = HostedGroups()
-    table.board._known = known = WalkCounter()
+    table.board._known = known = ScanCounter()
     begin = PieceScheduler().begin
     for number in range(GROUPS):
         one = resolved_group(number, number, number + 1)
         table.enter(HostedGroup(one, table.board, lambda: NOW, on_moved=ignored, on_idle=ignored, begin=begin))
         table.board.receive(channel(number), ChannelTimes(1, 1, NOW), 0, NOW)
-    known.walks = 0
+    known.scans = 0
     table.adopt(table.groups[(7).to_bytes(16)], resolved_group(7, 8))
     assert table.board.find(channel(7)) is not None, "another group has the channel"
     table.forget((6).to_bytes(16))
     assert table.board.find(channel(7)) is None
     assert table.board.find(channel(8)) is not None
-    assert known.walks == 0
+    assert known.scans == 0
 
 
 class ShownGroups:

@@ -65,11 +65,11 @@ def test_actions_wait_for_the_replica_and_keep_their_order() -> None:
     owner = Owner()
     owner.put("one")
     owner.put("two")
-    assert (owner.done, owner.feed.woken, owner.replication.is_level) == ([], 2, False)
+    assert (owner.done, owner.feed.woken, owner.replication.is_fully_replicated) == ([], 2, False)
     owner.report(2)
     assert (owner.done, owner.replication.copies(2), owner.replication.copies(3)) == (["one"], 2, 1)
     owner.report(3)
-    assert (owner.done, owner.replication.is_level) == (["one", "two"], True)
+    assert (owner.done, owner.replication.is_fully_replicated) == (["one", "two"], True)
     owner.replication.once_replicated(None, lambda: owner.done.append("now"))
     assert owner.done[-1] == "now"
 

@@ -29,23 +29,23 @@ class FakeHost:
     def __init__(self) -> None:
         self.requests: list[pb.ConsumeRequest] = []
         self.refusals: list[st.StampedeError] = []
-        self.asked = asyncio.Event()
+        self.called = asyncio.Event()
         self.channels = self
         self.Consume = "Consume"
 
     async def call(self, method: str, request: pb.ConsumeRequest, timeout_s: float) -> pb.ConsumeResponse:
         assert method == self.Consume
         self.requests.append(request)
-        self.asked.set()
+        self.called.set()
         if self.refusals:
             raise self.refusals.pop(0)
         return pb.ConsumeResponse(consumed=len(request.seqs), lease_nanos=LEASE_NANOS)
 
-    async def asked_again(self, condition: Callable[[pb.ConsumeRequest], bool] = lambda request: True) -> None:
+    async def next_call(self, condition: Callable[[pb.ConsumeRequest], bool] = lambda request: True) -> None:
         async with asyncio.timeout(45):
             while True:
-                self.asked.clear()
-                await self.asked.wait()
+                self.called.clear()
+                await self.called.wait()
                 if condition(self.requests[-1]):
                     return
 
@@ -99,7 +99,7 @@ async def test_a_consumer_place_is_renewed_until_the_connection_is_closed_withou
     first = session.host.requests[0]
     assert (first.consumer_id, first.epoch, first.incarnation, list(first.seqs)) == (99, 3, 7, [1, 2])
     for _ in range(3):
-        await session.host.asked_again()
+        await session.host.next_call()
         renewal = session.host.requests[-1]
         assert (renewal.consumer_id, list(renewal.seqs), renewal.HasField("lease_nanos")) == (99, [], False)
     (kept,) = session.attached
@@ -119,7 +119,7 @@ async def test_a_renewal_that_fails_for_a_while_is_tried_again(session: Any, sta
     await consume(session, state, [])
     session.host.refusals = [st.Unavailable("away"), st.DeadlineExceeded("slow")]
     for _ in range(3):
-        await session.host.asked_again()
+        await session.host.next_call()
     assert session.attached
     await session.attached[0].end()
 

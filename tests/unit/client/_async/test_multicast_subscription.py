@@ -17,15 +17,15 @@ from stampede_rt._async.multicast_subscription import MulticastSubscription
 from stampede_rt._async.stream_reconnector import StreamReconnector
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import Unavailable
+from stampede_rt.multicast.encryption import Encryptor, Signer
 from stampede_rt.multicast.layout import KEY_BYTES, MessageKind, MulticastMessage, parts_of
-from stampede_rt.multicast.sealing import Sealer, Signer
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import item_pb2
 from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.long_answers import SubscribeAnswer
 
 STREAM_ID, KEY = b"stream-1", bytes(KEY_BYTES)
-SIGNER, SEALER = Signer(STREAM_ID, bytes(KEY_BYTES)), Sealer(STREAM_ID, 1, KEY)
+SIGNER, ENCRYPTOR = Signer(STREAM_ID, bytes(KEY_BYTES)), Encryptor(STREAM_ID, 1, KEY)
 OFFER = pb.MulticastOffer(
     group="239.1.2.3:7000", stream_id=STREAM_ID, key_number=1, key=KEY, public_key=SIGNER.public_key
 )
@@ -50,7 +50,7 @@ def gap_of(first_seq: int, last_seq: int) -> pb.SubscribeResponse:
 def datagrams_of(first_seq: int, end_seq: int) -> list[bytes]:
     body = response_of(first_seq, end_seq).SerializeToString()
     message = SIGNER.sign(MulticastMessage(MessageKind.ITEMS, first_seq, end_seq, body))
-    return [SEALER.seal(part) for part in parts_of(message)]
+    return [ENCRYPTOR.encrypt(part) for part in parts_of(message)]
 
 
 class Stream:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stampede_rt.cli.channel_rates import SORTS
 from stampede_rt.cli.top import TopView
-from stampede_rt.cli.top_columns import GAP, HEADS, WIDTHS, fitting_heads
+from stampede_rt.cli.top_columns import COLUMN_NAMES, GAP, WIDTHS, fitting_columns
 
 
 def pressed(keys: str) -> TopView:
@@ -32,15 +32,15 @@ def test_a_filter_is_typed_erased_kept_and_cleared() -> None:
 def test_a_narrower_terminal_shows_fewer_columns_and_at_least_half_of_each_name_or_32_characters() -> None:
     former: set[str] = set()
     for terminal in range(24, 200):
-        heads = fitting_heads(terminal, longest_name=60)
+        heads = fitting_columns(terminal, longest_name=60)
         assert set(heads) >= former
         used = sum(GAP + WIDTHS[head] for head in heads)
         assert terminal - used >= min(32, terminal // 2)
         former = set(heads)
-    assert fitting_heads(200, 60) == HEADS
-    assert fitting_heads(50, 10) == ("ITEMS/S", "IN/S", "AGE")
-    assert fitting_heads(40, 60) == ("ITEMS/S",)
+    assert fitting_columns(200, 60) == COLUMN_NAMES
+    assert fitting_columns(50, 10) == ("ITEMS/S", "IN/S", "AGE")
+    assert fitting_columns(40, 60) == ("ITEMS/S",)
 
 
 def test_short_names_leave_room_for_more_columns() -> None:
-    assert len(fitting_heads(100, 8)) > len(fitting_heads(100, 40))
+    assert len(fitting_columns(100, 8)) > len(fitting_columns(100, 40))

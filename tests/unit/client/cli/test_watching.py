@@ -21,13 +21,13 @@ def channel(name: str, epoch: int = 1) -> ChannelInfo:
 
 def watched(*watches: tuple[list[Thing], Sequence[Change | StampedeError]]) -> list[Any]:
     """The output of the command for some watches, one after the other. Each begins with a list."""
-    coming = iter(watches)
+    remaining = iter(watches)
     listed: list[Thing] = []
 
     @contextmanager
     def watch(rt: Any, glob: str) -> Iterator[Iterator[Change]]:
         nonlocal listed
-        listed, changes = next(coming)
+        listed, changes = next(remaining)
 
         def given_out() -> Iterator[Change]:
             for one in changes:

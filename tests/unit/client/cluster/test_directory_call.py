@@ -27,7 +27,7 @@ def unreached() -> StampedeError:
     return Unavailable("cannot be reached", metadata={UNREACHED: "refused"})
 
 
-def asked(call: DirectoryCall, failures: dict[str, StampedeError], now_s: float = 0.0) -> list[str]:
+def round_targets(call: DirectoryCall, failures: dict[str, StampedeError], now_s: float = 0.0) -> list[str]:
     """The targets that one round asks, in order, if each target fails with its error in `failures`."""
     order: list[str] = []
     while (attempt := call.next_attempt(now_s)) is not None:
@@ -39,7 +39,7 @@ def asked(call: DirectoryCall, failures: dict[str, StampedeError], now_s: float 
 def test_a_round_asks_each_supernode_once_in_order() -> None:
     call = DirectoryCall(deadline_s=10.0)
     call.begin_round(["a", "b", "a", "c"], 2.5)
-    assert asked(call, dict.fromkeys("abc", unreached())) == ["a", "b", "c"]
+    assert round_targets(call, dict.fromkeys("abc", unreached())) == ["a", "b", "c"]
 
 
 def test_a_call_asks_the_leader_that_a_supernode_names_next_and_only_once() -> None:
@@ -47,14 +47,14 @@ def test_a_call_asks_the_leader_that_a_supernode_names_next_and_only_once() -> N
     call.begin_round(["a", "b", "c"], 2.5)
     names_c = NotLeader("c leads", metadata={"leader_endpoint": "c"})
     names_a = NotLeader("a leads", metadata={"leader_endpoint": "a"})
-    assert asked(call, {"a": names_c, "b": names_c, "c": names_a}) == ["a", "c", "b"]
+    assert round_targets(call, {"a": names_c, "b": names_c, "c": names_a}) == ["a", "c", "b"]
 
 
 def test_a_call_follows_a_limited_number_of_leader_hints() -> None:
     call = DirectoryCall(deadline_s=10.0)
     call.begin_round(["0"], 2.5)
     names = {str(one): NotLeader("not me", metadata={"leader_endpoint": str(one + 1)}) for one in range(200)}
-    assert len(asked(call, dict(names))) == SUPERNODES_MAX
+    assert len(round_targets(call, dict(names))) == SUPERNODES_MAX
 
 
 def test_an_attempt_has_its_share_of_the_time_that_is_left() -> None:
@@ -77,7 +77,7 @@ def test_a_missing_majority_is_inferred_from_the_failures_of_all_rounds() -> Non
     call = DirectoryCall(deadline_s=10.0)
     for target in "ab":
         call.begin_round([target], 2.5)
-        asked(call, {target: unreached()})
+        round_targets(call, {target: unreached()})
     failure = call.failure(["a", "b", "c"])
     assert failure.reason == "NO_QUORUM"
     assert "1 of 3 supernodes answer" in failure.message
@@ -95,7 +95,7 @@ def test_an_attempt_with_too_little_time_does_not_hide_the_failure_of_an_earlier
         (now_s, Unavailable("no majority", reason="NO_QUORUM")),
     ]:
         call.begin_round(["a"], float("inf"))
-        asked(call, {"a": error}, began_s)
+        round_targets(call, {"a": error}, began_s)
     assert call.failure(["a"]).message == expected
 
 
@@ -103,7 +103,7 @@ def test_an_error_says_that_no_attempt_had_enough_time() -> None:
     call = DirectoryCall(deadline_s=10.0)
     for now_s in (9.5, 9.9):
         call.begin_round(["a"], float("inf"))
-        asked(call, {"a": Unavailable("no majority", reason="NO_QUORUM")}, now_s)
+        round_targets(call, {"a": Unavailable("no majority", reason="NO_QUORUM")}, now_s)
     assert is_cut_short(call.failure(["a"]), timeout_s=10.0)
 
 
@@ -114,7 +114,7 @@ def test_an_attempt_with_too_little_time_whose_update_may_be_done_is_told_and_ma
         (9.9, Unavailable("perhaps done", reason="AMBIGUOUS")),
     ]:
         call.begin_round(["a"], float("inf"))
-        asked(call, {"a": error}, now_s)
+        round_targets(call, {"a": error}, now_s)
     assert call.failure(["a"]).reason == "AMBIGUOUS"
     assert is_cut_short(call.failure(["a"]), timeout_s=10.0)
 
@@ -122,7 +122,7 @@ def test_an_attempt_with_too_little_time_whose_update_may_be_done_is_told_and_ma
 def test_a_call_whose_time_is_over_before_it_begins_says_so() -> None:
     call = DirectoryCall(deadline_s=10.0)
     call.begin_round(["a"], 2.5)
-    assert asked(call, {}, now_s=10.0) == []
+    assert round_targets(call, {}, now_s=10.0) == []
     assert isinstance(call.failure(["a"]), DeadlineExceeded)
 
 
@@ -133,7 +133,7 @@ def test_without_a_supernode_the_error_names_the_service_to_start() -> None:
 def test_the_error_gives_the_reason_of_a_forgotten_supernode_if_it_has_no_other_reason() -> None:
     call = DirectoryCall(deadline_s=10.0)
     call.begin_round(["gone"], 2.5)
-    asked(call, {"gone": unreached()})
+    round_targets(call, {"gone": unreached()})
     assert call.failure([]).metadata == {UNREACHED: "refused"}
 
 

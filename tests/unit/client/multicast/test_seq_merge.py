@@ -29,9 +29,9 @@ def merge_from(next_seq: int) -> SeqMerge[NumberedItem]:
 def test_items_from_datagrams_wait_for_missing_earlier_ones() -> None:
     merge = merge_from(3)
     assert merge.add(5, 7, items(5, 7), 10)
-    assert (merge.take(), merge.missing_items, merge.is_missing, merge.is_level) == ([], 2, True, False)
+    assert (merge.take(), merge.missing_items, merge.is_missing, merge.is_contiguous) == ([], 2, True, False)
     assert merge.add(3, 5, items(3, 5), 10)
-    assert merge.is_level
+    assert merge.is_contiguous
     assert seqs(merge.take()) == [3, 4, 5, 6]
     assert (merge.next_seq, merge.held_bytes, merge.is_missing) == (7, 0, False)
 
@@ -70,6 +70,6 @@ def test_messages_before_the_readers_position_are_dropped() -> None:
     merge.add(2, 4, items(2, 4), 10)
     merge.add(5, 6, items(5, 6), 10)
     merge.pass_to(4)
-    assert (merge.held_bytes, merge.is_level) == (10, False)
+    assert (merge.held_bytes, merge.is_contiguous) == (10, False)
     merge.announce(9)
     assert (merge.missing_items, merge.is_missing) == (1, True)

@@ -212,7 +212,7 @@ async def test_a_response_is_taken_in_the_turn_in_which_it_comes_if_the_user_wai
 
         call.take_in_same_turn = take
         far.socket.sendall(frame_of(FrameKind.MESSAGE, b"early"))
-        await until(lambda: bool(call._came))
+        await until(lambda: bool(call._received))
         assert await anext(call) == b"early", "no caller waited for the message when it came"
         reading = asyncio.ensure_future(anext(call))
         await asyncio.sleep(0)

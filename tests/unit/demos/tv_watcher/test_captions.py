@@ -1,4 +1,4 @@
-"""The captions describe the pictures at their places in the clip."""
+"""A caption describes the pictures that the clip has at the time of the caption."""
 
 from stampede_rt_demos.tv_watcher.captions import SCENES, caption_text, planned_captions, timecode
 
@@ -12,16 +12,16 @@ def test_a_caption_names_the_scene_that_fills_most_of_its_second():
     assert caption_text(3 * SECOND, LOOP, SECOND) == f"00:03.00 {SCENES[4].text}"
 
 
-def test_a_caption_over_the_loops_end_says_so_and_names_the_longer_part():
+def test_a_caption_beyond_the_end_of_the_clip_says_so_and_names_the_longer_scene():
     assert caption_text(4_440_000_000, LOOP, SECOND) == f"00:04.44 {SCENES[-1].text} (the clip starts again)"
     assert caption_text(5 * SECOND, LOOP, SECOND) == f"00:05.00 {SCENES[0].text} (the clip starts again)"
 
 
-def test_a_caption_that_ends_with_the_loop_does_not_mention_the_next_loop():
+def test_a_caption_that_ends_with_the_clip_does_not_mention_the_next_run_of_the_clip():
     assert "again" not in caption_text(LOOP - SECOND, LOOP, SECOND)
 
 
-def test_captions_adjoin_and_follow_the_clip_through_its_loops():
+def test_captions_adjoin_and_follow_the_clip_when_it_starts_again():
     plan = list(planned_captions(LOOP, SECOND, 100, 7 * SECOND))
     assert [caption.time for caption in plan] == [100 + n * SECOND for n in range(7)]
     assert {caption.duration for caption in plan} == {SECOND}

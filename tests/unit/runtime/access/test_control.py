@@ -78,7 +78,7 @@ async def port() -> AsyncIterator[tuple[ServiceServer, Callable[[Secret], Any]]]
         yield server, lambda secret: (members if secret is CLUSTER else clients).stream_stream(READ)(timeout=20)
 
 
-async def said(call: Any, name: str) -> bytes:
+async def answer_to(call: Any, name: str) -> bytes:
     await call.write(name.encode())
     answer = await call.read()
     assert isinstance(answer, bytes)
@@ -102,12 +102,12 @@ async def test_a_port_without_the_rules_serves_no_caller_that_needs_a_rule(
 ) -> None:
     monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 0.01)
     async with port() as (server, begin):
-        assert await said(begin(CLUSTER), "x") == b"1"
+        assert await answer_to(begin(CLUSTER), "x") == b"1"
         early = begin(CLIENTS)
         await early.write(b"open")
         assert isinstance(await ended(early), Unavailable)
         server.access.set_state(state(0))
-        assert await said(begin(CLIENTS), "x") == b"1"
+        assert await answer_to(begin(CLIENTS), "x") == b"1"
 
 
 @pytest.fixture
@@ -130,7 +130,7 @@ async def test_a_port_that_still_lacks_the_rules_lets_a_client_wait_but_not_a_me
     cannot serve.
     """
     async with port() as (server, begin):
-        assert await said(begin(CLUSTER), "x") == b"1"
+        assert await answer_to(begin(CLUSTER), "x") == b"1"
         assert not waits.is_set()
         early = begin(CLIENTS)
         await early.write(b"x")
@@ -149,7 +149,7 @@ async def test_a_port_that_still_lacks_the_keys_of_tokens_lets_only_a_caller_wit
     token = Secret(text=make_token(key, claims), path=Path("token"))
     async with port() as (server, begin), dial(server.address, secret=token) as cameras:
         server.access.set_state(state(0))
-        assert await said(begin(CLIENTS), "x") == b"1"
+        assert await answer_to(begin(CLIENTS), "x") == b"1"
         assert not waits.is_set()
         early = cameras.stream_stream(READ)(timeout=20)
         await early.write(b"x")
@@ -162,17 +162,17 @@ async def test_a_stream_ends_when_its_caller_loses_the_right_and_other_streams_c
     async with port() as (server, begin):
         server.access.set_state(state(1, ALLOW))
         client, other, member = begin(CLIENTS), begin(CLIENTS), begin(CLUSTER)
-        assert await said(client, "open") == b"0"
-        assert await said(member, "open") == b"1"
+        assert await answer_to(client, "open") == b"0"
+        assert await answer_to(member, "open") == b"1"
         server.access.set_state(state(2, ALLOW, AccessRule("nobody", (), None, "*")))
-        assert await said(client, "open") == b"0"
+        assert await answer_to(client, "open") == b"0"
         server.access.set_state(state(3, AccessRule("nobody", (), None, "*")))
         lost = await ended(client)
         assert isinstance(lost, PermissionDenied)
         assert "may not read channel open; an operator can allow it (stampede acl add @clients read open" in str(lost)
-        assert await said(member, "closed") == b"1"
+        assert await answer_to(member, "closed") == b"1"
         server.access.set_state(state(4, ALLOW))
-        assert await said(other, "open") == b"0"
+        assert await answer_to(other, "open") == b"0"
 
 
 async def test_the_error_says_that_a_caller_may_do_nothing_with_a_channel() -> None:
@@ -195,7 +195,7 @@ async def test_a_stream_ends_when_its_credential_is_revoked_or_has_expired() -> 
             brought = (("authorization", f"Bearer {make_token(key, one)}"),)
             calls.append(channel.stream_stream(READ)(timeout=20, metadata=brought))
         for call in calls:
-            assert await said(call, "x") == b"1"
+            assert await answer_to(call, "x") == b"1"
         assert "client cam has ended; call again" in str(await ended(calls[1]))
         server.access.set_state(replace(known, version=2, revoked_serials=frozenset({"a1"})))
         assert "the token a1 of client cam was revoked" in str(await ended(calls[0]))

@@ -47,14 +47,14 @@ class Gatekeeper(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
     def __init__(self, target: str) -> None:
         self._target = target
         self.streams = Streams()
-        self.asked = 0
+        self.calls = 0
 
     def add_to(self, server: Any) -> None:
         gatekeeper_service_pb2_grpc.add_GatekeeperServiceServicer_to_server(self, server)
         self.streams.add_to(server)
 
     async def ListDataEndpoints(self, request: Any, context: Any) -> pb.ListDataEndpointsResponse:  # noqa: N802
-        self.asked += 1
+        self.calls += 1
         offered = pb.DataEndpoint(transport=pb.TRANSPORT_SOCKET, target=self._target, ticket=b"t" * 32)
         return pb.ListDataEndpointsResponse(endpoints=[offered])
 
@@ -184,7 +184,7 @@ async def test_connections_at_the_same_time_ask_the_host_for_its_sockets_once(ri
     async with rig() as opened, opened.again() as other:
         await echo(opened.begin(ECHO))
         await echo(other.stream_stream(ECHO)())  # type: ignore[call-arg]
-        assert (opened.gatekeeper.asked, opened.sockets) == (1, 2)
+        assert (opened.gatekeeper.calls, opened.sockets) == (1, 2)
 
 
 async def test_a_host_whose_known_sockets_are_gone_is_asked_again(rig: Opened, tmp_path: Path) -> None:
@@ -192,7 +192,7 @@ async def test_a_host_whose_known_sockets_are_gone_is_asked_again(rig: Opened, t
         gone = pb.DataEndpoint(transport=pb.TRANSPORT_SOCKET, target=f"unix:{tmp_path}/0123456789abcdef.sock")
         opened.known.keep(opened.address, [gone])
         await echo(opened.begin(ECHO))
-        assert (opened.gatekeeper.asked, opened.sockets) == (1, 1)
+        assert (opened.gatekeeper.calls, opened.sockets) == (1, 1)
 
 
 @pytest.mark.parametrize("transport", [Transport.BEST, Transport.GRPC])

@@ -37,22 +37,22 @@ def filled(*, feature_level: int) -> Log:
     return log
 
 
-def makers(tables: Tables) -> list[str]:
+def creators(tables: Tables) -> list[str]:
     records = (tables.channel_named("cam"), tables.queues.named("jobs"), tables.groups.named("all"))
     return [one.created_by for one in records if one is not None]
 
 
 def test_the_maker_of_a_thing_does_not_change() -> None:
     log = filled(feature_level=OWNERS_LEVEL)
-    assert makers(log.directory.tables) == ["alice", "bob", "@cluster"]
+    assert creators(log.directory.tables) == ["alice", "bob", "@cluster"]
     log.apply(deregister(1))
     log.apply(register(2))
     for operation in (open_channel("cam"), open_queue("jobs"), open_group("all", None, create=False)):
         log.apply(by(operation, "mallory"))
-    assert makers(log.directory.tables) == ["alice", "bob", "@cluster"]
+    assert creators(log.directory.tables) == ["alice", "bob", "@cluster"]
     read = decode_snapshot(encode_snapshot(log.directory))
-    assert makers(read.tables) == ["alice", "bob", "@cluster"]
+    assert creators(read.tables) == ["alice", "bob", "@cluster"]
 
 
 def test_below_the_feature_level_of_owners_no_maker_is_kept() -> None:
-    assert makers(filled(feature_level=OWNERS_LEVEL - 1).directory.tables) == ["", "", ""]
+    assert creators(filled(feature_level=OWNERS_LEVEL - 1).directory.tables) == ["", "", ""]

@@ -36,7 +36,7 @@ def log() -> Log:
     return log
 
 
-def go_on(log: Log) -> None:
+def apply_later_changes(log: Log) -> None:
     for name in ("0", "aa", "z"):
         log.apply(open_channel(name, host="host-2", max_items=5))
         log.apply(open_queue(name, host="host-2", max_items=5))
@@ -53,14 +53,14 @@ def test_later_changes_are_not_in_a_snapshot(log: Log, snapshots_before: int) ->
         writer.begin(log.directory)()
     before = encode_snapshot(log.directory)
     encode = writer.begin(log.directory)
-    go_on(log)
+    apply_later_changes(log)
     assert encode() == before != encode_snapshot(log.directory)
     assert writer.begin(log.directory)() == encode_snapshot(log.directory)
 
 
 def test_a_later_snapshot_takes_only_the_channels_that_changed(log: Log) -> None:
     position = snapshot_view(log.directory).position
-    go_on(log)
+    apply_later_changes(log)
     view = snapshot_view(log.directory, position)
     assert view.changes is not None
     assert view.channels == ()
@@ -82,7 +82,7 @@ def test_all_channels_are_written_when_there_were_too_many_changes(log: Log) -> 
     position = snapshot_view(log.directory).position
     for change in [*log.directory.tables.changes._changes][:1] * (CHANGES_MAX + 1):
         log.directory.tables.changes.append(change)
-    go_on(log)
+    apply_later_changes(log)
     assert len(snapshot_view(log.directory, position).channels) == len(log.directory.tables.channels)
     assert writer.begin(log.directory)() == encode_snapshot(log.directory)
 

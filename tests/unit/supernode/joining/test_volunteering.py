@@ -27,7 +27,7 @@ class Leader(membership_service_pb2_grpc.MembershipServiceServicer):
     """Refuses all newcomers until the test changes that. Then the newcomer is a member."""
 
     def __init__(self) -> None:
-        self.refuses, self.asked, self.has_let_in = True, 0, False
+        self.refuses, self.calls, self.has_let_in = True, 0, False
         self.refusal: StampedeError = PermissionDenied("the token is over", reason="UNAUTHENTICATED")
         self.log: Any = SimpleNamespace(status=lambda: SimpleNamespace(self_id="new", members=self._members()))
 
@@ -37,7 +37,7 @@ class Leader(membership_service_pb2_grpc.MembershipServiceServicer):
     async def AddSupernode(  # noqa: N802
         self, request: pb.AddSupernodeRequest, context: Any
     ) -> pb.AddSupernodeResponse:
-        self.asked += 1
+        self.calls += 1
         if self.refuses:
             await abort(context, self.refusal)
         self.has_let_in = True
@@ -56,14 +56,14 @@ async def started(leader: Leader, address: str, folder: Path) -> list[float]:
 
     founding = read_founding(folder)
     assert founding is not None
-    requests = leader.asked
+    requests = leader.calls
     with (
         pytest.raises(StampedeError, match=f"cannot join: {leader.refusal.message}")
         if leader.refuses
         else nullcontext()
     ):
         await volunteer(founding, folder, leader.log, to, zone="", sleep=sleep)
-    assert leader.asked == requests + 1
+    assert leader.calls == requests + 1
     return waited
 
 

@@ -18,14 +18,14 @@ from tests.support.supernode.operations import begin_tenure, id_of, open_channel
 
 
 class SlowLog(MemoryLog):
-    """Commits a command only when `go_on` is set."""
+    """Commits a command only when `may_continue` is set."""
 
     def __init__(self, replica: DirectoryReplica) -> None:
         super().__init__(replica)
-        self.go_on = asyncio.Event()
+        self.may_continue = asyncio.Event()
 
     async def propose(self, command: bytes, *, timeout: float) -> Any:
-        await self.go_on.wait()
+        await self.may_continue.wait()
         return await super().propose(command, timeout=timeout)
 
 
@@ -49,7 +49,7 @@ async def test_one_caller_cannot_fill_the_log(monkeypatch: pytest.MonkeyPatch) -
     await asyncio.sleep(0)
     with pytest.raises(Overloaded, match="3 changes of greedy are under way at this supernode"):
         await submit(open_channel("g/3"), ChannelOpened, "greedy")
-    log.go_on.set()
+    log.may_continue.set()
     await asyncio.gather(*begun, *greedy, *others)
     await submit(open_channel("g/3"), ChannelOpened, "greedy")
     assert not submission._under_way

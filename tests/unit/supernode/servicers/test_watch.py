@@ -64,7 +64,7 @@ async def test_a_watch_waits_for_the_turn_of_its_caller_before_it_looks_for_chan
 
         async def turn(self) -> None:
             self.waiting.set()
-            await self.came.wait()
+            await self.arrival.wait()
             self.must_wait = False
 
     work = BeyondItsShare()
@@ -73,7 +73,7 @@ async def test_a_watch_waits_for_the_turn_of_its_caller_before_it_looks_for_chan
     await stream.read()
     await work.waiting.wait()
     await node.open("cam")
-    work.came.set()
+    work.arrival.set()
     assert await changes(stream, 1) == [(ADDED, "cam")]
     stream.cancel()
 

@@ -58,20 +58,20 @@ class DiskUse:
         for channel_id in gone:
             self._channels[channel_id].set_bytes(0)
 
-    def changed(self, channel: ChannelDiskUse, more: int) -> None:
-        """Count `more` bytes, which may be negative, for a channel."""
-        self.used_bytes += more
+    def add_bytes(self, channel: ChannelDiskUse, added_bytes: int) -> None:
+        """Count further bytes of a channel. `added_bytes` may be negative."""
+        self.used_bytes += added_bytes
         if channel.charged_bytes:
             self._channels[channel.channel_id] = channel
         else:
             self._channels.pop(channel.channel_id, None)
 
-    def check(self, more: int) -> None:
-        """Raises Overloaded if the archive has no room for `more` bytes."""
-        if self.used_bytes + more > self.bytes_max:
+    def check(self, added_bytes: int) -> None:
+        """Raises Overloaded if the archive has no room for `added_bytes`."""
+        if self.used_bytes + added_bytes > self.bytes_max:
             raise Overloaded(
-                f"the archive of the host has {self.used_bytes} bytes on its disk, and needs {more} more, of at most "
-                f"{self.bytes_max} (--archive-bytes-max, or max_archive of st.host); record less (archive, "
+                f"the archive of the host has {self.used_bytes} bytes on its disk, and needs {added_bytes} more, of at "
+                f"most {self.bytes_max} (--archive-bytes-max, or max_archive of st.host); record less (archive, "
                 "archive_bytes), use another host, or have an operator delete the folders of deleted channels",
                 metadata={"archive_bytes_max": str(self.bytes_max)},
             )
@@ -80,19 +80,20 @@ class DiskUse:
 class ChannelDiskUse:
     """The bytes of one channel's folder. They also count for the caller that created the channel.
 
-    `bytes`: on the disk. `coming`: the most bytes that the accepted items will add when they are written.
+    `bytes`: on the disk. `unwritten_bytes`: the most bytes that the accepted items will add to the folder.
     `archive_bytes`: the channel's own limit, or None. `charged_bytes`: the greatest size that the folder can reach with
     these items. A channel that uses three quarters of its own limit is charged for the whole limit. It can then always
     continue, because it deletes its oldest file for each new one.
     """
 
     __slots__ = (
-        "_account", "_charge", "_disk", "_largest", "archive_bytes", "bytes", "channel_id", "charged_bytes", "coming",
+        "_account", "_charge", "_disk", "_largest_run_bytes", "archive_bytes", "bytes", "channel_id", "charged_bytes",
+        "unwritten_bytes",
     )  # fmt: skip
 
     def __init__(self, disk: DiskUse, channel_id: bytes, created_by: str, account: Account) -> None:
         self.channel_id = channel_id
-        self.bytes = self.coming = self.charged_bytes = self._largest = 0
+        self.bytes = self.unwritten_bytes = self.charged_bytes = self._largest_run_bytes = 0
         self.archive_bytes: int | None = None
         self._disk, self._account = disk, account
         self._charge = account.charge_for(Quota.BYTES_ARCHIVED)
@@ -102,14 +103,16 @@ class ChannelDiskUse:
         self.bytes = bytes_
         self._update()
 
-    def set_coming(self, coming: int, largest: int = 0) -> None:
-        """Report the bytes that are still to be written. `largest`: the bytes of the last accepted run."""
-        self.coming, self._largest = coming, max(self._largest, largest) if coming else 0
+    def set_unwritten(self, unwritten_bytes: int, run_bytes: int = 0) -> None:
+        """Report the bytes that are still to be written. `run_bytes`: the size of the last accepted run."""
+        self.unwritten_bytes = unwritten_bytes
+        self._largest_run_bytes = max(self._largest_run_bytes, run_bytes) if unwritten_bytes else 0
         self._update()
 
-    def check(self, more: int = 1) -> None:
-        """Check that a run of `more` bytes on the disk may come. Raises Overloaded."""
-        growth = self._most(self.coming + more, max(self._largest, more)) - self.charged_bytes
+    def check(self, run_bytes: int = 1) -> None:
+        """Raises Overloaded if the archive has no room for a run of `run_bytes` on the disk."""
+        largest = max(self._largest_run_bytes, run_bytes)
+        growth = self._size_max(self.unwritten_bytes + run_bytes, largest) - self.charged_bytes
         if growth <= 0:
             return
         try:
@@ -120,17 +123,17 @@ class ChannelDiskUse:
             raise
 
     def _update(self) -> None:
-        before, self.charged_bytes = self.charged_bytes, self._most(self.coming, self._largest)
-        self._disk.changed(self, self.charged_bytes - before)
+        before, self.charged_bytes = self.charged_bytes, self._size_max(self.unwritten_bytes, self._largest_run_bytes)
+        self._disk.add_bytes(self, self.charged_bytes - before)
         self._charge.set(self.charged_bytes)
 
-    def _most(self, coming: int, largest: int) -> int:
-        """The greatest size of the folder if `coming` bytes are added, in runs of at most `largest` bytes."""
+    def _size_max(self, unwritten_bytes: int, run_bytes_max: int) -> int:
+        """The greatest size of the folder after `unwritten_bytes` more, in runs of at most `run_bytes_max`."""
         own = self.archive_bytes
-        total = coming + (self.bytes or (FOLDER_BYTES if coming else 0))
+        total = unwritten_bytes + (self.bytes or (FOLDER_BYTES if unwritten_bytes else 0))
         if own is None or total < own * 3 // 4:
             return total
-        last_file = own // 8 + BLOCK_BYTES + largest  # the limit never deletes this file, however large it is
+        last_file = own // 8 + BLOCK_BYTES + run_bytes_max  # the limit never deletes this file, however large it is
         return max(self.bytes, FOLDER_BYTES + own, min(total, FOLDER_BYTES + last_file))
 
 

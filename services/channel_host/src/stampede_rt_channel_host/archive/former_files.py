@@ -14,7 +14,7 @@ class FormerFiles:
 
     def __init__(self) -> None:
         self._until_s: float | None = None  # the monotonic time at which the wait is over; None: no wait
-        self._came = asyncio.Event()
+        self._arrival = asyncio.Event()
 
     @property
     def are_expected(self) -> bool:
@@ -24,12 +24,12 @@ class FormerFiles:
     def expect(self) -> None:
         """Let reads wait from now on, for WAIT_SECONDS_MAX at most."""
         self._until_s = time.monotonic() + WAIT_SECONDS_MAX
-        self._came.clear()
+        self._arrival.clear()
 
     def note_all(self) -> None:
         """Note that the archive has the files. Idempotent."""
         self._until_s = None
-        self._came.set()
+        self._arrival.set()
 
     async def come(self) -> None:
         """Wait while the files are expected."""
@@ -37,6 +37,6 @@ class FormerFiles:
             return
         try:
             async with asyncio.timeout(self._until_s - time.monotonic()):
-                await self._came.wait()
+                await self._arrival.wait()
         except TimeoutError:  # the former owner is lost or too slow: reads say what the archive lacks
             pass

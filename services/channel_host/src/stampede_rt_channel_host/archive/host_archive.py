@@ -66,7 +66,7 @@ class HostArchive:
             objects.mover.writer = self._writer
         self._due: dict[ChannelRecorder, Callable[[], None]] = {}  # each with the function to call after its write
         self._task: asyncio.Task[None] | None = None
-        self._news = asyncio.Event()
+        self._wakeup = asyncio.Event()
         self._hurry = asyncio.Event()  # a put waits for stable storage
         self._is_closing = False
         self._failing: dict[ChannelRecorder, str] = {}  # the channels whose last write failed, and why
@@ -165,7 +165,7 @@ class HostArchive:
         if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._write_on(), name="archive")
             self._task.add_done_callback(log_defect)
-        self._news.set()
+        self._wakeup.set()
 
     def hurry(self) -> None:
         """Write immediately, because a put waits for stable storage.
@@ -192,8 +192,8 @@ class HostArchive:
     async def _write_on(self) -> None:
         """Write while there is something to write, until the archive closes."""
         while not self._is_closing:
-            await self._news.wait()
-            self._news.clear()
+            await self._wakeup.wait()
+            self._wakeup.clear()
             if not self._is_closing:
                 await self._gather()
             await self._write_due()
@@ -246,7 +246,7 @@ class HostArchive:
             self._due.setdefault(recorder, on_written)
             if recorder.fills_a_write:
                 self._hurry.set()
-            self._news.set()
+            self._wakeup.set()
 
     def _note_failure(self, recorder: ChannelRecorder, error: OSError) -> None:
         if not self._failing:
@@ -344,7 +344,7 @@ class HostArchive:
             if recorder.backlog_items and recorder not in self._due:
                 self.touch(recorder, lambda: None)
         self._hurry.set()
-        self._news.set()
+        self._wakeup.set()
         if self._task is not None:
             await asyncio.wait([self._task])
 

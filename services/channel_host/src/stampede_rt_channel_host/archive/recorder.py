@@ -81,7 +81,7 @@ class ChannelRecorder:
         self.former = FormerFiles()
         self._channel = channel
         self._accepted = channel.acceptances = channel.acceptances or Acceptances()
-        self.came = MovedItems(channel) if from_memory and files.is_shared else None
+        self.moved_items = MovedItems(channel) if from_memory and files.is_shared else None
         """The items that came with a move, while it is not known which of them to write first; otherwise None."""
         self.archived_to = lacks_from(channel, segments) if from_memory else channel.next_seq
         """All seqs below `archived_to` are on stable storage, or lost to the archive."""
@@ -101,13 +101,13 @@ class ChannelRecorder:
 
         In a shared archive, the items before the last hole in memory come from the former owner (see `MovedItems`).
         """
-        if (came := self.came) is not None:
-            came.look()
-            if came.is_known:
-                self.came = None
-            if came.lacks_from > self.archived_to:
-                self._end_puts(came.lacks_from)
-        return self.came is None
+        if (moved := self.moved_items) is not None:
+            moved.look()
+            if moved.is_known:
+                self.moved_items = None
+            if moved.lacks_from > self.archived_to:
+                self._end_puts(moved.lacks_from)
+        return self.moved_items is None
 
     def _note_advance(self, now: int) -> bool:
         """Note the highest advance of the channel, if it has risen. Returns whether it has."""
@@ -154,7 +154,7 @@ class ChannelRecorder:
         """Report the bytes that are still to be written. `largest`: the bytes of the latest put."""
         rows = len(self._advances)
         of_advances = rows * ADVANCE_BYTES + self.files.run_bytes_max if rows else 0
-        self.disk.set_coming(0 if self.is_stopped else self._puts.bytes + of_advances, largest)
+        self.disk.set_unwritten(0 if self.is_stopped else self._puts.bytes + of_advances, largest)
 
     @property
     def waiting_since(self) -> int | None:
@@ -281,9 +281,9 @@ class ChannelRecorder:
         self.limits = limits
         self.disk.archive_bytes = limits.bytes_max
 
-    def check_room(self, more: int = 0) -> None:
-        """Check that the archive has room for a run of `more` bytes, or for an advance. Raises Overloaded."""
-        self.disk.check(more + self.files.run_bytes_max)
+    def check_room(self, body_bytes: int = 0) -> None:
+        """Raises Overloaded if the archive has no room for a run of `body_bytes`, or for an advance."""
+        self.disk.check(body_bytes + self.files.run_bytes_max)
 
     def written(self, job: WriteJob, segments: tuple[Segment, ...]) -> None:
         """Note that a job is on stable storage."""

@@ -88,7 +88,7 @@ class SegmentReads:
         """The window if it is short and all its bytes are in memory; otherwise None. Does not block."""
         at_hand = wanted._replace(wanted=wanted.wanted._replace(at_hand=True))
         try:
-            return self._load(segments, at_hand, decode, _go_on, past, self._known_blocks_of, self.place.at_hand)
+            return self._load(segments, at_hand, decode, _do_not_rest, past, self._known_blocks_of, self.place.at_hand)
         except (WindowNeedsThread, OSError):
             return None
 
@@ -237,5 +237,5 @@ def _as_they_are(runs: Sequence[Run]) -> Sequence[Run]:
     return runs
 
 
-def _go_on() -> None:
+def _do_not_rest() -> None:
     """Does nothing, because a short read lets no other thread run in between."""

@@ -116,9 +116,9 @@ class InProcessPutStream:
             return
         self._is_called = False
         self._tell(acks)
-        self._go_on()  # while `_is_called` was set, `send` only added its runs
+        self._schedule_rest()  # while `_is_called` was set, `send` only added its runs
 
-    def _go_on(self) -> None:
+    def _schedule_rest(self) -> None:
         """Put the sent runs that are left, unless too many acks wait for the disk."""
         if self._sent and not self._is_called and len(self._held) < HELD_ACKS_MAX:
             self._is_called = True
@@ -137,7 +137,7 @@ class InProcessPutStream:
         acks = self._held.take(HELD_ACKS_MAX)
         if acks and not self.is_over:
             self._on_acks(pb.PutResponse(acks=acks))
-        self._go_on()
+        self._schedule_rest()
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task = self._loop.create_task(work)

@@ -30,14 +30,15 @@ class OwnedCore(NamedTuple):
     """The state of a channel at its owner: the items, and the retry window of the producers.
 
     `counted_before`: the counts of the former owners, which are in the sums of their hosts; None: there were none.
-    `is_replicated`: all items are at all replicas in sync, if the channel has replicas. `strays`: see `OwnedReplicas`.
+    `is_replicated`: all items are at all replicas in sync, if the channel has replicas. `diverged_host_ids`: see
+    `OwnedReplicas`.
     """
 
     channel: ChannelCore
     retries: RetryWindow
     counted_before: Counters | None
     is_replicated: bool = False
-    strays: frozenset[bytes] = frozenset()
+    diverged_host_ids: frozenset[bytes] = frozenset()
 
 
 def owned_core(copy: FedChannel, now: int, *, is_replicated: bool = False, incarnation: int | None = None) -> OwnedCore:
@@ -70,7 +71,7 @@ def replication_of(
     is_replicated = isinstance(begun, OwnedCore) and begun.is_replicated
     replication = Replication(core, now, on_shown, epoch=record.epoch, is_replicated=is_replicated)
     if isinstance(begun, OwnedCore):
-        replication.strays.update(begun.strays)
+        replication.diverged_host_ids.update(begun.diverged_host_ids)
     return replication
 
 

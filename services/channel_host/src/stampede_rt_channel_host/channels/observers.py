@@ -120,7 +120,7 @@ class Observers:
         return len(self._observers)
 
     def __iter__(self) -> Iterator[ChangeObserver]:
-        """The present observers. They may leave during the walk."""
+        """The present observers. They may leave during the iteration."""
         return iter([*self._observers])
 
     def add(self, observer: ChangeObserver) -> None:

@@ -61,14 +61,14 @@ class OwnedReplicas(ABC, Generic[Feed]):
         self._changed = asyncio.Event()
         self._wait_count = 0  # the calls of `wait_until`
         self._watchers: dict[Callable[[bool], None], None] = {}
-        self.strays: set[bytes] = set()
-        """The replicas that may hold items or a step that this owner does not have. They must begin anew."""
-        self.news = asyncio.Event()
-        """Set when the keeper of the replicas has work to do."""
+        self.diverged_host_ids: set[bytes] = set()
+        """The hosts of the replicas that may hold an item or step that this owner lacks. They must begin anew."""
+        self.keeper_wakeup = asyncio.Event()
+        """Wakes the keeper of the replicas, because it has work to do."""
 
     @abstractmethod
-    def go_on(self) -> None:
-        """Tell callers and readers of newly replicated items or steps, if there are any."""
+    def release_replicated(self) -> None:
+        """Release the answers and items that have waited for replicas, as far as the replicas have them now."""
 
     @property
     def replicated_next(self) -> int:
@@ -93,7 +93,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
     def know(self, replicas: list[KnownReplica]) -> None:
         """Take over the replicas that the directory has."""
         self._in_sync.know(replicas, self._steady_nanos())
-        self.go_on()
+        self.release_replicated()
 
     def states(self) -> dict[bytes, ReplicaState]:
         """The state of each replica, by its host."""
@@ -106,7 +106,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
     def confirm(self, change: ReplicaChange) -> None:
         """Note that the directory's log has the change."""
         self._in_sync.confirm(change)
-        self.go_on()
+        self.release_replicated()
 
     def copies(self, next_place: int) -> int:
         """The number of hosts that hold everything before `next_place`, and may become the owner."""
@@ -120,15 +120,15 @@ class OwnedReplicas(ABC, Generic[Feed]):
         """Forget an ended feed. Idempotent."""
         if self._feeds.get(host_id) is feed:
             del self._feeds[host_id]
-            self.news.set()
+            self.keeper_wakeup.set()
 
     def report(self, host_id: bytes, feed: Feed, next_place: int) -> None:
         """Note that the replica at the end of this feed holds everything before `next_place`."""
         if self._feeds.get(host_id) is feed:
             self._in_sync.report(host_id, next_place, self._steady_nanos())
             if self._in_sync.is_out(host_id):
-                self.news.set()
-            self.go_on()
+                self.keeper_wakeup.set()
+            self.release_replicated()
 
     def take_back(self) -> None:
         """End the feeds that have sent something ahead, because a defect has kept the owner from storing it."""
@@ -143,7 +143,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
     def _drop(self, host_id: bytes) -> bool:
         has_dropped = self._in_sync.drop(host_id, self._steady_nanos())
         if not has_dropped:
-            self.news.set()
+            self.keeper_wakeup.set()
         return has_dropped
 
     async def replicated(self, next_place: int, seconds_max: float | None, period: ServingPeriod | None = None) -> bool:

@@ -87,16 +87,16 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         return self._in_sync.within_lag(self._steady_nanos())
 
     @property
-    def is_level(self) -> bool:
+    def is_fully_replicated(self) -> bool:
         """Whether all items of the channel are replicated, so that it may move."""
         if self._view is None:
-            return self._in_sync.is_level
+            return self._in_sync.is_fully_replicated
         return self.replicated_next == self._core.next_seq
 
     def check_movable(self) -> None:
         """Raises Unavailable if too few replicas are in sync: after a move the items would still not be replicated."""
         in_sync = sum(one is ReplicaState.IN for one in self.states().values())
-        if self._view is not None and in_sync < self.min_replicas and not self.is_level:
+        if self._view is not None and in_sync < self.min_replicas and not self.is_fully_replicated:
             name = self._core.name
             raise Unavailable(
                 f"channel {name} needs {self.min_replicas} replicas in sync (min_replicas) and has {in_sync}, so some "
@@ -126,7 +126,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         if self._view is not None:
             self._view.shown.configure(policy, self._now())
         self._in_sync.min_replicas = _least(policy)
-        self.news.set()
+        self.keeper_wakeup.set()
 
     def accepted(self, now: int) -> None:
         """Send a change of the channel to the replicas, and show the change as soon as it is replicated."""
@@ -141,7 +141,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         if self._view is None:
             self._on_shown(now)
         if self.replicated_next != before:
-            self.wake_waits()  # as in `go_on`
+            self.wake_waits()  # as in `release_replicated`
         self._show(now)
 
     @property
@@ -183,13 +183,14 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         if former is not None:
             former.end(error)
 
-    def hear(self, host_id: bytes, feed: ReplicaFeed, next_seq: int) -> None:
+    def receive_report(self, host_id: bytes, feed: ReplicaFeed, next_seq: int) -> None:
         """Take a report that came from the replica itself, like `report`. `next_seq` 0: it has not opened the feed.
 
-        A replica that has opened the feed holds no item that this owner lacks: the feed of a stray begins anew.
+        A replica that has opened the feed holds no item that this owner lacks, because the feed of a diverged replica
+        begins anew.
         """
         if next_seq and self._feeds.get(host_id) is feed:
-            self.strays.discard(host_id)
+            self.diverged_host_ids.discard(host_id)
         self.report(host_id, feed, next_seq)
 
     def end(self, error: StampedeError) -> None:
@@ -209,7 +210,7 @@ class Replication(OwnedReplicas[ReplicaFeed]):
         if self._view is not None:
             self._view.close()
 
-    def go_on(self) -> None:
+    def release_replicated(self) -> None:
         """Show the replicated items to readers, and release the calls that wait for them."""
         self.wake_waits()  # first: no reader can ask before the change is shown, in the same turn of the event loop
         self._show(self._now())
@@ -227,9 +228,9 @@ def own_again(replication: Replication | None, record: RecordedChannel, *, is_fa
         replication.own_again(record.epoch)
 
 
-def strays_of(replication: Replication | None) -> frozenset[bytes]:
-    """The replicas that must begin anew, see `OwnedReplicas`."""
-    return frozenset() if replication is None else frozenset(replication.strays)
+def diverged_host_ids_of(replication: Replication | None) -> frozenset[bytes]:
+    """The hosts of the replicas that must begin anew, see `OwnedReplicas`."""
+    return frozenset() if replication is None else frozenset(replication.diverged_host_ids)
 
 
 def _least(policy: Policy) -> int:

@@ -24,7 +24,7 @@ from stampede_rt_channel_host.channels.multicast.multicasts import Multicasts
 from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.recordings import Recordings
-from stampede_rt_channel_host.channels.replication import kind_of, strays_of
+from stampede_rt_channel_host.channels.replication import diverged_host_ids_of, kind_of
 from stampede_rt_channel_host.channels.rings import Rings
 from stampede_rt_channel_host.channels.subscriptions.reader_drops import Readers
 from stampede_rt_channel_host.channels.sweep import Sweep
@@ -287,7 +287,8 @@ class ChannelStore:
             held = self.copies.inherit(held, record)
         if held is not None and held.record.incarnation == record.incarnation:
             if held.copy is None and kind_of(record.policy) is not held.kind_of_replicas:
-                core = OwnedCore(held.core, held.puts.retries, held.counted_before, strays=strays_of(held.replication))
+                diverged = diverged_host_ids_of(held.replication)
+                core = OwnedCore(held.core, held.puts.retries, held.counted_before, diverged_host_ids=diverged)
                 return self._continue(held, record, core, refusals.not_here(self._identity.name, record.channel_id))
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
                 held.registration = self.registrations

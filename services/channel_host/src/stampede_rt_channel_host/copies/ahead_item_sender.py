@@ -21,7 +21,7 @@ class AheadItemSender(SentAhead):
         responses: FeedResponses,
     ) -> None:  # fmt: skip
         """`opening`: the first request of the feed. `responses` makes the other messages of the feed."""
-        super().__init__(opening.host_id, replication.strays)
+        super().__init__(opening.host_id, replication.diverged_host_ids)
         self._hosted = hosted
         self._feed = feed
         self._responses = responses

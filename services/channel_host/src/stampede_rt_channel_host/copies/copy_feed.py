@@ -68,7 +68,7 @@ class CopyFeed:
         self._granted = 0
         self._sent_nanos = 0  # the copy's clock in the last request
         self._reported_seq = 0  # the last request has said that this host holds all items before this seq
-        self._news = asyncio.Event()
+        self._wakeup = asyncio.Event()
         self._heard_s = 0.0  # when the last message of the source came
         self._owes_request = False  # after this message of the source, a request is due immediately
         self._turn = asyncio.Lock()  # taken while a request is written
@@ -154,7 +154,7 @@ class CopyFeed:
             wait_s = self._may_grant_s - asyncio.get_running_loop().time()
             with suppress(TimeoutError):
                 async with asyncio.timeout(min(self._period_s, wait_s) if wait_s > 0 else self._period_s):
-                    await self._news.wait()
+                    await self._wakeup.wait()
             if asyncio.get_running_loop().time() - self._heard_s > BROKEN_AFTER_SECONDS:
                 raise TimeoutError
             async with asyncio.timeout(BROKEN_AFTER_SECONDS), self._turn:
@@ -166,7 +166,7 @@ class CopyFeed:
         grants = now_s >= self._may_grant_s and self._granted >= grant_bytes_min
         if grants and self._bytes_per_second:
             self._may_grant_s = now_s + self._granted / self._bytes_per_second
-        self._news.clear()
+        self._wakeup.clear()
         self._owes_request = False
         return self._request(grants=grants)
 
@@ -201,7 +201,7 @@ class CopyFeed:
         if self._owes_request and write is not None:
             write(self._next_request())
         elif self._owes_request:
-            self._news.set()
+            self._wakeup.set()
         return True
 
     def _take_item_in_same_turn(self, call: Any, fed: FedItem) -> bool:
@@ -237,7 +237,7 @@ class CopyFeed:
     async def _answer(self, write: Write) -> None:
         """Send the request that is due. The task that reads does this itself: puts at the source wait for it."""
         if self._turn.locked():
-            self._news.set()
+            self._wakeup.set()
             return
         async with self._turn:
             await write(self._next_request())

@@ -23,9 +23,9 @@ class DrainRequests:
         """`channel`: the connection to the host at `target`."""
         self._target = target
         self._channel = channel
-        self._asked: dict[bytes, asyncio.Future[None]] = {}  # by channel: the requests without an answer
-        self._new: dict[bytes, None] = {}  # the asked channels that no message names yet
-        self._news = asyncio.Event()
+        self._answers: dict[bytes, asyncio.Future[None]] = {}  # by channel: the requests without an answer
+        self._new: dict[bytes, None] = {}  # the channels that no message names yet
+        self._wakeup = asyncio.Event()
         self._stream: asyncio.Task[None] | None = None
         self._is_served = True
 
@@ -36,9 +36,9 @@ class DrainRequests:
         """
         if not self._is_served:
             return False
-        answer = self._asked[channel_id] = asyncio.get_running_loop().create_future()
+        answer = self._answers[channel_id] = asyncio.get_running_loop().create_future()
         self._new[channel_id] = None
-        self._news.set()
+        self._wakeup.set()
         if self._stream is None:
             self._stream = asyncio.create_task(self._run(), name=f"drain to {self._target}")
         try:
@@ -50,8 +50,8 @@ class DrainRequests:
             if self._is_served:
                 raise
         finally:
-            if self._asked.get(channel_id) is answer:
-                del self._asked[channel_id]
+            if self._answers.get(channel_id) is answer:
+                del self._answers[channel_id]
                 self._new.pop(channel_id, None)  # the caller may ask another host next
         return self._is_served
 
@@ -81,8 +81,8 @@ class DrainRequests:
 
     async def _write(self, call: Any) -> None:
         while True:  # until `_run` cancels this task; the task that reads gets the error of a broken stream
-            await self._news.wait()
-            self._news.clear()
+            await self._wakeup.wait()
+            self._wakeup.clear()
             while new := [*islice(self._new, NAMED_MAX)]:
                 for channel_id in new:
                     del self._new[channel_id]
@@ -90,7 +90,7 @@ class DrainRequests:
 
     def _deal(self, response: pb.MoveEachHereResponse) -> None:
         for outcome in response.outcomes:
-            answer = self._asked.pop(outcome.channel_id, None)
+            answer = self._answers.pop(outcome.channel_id, None)
             if answer is None or answer.done():
                 continue
             if outcome.HasField("error"):
@@ -99,7 +99,7 @@ class DrainRequests:
                 answer.set_result(None)
 
     def _fail(self, failure: StampedeError) -> None:
-        answers, self._asked = self._asked, {}
+        answers, self._answers = self._answers, {}
         self._new.clear()
         for answer in answers.values():
             if not answer.done():

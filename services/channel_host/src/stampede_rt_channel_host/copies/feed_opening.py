@@ -40,7 +40,7 @@ def has_others_items(hosted: HostedChannel, opening: pb.FeedOpen) -> bool:
     replication, place = hosted.replication, opening.place
     if replication is None or place.incarnation != hosted.core.incarnation:
         return False
-    if opening.host_id in replication.strays:
+    if opening.host_id in replication.diverged_host_ids:
         return True
     start, since_epoch = replication.start, replication.since_epoch
     return place.owner_epoch < since_epoch and (place.owner_epoch + 1 < since_epoch or place.next_seq > start)

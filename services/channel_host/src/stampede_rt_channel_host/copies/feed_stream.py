@@ -50,8 +50,8 @@ class FeedStream:
         self._responses = FeedResponses(store.now, floors_of)
         self._context = context
         self._stream = stream
-        self._news = asyncio.Event()
-        self._credit = Credit(self._news.set)
+        self._wakeup = asyncio.Event()
+        self._credit = Credit(self._wakeup.set)
         self._writer = FeedWriter(context, self._credit)
         self._heard_s = time.monotonic()  # when this host got the last request
         self._held_next_seq = 0  # the copy has reported the items before this seq
@@ -95,14 +95,14 @@ class FeedStream:
             self._fail(error)
             return
         if not is_sent:
-            self._news.set()
+            self._wakeup.set()
 
     def send_ahead(self, item: NewItem) -> None:
         """Send a run that the channel has accepted and is about to store, if the copy has everything else.
 
         Then the copy works while this host stores the run. Raises nothing, as `_send_or_wake`.
         """
-        ahead = None if self._send_in_this_turn is None or self._news.is_set() else self._ahead
+        ahead = None if self._send_in_this_turn is None or self._wakeup.is_set() else self._ahead
         try:
             write = None if ahead is None else self._free_write()
             if ahead is not None and write is not None and ahead.send(item, write):
@@ -120,7 +120,7 @@ class FeedStream:
     def _fail(self, error: Exception) -> None:
         """Let the task of the feed raise the error."""
         self._failure, self._send_in_this_turn = error, None
-        self._news.set()
+        self._wakeup.set()
 
     def end(self, error: StampedeError) -> None:
         """Note that the host no longer serves the channel. The feed of a move continues, because the destination still
@@ -234,7 +234,7 @@ class FeedStream:
     def _report(self, next_seq: int) -> None:
         self._held_next_seq = next_seq
         if self._replication is not None:
-            self._replication.hear(self._host_id, self, min(next_seq, self._feed.next_seq))
+            self._replication.receive_report(self._host_id, self, min(next_seq, self._feed.next_seq))
 
     def _take(self, request: pb.FeedRequest, hosted: HostedChannel, copy: FedCopy) -> None:
         self._responses.heard_nanos, self._heard_s = request.sent_nanos, time.monotonic()
@@ -246,7 +246,7 @@ class FeedStream:
         if hosted.fed is not None:
             hosted.fed.relieve(hosted.record.name, copy, hosted.subscriptions)
         if self._responses.owes_sign(hosted) or (self._move is not None and not self._is_handed_over):
-            self._news.set()  # a grant of credit wakes the feed anyway
+            self._wakeup.set()  # a grant of credit wakes the feed anyway
 
     async def _is_free(self, opening: pb.FeedOpen) -> bool:
         """Whether the move is over, and the caller may begin another one. If so, tells the caller."""
@@ -264,7 +264,7 @@ class FeedStream:
     async def _serve(self, hosted: HostedChannel) -> None:
         await self._greet(hosted)
         while not self._credit.is_final:
-            self._news.clear()  # before each wait, so that no change is lost
+            self._wakeup.clear()  # before each wait, so that no change is lost
             await self._writer.turn()
             self._check_destination(hosted)
             now = self._store.now()
@@ -280,14 +280,14 @@ class FeedStream:
                 await self._hand_off(encoded)
             elif encoded:
                 await self._writer.write(encoded)
-            if not encoded or handoff is not None or (has_all and not self._news.is_set()):
-                await self._wait_for_news(hosted)
+            if not encoded or handoff is not None or (has_all and not self._wakeup.is_set()):
+                await self._wait_for_change(hosted)
 
-    async def _wait_for_news(self, hosted: HostedChannel) -> None:
+    async def _wait_for_change(self, hosted: HostedChannel) -> None:
         if self._move is None:
             self._send_in_this_turn = partial(self._send_now, hosted)
             try:
-                await self._news.wait()
+                await self._wakeup.wait()
             finally:
                 self._send_in_this_turn = None
             if self._failure is not None:
@@ -295,7 +295,7 @@ class FeedStream:
             return
         with suppress(TimeoutError):
             async with asyncio.timeout(SILENT_SECONDS_MAX):
-                await self._news.wait()
+                await self._wakeup.wait()
 
     def _check_destination(self, hosted: HostedChannel) -> None:
         """End the feed of a move whose destination is silent, so that the channel can move to another host."""

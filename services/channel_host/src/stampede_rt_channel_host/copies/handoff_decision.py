@@ -37,7 +37,7 @@ class HandoffDecision:
             self._move.hold()
             if not self._has_everything(now):  # the hold has noted the outcomes of runs that wait for room
                 return None
-        if not self._move.is_held or not self._is_level():
+        if not self._move.is_held or not self._is_fully_replicated():
             return None
         self._is_over = True
         return pb.FeedHandoff(host_time_unix_nano=now, permit=self._move.permit)
@@ -53,9 +53,9 @@ class HandoffDecision:
         feed = self._feed
         return feed.owner is not None and feed.next_seq == feed.source_next_seq and feed.owner.is_complete(now)
 
-    def _is_level(self) -> bool:
+    def _is_fully_replicated(self) -> bool:
         replication = self._hosted.replication
-        if replication is None or replication.is_level:
+        if replication is None or replication.is_fully_replicated:
             return True
         replication.check_movable()
         return False

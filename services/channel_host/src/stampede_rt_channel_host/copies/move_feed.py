@@ -65,7 +65,7 @@ class MoveFeed(CopyFeed):
 
     def _tell(self, **step: Any) -> None:
         self._step |= step
-        self._news.set()
+        self._wakeup.set()
 
     def _opening(self, source: FeedSource) -> pb.FeedOpen:
         opening = super()._opening(source)

@@ -27,7 +27,7 @@ class MovesOfDrain:
         self._moves: set[asyncio.Task[None]] = set()
         self._under_way: set[bytes] = set()  # the channels of these moves
         self._outcomes: list[pb.MoveOutcome] = []
-        self._news = asyncio.Event()
+        self._wakeup = asyncio.Event()
         self._is_closed = False  # the caller names no further channels
 
     async def run(self) -> None:
@@ -35,8 +35,8 @@ class MovesOfDrain:
         reading = self._stream.spawn(self._read())
         try:
             while not self._is_closed or self._moves or self._outcomes:
-                await self._news.wait()
-                self._news.clear()
+                await self._wakeup.wait()
+                self._wakeup.clear()
                 outcomes, self._outcomes = self._outcomes, []
                 if outcomes:
                     await self._context.write(pb.MoveEachHereResponse(outcomes=outcomes))
@@ -61,7 +61,7 @@ class MovesOfDrain:
                 self._moves.add(move)
                 move.add_done_callback(self._over)
         self._is_closed = True
-        self._news.set()
+        self._wakeup.set()
 
     async def _move_one(self, channel_id: bytes) -> None:
         outcome = pb.MoveOutcome(channel_id=channel_id)
@@ -74,4 +74,4 @@ class MovesOfDrain:
 
     def _over(self, move: asyncio.Task[None]) -> None:
         self._moves.discard(move)
-        self._news.set()
+        self._wakeup.set()

@@ -47,7 +47,7 @@ class QueueFeedStream:
         self._owner_host_id = owner_host_id
         self._host_id = host_id
         self._target = target
-        self._news = asyncio.Event()
+        self._wakeup = asyncio.Event()
         self._sent_record = b""
         self._held_step = 0  # the replica has reported the steps before this one
         self._heard_s = 0.0  # loop time of the last answer of the replica
@@ -70,7 +70,7 @@ class QueueFeedStream:
             self._fail(error)
             return
         if not is_sent:
-            self._news.set()
+            self._wakeup.set()
 
     def send_ahead(self, put: AheadPut) -> None:
         """Send a put that the queue has accepted and is about to store, if the replica has everything else.
@@ -97,7 +97,7 @@ class QueueFeedStream:
     def _fail(self, error: Exception) -> None:
         """Let a task of the feed raise the error."""
         self._failure, self._waiting_call = error, None
-        self._news.set()
+        self._wakeup.set()
 
     async def run(self, channel: grpc.aio.Channel) -> None:
         """Feed the replica until the stream ends. Raises StampedeError."""
@@ -148,7 +148,7 @@ class QueueFeedStream:
         replication = self._replication
         replication.journal.takes_changes &= place.takes_changes
         if place.takes_puts:
-            self._ahead = SentAhead(self._host_id, replication.strays)
+            self._ahead = SentAhead(self._host_id, replication.diverged_host_ids)
         if self._continues(place):
             self.next_step = self._held_step = place.next_step
             replication.report(self._host_id, self, place.next_step)
@@ -164,7 +164,7 @@ class QueueFeedStream:
     def _continues(self, place: pb.FeedQueueResponse) -> bool:
         """Whether the copy has only steps of this owner, and the journal has all later ones."""
         replication, hosted = self._replication, self._hosted
-        if self._host_id in replication.strays:
+        if self._host_id in replication.diverged_host_ids:
             return False
         if not place.next_step or place.incarnation != hosted.queue.incarnation:
             return False
@@ -183,7 +183,7 @@ class QueueFeedStream:
                 raise self._failure
             if asyncio.get_running_loop().time() - self._heard_s > ANSWER_SECONDS_MAX:
                 raise TimeoutError
-            self._news.clear()
+            self._wakeup.clear()
             steps = self._replication.journal.steps_from(self.next_step, PART_BYTES)
             if steps is None:
                 name = display_name(self._hosted.record)
@@ -204,7 +204,7 @@ class QueueFeedStream:
         self._waiting_call = call if isinstance(call, HostStream) else None
         try:
             async with asyncio.timeout(REQUEST_SECONDS):
-                await self._news.wait()
+                await self._wakeup.wait()
         except TimeoutError:
             return True
         finally:

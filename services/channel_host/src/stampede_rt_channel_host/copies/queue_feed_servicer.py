@@ -201,6 +201,6 @@ class _Feed:
     def _note(self, queue_id: bytes) -> None:
         copy = self._copies.of(queue_id)
         if copy is not None:
-            self._copies.heard(copy, self.record)
+            self._copies.note_message(copy, self.record)
             self._queues.in_use.set()  # so that this host watches who owns its queues
         self._room.set(self._parts.size_bytes)

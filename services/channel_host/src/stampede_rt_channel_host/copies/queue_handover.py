@@ -82,7 +82,7 @@ class QueueHandovers:
             await hosted.hold(refusals.is_moving(hosted.record))
             permit = self._moves.allowed.permit(hosted.record.queue_id, hosted.epoch, host_id)
             state = await hosted.exported()
-            next_step = await hosted.level()
+            next_step = await hosted.wait_until_replicated()
             keeping = asyncio.ensure_future(self._keep(hosted, state, next_step))
             try:
                 await _send(parts_of(state, permit, next_step), keeping, context)

@@ -100,9 +100,9 @@ class KeptReplicas(ABC):
                 await self.look()
                 with suppress(TimeoutError):
                     async with asyncio.timeout(ROUND_SECONDS):
-                        await self._replication.news.wait()
+                        await self._replication.keeper_wakeup.wait()
                 await asyncio.sleep(PAUSE_SECONDS)  # a change comes with each report of a replica that is out of sync
-                self._replication.news.clear()
+                self._replication.keeper_wakeup.clear()
         except (ChannelNotFound, QueueNotFound):
             return
         finally:

@@ -11,10 +11,10 @@ class SentAhead:
     A place is a seq or the number of a step, as in `OwnedReplicas`.
     """
 
-    def __init__(self, host_id: bytes, strays: set[bytes]) -> None:
-        """`host_id`: the host of the replica. `strays`: the set of this name in `OwnedReplicas`."""
+    def __init__(self, host_id: bytes, diverged_host_ids: set[bytes]) -> None:
+        """`host_id`: the host of the replica. `diverged_host_ids`: the set of this name in `OwnedReplicas`."""
         self._host_id = host_id
-        self._strays = strays
+        self._diverged_host_ids = diverged_host_ids
         self._unstored_next = 0  # the place after the run or step that is sent ahead; 0: there is none
 
     def sent(self, next_place: int) -> None:
@@ -37,5 +37,5 @@ class SentAhead:
         if not self._unstored_next:
             return None
         self._unstored_next = 0
-        self._strays.add(self._host_id)
+        self._diverged_host_ids.add(self._host_id)
         return Unavailable("a defect kept the owner from storing a put, so its replicas begin anew")

@@ -21,13 +21,13 @@ class WindowFeed:
         self._sent: dict[int, tuple[KnownProducer, int]] = {}  # by producer id: its records as of the last take
 
     @property
-    def is_level(self) -> bool:
+    def is_caught_up(self) -> bool:
         """Whether the takes have returned all records."""
         return self._recorded == self._window.recorded
 
     def take(self, runs_max: int) -> list[KeptRun]:
         """The next runs, the earliest first: about `runs_max`, or all runs of one producer."""
-        if self.is_level:
+        if self.is_caught_up:
             return []
         found: list[KeptRun] = []
         for producer_id, producer in self._changed():
@@ -66,7 +66,7 @@ class WindowFeed:
         """
         producer = self._window.producers.get(producer_id)
         is_known = producer is not None and self._sent.get(producer_id) == (producer, producer.recorded)
-        if producer is None or not is_known or not self.is_level or producer.owner != owner:
+        if producer is None or not is_known or not self.is_caught_up or producer.owner != owner:
             return False
         self._sent[producer_id] = producer, producer.recorded + 1
         self._recorded, self._left_at = self._recorded + 1, time

@@ -28,7 +28,7 @@ class TimesExchange:
     """Implements `LinkHandler`: gives the links the messages to send, and processes the messages of other hosts.
 
     Calls `on_stale` with groups that this host does not know, or of which other hosts know a newer version. Calls
-    `on_asked` with channels of this host that other hosts believe to be members of groups.
+    `on_requested` with channels of this host that other hosts believe to be members of groups.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class TimesExchange:
         cluster_id: Callable[[], str],
         *,
         on_stale: Callable[[bytes], None],
-        on_asked: Callable[[set[bytes]], None],
+        on_requested: Callable[[set[bytes]], None],
     ) -> None:
         self._to_look_at: Backlog[bytes] = Backlog(self._look_at, channels.scheduler.begin, GROUPS_PER_PIECE)
         self.sharing_hosts = SharingHosts(identity, self, dial, cluster_id, channels.lease_held)
@@ -48,7 +48,7 @@ class TimesExchange:
         self._channels = channels
         self._table = table
         self._on_stale = on_stale
-        self._on_asked = on_asked
+        self._on_requested = on_requested
         self._names: dict[bytes, str] = {}  # host id -> name, of the hosts of known groups
         # The channels of other hosts about which this host wants to receive: by group and host.
         self._members: dict[bytes, dict[bytes, list[bytes]]] = {}
@@ -119,9 +119,9 @@ class TimesExchange:
         self._fully_heard.discard(link.host_id)
         self.sharing_hosts.greeted(link)
 
-    def asked_for(self, channel_ids: set[bytes]) -> None:
+    def channels_requested(self, channel_ids: set[bytes]) -> None:
         """See `LinkHandler`."""
-        self._on_asked(channel_ids)
+        self._on_requested(channel_ids)
 
     def check_lease(self) -> None:
         """See `LinkHandler`."""

@@ -48,7 +48,7 @@ class LinkHandler(Protocol):
     def greeted(self, link: HostLink) -> None:
         """Note that the other host has sent its id."""
 
-    def asked_for(self, channel_ids: set[bytes]) -> None:
+    def channels_requested(self, channel_ids: set[bytes]) -> None:
         """Note that the other host wants to receive of these channels, which it believes to be at this host."""
 
     def check_lease(self) -> None:
@@ -85,7 +85,7 @@ class HostLink:
         self._times: dict[bytes, None] = {}  # channels whose times this side has still to send
         self._floors: dict[bytes, None] = {}  # groups whose cut this side has still to send
         self._interest: Collection[bytes] | None = None  # the argument of `want`, until it is sent
-        self._news = asyncio.Event()
+        self._wakeup = asyncio.Event()
 
     async def run(self, other_id: bytes | None = None) -> None:
         """Serve until the other side ends the stream or is silent too long.
@@ -113,18 +113,18 @@ class HostLink:
         The link looks at `channel_ids` when it sends them, so later changes before that time count, too.
         """
         self._interest = channel_ids
-        self._news.set()
+        self._wakeup.set()
 
     def report_times(self, channel_id: bytes) -> None:
         """Send the times of a channel of this host soon, if the other host wants to receive of the channel."""
         if channel_id in self._wanted:
             self._times[channel_id] = None
-            self._news.set()
+            self._wakeup.set()
 
     def report_floor(self, group_id: bytes) -> None:
         """Send this host's cut of a group soon. Both hosts have members in the group."""
         self._floors[group_id] = None
-        self._news.set()
+        self._wakeup.set()
 
     def _greet(self, message: Any, other_id: bytes | None) -> None:
         hello = message.hello if message is not None and message.HasField("hello") else None
@@ -169,9 +169,9 @@ class HostLink:
             update = message.update
             if update.HasField("interest"):
                 self._wanted = set(update.interest.channel_ids[:INTEREST_MAX])
-                self._handler.asked_for(self._wanted)
+                self._handler.channels_requested(self._wanted)
                 self._times.update(dict.fromkeys(sorted(self._wanted)))
-                self._news.set()
+                self._wakeup.set()
             first = not self._has_full_state and len(update.floors) < ENTRIES_MAX
             self._has_full_state = self._has_full_state or first
             self._check_name(self.host_id)  # the host and its name may have become known since the hello
@@ -187,7 +187,7 @@ class HostLink:
     async def _wait(self) -> None:
         try:
             async with asyncio.timeout(LINK_SIGN_OF_LIFE_SECONDS):
-                await self._news.wait()
+                await self._wakeup.wait()
         except TimeoutError:
             return
 
@@ -197,7 +197,7 @@ class HostLink:
         If nothing has changed, the update is empty: a sign of life.
         """
         self._handler.check_lease()
-        self._news.clear()
+        self._wakeup.clear()
         interest, self._interest = self._interest, None
         times = [self._handler.times_of(one) for one in _taken(self._times)]
         floors = [self._handler.floor_of(one) for one in _taken(self._floors)]

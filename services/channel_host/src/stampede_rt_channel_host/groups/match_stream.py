@@ -130,9 +130,9 @@ class MatchStream:
                 await asyncio.sleep(0)  # there is much to look at: let other tasks run first
                 continue
             holds = counted is not None or all(remote.is_followed for remote, _ in self._remote.values())
-            news = bool(found) or (holds and counted != (matcher.unmatched, matcher.dropped))
+            has_changed = bool(found) or (holds and counted != (matcher.unmatched, matcher.dropped))
             wanted = counted is None or self._credit.left > 0  # without credit the stream takes and sends nothing
-            if not (news and (found or wanted)) and (self._writer.silence_left_s > 0 or not wanted):
+            if not (has_changed and (found or wanted)) and (self._writer.silence_left_s > 0 or not wanted):
                 await self._waiter.wait(self._writer.silence_left_s if wanted else None)
                 continue
             counted = (matcher.unmatched, matcher.dropped)
@@ -190,15 +190,15 @@ class MatchStream:
                 await load(self._groups.channels, self._near[missing.channel_id], missing)
                 await self._writer.turn()
                 continue
-            goes_on = bool(found) and bool(found[-1].archived)
-            if goes_on:
+            is_archived = bool(found) and bool(found[-1].archived)
+            if is_archived:
                 found[-1] = await filled(self._groups.channels, self._near, found[-1])
                 await self._writer.turn()
             taken += found
             charge = sum(one.charge_bytes for one in found)
             self._credit.spend(charge)
             credit -= charge
-            if not goes_on or credit <= 0 or len(taken) >= MATCHES_PER_MESSAGE_MAX:
+            if not is_archived or credit <= 0 or len(taken) >= MATCHES_PER_MESSAGE_MAX:
                 return taken
 
     def _decided(

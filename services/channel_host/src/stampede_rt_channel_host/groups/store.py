@@ -52,7 +52,7 @@ class GroupStore:
         self._directory = directory
         self._table = HostedGroups()
         self.exchange = TimesExchange(
-            identity, channels, self._table, dial, cluster_id, on_stale=self._look_up_soon, on_asked=self._learn_of
+            identity, channels, self._table, dial, cluster_id, on_stale=self._look_up_soon, on_requested=self._learn_of
         )
         self._single_flight = SingleFlight()
         self._lookups = BackgroundLookups()

@@ -13,17 +13,17 @@ class Waiter(ChangeObserver):
 
     def __init__(self) -> None:
         super().__init__()
-        self._news = asyncio.Event()
+        self._wakeup = asyncio.Event()
         self._error: StampedeError | None = None
 
     def wake(self) -> None:
         """Note that something may have changed."""
-        self._news.set()
+        self._wakeup.set()
 
     def end(self, error: StampedeError) -> None:
         """Note that the host no longer serves the group or channel."""
         self._error = error
-        self._news.set()
+        self._wakeup.set()
 
     async def wait(self, timeout_s: float | None) -> bool:
         """Wait until `wake` is called. Returns True, immediately if `wake` was called since the last wait.
@@ -32,10 +32,10 @@ class Waiter(ChangeObserver):
         """
         try:
             async with asyncio.timeout(timeout_s):
-                await self._news.wait()
+                await self._wakeup.wait()
         except TimeoutError:
             return False
-        self._news.clear()
+        self._wakeup.clear()
         self.listen()
         if self._error is not None:
             raise self._error

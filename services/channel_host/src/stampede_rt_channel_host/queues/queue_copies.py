@@ -106,8 +106,8 @@ class QueueCopies:
         """Repeat a step of the owner. Raises InvalidArgument if the step does not fit."""
         copy.journal.apply(step, self._now() - ago_nanos)
 
-    def heard(self, copy: QueueCopy, record: RecordedQueue) -> None:
-        """Note a message of the owner that continues the copy's feed. `record`: the queue as the owner knows it."""
+    def note_message(self, copy: QueueCopy, record: RecordedQueue) -> None:
+        """Note that the owner has sent a message of the copy's feed. `record`: the queue as the owner knows it."""
         copy.record, copy.owner_epoch, copy.heard_nanos = record, record.epoch, time.monotonic_ns()
         copy.charge.set(copy.core.footprint_bytes + copy.journal.size_bytes)
 

@@ -55,7 +55,7 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         self._ahead: AheadPut | None = None  # is sent, and not a step yet
 
     @property
-    def is_level(self) -> bool:
+    def is_fully_replicated(self) -> bool:
         """Whether all steps are replicated."""
         return self.replicated_next >= self.journal.next_step
 
@@ -67,7 +67,7 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
     def configure(self, policy: QueuePolicy) -> None:
         """Take over another policy."""
         self._in_sync.min_replicas = _least(policy)
-        self.news.set()
+        self.keeper_wakeup.set()
 
     def changed(self, now: int) -> None:
         """Make a step of the changes of the queue, if there are any, and send it to the replicas.
@@ -81,7 +81,7 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
             self._in_sync.put(self.journal.next_step)
             for feed in self._feeds.values():
                 feed.wake()
-            self.go_on()
+            self.release_replicated()
 
     def send_ahead(self, put: AheadPut) -> None:
         """Send a put to the replicas. The queue is about to store it, and nothing else before the next `changed`."""
@@ -91,7 +91,7 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
 
     def once_replicated(self, key: object, action: Action) -> None:
         """Perform `action` as soon as the present state of the queue is replicated. `forget(key)` drops it."""
-        if self.is_level and not self._waiting:
+        if self.is_fully_replicated and not self._waiting:
             action()
         else:
             self._waiting.append((self.journal.next_step, key, action))
@@ -124,7 +124,9 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         """Note that the replica at the end of this feed has all steps before `next_place`."""
         if self._feeds.get(host_id) is feed:
             self.reports[host_id] = self._steady_nanos(), min(next_place, self.journal.next_step)
-            self.strays.discard(host_id)  # it has begun anew: the feed of a stray does not continue
+            self.diverged_host_ids.discard(
+                host_id
+            )  # it has begun anew: the feed of a diverged replica does not continue
         super().report(host_id, feed, next_place)
 
     def release(self) -> None:
@@ -140,20 +142,20 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         """
         self._in_sync.own_again()
         self.since_epoch = epoch
-        self.news.set()
+        self.keeper_wakeup.set()
 
     def end(self, error: StampedeError) -> None:
         """End the waits, and drop the waiting actions. The feeds continue."""
         self._waiting.clear()
         super().end(error)
 
-    def go_on(self) -> None:
+    def release_replicated(self) -> None:
         """Perform the actions whose steps are replicated, and forget steps that no replica needs."""
         before, replicated = self._behind_since, self.replicated_next
         while self._waiting and self._waiting[0][0] <= replicated:
             self._waiting.popleft()[2]()
         self.journal.forget(min((replicated, *(feed.next_step for feed in self._feeds.values()))))
-        if self.is_level:
+        if self.is_fully_replicated:
             self._behind_since = None
         elif before is None or self._progress < replicated:
             self._behind_since = self._steady_nanos()

@@ -15,7 +15,7 @@ from stampede_rt_channel_host.queues.queue_content import QueueContent, QueueMov
 from stampede_rt_channel_host.queues.queue_replication import QueueReplication, waits_for_replicas
 from stampede_rt_channel_host.queues.refusals import display_name
 
-LEVEL_SECONDS_MAX = 1.0
+REPLICATED_SECONDS_MAX = 1.0
 ACKNOWLEDGED_CHUNKS_MAX = 64  # a new replica gets this many chunks, with 16,384 deliveries, which take 10 ms
 
 
@@ -92,16 +92,16 @@ class ReplicatedQueue(ABC):
         self.follow_up()
         return state, self.replication.journal.next_step
 
-    async def level(self) -> int:
+    async def wait_until_replicated(self) -> int:
         """Wait until the replicas have the held queue. Returns the number of its next step; 0 without replicas.
 
-        Waits LEVEL_SECONDS_MAX at most. Raises Unavailable if the replicas do not have it by then.
+        Waits REPLICATED_SECONDS_MAX at most. Raises Unavailable if the replicas do not have it by then.
         """
         if self.replication is None:
             return 0
         self.replication.changed(self._now())
         next_step = self.replication.journal.next_step
-        if not await self.replication.replicated(next_step, LEVEL_SECONDS_MAX):
+        if not await self.replication.replicated(next_step, REPLICATED_SECONDS_MAX):
             name = display_name(self.record)
             raise Unavailable(
                 f"queue {name} needs {self.replication.min_replicas} replicas in sync (min_replicas), so some of "

@@ -51,7 +51,7 @@ class TakeStream:
         self._drains = False  # the taker wants no more messages
         self._closed = False  # the caller has closed its side
         self._probes = False  # `probe` was called, and its sign of life is due
-        self._news = asyncio.Event()  # there is something to write, or the caller has closed its side
+        self._wakeup = asyncio.Event()  # there is something to write, or the caller has closed its side
         self._silent_at_s = 0.0  # loop time at which a sign of life is due; only a write postpones it
         self._room = asyncio.Event()  # the writer has taken the results
         self._work = current_work()
@@ -59,12 +59,12 @@ class TakeStream:
     def deliver(self, batch: Batch) -> None:
         """Send a batch. The queue gives this stream the next batch only after `HostedQueue.sent`."""
         self._batch = batch
-        self._news.set()
+        self._wakeup.set()
 
     def probe(self) -> None:
         """See `TakerStream`."""
         self._probes = True
-        self._news.set()
+        self._wakeup.set()
 
     def end(self, error: StampedeError) -> None:
         """Note that the host no longer serves the queue."""
@@ -100,7 +100,7 @@ class TakeStream:
                     raise InvalidArgument("the stream is open already; leave `open` out after the first request")
                 await self._take(hosted, taker, request)
             self._closed = True
-            self._news.set()
+            self._wakeup.set()
             await writer
         finally:
             writer.cancel()
@@ -120,7 +120,7 @@ class TakeStream:
             hosted.queue.drain(taker)
             hosted.once_replicated(self, self._answer_drain)
         self._grant(hosted, taker, request.credit)
-        self._news.set()
+        self._wakeup.set()
         while self._owed >= SETTLEMENTS_MAX:  # a taker that does not read its results must wait
             self._room.clear()
             await self._room.wait()
@@ -128,12 +128,12 @@ class TakeStream:
     def _answer(self, results: list[queue_pb2.SettlementResult]) -> None:
         """Send results, because the replicas have these settlements."""
         self._results += results
-        self._news.set()
+        self._wakeup.set()
 
     def _answer_drain(self) -> None:
         """Tell the taker that no batch follows: all earlier ones are sent."""
         self._owes_drained = True
-        self._news.set()
+        self._wakeup.set()
 
     def _grant(self, hosted: HostedQueue, taker: TakerState, credit: int) -> None:
         """Add the credit that the taker grants. A request without credit is a sign of life.
@@ -151,7 +151,7 @@ class TakeStream:
         """Send batches, results and signs of life. Results that came during one write go out in the next message."""
         await self._write(hosted, take_response(None, (), 0, incarnation=hosted.queue.incarnation))
         while not self._is_over(taker):
-            if await self._wait_for_news():
+            if await self._wait_for_change():
                 if self._work.must_wait:
                     await self._work.turn()
                 await self._write_news(hosted, taker)
@@ -181,14 +181,14 @@ class TakeStream:
         if batch is not None:
             hosted.sent(taker)
 
-    async def _wait_for_news(self) -> bool:
+    async def _wait_for_change(self) -> bool:
         """Wait until there may be something to send. Returns False if a sign of life is due first."""
         try:
             async with asyncio.timeout_at(self._silent_at_s):
-                await self._news.wait()
+                await self._wakeup.wait()
         except TimeoutError:
             return False
-        self._news.clear()
+        self._wakeup.clear()
         return True
 
     async def _write(self, hosted: HostedQueue, message: bytes) -> None:

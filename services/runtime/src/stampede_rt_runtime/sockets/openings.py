@@ -18,10 +18,10 @@ def opening_in(body: bytes) -> pb.StreamOpening:
         raise InvalidArgument(f"the {len(body)} bytes that were sent are no StreamOpening") from error
 
 
-def unfinished(seconds: float, came_bytes: int) -> DeadlineExceeded:
+def unfinished(seconds: float, received_bytes: int) -> DeadlineExceeded:
     """The error for a frame if only some of its bytes came within that time."""
     return DeadlineExceeded(
-        f"{came_bytes} bytes of a frame came, but the rest did not come within {seconds:g} s; send smaller "
+        f"{received_bytes} bytes of a frame came, but the rest did not come within {seconds:g} s; send smaller "
         "messages, or use a faster network"
     )
 

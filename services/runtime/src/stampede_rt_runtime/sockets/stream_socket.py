@@ -65,7 +65,7 @@ class StreamSocket(asyncio.BufferedProtocol):
         self._deadline: asyncio.TimerHandle | None = None
         self._messages: deque[bytes] = deque()
         self._unread_bytes = 0
-        self._came: asyncio.Future[None] | None = None
+        self._waiter: asyncio.Future[None] | None = None
         self._has_ended = self._is_lost = self._is_paused = self._has_written = self._is_full = False
         self._room: asyncio.Future[None] | None = None
         self._frame_since_s: float | None = None
@@ -88,12 +88,12 @@ class StreamSocket(asyncio.BufferedProtocol):
         """The memory for the next bytes. All connections share one buffer, except for long frames."""
         return self._frames.buffer() if self._is_filling else self._buffers.short
 
-    def buffer_updated(self, came_bytes: int) -> None:
+    def buffer_updated(self, received_bytes: int) -> None:
         """Take the received frames. Bytes after the stream's end are dropped."""
         if self.is_over:
             return
         try:
-            is_whole = self._fill(came_bytes) if self._is_filling else self._feed(came_bytes)
+            is_whole = self._fill(received_bytes) if self._is_filling else self._feed(received_bytes)
         except StampedeError as error:
             self._owner.failed(self, error)
             return
@@ -103,21 +103,21 @@ class StreamSocket(asyncio.BufferedProtocol):
             self._frame_since_s = self._loop.time()
         if self._must_wait_for_place():
             self._pause()
-            _wake(self._came)  # `read` takes the place
+            _wake(self._waiter)  # `read` takes the place
         elif self._unread_bytes > self._limits.unread_bytes_max:
             self._pause()
 
-    def _feed(self, came_bytes: int) -> bool:
+    def _feed(self, received_bytes: int) -> bool:
         """Take bytes of the short memory. Returns whether a frame is complete."""
-        whole = self._frames.feed(self._buffers.short[:came_bytes])
+        whole = self._frames.feed(self._buffers.short[:received_bytes])
         if len(whole) != 1 or not self._answer(*whole[0]):
             for kind, body in whole:
                 self._take(kind, body)
         return bool(whole)
 
-    def _fill(self, came_bytes: int) -> bool:
+    def _fill(self, received_bytes: int) -> bool:
         """Take bytes of a long frame. Returns whether it is complete. Copies it only if it must wait."""
-        frame = self._frames.filled_buffer(came_bytes)
+        frame = self._frames.filled_buffer(received_bytes)
         if frame is None:
             return False
         self._leave_place()
@@ -171,7 +171,7 @@ class StreamSocket(asyncio.BufferedProtocol):
             self._hangups.close_soon(self._end_stream)
 
     def _end_stream(self) -> None:
-        _wake(self._came)
+        _wake(self._waiter)
         _wake(self._room)
         self._owner.lost(self)
 
@@ -191,8 +191,8 @@ class StreamSocket(asyncio.BufferedProtocol):
                 if self._is_lost:
                     self._drop_frame()
             self._resume()
-            self._came = self._loop.create_future()
-            await self._came
+            self._waiter = self._loop.create_future()
+            await self._waiter
         message = self._messages.popleft()
         self._unread_bytes -= len(message) + _MESSAGE_OVERHEAD_BYTES
         if self._unread_bytes <= self._limits.unread_bytes_max:
@@ -303,14 +303,14 @@ class StreamSocket(asyncio.BufferedProtocol):
 
         So most requests with short work need no other turn of the loop, and no switch of tasks.
         """
-        came = self._came
-        if self.take_in_same_turn is None or kind != FrameKind.MESSAGE or came is None or came.done() or self._is_full:
+        take, waiter = self.take_in_same_turn, self._waiter
+        if take is None or kind != FrameKind.MESSAGE or waiter is None or waiter.done() or self._is_full:
             return False
         try:
-            return self.take_in_same_turn(body, self._write_message)
+            return take(body, self._write_message)
         except Exception as defect:  # noqa: BLE001  # the method ends with it, as if it had read the message
-            came.set_exception(defect)
-            self._came = came = None  # the error refers to this frame
+            waiter.set_exception(defect)
+            self._waiter = waiter = None  # the error refers to this frame
             return True
 
     def _take(self, kind: int, body: bytes) -> None:
@@ -325,10 +325,10 @@ class StreamSocket(asyncio.BufferedProtocol):
         elif kind == FrameKind.MESSAGE and not self._has_ended:
             self._messages.append(body)
             self._unread_bytes += len(body) + _MESSAGE_OVERHEAD_BYTES
-            _wake(self._came)
+            _wake(self._waiter)
         elif kind == FrameKind.END:
             self._has_ended = True
-            _wake(self._came)
+            _wake(self._waiter)
         else:
             raise InvalidArgument(f"a frame of kind {kind} came out of place; see socket_stream.proto")
 

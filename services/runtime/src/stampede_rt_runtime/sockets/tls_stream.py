@@ -80,9 +80,9 @@ class TlsStream(asyncio.BufferedProtocol):
         """The memory for the next encrypted bytes."""
         return self._short
 
-    def buffer_updated(self, came_bytes: int) -> None:
+    def buffer_updated(self, received_bytes: int) -> None:
         """Take encrypted bytes. During a handshake, reading stops until the next step is performed."""
-        self._tls.feed(self._short[:came_bytes])
+        self._tls.feed(self._short[:received_bytes])
         if self._is_secured:
             self._open_some()
         else:
@@ -122,7 +122,7 @@ class TlsStream(asyncio.BufferedProtocol):
     def writelines(self, parts: Iterable[bytes]) -> None:
         """Encrypt and send the parts of a message."""
         try:
-            self._transport.write(self._tls.seal(parts))
+            self._transport.write(self._tls.encrypt(parts))
         except ssl.SSLError:  # the peer has ended its TLS
             self._transport.abort()
 

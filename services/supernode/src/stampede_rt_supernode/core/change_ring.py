@@ -94,7 +94,7 @@ class ChangeRing:
         if start < 0:
             return None
         # Reads each change by its index, because a deque is fast near both ends. Nearly all readers are at the end, and
-        # islice would walk there from the beginning for each reader.
+        # islice would count from the beginning for each reader.
         changes = tuple(self._changes[one] for one in range(start, min(start + changes_max, len(self._changes))))
         following = start + len(changes)
         index = self.end_index

@@ -46,7 +46,7 @@ class _Lease:
     registered_index: int
     ends_nanos: int
     ending: bool = False  # the end of the lease is proposed, and cannot be withdrawn
-    walk: int = 0  # the number of the last walk over all live holders in which this holder was found
+    scan: int = 0  # the number of the last scan of all live holders in which this holder was found
     # the holder's last clock report; not part of the directory, and lost with the tenure
     clock: ClockOffset | None = None
 
@@ -66,7 +66,7 @@ class LeaseTable:
         # The leases and looks of former tenures that are not freed yet.
         self._forgotten: list[tuple[dict[bytes, _Lease], list[tuple[int, int, bytes]]]] = []
         self._granted_nanos = 0  # all leases that are not ending last at least until then
-        self._walks = 0  # the number of the last walk over all live holders
+        self._scans = 0  # the number of the last scan of all live holders
         self._looked_nanos = 0  # when `due` was last called
 
     def lead(self, tenure: int, live: Iterable[RegisteredHolder], now: int, *, ttl_nanos: int) -> None:
@@ -117,17 +117,17 @@ class LeaseTable:
         """
         if not self.tenure:
             return
-        self._walks += 1
-        walk = self._walks
+        self._scans += 1
+        scan = self._scans
         for start in range(0, len(live), LOOKS_MAX):
             for one in live[start : start + LOOKS_MAX]:
-                self.note(one, now).walk = walk
+                self.note(one, now).scan = scan
             yield
         known = list(self._leases)
         for start in range(0, len(known), LOOKS_MAX):
             for holder_id in known[start : start + LOOKS_MAX]:
                 held = self._leases.get(holder_id)
-                if held is not None and held.walk != walk:
+                if held is not None and held.scan != scan:
                     self.note_gone(holder_id, as_of_index)
             yield
 

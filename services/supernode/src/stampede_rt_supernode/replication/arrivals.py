@@ -93,16 +93,16 @@ class _InboxShares:
 
     def __init__(self, items_max: int, bytes_max: int) -> None:
         self._items_max, self._bytes_max = items_max, bytes_max
-        self._came: dict[str, tuple[int, int]] = {}
+        self._arrived: dict[str, tuple[int, int]] = {}
         self._taken: dict[str, tuple[int, int]] = {}
 
     def count_received(self, event: MessageReceived) -> None:
         """Count a message that came. Raises InboxFull if the member has too many waiting messages."""
-        items, size = self._came.get(event.member_id, (0, 0))
+        items, size = self._arrived.get(event.member_id, (0, 0))
         items_out, size_out = self._taken.get(event.member_id, (0, 0))
         if items - items_out >= self._items_max or size - size_out >= self._bytes_max:
             raise InboxFull(f"{items - items_out} messages of {event.member_id} wait for the log's thread")
-        self._came[event.member_id] = items + 1, size + event.size_bytes
+        self._arrived[event.member_id] = items + 1, size + event.size_bytes
 
     def count_taken(self, event: MessageReceived) -> None:
         """Count a message that was taken."""

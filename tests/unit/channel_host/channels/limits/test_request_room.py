@@ -11,11 +11,11 @@ from stampede_rt_channel_host.channels.limits.request_room import ROOM_BYTES, Re
 
 
 class Uploads:
-    """Requests that take room until the test ends them; `under_way` are the requests that got room, in order."""
+    """Requests that take room until the test ends them. `admitted`: the requests that got room, in order."""
 
     def __init__(self, room: RequestRoom | RequestRooms) -> None:
         self.room = room
-        self.under_way: list[str] = []
+        self.admitted: list[str] = []
         self._tasks: dict[str, asyncio.Task[None]] = {}
 
     async def begin(self, name: str, caller: str, wanted_bytes: int) -> None:
@@ -25,7 +25,7 @@ class Uploads:
     async def _take(self, name: str, caller: str, wanted_bytes: int) -> None:
         give_back = await self.room.take(caller, wanted_bytes)
         try:
-            self.under_way.append(name)
+            self.admitted.append(name)
             await asyncio.Event().wait()
         finally:
             give_back()
@@ -59,10 +59,10 @@ async def test_requests_get_room_in_the_order_of_arrival() -> None:
     async with uploads() as some:
         for number, size in enumerate((40, 40, 30, 10)):
             await some.begin(f"{number}", f"caller {number}", size)
-        assert some.under_way == ["0", "1"]  # the last request does not overtake the third
+        assert some.admitted == ["0", "1"]  # the last request does not overtake the third
         assert some.room.used_bytes == 80
         await some.end("0")
-        assert some.under_way == ["0", "1", "2", "3"]
+        assert some.admitted == ["0", "1", "2", "3"]
 
 
 async def test_one_caller_gets_at_most_half_of_the_room_and_its_waiting_requests_do_not_block_others() -> None:
@@ -70,9 +70,9 @@ async def test_one_caller_gets_at_most_half_of_the_room_and_its_waiting_requests
         for number in range(4):
             await some.begin(f"hostile {number}", "hostile", 25)
         await some.begin("good", "good", 50)
-        assert some.under_way == ["hostile 0", "hostile 1", "good"]
+        assert some.admitted == ["hostile 0", "hostile 1", "good"]
         await some.end("hostile 0")
-        assert some.under_way == ["hostile 0", "hostile 1", "good", "hostile 2"]
+        assert some.admitted == ["hostile 0", "hostile 1", "good", "hostile 2"]
 
 
 async def test_a_request_of_a_vanished_caller_frees_its_bytes_and_its_place_in_line() -> None:
@@ -82,7 +82,7 @@ async def test_a_request_of_a_vanished_caller_frees_its_bytes_and_its_place_in_l
         await some.begin("gone", "c", 50)
         await some.begin("third", "d", 50)
         await some.end("gone", "first")
-        assert some.under_way == ["first", "second", "third"]
+        assert some.admitted == ["first", "second", "third"]
 
 
 async def test_a_request_that_is_cancelled_when_it_gets_room_gives_the_room_back() -> None:
@@ -100,20 +100,20 @@ async def test_unfinished_large_requests_leave_room_for_the_requests_of_producer
     async with uploads(RequestRooms()) as some:
         for number in range(12):
             await some.begin(f"large {number}", f"hostile {number % 3}", REQUEST_BYTES_MAX)
-        assert len(some.under_way) == 3, "as many requests as fit into one half of the room"
+        assert len(some.admitted) == 3, "as many requests as fit into one half of the room"
         for number in range(40):
             await some.begin(f"joined {number}", "good", JOINED_BYTES_MAX)
-        assert len(some.under_way) == 3 + 32, "one caller gets half of the other half of the room"
+        assert len(some.admitted) == 3 + 32, "one caller gets half of the other half of the room"
         assert some.room.used_bytes <= ROOM_BYTES
 
 
 class CountedBytes(int):
     """The size of a request. Counts the comparisons with the free room."""
 
-    looks = 0
+    comparisons = 0
 
     def __radd__(self, other: int) -> int:
-        type(self).looks += 1
+        type(self).comparisons += 1
         return int(self) + other
 
 
@@ -121,12 +121,12 @@ async def test_waiting_requests_of_a_caller_at_its_limit_cost_other_requests_no_
     async with uploads() as some:
         for number in range(1000):
             await some.begin(f"hostile {number}", "hostile", CountedBytes(25))
-        CountedBytes.looks = 0
+        CountedBytes.comparisons = 0
         for number in range(100):
             await some.begin(f"good {number}", "good", CountedBytes(25))
             await some.end(f"good {number}")
-        assert CountedBytes.looks <= 100 * 6, "a few looks at each good request, and none at the 998 that wait"
-        assert some.under_way[-1] == "good 99"
+        assert CountedBytes.comparisons <= 100 * 6, "a few for each good request, and none for the 998 that wait"
+        assert some.admitted[-1] == "good 99"
 
 
 async def test_waiting_requests_of_vanished_callers_are_removed() -> None:

@@ -11,8 +11,8 @@ from typing import Any, cast
 import pytest
 
 from stampede_rt.errors import ChannelNotFound
+from stampede_rt.multicast.encryption import DatagramOpener, RejectReason
 from stampede_rt.multicast.layout import MessageKind, MessagePart
-from stampede_rt.multicast.sealing import DatagramOpener, RejectReason
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.records import policy_to_spec
@@ -33,15 +33,15 @@ class Group:
 
     def __init__(self) -> None:
         self.sent = list[bytes]()
-        self.has_news, self.may_send = asyncio.Event(), asyncio.Event()
+        self.wakeup, self.may_send = asyncio.Event(), asyncio.Event()
         self.may_send.set()
 
-    async def send(self, parts: Sequence[bytes], seal: Callable[[bytes], bytes]) -> None:
+    async def send(self, parts: Sequence[bytes], encrypt: Callable[[bytes], bytes]) -> None:
         for at, part in enumerate(parts):
             if at:
                 await self.between_parts()
-            self.sent.append(seal(part))
-        self.has_news.set()
+            self.sent.append(encrypt(part))
+        self.wakeup.set()
         await self.may_send.wait()
 
     async def between_parts(self) -> None:
@@ -56,8 +56,8 @@ class Group:
                 found = [opened for one in self.sent if isinstance(opened := opener.open(one), MessagePart)]
                 if len(found) >= count:
                     return found
-                self.has_news.clear()
-                await self.has_news.wait()
+                self.wakeup.clear()
+                await self.wakeup.wait()
 
 
 class Rig:
@@ -142,7 +142,7 @@ async def test_the_key_can_change_within_a_long_message(monkeypatch: pytest.Monk
     monkeypatch.setattr(rig.group, "between_parts", leave)
     rig.put(bytes(5000))
     async with asyncio.timeout(30):
-        await rig.group.has_news.wait()
+        await rig.group.wakeup.wait()
     rig.multicasts.close()
     opened = [former.open(datagram) for datagram in rig.group.sent]
     assert isinstance(opened[0], MessagePart)

@@ -127,7 +127,7 @@ def large_bucket(items: int = 5000) -> ChannelCore:
     return channel
 
 
-def test_the_end_of_a_large_bucket_is_known_without_a_walk_over_its_items(looked: SliceCounter) -> None:
+def test_the_end_of_a_large_bucket_is_known_without_a_scan_of_its_items(looked: SliceCounter) -> None:
     """In an earlier version, with 50,000 items of one time, the search for the next deadline took 90 ms, and the
     collection 180 ms.
     """

@@ -50,7 +50,7 @@ def test_items_that_many_consumers_consumed_out_of_order_leave_after_a_bounded_n
     assert most <= 2 * (CONSUMERS_CHECKED_MAX + consumers)
 
 
-def test_setting_up_consumers_of_a_full_channel_does_not_walk_over_its_items(looked: SliceCounter) -> None:
+def test_setting_up_consumers_of_a_full_channel_does_not_scan_its_items(looked: SliceCounter) -> None:
     channel = shuffled()
     looked.slices = 0
     channel.configure(Policy(consumers=1, max_age_nanos=10**12), CLOCK)
@@ -74,7 +74,7 @@ def test_no_consumer_owes_an_item_that_was_collected_while_new_consumers_learn_o
     assert channel.counters(CLOCK).held == 2000
 
 
-def test_the_count_of_items_that_wait_for_a_consumer_needs_no_walk_over_collected_items(
+def test_the_count_of_items_that_wait_for_a_consumer_needs_no_scan_of_collected_items(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     channel = backwards(ITEMS, consumers=10)

@@ -80,7 +80,7 @@ def test_a_page_within_a_large_bucket_reads_only_the_items_of_the_page(looked: S
 
 
 @pytest.mark.parametrize("durations", [None, [5]])
-def test_the_reach_of_a_channel_is_known_without_a_walk(looked: SliceCounter, durations: list[int] | None) -> None:
+def test_the_reach_of_a_channel_is_known_without_a_scan(looked: SliceCounter, durations: list[int] | None) -> None:
     channel = a_channel()
     for _ in range(ITEMS):
         put(channel, CLOCK, durations=durations)

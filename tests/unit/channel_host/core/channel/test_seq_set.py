@@ -57,14 +57,14 @@ def test_counting_among_very_many_ranges_walks_a_block_at_each_end() -> None:
     counted = CountedSeqs()
     for seq in range(3, 200_001, 2):
         counted.add(seq, seq + 1)
-    walked: list[int] = []
+    scanned: list[int] = []
     touching = CountedSeqs.touching
 
     def counting(self: CountedSeqs, first: int, end: int) -> Iterator[tuple[int, int]]:
         for one in touching(self, first, end):
-            walked.append(1)
+            scanned.append(1)
             yield one
 
     with mock.patch.object(CountedSeqs, "touching", counting):
         assert counted.count(100, 200_000) == 99_950
-    assert len(walked) <= seq_set.BLOCK_SEQS
+    assert len(scanned) <= seq_set.BLOCK_SEQS

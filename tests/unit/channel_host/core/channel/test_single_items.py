@@ -1,4 +1,4 @@
-"""A read that finds its only item directly gives the same answer as a walk over the index."""
+"""A read that finds its only item directly gives the same answer as a scan of the index."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ def facts(answer: ReadAnswer | None) -> tuple[object, ...] | None:
 
 
 @given(runs, durations, policies, strategies.integers(-2, 34), strategies.integers(10, 40))
-def test_the_item_at_an_instant_is_the_one_that_a_walk_finds(
+def test_the_item_at_an_instant_is_the_one_that_a_scan_finds(
     puts: list[list[int]], duration: int | None, policy: dict[str, int], time: int, now: int
 ) -> None:
     channel = filled(puts, duration, policy)
     found, short = facts(get(channel, time, time, now=now)), facts(channel.at(time, now))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(selection, "_single", lambda *arguments: None)
-        walked = facts(get(channel, time, time, now=now))
-    assert found == walked
-    assert short in (None, walked)
+        scanned = facts(get(channel, time, time, now=now))
+    assert found == scanned
+    assert short in (None, scanned)
 
 
 @given(runs, durations, policies, strategies.integers(0, 34), strategies.integers(10, 40))
-def test_the_last_item_of_an_interval_is_the_one_that_a_walk_finds(
+def test_the_last_item_of_an_interval_is_the_one_that_a_scan_finds(
     puts: list[list[int]], duration: int | None, policy: dict[str, int], bound: int, now: int
 ) -> None:
     channel = filled(puts, duration, policy)
@@ -58,7 +58,7 @@ def test_the_last_item_of_an_interval_is_the_one_that_a_walk_finds(
         assert found == last()
 
 
-def test_an_item_in_the_middle_of_a_long_run_is_found_without_a_walk() -> None:
+def test_an_item_in_the_middle_of_a_long_run_is_found_without_a_scan() -> None:
     channel = a_channel()
     put(channel, *range(0, 1000, 10))
     found = channel.at(505, 10**6)
@@ -67,7 +67,7 @@ def test_an_item_in_the_middle_of_a_long_run_is_found_without_a_walk() -> None:
     assert (part.first_time, part.items, found.next_time) == (500, 1, 510)
 
 
-def test_the_last_item_before_an_instant_is_found_without_a_walk(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_last_item_before_an_instant_is_found_without_a_scan(monkeypatch: pytest.MonkeyPatch) -> None:
     channel = a_channel()
     put(channel, *range(0, 1000, 10))
     monkeypatch.setattr(selection, "_key_ranges", None)
@@ -76,7 +76,7 @@ def test_the_last_item_before_an_instant_is_found_without_a_walk(monkeypatch: py
     assert (part.first_time, part.items, found.next_time, found.more) == (490, 1, 500, True)
 
 
-def test_two_items_of_one_time_need_a_walk() -> None:
+def test_two_items_of_one_time_need_a_scan() -> None:
     channel = a_channel()
     put(channel, 10, 20, 20, 30)
     assert channel.at(25, 10**6) is None

@@ -116,7 +116,7 @@ def test_a_read_through_a_group_reports_that_unread_items_remain() -> None:
     assert len(counts) > 2
 
 
-def test_a_subscription_through_a_group_from_the_oldest_item_on_begins_without_a_walk(looked: Counter) -> None:
+def test_a_subscription_through_a_group_from_the_oldest_item_on_begins_without_a_scan(looked: Counter) -> None:
     made = channel(*range(1, ITEMS + 1), policy=POLICY)
     looked.slices = 0
     horizon = Horizon(ITEMS + 1, lambda: "held back")

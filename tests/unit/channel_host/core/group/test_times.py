@@ -11,7 +11,7 @@ from tests.support.channel_host.group_channels import INCARNATION, NOW, channel,
 A = b"a"
 
 
-def told(of: ChannelCore, follower: OwnChannelTimes) -> tuple[int | None, int | None]:
+def newest_times(of: ChannelCore, follower: OwnChannelTimes) -> tuple[int | None, int | None]:
     follower.observe(NOW)
     times = follower.times(1)
     assert times.incarnation == of.incarnation
@@ -21,38 +21,38 @@ def told(of: ChannelCore, follower: OwnChannelTimes) -> tuple[int | None, int | 
 def test_the_largest_end_in_the_newest_bucket_counts_and_a_later_bucket_has_its_own_end() -> None:
     made = channel(10, durations=[5])
     follower = OwnChannelTimes(made, NOW)
-    assert told(made, follower) == (10, 15)
+    assert newest_times(made, follower) == (10, 15)
     put(made, 10, 90)
     put(made, 10, 2)
     put(made, 10)
-    assert told(made, follower) == (10, 100)
+    assert newest_times(made, follower) == (10, 100)
     put(made, 20)
-    assert told(made, follower) == (20, None)
+    assert newest_times(made, follower) == (20, None)
     put(made, 20, 0)
-    assert told(made, follower) == (20, 20)
+    assert newest_times(made, follower) == (20, 20)
 
 
 def test_late_and_removed_items_change_no_time() -> None:
     made = channel(10, 30, durations=[5, 5], policy=Policy(max_items=2))
     follower = OwnChannelTimes(made, NOW)
     put(made, 20, 2**62)
-    assert told(made, follower) == (30, 35)
+    assert newest_times(made, follower) == (30, 35)
     put(made, 40)
     put(made, 50)
     assert made.oldest == 40
-    assert told(made, follower) == (50, None)
+    assert newest_times(made, follower) == (50, None)
 
 
 def test_a_run_is_looked_through_for_its_latest_bucket() -> None:
     made = channel()
     times, durations = [30, 10, 30, 20], [1, 500, 9, 500]
     made.put(Offer(times=times, durations=durations, lengths=[1] * 4), NOW, lambda first_seq, kept, stamped: b"")
-    assert told(made, OwnChannelTimes(made, NOW)) == (30, 39)
+    assert newest_times(made, OwnChannelTimes(made, NOW)) == (30, 39)
 
 
 def test_an_endless_duration_ends_at_the_greatest_instant() -> None:
     made = channel(10, durations=[2**63 - 1])
-    assert told(made, OwnChannelTimes(made, NOW)) == (10, MAX_INSTANT)
+    assert newest_times(made, OwnChannelTimes(made, NOW)) == (10, MAX_INSTANT)
 
 
 def test_a_late_item_or_an_advance_ends_the_silence_of_a_channel_and_a_read_does_not() -> None:

@@ -149,20 +149,20 @@ def test_a_leader_asks_for_a_digest_until_all_connected_members_have_answered_or
     poll = DigestPoll()
     assert poll.of_most("ab") == NO_DIGEST
     poll.ask(0.0, (5, b""), "ab")
-    assert poll.asked == NO_DIGEST, "a leader that has no digest names none"
+    assert poll.named_state == NO_DIGEST, "a leader that has no digest names none"
     poll.ask(0.0, (7, ONE), "ab")
     poll.ask(0.4, (8, ONE), [])
-    assert poll.asked == (7, ONE)
+    assert poll.named_state == (7, ONE)
     poll.answered("a", (7, ONE), "ab")
     poll.answered("b", (6, OTHER), "ab")
     poll.ask(1.0, (9, ONE), "ab")
-    assert poll.asked == (7, ONE), "b has not come so far"
+    assert poll.named_state == (7, ONE), "b has not come so far"
     poll.ask(1.0, (9, ONE), "a")
-    assert poll.asked == (9, ONE)
+    assert poll.named_state == (9, ONE)
     poll.ask(5.9, (10, OTHER), "ab")
-    assert poll.asked == (9, ONE)
+    assert poll.named_state == (9, ONE)
     poll.ask(6.0, (10, OTHER), "ab")
-    assert poll.asked == (10, OTHER)
+    assert poll.named_state == (10, OTHER)
     assert poll.of_most("ab") == NO_DIGEST, "those answers were about another position"
 
 

@@ -123,17 +123,17 @@ def test_a_snapshot_in_pieces_is_valid_from_its_last_piece_on(reopen: Reopen, mo
     log = with_entries(reopen(), 8)
     adopt(log, StoredSnapshot.of(3, b"older"), log[1], log[2])
     log.sync()
-    coming = StoredSnapshot.of(6, b"state")
-    assert [piece.data for piece in coming.pieces()] == [b"st", b"at", b"e"]
-    for piece in coming.pieces():
+    arriving = StoredSnapshot.of(6, b"state")
+    assert [piece.data for piece in arriving.pieces()] == [b"st", b"at", b"e"]
+    for piece in arriving.pieces():
         log.write_piece(piece)
         log.sync()
         log = RaftLog(reopen())
         assert (log[0].log_index, log.snapshot) == (2, StoredSnapshot.of(3, b"older"))
-    log.adopt_snapshot(coming, log[3], log[4], NOBODY)
+    log.adopt_snapshot(arriving, log[3], log[4], NOBODY)
     log.sync()
     again = RaftLog(reopen())
-    assert (again[0].log_index, again.snapshot) == (5, coming)
+    assert (again[0].log_index, again.snapshot) == (5, arriving)
 
 
 def test_pieces_of_a_killed_process_do_not_disturb_the_next_snapshot(

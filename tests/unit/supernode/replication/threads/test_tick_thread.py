@@ -117,11 +117,11 @@ class HangingReplica(SteppedReplica):
 
     def __init__(self) -> None:
         super().__init__()
-        self.goes_on = threading.Event()
+        self.may_continue = threading.Event()
 
     def step(self) -> bool:
         self.stepped.release()
-        self.goes_on.wait()
+        self.may_continue.wait()
         return False
 
 
@@ -136,7 +136,7 @@ def test_a_step_that_hangs_is_logged_once_and_its_end_too(
         wait_for(lambda: len(caplog.records) == 1)
         assert thread.stuck_seconds() > 0.0
     finally:
-        replica.goes_on.set()
+        replica.may_continue.set()
     wait_for(lambda: len(caplog.records) == 2)
     assert ["has not answered" in record.getMessage() for record in caplog.records] == [True, False]
     assert thread.stuck_seconds() == 0.0

@@ -1,4 +1,4 @@
-"""Keeps the last fetched parts of objects on the disk of the host, up to a limit in bytes. Its methods block."""
+"""Keeps the most recently read parts of objects on the disk of the host, up to a limit in bytes. Its methods block."""
 
 from __future__ import annotations
 

@@ -82,14 +82,14 @@ class MovingFiles(SegmentFiles):
             end_seq = segment.first_seq
         return found
 
-    def look(self, now: int, seal_nanos: int, limits: ArchiveLimits | None) -> None:
-        """Close the open segment if its first item is older than `seal_nanos`. Drop outdated segments; `limits` None:
-        drop none. Find the segments that are to move. Raises OSError.
+    def look(self, now: int, close_after_nanos: int, limits: ArchiveLimits | None) -> None:
+        """Close the open segment if its first item is older than `close_after_nanos`. Drop outdated segments, unless
+        `limits` is None. Find the segments that are to move. Raises OSError.
         """
         if self.is_left:
             self.waiting = ()
             return
-        is_young = 0 <= now - self._begun_at < seal_nanos  # not if the clock went back
+        is_young = 0 <= now - self._begun_at < close_after_nanos  # not if the clock went back
         if self._file is not None and self.is_known and not is_young:
             self._end_segment()
         if limits is not None:

@@ -48,8 +48,8 @@ class ObjectArchive:
         self._cache.open()
         leftovers = Leftovers(folder.channels, self.store, lambda channel_id: self.files_of(channel_id, {}))
         leftovers.look()
-        seal_nanos = settings.move_after_seconds * 10**9
-        self.mover = SegmentMover(self.store, self._cache, leftovers, seal_nanos, now)
+        close_after_nanos = settings.move_after_seconds * 10**9
+        self.mover = SegmentMover(self.store, self._cache, leftovers, close_after_nanos, now)
 
     def files_of(self, channel_id: bytes, facts: dict[str, str | int], kept: KeptBlocks | None = None) -> MovingFiles:
         """The files of a channel, which the caller opens. `kept`: see `SegmentReads`."""

@@ -56,13 +56,18 @@ class SegmentMover:
     """
 
     def __init__(
-        self, store: SegmentStore, cache: ChunkCache, leftovers: Leftovers, seal_nanos: int, now: Callable[[], int]
+        self,
+        store: SegmentStore,
+        cache: ChunkCache,
+        leftovers: Leftovers,
+        close_after_nanos: int,
+        now: Callable[[], int],
     ) -> None:
-        """`seal_nanos`: the age at which an open segment is closed."""
+        """`close_after_nanos`: the age at which the mover closes an open segment."""
         self.store, self.cache = store, cache
         self.failure = ""
         """Why the last call of the store failed; empty: it succeeded."""
-        self._leftovers, self._seal_nanos, self._now = leftovers, seal_nanos, now
+        self._leftovers, self._close_after_nanos, self._now = leftovers, close_after_nanos, now
         self._recorders: dict[MovingFiles, ChannelRecorder] = {}
         # the files of channels that are not recorded here any more, and whether a look has found their waiting segments
         self._leaving: dict[MovingFiles, bool] = {}
@@ -161,7 +166,7 @@ class SegmentMover:
         """How long to wait before the next look, and after the next failure."""
         if failure:
             return back_off, min(2 * back_off, BACK_OFF_SECONDS_MAX)
-        look_s = min(LOOK_SECONDS_MAX, self._seal_nanos / 4e9, self._listings.due_s())
+        look_s = min(LOOK_SECONDS_MAX, self._close_after_nanos / 4e9, self._listings.due_s())
         return max(LOOK_SECONDS_MIN, look_s), BACK_OFF_SECONDS_MIN
 
     def _note(self, failure: str) -> None:
@@ -216,7 +221,8 @@ class SegmentMover:
 
         def look() -> list[OSError]:
             failures = [
-                _failed(one, self._now(), self._seal_nanos, of.limits if drops else None) for one, of in recorders
+                _failed(one, self._now(), self._close_after_nanos, of.limits if drops else None)
+                for one, of in recorders
             ]
             return [one for one in (*failures, *(_failed(files, self._now(), 0, None) for files in leaving)) if one]
 
@@ -275,7 +281,7 @@ class SegmentMover:
 
     def _note_former(self, recorder: ChannelRecorder, files: MovingFiles) -> None:
         """Let readers of the archive go on, if it has the last files of the former owner."""
-        if recorder.came is None and not files.lacks_former(recorder.archived_to):
+        if recorder.moved_items is None and not files.lacks_former(recorder.archived_to):
             recorder.former.note_all()
 
     async def _delete_outdated(self, files: MovingFiles) -> None:
@@ -334,10 +340,10 @@ class SegmentMover:
         self._threads.shutdown(wait=False)
 
 
-def _failed(files: MovingFiles, now: int, seal_nanos: int, limits: ArchiveLimits | None) -> OSError | None:
+def _failed(files: MovingFiles, now: int, close_after_nanos: int, limits: ArchiveLimits | None) -> OSError | None:
     """Look at the files of a channel. Returns the error: the look at the other channels goes on."""
     try:
-        files.look(now, seal_nanos, limits)
+        files.look(now, close_after_nanos, limits)
     except OSError as error:
         return error
     return None

@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from stampede_rt.errors import StampedeError
+from stampede_rt.multicast.encryption import Encryptor, Signer
 from stampede_rt.multicast.layout import (
     KEY_BYTES,
     MESSAGE_BYTES_MAX,
@@ -22,7 +23,6 @@ from stampede_rt.multicast.layout import (
     parts_of,
 )
 from stampede_rt.multicast.repair_pace import BEAT_S_MAX
-from stampede_rt.multicast.sealing import Sealer, Signer
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.multicast.group_socket import MulticastGroup
 from stampede_rt_channel_host.core.channel import AllCursor, DeliveredSlice
@@ -62,7 +62,7 @@ class ChannelMulticast:
         self._stream_id = secrets.token_bytes(STREAM_ID_BYTES)
         self._signer = Signer(self._stream_id, secrets.token_bytes(KEY_BYTES))
         self._key_number = self._beats = self.readers = self.repairs = self.datagrams = self.bytes = 0
-        self._news = asyncio.Event()
+        self._wakeup = asyncio.Event()
         self.has_ended = self._owes_key = False
         self._beat_s = BEAT_S_MIN
         # a next seq of the channel, and the loop time at which the channel had it; kept until all items before it are
@@ -77,12 +77,12 @@ class ChannelMulticast:
 
     def wake(self) -> None:
         """See `ChannelObserver`."""
-        self._news.set()
+        self._wakeup.set()
 
     def end(self, error: StampedeError) -> None:
         """See `ChannelObserver`. A last datagram makes the readers open streams, which give the reason."""
         self.has_ended = True
-        self._news.set()
+        self._wakeup.set()
 
     def join(self) -> None:
         """Note one more reader."""
@@ -120,7 +120,7 @@ class ChannelMulticast:
 
     async def _step(self, cursor: AllCursor) -> None:
         """Send the next items, or wait for some. Sends a beat after a silence."""
-        self._news.clear()
+        self._wakeup.clear()
         self._renew_owed_key()
         part = self._hosted.channel.since(cursor, self._now(), ITEMS_BYTES)
         if part.slices:
@@ -147,22 +147,22 @@ class ChannelMulticast:
         """Wait for items. Sends a beat after a silence."""
         with suppress(TimeoutError):
             async with asyncio.timeout(self._beat_s):
-                await self._news.wait()
+                await self._wakeup.wait()
                 return
         self._beat_s = min(2 * self._beat_s, BEAT_S_MAX)
         await self._send(MessageKind.BEAT, cursor.next_seq, cursor.next_seq, self._next_beat())
 
     async def _send(self, kind: MessageKind, first_seq: int, end_seq: int, body: bytes) -> None:
         message = self._signer.sign(MulticastMessage(kind, first_seq, end_seq, body))
-        await self._group.send([*parts_of(message)], self._seal)
+        await self._group.send([*parts_of(message)], self._encrypted)
 
-    def _seal(self, part: bytes) -> bytes:
+    def _encrypted(self, part: bytes) -> bytes:
         """The datagram of a part, under a key that readers who have left 10 s ago do not know.
 
         At a low rate the parts of one message may take longer.
         """
         self._renew_owed_key()
-        datagram = self._sealer.seal(part)
+        datagram = self._encryptor.encrypt(part)
         self.datagrams += 1
         self.bytes += len(datagram)
         return datagram
@@ -180,4 +180,4 @@ class ChannelMulticast:
         self._key_number = self._key_number % KEY_NUMBERS_MAX + 1
         self._key, self._owes_key = secrets.token_bytes(KEY_BYTES), False
         self._key_at_s = asyncio.get_running_loop().time()
-        self._sealer = Sealer(self._stream_id, self._key_number, self._key)
+        self._encryptor = Encryptor(self._stream_id, self._key_number, self._key)

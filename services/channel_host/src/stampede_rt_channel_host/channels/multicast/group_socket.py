@@ -9,7 +9,7 @@ import socket
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from stampede_rt.multicast.layout import SEAL_BYTES
+from stampede_rt.multicast.layout import ENCRYPTION_BYTES
 from stampede_rt_channel_host.core.token_bucket import TokenBucket
 
 logger = logging.getLogger(__name__)
@@ -48,17 +48,17 @@ class MulticastGroup:
         if interface:
             self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(interface))
 
-    async def send(self, parts: Sequence[bytes], seal: Callable[[bytes], bytes]) -> None:
-        """Send the datagrams of these parts, when the rate allows it. `seal` makes one just before it is sent.
+    async def send(self, parts: Sequence[bytes], encrypt: Callable[[bytes], bytes]) -> None:
+        """Send the datagrams of these parts, when the rate allows it. `encrypt` makes one just before it is sent.
 
         Datagrams that the machine does not take are counted as unsent.
         """
         for at in range(0, len(parts), DATAGRAMS_PER_STEP):
             some = parts[at : at + DATAGRAMS_PER_STEP]
-            datagram_bytes = sum(map(len, some)) + len(some) * SEAL_BYTES
+            datagram_bytes = sum(map(len, some)) + len(some) * ENCRYPTION_BYTES
             await asyncio.sleep(self._bucket.spend(datagram_bytes, asyncio.get_running_loop().time()))
             for part in some:
-                self._send(seal(part))
+                self._send(encrypt(part))
 
     def _send(self, datagram: bytes) -> None:
         try:

@@ -30,7 +30,7 @@ class AckWriter:
         self._held = HeldAcks(self._on_due, spawn)
         self._is_writing = self._is_closed = False
         self._begun: StartedCoroutine | None = None  # a begun write; the task awaits the rest of it
-        self._news = asyncio.Event()  # there are acks to write, or no more acks come
+        self._wakeup = asyncio.Event()  # there are acks to write, or no more acks come
         self._room = asyncio.Event()  # a write has taken the acks
         self._task: asyncio.Task[None] | None = spawn(self._run())
 
@@ -70,12 +70,12 @@ class AckWriter:
     def wake(self) -> None:
         """Let a task of this writer write the acks that are due."""
         if self._has_due:
-            self._news.set()
+            self._wakeup.set()
 
     async def finish(self) -> None:
         """Write all acks that were added, as soon as they are due."""
         self._is_closed = True
-        self._news.set()
+        self._wakeup.set()
         assert self._task is not None, "a closed writer has nothing to write"
         await self._task
 
@@ -111,7 +111,7 @@ class AckWriter:
             else:
                 self._begun, self._is_writing = begun, True
         if not in_this_turn or self._begun is not None or self._is_closed:
-            self._news.set()
+            self._wakeup.set()
 
     async def _run(self) -> None:
         while not (self._is_closed and not self._acks and not self._held and self._begun is None):
@@ -122,7 +122,7 @@ class AckWriter:
                 finally:
                     self._is_writing = False
             elif self._is_writing or not self._has_due:
-                self._news.clear()
-                await self._news.wait()
+                self._wakeup.clear()
+                await self._wakeup.wait()
             else:
                 await self.write()

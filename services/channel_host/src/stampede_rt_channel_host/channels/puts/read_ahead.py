@@ -49,7 +49,7 @@ class ReadAhead:
         self._task: asyncio.Task[None] | None = None
         self._failure: Exception | None = None
         self._wanted = False  # whether `next` has been called since `start`: the task then begins no further read
-        self._news = asyncio.Event()
+        self._wakeup = asyncio.Event()
 
     async def next(self) -> tuple[Any, float]:
         """The next request or EOF, and the monotonic time at which it came. Raises the errors of reading.
@@ -59,8 +59,8 @@ class ReadAhead:
         self.release()
         self._wanted = True  # a begun read cannot be cancelled: wait for it, and begin no other
         while not self._received and self._task is not None:
-            self._news.clear()
-            await self._news.wait()
+            self._wakeup.clear()
+            await self._wakeup.wait()
         if not self._received:
             if self._failure is not None:
                 raise self._failure
@@ -110,7 +110,7 @@ class ReadAhead:
             self._failure = error
         finally:
             self._task = None
-            self._news.set()
+            self._wakeup.set()
 
     @property
     def _has_room(self) -> bool:

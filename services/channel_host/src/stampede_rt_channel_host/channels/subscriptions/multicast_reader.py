@@ -13,10 +13,12 @@ from stampede_rt_channel_host.channels.multicast.multicasts import Multicasts
 from stampede_rt_channel_host.channels.requests import is_newest
 
 
-def wants_multicast(opening: pb.SubscribeOpen, multicasts: Multicasts | None) -> bool:
+def offers_multicast(opening: pb.SubscribeOpen, multicasts: Multicasts | None) -> bool:
     """Whether the host offers multicast to the reader of this subscription."""
-    asks = opening.multicast and not (opening.without_payloads or opening.HasField("group_id") or is_newest(opening))
-    return asks and multicasts is not None
+    is_wanted = opening.multicast and not (
+        opening.without_payloads or opening.HasField("group_id") or is_newest(opening)
+    )
+    return is_wanted and multicasts is not None
 
 
 class MulticastReader:
@@ -26,32 +28,32 @@ class MulticastReader:
         self._multicasts: Multicasts | None = None
         self._channel: ChannelMulticast | None = None
         self._announced_key = 0
-        self.asked_bytes = 0  # the bytes of the last repair
-        self._asked_seq: int | None = None  # the seq of a repair, until the cursor is there
-        self._owed_seq: int | None = None  # the seq of a repair, until the reader has its answer
+        self.repair_bytes = 0  # the most bytes of the last requested repair
+        self._repair_seq: int | None = None  # the first seq of a requested repair, until the repair begins
+        self._owed_seq: int | None = None  # the first seq of a repair, until the reader has the answer
 
     @contextmanager
     def joined(self, multicasts: Multicasts | None, hosted: HostedChannel, opening: pb.SubscribeOpen) -> Iterator[None]:
         """Multicast the channel during the block, if the reader wants it."""
-        if multicasts is None or not wants_multicast(opening, multicasts):
+        if multicasts is None or not offers_multicast(opening, multicasts):
             yield
             return
         with multicasts.reading(hosted) as self._channel:
             self._multicasts = multicasts
             yield
 
-    def ask(self, request: pb.SubscribeRequest) -> None:
-        """Note that the reader wants the items from a seq on. Raises InvalidArgument without an offer."""
+    def request_repair(self, request: pb.SubscribeRequest) -> None:
+        """Note that the reader requests the items from a seq on. Raises InvalidArgument without an offer."""
         if self._channel is None or self._multicasts is None:
             raise InvalidArgument("repair_next_seq is set, and the host has offered no multicast; leave it out")
         self._channel.repairs += 1
         self._multicasts.repairs += 1
-        self._asked_seq, self.asked_bytes = max(1, request.repair_next_seq), max(1, request.credit_bytes)
+        self._repair_seq, self.repair_bytes = max(1, request.repair_next_seq), max(1, request.credit_bytes)
 
-    def take_asked(self, incarnation: int) -> pb.SubscribeOpen:
-        """The place from which the reader wants items now. Call this only if it `has_asked`."""
-        assert self._asked_seq is not None, "the reader has asked"
-        self._owed_seq, self._asked_seq = self._asked_seq, None
+    def begin_repair(self, incarnation: int) -> pb.SubscribeOpen:
+        """Begin the requested repair. Returns its place as an opening. Call this only if `has_repair_request`."""
+        assert self._repair_seq is not None, "the reader has asked for a repair"
+        self._owed_seq, self._repair_seq = self._repair_seq, None
         cursor = pb.SubscriptionCursor(incarnation=incarnation, next_seq=self._owed_seq)
         return pb.SubscribeOpen(mode=pb.SUBSCRIBE_MODE_ALL, cursor=cursor)
 
@@ -61,16 +63,16 @@ class MulticastReader:
         return self._channel is not None
 
     @property
-    def has_asked(self) -> bool:
-        """Whether the reader has asked for a place that the cursor does not have yet."""
-        return self._asked_seq is not None
+    def has_repair_request(self) -> bool:
+        """Whether the reader has requested a repair that has not begun yet."""
+        return self._repair_seq is not None
 
     @property
     def is_owed(self) -> bool:
         """Whether the next response answers a repair. Then the host sends nothing after it."""
         return self._owed_seq is not None
 
-    def news(self) -> bytes:
+    def encoded_fields(self) -> bytes:
         """The encoded fields of the next response: the answer to a repair, and the offer if the key is a new one."""
         if self._channel is None:
             return b""

@@ -24,7 +24,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscriptions.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.subscriptions.cursors import files_came, open_cursor
-from stampede_rt_channel_host.channels.subscriptions.multicast_reader import MulticastReader, wants_multicast
+from stampede_rt_channel_host.channels.subscriptions.multicast_reader import MulticastReader, offers_multicast
 from stampede_rt_channel_host.channels.subscriptions.reader_drops import ReaderDrops
 from stampede_rt_channel_host.core.channel import Gap, SavedCursor, SubscriptionBatch
 from stampede_rt_runtime.access.control import current_work
@@ -50,7 +50,7 @@ class Subscription(ChangeObserver):
         self._context = context
         self._takes_parts = takes_parts(context)
         self._stream = stream
-        self._news: asyncio.Future[bool] | None = None  # belongs to the present or last wait; see `_wait_for_news`
+        self._wakeup: asyncio.Future[bool] | None = None  # belongs to the present or last wait; see `_wait_for_change`
         # whether the reader must still get a progress message after the items that the channel held at its start
         self._owes_progress = False
         # the latest advance, cursor and count of skipped items that the reader has got
@@ -72,9 +72,9 @@ class Subscription(ChangeObserver):
             self._look()
 
     def _look(self) -> None:
-        """End the present wait of `_wait_for_news`, if there is one."""
-        if self._news is not None and not self._news.done():
-            self._news.set_result(True)
+        """End the present wait of `_wait_for_change`, if there is one."""
+        if self._wakeup is not None and not self._wakeup.done():
+            self._wakeup.set_result(True)
 
     def end(self, error: StampedeError) -> None:
         """Note that the host no longer serves the channel."""
@@ -123,7 +123,7 @@ class Subscription(ChangeObserver):
     def _check_place(self, opening: pb.SubscribeOpen) -> None:
         """Note whether the reader may move to a copy. Raises StaleBinding (MOVED) if it is to begin at another host."""
         hosted = self._hosted
-        if not opening.stale_ok or wants_multicast(opening, self._store.multicasts):
+        if not opening.stale_ok or offers_multicast(opening, self._store.multicasts):
             return
         self._movable_at_s = asyncio.get_running_loop().time() + (STAY_SECONDS if opening.stay else 0)
         if hosted.fed is not None and not opening.stay:
@@ -144,7 +144,7 @@ class Subscription(ChangeObserver):
             if request.HasField("open"):
                 raise InvalidArgument("the stream is open already; leave `open` out after the first request")
             if request.HasField("repair_next_seq"):
-                self._multicast.ask(request)
+                self._multicast.request_repair(request)
                 self._look()
             else:
                 self._credit.grant(request.credit_bytes, one_response=request.one_response)
@@ -160,18 +160,18 @@ class Subscription(ChangeObserver):
             await self._write(pb.SubscribeResponse(opened=opened).SerializeToString() + self._cursor_bytes(cursor))
             with self._store.readers.reading(self._hosted.record.name) as self._drops:
                 while not self._credit.is_over:
-                    cursor = await self._asked_place(cursor)
+                    cursor = await self._repair_cursor(cursor)
                     await self._step(cursor, without_payloads=opening.without_payloads)
         finally:
             self._hosted.subscriptions.discard(self)
 
-    async def _asked_place(self, cursor: Cursor) -> Cursor:
+    async def _repair_cursor(self, cursor: Cursor) -> Cursor:
         """The cursor of the repair for which a reader of datagrams has asked. `cursor` if it has asked for none."""
-        if not self._multicast.has_asked or (saved := cursor.saved) is None:
+        if not self._multicast.has_repair_request or (saved := cursor.saved) is None:
             return cursor
-        place = self._multicast.take_asked(saved.incarnation)  # the reader may still know only the former incarnation
+        place = self._multicast.begin_repair(saved.incarnation)  # the reader may still know only the former incarnation
         self._owes_progress = True  # the answer if there is no item
-        self._credit.left = self._multicast.asked_bytes
+        self._credit.left = self._multicast.repair_bytes
         return await self._store.scheduler.do(open_cursor(self._hosted, place, self._store.now()))
 
     async def _step(self, cursor: Cursor, *, without_payloads: bool) -> None:
@@ -180,7 +180,7 @@ class Subscription(ChangeObserver):
         Without credit, only waits for credit: the cursor stays where it is, and the reader gets nothing.
         """
         if self._credit.left <= 0:
-            await self._wait_for_news(None)
+            await self._wait_for_change(None)
             return
         if self._work.must_wait:
             await self._work.turn()
@@ -200,7 +200,7 @@ class Subscription(ChangeObserver):
             await asyncio.sleep(0)
         elif self._owes_cursor and cursor.saved is not None:
             await self._write(self._cursor_bytes(cursor))
-        elif self._owes_progress or self._advance_is_news() or not await self._wait_for_news(self._silent_at_s):
+        elif self._owes_progress or self._has_new_advance() or not await self._wait_for_change(self._silent_at_s):
             self._owes_progress = False
             self._sent_advance = self._hosted.channel.advanced_to  # all items from before the advance are sent
             progress = pb.SubscribeResponse(progress=self._progress(cursor, self._store.now()))
@@ -244,16 +244,16 @@ class Subscription(ChangeObserver):
 
     def _cursor_bytes(self, cursor: Cursor) -> bytes:
         """The cursor as an encoded response; no bytes if it is unchanged since the reader last got it."""
-        saved, news = cursor.saved, b""
+        saved, fields = cursor.saved, b""
         if self._multicast.is_joined:
             if self._multicast.is_owed:
                 self._credit.left = 0  # the reader wants no further response
-            news = self._multicast.news()
+            fields = self._multicast.encoded_fields()
         self._owes_cursor = saved is None  # a group has no cursor while it shows the items up to a new cut
         if saved is None or saved == self._sent_cursor:
-            return news
+            return fields
         self._sent_cursor = saved
-        return news + _encoded_cursor(saved)
+        return fields + _encoded_cursor(saved)
 
     def _progress(self, cursor: Cursor, now: int) -> pb.SubscriptionProgress:
         progress = cursor.progress(now)
@@ -263,20 +263,20 @@ class Subscription(ChangeObserver):
             progress.advance_unix_nano = self._sent_advance
         return progress
 
-    def _advance_is_news(self) -> bool:
+    def _has_new_advance(self) -> bool:
         """Whether there is an advance that the reader does not know. No earlier item comes after an advance."""
         return self._hosted.channel.advanced_to != self._sent_advance
 
-    async def _wait_for_news(self, until_s: float | None) -> bool:
+    async def _wait_for_change(self, until_s: float | None) -> bool:
         """Wait until there may be something to send. Returns False at the loop time `until_s`, if given."""
-        if self._multicast.has_asked:  # the reader has asked before this wait began
+        if self._multicast.has_repair_request:  # the request came before this wait began
             return True
         loop = asyncio.get_running_loop()
-        news: asyncio.Future[bool] = loop.create_future()
-        self._news = news
-        timer = None if until_s is None else loop.call_at(until_s, _set_unless_done, news)
+        wakeup: asyncio.Future[bool] = loop.create_future()
+        self._wakeup = wakeup
+        timer = None if until_s is None else loop.call_at(until_s, _set_unless_done, wakeup)
         try:
-            return await news
+            return await wakeup
         finally:
             if timer is not None:
                 timer.cancel()
@@ -309,6 +309,6 @@ def _gap(gap: Gap) -> pb.SubscriptionGap:
     )
 
 
-def _set_unless_done(news: asyncio.Future[bool]) -> None:
-    if not news.done():
-        news.set_result(False)
+def _set_unless_done(wakeup: asyncio.Future[bool]) -> None:
+    if not wakeup.done():
+        wakeup.set_result(False)

@@ -181,7 +181,7 @@ class ArchivedRead:
         else:
             self._keep(answer)
             self._more = answer.more
-        self._go_on(window)
+        self._decide_next_window(window)
 
     def _reading_of(self, items: RecordedItems) -> QueryReader:
         reading = QueryReader(items, self._retention, self._moment.incarnation, self._moment.lost_before)
@@ -209,7 +209,7 @@ class ArchivedRead:
         if self._left is not None:
             self._left -= sum(one.items for one in answer.slices)
 
-    def _go_on(self, window: ArchiveWindow) -> None:
+    def _decide_next_window(self, window: ArchiveWindow) -> None:
         """Decide whether the read needs another window."""
         if window.edge is not None and self._left == 0 and self._selects(window.edge):
             self._more = True

@@ -93,9 +93,9 @@ class ArchiveWindow(NamedTuple):
 def choose(segments: Sequence[Segment], blocks_of: BlocksOf, wanted: WantedItems) -> ChosenBlocks:
     """The blocks that the read loads next."""
     low = (_low_time(segments, blocks_of, wanted), 0)
-    walk = _down(segments, blocks_of, low, wanted.high) if wanted.down else _up(segments, blocks_of, low)
+    scan = _down(segments, blocks_of, low, wanted.high) if wanted.down else _up(segments, blocks_of, low)
     growing, edge = _GrowingWindow(wanted, low[0]), None
-    for segment, block in walk:
+    for segment, block in scan:
         head = block.head
         if not wanted.down and head.low >= wanted.high:
             return ChosenBlocks(growing.taken, None, head.low[0])

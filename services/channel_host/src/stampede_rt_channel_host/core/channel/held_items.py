@@ -178,7 +178,7 @@ class HeldItems:
         return LAST_KEY
 
     def snapshot(self) -> IndexSnapshot:
-        """A snapshot of the held items. A reader can walk it while the channel changes."""
+        """A snapshot of the held items. A reader can scan it while the channel changes."""
         return IndexSnapshot(self.index, self.floor, self.next_seq, self._snapshots)
 
     @property
@@ -227,7 +227,7 @@ class HeldItems:
         )
 
     def items_below(self, key: ItemKey) -> int:
-        """The number of held items below a key. Adds the counts of whole blocks, and walks over the other items."""
+        """The number of held items below a key. Adds the counts of whole blocks, and scans the other items."""
         whole = self._blocks.whole_below(key)
         return whole.items + sum(part.items for part in self.slices(whole.end, key))
 

@@ -1,4 +1,4 @@
-"""The items of a channel at one moment. A reader walks them in pieces while the channel changes. Pure."""
+"""The items of a channel at one moment. A reader scans them in pieces while the channel changes. Pure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class IndexSnapshot:
     """The items at or above `floor` with seqs below `end_seq`.
 
     The snapshot copies nothing. From `hold` to `close` the channel keeps the snapshot's entries in the index. `shows`
-    decides by the seqs which items came later. A walk continues at a key, so the channel may add and split entries
+    decides by the seqs which items came later. A scan continues at a key, so the channel may add and split entries
     between two pieces.
     """
 
@@ -45,7 +45,7 @@ class IndexSnapshot:
     def hold(self) -> None:
         """Keep the entries in the index.
 
-        Call it before the channel changes, if the walk continues afterwards. Idempotent.
+        Call it before the channel changes, if the scan continues afterwards. Idempotent.
         """
         if not self.is_held:
             self.is_held = True
@@ -63,7 +63,7 @@ class IndexSnapshot:
         self._holders.pop(self, None)
 
     def detach(self, end: ItemKey) -> None:
-        """Walk copies of the entries below `end` from now on, because the channel is about to free these entries.
+        """Scan copies of the entries below `end` from now on, because the channel is about to free these entries.
 
         The channel keeps the entries from `end` on. Copies in one step the entries that no earlier call has copied.
         """

@@ -1,4 +1,4 @@
-"""Counts the items of a channel below an item key, and their bytes, without a walk over all of them. Pure.
+"""Counts the items of a channel below an item key, and their bytes, without a scan of all of them. Pure.
 
 Retention needs both sums when it outdates items, perhaps a million in one step. So the channel counts held items in
 blocks. A block holds the items between two item keys. Items after the last block are in no block, so a put in order
@@ -17,8 +17,8 @@ from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
 BLOCK_ITEMS = 1024
-"""The usual number of items in a block. To count some of the oldest items, the channel walks over little
-more than the items of one block.
+"""The usual number of items in a block. To count some of the oldest items, the channel scans little more
+than the items of one block.
 """
 
 

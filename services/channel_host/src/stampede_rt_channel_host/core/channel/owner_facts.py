@@ -72,29 +72,29 @@ class OwnerFactsFeed:
         self._sent_counts: tuple[GrowingCounts, OtherCounts | Counters] | None = None  # as of the last part
 
     @property
-    def is_level(self) -> bool:
+    def is_caught_up(self) -> bool:
         """Whether the copy has all runs, so that it may get all items."""
-        return self._window.is_level
+        return self._window.is_caught_up
 
     def is_complete(self, now: int) -> bool:
         """Whether the copy has all facts. If places have changed since the last round, begins another round."""
         self._next_round = min(self._next_round, now)
         has_places = self._round is None and self._places_now() == self._sent
-        return has_places and self._window.is_level and self._counts_now() == self._sent_counts
+        return has_places and self._window.is_caught_up and self._counts_now() == self._sent_counts
 
     def take(self, now: int) -> OwnerPart | None:
         """The next part, or None if nothing has changed."""
         self._clock = now
         if self._takes_puts and (put := self._take_put(now)) is not None:
             return put
-        was_level = self._window.is_level
+        was_caught_up = self._window.is_caught_up
         runs = tuple(self._window.take(RUNS_PER_PART))
         places = self._take_places(now)
         counts = self._counts_now()
-        if was_level and places is None and counts == self._sent_counts:
+        if was_caught_up and places is None and counts == self._sent_counts:
             return None
         self._sent_counts = counts
-        return OwnerPart(runs, places, self._source.latest_counters(), now if self._window.is_level else None)
+        return OwnerPart(runs, places, self._source.latest_counters(), now if self._window.is_caught_up else None)
 
     def _take_put(self, now: int) -> OwnerPart | None:
         """The part if one accepted run is the only change; otherwise None."""
@@ -138,7 +138,7 @@ class OwnerFactsFeed:
             if present == self._sent or now < self._next_round:
                 return None
             self._sent, self._next_round = present, now + ROUND_NANOS
-            self._round = self._walk(present[0])
+            self._round = self._scan(present[0])
         found: list[ConsumerPlace] = []
         ranges = 0
         while (place := next(self._round, None)) is not None:
@@ -149,7 +149,7 @@ class OwnerFactsFeed:
         self._round = None
         return FedPlaces(begins, tuple(found), ends=True)
 
-    def _walk(self, consumers: Consumers | None) -> Iterator[ConsumerPlace]:
+    def _scan(self, consumers: Consumers | None) -> Iterator[ConsumerPlace]:
         """The places, each in pieces of at most RANGES_PER_PART ranges. The places may change between two pieces."""
         for place in [] if consumers is None else consumers.table.in_order():
             if place.done is None:

@@ -53,7 +53,7 @@ class Retention:
         """Set other limits.
 
         If the new limits have consumer places and the present limits have none, the next calls of `report_collected`
-        walk the index once.
+        scan the index once.
         """
         self.limits = limits
         self._held.overlap_nanos = limits.overlap_nanos

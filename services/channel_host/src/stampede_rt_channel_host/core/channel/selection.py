@@ -134,7 +134,7 @@ def select(
 
 
 def _single(held: HeldItems, query: Query, within: ResolvedInterval, now: int) -> SelectedSlices | None:
-    """The answer of a usual read for one item, found without a walk; None: walk."""
+    """The answer of a usual read for one item, found without a scan; None: scan."""
     if query.after is not None or query.newer_than is not None:
         return None
     if query.match is Match.SPAN and within.start == within.end:
@@ -172,7 +172,7 @@ class _SliceSelection:
             return None
         fits, all_shown = key_range.fits, not self._snapshot.is_held
         steps, steps_max = 0, pieces.STEPS_PER_PIECE
-        for part in self._walk(key_range):
+        for part in self._scan(key_range):
             steps += 1
             if all_shown or self._snapshot.shows(part):
                 if fits is None and self._left is None and not self._left_out:
@@ -186,12 +186,12 @@ class _SliceSelection:
                 return self._behind(part, key_range)
         return None
 
-    def _walk(self, key_range: _KeyRange) -> Iterator[Slice]:
-        walk = self._snapshot.slices_down if self._down else self._snapshot.slices
-        return walk(key_range.low, key_range.high)
+    def _scan(self, key_range: _KeyRange) -> Iterator[Slice]:
+        scan = self._snapshot.slices_down if self._down else self._snapshot.slices
+        return scan(key_range.low, key_range.high)
 
     def _behind(self, part: Slice, key_range: _KeyRange) -> _KeyRange:
-        """The part of the range that a walk reaches after `part`."""
+        """The part of the range that a scan reaches after `part`."""
         if self._down:
             return key_range._replace(high=(part.first_time, part.first_seq))
         return key_range._replace(low=(part.last_time, part.end_seq))

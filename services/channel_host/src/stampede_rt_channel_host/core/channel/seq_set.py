@@ -160,19 +160,19 @@ class CountedSeqs(SeqSet):
     def count(self, first: int, end: int) -> int:
         """How many of the seqs from `first` up to `end`, exclusive, are in the set.
 
-        Walks the ranges of the first and the last block, and adds the stored counts of the blocks between. If a range
+        Scans the ranges of the first and the last block, and adds the stored counts of the blocks between. If a range
         has `first`, the method counts the seqs of that range in one step.
         """
         behind = max(first, min(end, self.end_of(first)))
         known, first = behind - first, behind
         low, high = -(-first // BLOCK_SEQS), end // BLOCK_SEQS
         if low >= high:
-            return known + self._walk(first, end)
-        known += self._walk(first, low * BLOCK_SEQS) + self._walk(high * BLOCK_SEQS, end)
+            return known + self._scan(first, end)
+        known += self._scan(first, low * BLOCK_SEQS) + self._scan(high * BLOCK_SEQS, end)
         return known + sum(self._blocks.get(block, 0) for block in range(low, high))
 
-    def _walk(self, first: int, end: int) -> int:
-        """The number of seqs of the set from `first` up to `end`, by a walk over the ranges."""
+    def _scan(self, first: int, end: int) -> int:
+        """The number of seqs of the set from `first` up to `end`, by a scan of the ranges."""
         if first >= end:
             return 0
         parts = self.touching(first, end)

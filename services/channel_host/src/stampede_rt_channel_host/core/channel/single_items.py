@@ -1,4 +1,4 @@
-"""Finds the item of a usual read without a walk: the item at an instant, and the last item before an end. Pure."""
+"""Finds the item of a usual read without a scan: the item at an instant, and the last item before an end. Pure."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class FoundItem(NamedTuple):
 def item_at(held: HeldItems, time: int, now: int) -> FoundItem | None:
     """The only item whose span holds the instant `time`. `now` is the instant of the meta-time NOW.
 
-    None: there may be no such item, or several, and only a walk finds out.
+    None: there may be no such item, or several, and only a scan finds out.
     """
     found = None if held.overlap_nanos else _single_up_to(held, time)
     if found is None:
@@ -35,7 +35,7 @@ def item_at(held: HeldItems, time: int, now: int) -> FoundItem | None:
 def last_in(held: HeldItems, within: ResolvedInterval) -> FoundItem | None:
     """The last item whose time is in the interval, if the interval begins at or before the oldest item.
 
-    None: only a walk finds out.
+    None: only a scan finds out.
     """
     oldest, newest, until = held.oldest, held.newest, within.end - within.end_exclusive
     if oldest is None or newest is None or oldest < within.start + within.start_exclusive:

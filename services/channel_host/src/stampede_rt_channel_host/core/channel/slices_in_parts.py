@@ -34,7 +34,7 @@ class SlicesInParts(Sequence[Slice]):
     @overload
     def __getitem__(self, at: slice) -> Sequence[Slice]: ...
     def __getitem__(self, at: int | slice) -> Slice | Sequence[Slice]:
-        """The slice or slices at `at`. Walks all slices, unless `at` is -1."""
+        """The slice or slices at `at`. Scans all slices, unless `at` is -1."""
         return self._parts[-1][-1] if at == -1 else [*self][at]
 
     def drained(self) -> Iterator[Slice]:

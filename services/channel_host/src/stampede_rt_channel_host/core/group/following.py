@@ -108,7 +108,7 @@ class CutFollower:
         held, _ = self._channel.look(now)
         return self._loss_counter.lowest_owed(held)
 
-    def has_news(self, cut: int) -> bool:
+    def may_show_items(self, cut: int) -> bool:
         """Whether a step to `cut` may bring items."""
         if self.under_way or self.cut is None or cut > self.cut:
             return True
@@ -186,12 +186,12 @@ class CutFollower:
         if self._is_searched:
             return True
         found = held.slices_by_seq(self._looked_up_to, self._seq_end)
-        came = [*islice(found, pieces.STEPS_PER_PIECE)]
-        parts = [split_at(part, _key(self.cut)) for part in came]
+        new_parts = [*islice(found, pieces.STEPS_PER_PIECE)]
+        parts = [split_at(part, _key(self.cut)) for part in new_parts]
         self._came_above += sum(above.items for _, above in parts)
         self._late.add(sorted((below for below, _ in parts if below.items), key=_order))
-        if len(came) == pieces.STEPS_PER_PIECE:
-            self._looked_up_to = came[-1].end_seq
+        if len(new_parts) == pieces.STEPS_PER_PIECE:
+            self._looked_up_to = new_parts[-1].end_seq
             return False
         self._is_searched = True
         return True

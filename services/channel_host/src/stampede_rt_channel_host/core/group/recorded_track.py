@@ -253,8 +253,8 @@ class LateCounter:
 
         Returns the number of items that it will never get.
         """
-        came = held.slices_by_seq(self.next_seq, next_seq)
-        late = sum(split_at(part, self._low)[0].items for part in came)
+        new_parts = held.slices_by_seq(self.next_seq, next_seq)
+        late = sum(split_at(part, self._low)[0].items for part in new_parts)
         lacked, self._own.lacked = self._own.lacked, 0
         self._low, self.next_seq = low, next_seq
         return late + lacked

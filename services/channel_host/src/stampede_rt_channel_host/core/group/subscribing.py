@@ -81,7 +81,7 @@ class VisibleAllCursor:
         The caller performs the step, and then calls `skip_to`.
         """
         follower = self._follower
-        if self._gap is not None or horizon.cut is None or not follower.has_news(horizon.cut):
+        if self._gap is not None or horizon.cut is None or not follower.may_show_items(horizon.cut):
             return None
         if not follower.under_way:
             if follower.is_held(now):
@@ -127,7 +127,7 @@ class VisibleAllCursor:
         late item.
         """
         follower = self._follower
-        while self._gap is None and horizon.cut is not None and follower.has_news(horizon.cut):
+        while self._gap is None and horizon.cut is not None and follower.may_show_items(horizon.cut):
             if not follower.under_way:
                 follower.begin(horizon.cut)
             step = follower.take(now, limit_bytes)

@@ -180,9 +180,9 @@ class TimesBoard:
         if times.epoch < held.times.epoch or (held.known_until is None and times.epoch == held.times.epoch):
             return False
         merged = self._merged(held, times)
-        news = merged != held.times
+        has_changed = merged != held.times
         held.times, held.silent_since, held.known_until = merged, now - silent_nanos, now
-        return news
+        return has_changed
 
     def confirm(self, channel_ids: Iterable[bytes], now: int) -> None:
         """Note a sign of life of the channels' owner, which means that their times have not changed."""

@@ -129,10 +129,10 @@ class ReplicasInSync:
                 state = ReplicaState.IN if one.in_sync else ReplicaState.OUT
                 self._replicas[one.host_id] = _Replica(one.boot_incarnation, state, self._next_seq, now)
         self._is_known = True
-        self._go_on()
+        self._advance_replicated()
 
     @property
-    def is_level(self) -> bool:
+    def is_fully_replicated(self) -> bool:
         """Whether all replicas for which the owner waits hold all items."""
         return self._is_known and all(one.next_seq >= self._next_seq for one in self._waited_for())
 
@@ -155,14 +155,14 @@ class ReplicasInSync:
     def put(self, next_seq: int) -> None:
         """Note that the owner has accepted the items before `next_seq`."""
         self._next_seq = next_seq
-        self._go_on()
+        self._advance_replicated()
 
     def report(self, host_id: bytes, next_seq: int, now: int) -> None:
         """Note that a replica holds all items before `next_seq`."""
         replica = self._replicas.get(host_id)
         if replica is not None:
             replica.report(min(next_seq, self._next_seq), self._next_seq, now)
-            self._go_on()
+            self._advance_replicated()
 
     def changes(self, now: int) -> list[ReplicaChange]:
         """The flags that the directory must set or clear now. Repeats a change until `confirm` has come for it."""
@@ -195,7 +195,7 @@ class ReplicasInSync:
             one.state = ReplicaState.IN
         elif not change.in_sync and one.state is ReplicaState.LEAVING:
             one.state = ReplicaState.OUT
-        self._go_on()
+        self._advance_replicated()
 
     def drop(self, host_id: bytes, now: int) -> bool:
         """Note that the replica loses its items. Returns False, and notes nothing, while the replica may have the flag:
@@ -214,7 +214,7 @@ class ReplicasInSync:
         """The number of hosts that hold all items before `next_seq` and may become the owner, the owner included."""
         return 1 + sum(one.state is ReplicaState.IN and one.next_seq >= next_seq for one in self._replicas.values())
 
-    def _go_on(self) -> None:
+    def _advance_replicated(self) -> None:
         if not self._is_known:
             return
         least, in_sync = self._next_seq, 0

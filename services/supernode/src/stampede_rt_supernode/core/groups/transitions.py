@@ -160,15 +160,15 @@ def update_group(tables: Tables, operation: UpdateGroup, *, has_shares: bool = T
             "someone has changed it; resolve it again, then decide",
             metadata={"group": group.name, "spec_version": str(group.spec_version)},
         )
-    coming = _members(
+    new_members = _members(
         tables,
         group.name,
         [one for one in dict.fromkeys(operation.add_channel_ids) if one not in group.spec.channel_ids],
     )
     if has_shares:
-        _check_share(tables, group.name, group.created_by, coming)
+        _check_share(tables, group.name, group.created_by, new_members)
     staying = [one for one in group.spec.channel_ids if one not in operation.remove_channel_ids]
-    return GroupUpdated(group=_with_members(tables, group, (*staying, *coming)))
+    return GroupUpdated(group=_with_members(tables, group, (*staying, *new_members)))
 
 
 def _with_members(tables: Tables, group: GroupRecord, channel_ids: tuple[bytes, ...]) -> GroupRecord:

@@ -202,9 +202,9 @@ def copies_after_owner_change(tables: Tables, before: Copied, after: Copied) -> 
     held = tables.replicas.of(id_of(before))
     left = (one for one in held if one.host_id != after.host_id and one.kind is not ReplicaKind.MOVE)
     moved = (_fed(one, {before.host_id, after.host_id}, after.host_id) for one in left)
-    goes_on = before.incarnation == after.incarnation
+    continues = before.incarnation == after.incarnation
     return tuple(
-        replace(one, in_sync=one.in_sync and one.acknowledged and goes_on, epoch=after.epoch, change_number=0)
+        replace(one, in_sync=one.in_sync and one.acknowledged and continues, epoch=after.epoch, change_number=0)
         for one in moved
     )
 

@@ -96,7 +96,7 @@ class LibrarySerializer:
 
     def checkSerializing(self) -> tuple[int, int | None]:
         """The state of the present snapshot, and, as soon as it is adopted, the position of the log's first entry."""
-        first = self._keeper.go_on_taking()
+        first = self._keeper.continue_snapshot()
         if first is not None:
             return _SUCCESS, first.log_index
         return (_SERIALIZING if self._keeper.is_busy else _NOT_SERIALIZING), None

@@ -21,7 +21,7 @@ class LibraryCopy:
     def __init__(self, *, clock: Callable[[], float], random_source: RandomSource) -> None:
         """Load the copy. Raises LibraryMismatch."""
         self._library = load_library(clock=clock, random_source=random_source)
-        # The library walks over sets of members. This hash gives the same order in every process, so that a simulated
+        # The library scans sets of members. This hash gives the same order in every process, so that a simulated
         # run can be repeated.
         self.make_member: Callable[[str], Any] = type(
             "MemberNode", (self._library.Node,), {"__hash__": lambda member: zlib.crc32(member.id.encode())}

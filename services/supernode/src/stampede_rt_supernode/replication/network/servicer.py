@@ -187,11 +187,11 @@ class RaftServicer:
             self._refused.pop(hello.member_id, None)
             return
         self._refused[hello.member_id] = refusal.why
-        is_heard = hello.member_id in self._readers
+        has_stream = hello.member_id in self._readers
         # Compares the grounds, because the words contain log positions, which differ at each attempt.
-        if not self._reports.is_due((hello.member_id, grounds_of(refusal.why), is_heard), time.monotonic()):
+        if not self._reports.is_due((hello.member_id, grounds_of(refusal.why), has_stream), time.monotonic()):
             return
-        if is_heard:
+        if has_stream:
             advice = f"the real {hello.member_id} is connected, so the caller has a copy of its folder: stop the copy"
         else:
             advice = "remove it (stampede supernode remove), and join under a new id"

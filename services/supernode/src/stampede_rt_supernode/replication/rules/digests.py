@@ -70,7 +70,7 @@ class Digests:
         elif not digest:
             pass  # the leader's digest is unknown
         elif not own:
-            self._go_on_from(index, digest, last)
+            self._take_over_digest(index, digest, last)
         else:
             self.answer = (index, own)
             self.doubtful_at = 0 if own == digest or self.diverged_at else self.doubtful_at or index
@@ -84,7 +84,7 @@ class Digests:
         if own != digest:
             self.diverged_at = self.diverged_at or index
 
-    def _go_on_from(self, index: int, digest: bytes, last: int) -> None:
+    def _take_over_digest(self, index: int, digest: bytes, last: int) -> None:
         if index == last:
             self._own[index] = digest
             self._adopt(digest)
@@ -98,7 +98,7 @@ class DigestPoll:
 
     def __init__(self) -> None:
         # The position that this leader names at present, and its own digest there.
-        self.asked: StateDigest = NO_DIGEST
+        self.named_state: StateDigest = NO_DIGEST
         # By member id: the first position at which the member's state differed from this leader's. Empty as soon as a
         # digest has a majority.
         self.doubts: dict[str, int] = {}
@@ -115,19 +115,19 @@ class DigestPoll:
         """
         age = now - self._since
         waited = age >= ASKED_SECONDS_MIN and (age >= ASKED_SECONDS_MAX or self._held.keys() >= set(others))
-        if state[0] > self.asked[0] and state[1] and waited:
-            self.asked, self._since = state, now
+        if state[0] > self.named_state[0] and state[1] and waited:
+            self.named_state, self._since = state, now
             self._held.clear()
 
     def answered(self, member_id: str, answer: StateDigest, voters: Collection[str]) -> None:
         """Process the answer of a member. `voters`: the ids of all other voters."""
         index, digest = answer
-        if not digest or index != self.asked[0]:
+        if not digest or index != self.named_state[0]:
             return
         self._held[member_id] = digest
         known = bool(self.of_most(voters)[1])
         held = {name: at for name, at in self.doubts.items() if not known and name in voters and name != member_id}
-        differs = digest != self.asked[1] and member_id in voters and not known
+        differs = digest != self.named_state[1] and member_id in voters and not known
         self.doubts = {**held, member_id: self.doubts.get(member_id, index)} if differs else held
 
     def of_most(self, voters: Collection[str]) -> StateDigest:
@@ -135,7 +135,7 @@ class DigestPoll:
 
         NO_DIGEST if no digest is known to have a majority.
         """
-        index, own = self.asked
+        index, own = self.named_state
         if not own:
             return NO_DIGEST
         counted = Counter([own, *(digest for name, digest in self._held.items() if name in voters)])

@@ -99,7 +99,7 @@ class LeaderRole(Membership):
             commit_index=self.commit_index,
             chunk=chunk,
             round=self.reads.round,
-            digest=self.poll.asked,
+            digest=self.poll.named_state,
             digest_of_most=self.poll.of_most(self.voter_ids()),
         )
         self.transport.send(node, message)
@@ -121,7 +121,7 @@ class LeaderRole(Membership):
                     previous_term=previous.term,
                     entries=entries,
                     round=self.reads.round,
-                    digest=self.poll.asked,
+                    digest=self.poll.named_state,
                     digest_of_most=self.poll.of_most(self.voter_ids()),
                 ),
             )

@@ -22,11 +22,11 @@ class HandOver:
 class _SuccessorSearch:
     """The search for a successor, which ends at `until`. New proposals wait meanwhile.
 
-    As soon as a member has all entries, the leader asks this member to lead. `asked` is then True.
+    As soon as a member has all entries, the leader asks this member to lead. `has_requested_election` is then True.
     """
 
     until: float
-    asked: bool = False
+    has_requested_election: bool = False
     callers: list[HandOver] = field(default_factory=list)
 
 
@@ -79,8 +79,8 @@ class LeadershipTransfer:
             return
         alive = self._node.alive_voters(within_seconds=self._alive_seconds)
         complete = sorted(name for name in alive if self._node.held_by(name) == self._node.log.last_index)
-        if complete and not leaving.asked:
-            leaving.asked = self._node.send_timeout_now(complete[0])
+        if complete and not leaving.has_requested_election:
+            leaving.has_requested_election = self._node.send_timeout_now(complete[0])
 
     def end(self) -> None:
         """Answer all waiting callers, because this node no longer leads, or is closing."""

@@ -46,7 +46,7 @@ class Membership(NodeState):
     _named: dict[str, Member]
     # By id: the nodes that have named themselves, or that a stranger has named, the latest last.
     _strangers: dict[str, Member]
-    _hears_strangers: bool = False
+    _accepts_strangers: bool = False
     # When this node began to lead, and by id: when a voter or the learner last answered it as the leader of this term.
     # The library's `last_response_time` also counts a voter that has not answered yet.
     _led_since: float = float("-inf")
@@ -106,19 +106,19 @@ class Membership(NodeState):
         """Remember a stranger, which says that it is a member. This node hears strangers only while locked out."""
         if self._strangers.get(member.member_id) != member:
             _remember(self._strangers, (member,), STRANGERS_MAX)
-            if self._hears_strangers:
+            if self._accepts_strangers:
                 self._adopt()
 
     def listen_to_strangers(self) -> None:
         """Begin to hear strangers when this node is locked out. Stop when it leads or hears a known leader."""
-        hears = self._hears_strangers
+        is_accepting = self._accepts_strangers
         if self.leader is None:
-            hears = hears or self.clock() - self.had_leader_at > self.locked_out_seconds
+            is_accepting = is_accepting or self.clock() - self.had_leader_at > self.locked_out_seconds
         else:
             self.had_leader_at = self.clock()
-            hears = hears and self.is_stranger(self.leader.id)
-        if hears != self._hears_strangers:
-            self._hears_strangers = hears
+            is_accepting = is_accepting and self.is_stranger(self.leader.id)
+        if is_accepting != self._accepts_strangers:
+            self._accepts_strangers = is_accepting
             self._adopt()
 
     def is_stranger(self, member_id: str) -> bool:
@@ -190,7 +190,7 @@ class Membership(NodeState):
         self._forget_progress()
 
     def _adopt_peers(self, known: list[Member], current: Configuration) -> None:
-        strangers = self._strangers if self._hears_strangers else {}
+        strangers = self._strangers if self._accepts_strangers else {}
         peers = {**strangers, **self._named, **{member.member_id: member for member in known}}
         if self.learner is not None:
             peers[self.learner.member_id] = self.learner

@@ -67,7 +67,7 @@ class SnapshotKeeper:
         """Begin a step of the tick thread, which may send `chunks_per_step` pieces again."""
         self._chunks_left = self._chunks_per_step
 
-    def go_on_taking(self) -> Entry | None:
+    def continue_snapshot(self) -> Entry | None:
         """Continue to take the snapshot under way.
 
         Returns None unless the snapshot ends in this step. If the log adopts the snapshot, returns the entry before the

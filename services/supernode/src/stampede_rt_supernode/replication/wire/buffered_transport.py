@@ -133,12 +133,12 @@ class BufferedTransport:
     """The incoming and outgoing messages of one node. Tick thread only."""
 
     def __init__(self, nodes: Iterable[MemberNode]) -> None:
-        # The known members. The node neither hears other nodes nor sends to them.
+        # The known members. The node neither accepts messages of other nodes nor sends to them.
         self._nodes: dict[str, MemberNode] = {node.id: node for node in nodes}
         # Members to which there is a link. They may be unknown, because links come and go a little later than members.
         self._connected: set[str] = set()
         # Members, known or not, that have a stream to this node. Their answers arrive over it.
-        self._heard: set[str] = set()
+        self._senders: set[str] = set()
         # By member id: the highest feature level of the member's release, as it said when it opened a stream.
         self.highest_levels: dict[str, int] = {}
         self._outbox: list[Outgoing] = []
@@ -180,10 +180,10 @@ class BufferedTransport:
             case LinkDisconnected():
                 self._connected.discard(event.member_id)
             case StreamOpened():
-                self._heard.add(event.member_id)
+                self._senders.add(event.member_id)
                 self._note_level(event.member_id, event.highest_level)
             case StreamEnded():
-                self._heard.discard(event.member_id)
+                self._senders.discard(event.member_id)
 
     def _note_level(self, member_id: str, highest_level: int) -> None:
         # A new dictionary, because other threads read the former one.
@@ -199,7 +199,7 @@ class BufferedTransport:
 
     def is_reachable(self, member_id: str) -> bool:
         """Whether this member can answer: messages to it can be sent, and its answers arrive."""
-        return member_id in self._nodes and member_id in self._connected and member_id in self._heard
+        return member_id in self._nodes and member_id in self._connected and member_id in self._senders
 
     def take_outbox(self) -> list[Outgoing]:
         """The messages queued since the last call, in order."""

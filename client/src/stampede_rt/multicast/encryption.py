@@ -42,7 +42,7 @@ class RejectReason(Enum):
     """The datagram was changed on the way, or its sender does not have the key."""
 
 
-class Sealer:
+class Encryptor:
     """Encrypts the parts of one stream with one key.
 
     `key` has KEY_BYTES random bytes, and only this object encrypts with it.
@@ -52,7 +52,7 @@ class Sealer:
         self._stream_id, self._key_number, self._cipher = stream_id, key_number, AESGCM(key)
         self._number = 0
 
-    def seal(self, part: bytes) -> bytes:
+    def encrypt(self, part: bytes) -> bytes:
         """The encrypted datagram of an encoded part."""
         self._number += 1  # the nonce: no two datagrams under one key have the same number
         head = HEAD.pack(MARK, self._stream_id, self._key_number, self._number)

@@ -9,6 +9,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.multicast.encryption import DatagramOpener, Encryptor, RejectReason, Signer, Verifier
 from stampede_rt.multicast.layout import (
     DATAGRAM_BYTES_MAX,
     MessageKind,
@@ -17,7 +18,6 @@ from stampede_rt.multicast.layout import (
     parse_part,
     parts_of,
 )
-from stampede_rt.multicast.sealing import DatagramOpener, RejectReason, Sealer, Signer, Verifier
 
 STREAM, KEY, SEED = b"12345678", bytes(range(32)), bytes(32)
 BODY = bytes(range(256)) * 20
@@ -25,8 +25,8 @@ MESSAGE = MulticastMessage(MessageKind.ITEMS, 5, 9, BODY)
 
 
 def datagrams() -> list[bytes]:
-    sealer = Sealer(STREAM, 3, KEY)
-    return [sealer.seal(part) for part in parts_of(Signer(STREAM, SEED).sign(MESSAGE))]
+    encryptor = Encryptor(STREAM, 3, KEY)
+    return [encryptor.encrypt(part) for part in parts_of(Signer(STREAM, SEED).sign(MESSAGE))]
 
 
 def test_datagrams_have_the_documented_layout() -> None:
