@@ -160,7 +160,7 @@ class OracleGroup:
     def is_idle(self, channel_id: bytes, clock: int) -> bool:
         """Whether the channel was silent for the idle time, as far as the host knows.
 
-        It is not idle before the host has heard of it.
+        It is not idle before the host has learned of it.
         """
         received = self.received(channel_id)
         if received is None or self.idle_after is None:

@@ -1,4 +1,4 @@
-"""An owner is lost, and a copy that lags becomes the owner: each reader gets every item once, and hears of each loss.
+"""An owner is lost, and a copy that lags becomes the owner: each reader gets every item once, and learns of each loss.
 
 `STAMPEDE_PROPERTY_EXAMPLES` sets the number of scenarios.
 """

@@ -44,7 +44,7 @@ async def synced(channels: list[GroupedChannel], group: group_pb2.GroupRecord, c
 async def wait_until_known(
     at: GroupedChannel, channel: GroupedChannel, group: group_pb2.GroupRecord, newest: int
 ) -> None:
-    """Wait until the host of `at` has heard the newest time of `channel`."""
+    """Wait until the host of `at` has received the newest time of `channel`."""
 
     def is_heard(status: group_pb2.GroupStatus) -> bool:
         newest_times = {one.times.channel_id: one.times.newest_unix_nano for one in status.members}
@@ -134,7 +134,7 @@ async def test_hosts_agree_on_the_idle_channels_without_waiting_for_a_sign_of_li
     await synced([left, right], group, t)
     clock.advance(S // 10 - 1)
     await left.put(t + 2)
-    await synced([left, right], group, t + 2)  # each host has heard of all effects of the put
+    await synced([left, right], group, t + 2)  # each host has received all effects of the put
     clock.advance(1)  # from now on the right channel counts as idle; the cut stays, because the left channel holds it
 
     def only_the_other_is_left_out(status: group_pb2.GroupStatus) -> bool:

@@ -99,7 +99,7 @@ def test_readers_of_a_proxy_learn_of_the_loss_of_the_owner_and_continue_with_the
             assert item.incarnation != incarnation
             eventually(
                 lambda: all(isinstance(one.error, st.IncarnationLost) for one in readers),
-                "all readers hear of the loss",
+                "all readers learn of the loss",
             )
         if channel.host != "h2":  # otherwise the proxy's host has become the owner, and the proxy has ended
             eventually(lambda: rt.proxies(channel)[0].ready, "the proxy follows the new owner")

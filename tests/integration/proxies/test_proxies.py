@@ -152,7 +152,7 @@ def test_a_changed_policy_and_the_end_of_the_channel_reach_the_proxies(rt: Any, 
     with reading(channel, 4) as readers:
         channel.delete()
         eventually(
-            lambda: all(isinstance(one.error, st.ChannelNotFound) for one in readers), "all readers hear of the end"
+            lambda: all(isinstance(one.error, st.ChannelNotFound) for one in readers), "all readers learn of the end"
         )
 
 

@@ -59,7 +59,7 @@ def test_without_a_majority_errors_name_the_reason_and_doctor_does_not_judge_clo
         assert "is the address right" not in str(raised.value)
         assert stampede(["ls", "--url", cluster.address]) == 1
         error_output = capsys.readouterr().err
-        # On a busy machine, the front-end may not have heard of the last supernode in time.
+        # On a busy machine, the front-end may not have got the last supernode's answer in time.
         assert "the directory has no majority" in error_output or "no supernode answers this front-end" in error_output
         member = cluster.supernodes[0].address
         assert stampede(["doctor", "--url", cluster.address, "--member", member]) == 1

@@ -50,7 +50,7 @@ class ReplicatedChannel:
         return self._host(owner), self._host(self.names[replicas[0]])
 
     async def _check_reported(self, item: st.Item) -> None:
-        """Check that the reader got the item, and that it heard of a loss if and only if the incarnation changed.
+        """Check that the reader got the item, and that it learned of a loss if and only if the incarnation changed.
 
         If puts wait for replicas, the incarnation must not change.
         """
@@ -62,7 +62,7 @@ class ReplicatedChannel:
                 await self._wakeup.wait()
                 self._wakeup.clear()
         if bool(self._reader.losses) != bool(takeovers):
-            raise AssertionError(f"the reader of {self.channel.name} heard of {self._reader.losses} losses")
+            raise AssertionError(f"the reader of {self.channel.name} learned of {self._reader.losses} losses")
 
     async def _read(self) -> None:
         async for item in self._reader:

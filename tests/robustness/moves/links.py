@@ -85,9 +85,9 @@ class Link:
         self.is_of_move |= bool(request.open.move_id)
         self.is_held &= not request.HasField("open")
         if request.committed_epoch:
-            self.world.at("source hears of the commit")
+            self.world.at("source learns of the commit")
         if request.released:
-            self.world.at("source hears of the release")
+            self.world.at("source learns of the release")
         self.world.passes(self)
         self.to_source.put_nowait((self.due_s(), request.SerializeToString()))
         await asyncio.sleep(0)

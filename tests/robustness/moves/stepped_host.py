@@ -46,7 +46,7 @@ SOURCE_STEPS = {
     "source: begins": Step(OutgoingMoves, "begin"),
     "source: holds": Step(OutgoingMove, "hold", is_after=True),
     "source: has handed over": Step(FeedStream, "_hand_off", is_after=True),
-    "source: hears of the commit": Step(OutgoingMove, "committed"),
+    "source: learns of the commit": Step(OutgoingMove, "committed"),
     "source: is released": Step(OutgoingMove, "released"),
 }
 QUEUE_DESTINATION_STEPS = {

@@ -245,7 +245,7 @@ async def test_a_source_drops_nothing_if_the_destination_was_stopped_for_longer_
 async def test_a_channel_that_has_moved_back_keeps_its_copy_after_a_late_answer_that_it_is_released(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    scenario = Scenario("source hears of the commit", lambda world: world.cut_links())
+    scenario = Scenario("source learns of the commit", lambda world: world.cut_links())
     requested, answer = asyncio.Event(), asyncio.Event()
 
     async def is_released(channel_id: bytes) -> bool:

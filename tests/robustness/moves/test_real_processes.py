@@ -146,7 +146,7 @@ def may_lose(victim: str, step: str) -> bool:
     """
     if victim == "source":
         return step in (*STEPS[:3], *SOURCE_STEPS)  # the source may still be the owner
-    return victim == "destination" and step in (*LATE, "destination: tells the source", "source: hears of the commit")
+    return victim == "destination" and step in (*LATE, "destination: tells the source", "source: learns of the commit")
 
 
 @pytest.mark.timeout(300)

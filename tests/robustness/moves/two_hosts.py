@@ -37,8 +37,8 @@ from tests.robustness.moves.simulated_directory import SimulatedDirectory
 from tests.support.supernode.operations import Log, add_replica, expire, id_of, open_channel, register
 
 STEPS = (
-    "feeding", "held", "handed over", "commit is asked for", "committed", "source hears of the commit",
-    "removal is asked for", "removed", "source hears of the release",
+    "feeding", "held", "handed over", "commit is asked for", "committed", "source learns of the commit",
+    "removal is asked for", "removed", "source learns of the release",
 )  # fmt: skip
 SOURCE, DESTINATION, THIRD = 1, 2, 3
 

@@ -234,7 +234,7 @@ class SimMember:
             raise PromiseBroken(f"{self.member.member_id} doubts the states of members: {dict(status.doubts)}")
         if status.is_leader:
             self.world.history.leads(self.member.member_id, status.term)
-        # A leader that has heard no member for too long may commit and stop leading in one step.
+        # A leader that no member has answered for too long may commit and stop leading in one step.
         led = status.is_leader or (before.is_leader and before.term == status.term)
         entry = log.entry_at(commit_index)
         if commit_index <= self._checked[0]:

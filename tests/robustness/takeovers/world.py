@@ -275,8 +275,8 @@ class Cluster(World):
 def serving(cluster: Cluster, channel_id: bytes) -> list[int]:
     """The hosts that serve the channel, at any epoch.
 
-    Leaves out a former owner that has not heard of a commit. It holds the channel and accepts no items, so its readers
-    see only items that the new owner has, too.
+    Leaves out a former owner that has not learned of a commit. It holds the channel and accepts no items, so its
+    readers see only items that the new owner has, too.
     """
     found: dict[int, int] = {}
     held = set()

@@ -37,8 +37,8 @@ class InProcessHost(NamedTuple):
         return self.server.address
 
     def connect(self) -> grpc.aio.Channel:
-        """A connection to the host. On every machine its streams have small windows, which are full soon if nobody
-        reads.
+        """A connection to the host. Its streams have small windows on every machine, so a stream that nobody reads is
+        soon full.
         """
         options = [*Limits().channel_options(), ("grpc.http2.bdp_probe", 0)]
         return grpc.aio.insecure_channel(self.target, options=options)
@@ -61,7 +61,7 @@ async def started_host(
 ) -> InProcessHost:
     """Return a host once it has registered. The same id with another `boot` is a restarted host.
 
-    `archive`: the folder of its archive, if it has one, whose closed files move to `store`.
+    `archive`: the folder of its archive; None: it has none. `store`: the object store to which closed files move.
     """
     server = ServiceServer(secret=None)
     folder = None if archive is None else ArchiveFolder(archive)

@@ -34,7 +34,7 @@ WRONG = Secret(text="wrong", path=Path("/nowhere"))
 
 @pytest.fixture(autouse=True)
 def without_rules(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The services of these tests never hear of rules, so no call waits for them."""
+    """The services of these tests never learn of rules, so no call waits for them."""
     monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 0.0)
 
 

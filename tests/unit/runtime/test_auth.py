@@ -115,7 +115,7 @@ async def test_both_values_of_a_secret_open_the_port_while_it_is_replaced() -> N
 async def test_a_caller_with_the_secret_of_clients_may_call_only_the_methods_for_clients(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 0.0)  # the service never hears of rules
+    monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 0.0)  # the service never learns of rules
     clients = Secret(text="for clients", path=Path("clients"))
     async with serving(register, secret=RIGHT, client_secret=clients) as server:
         assert (await first_of_watch(server.address, clients)).status == health_pb2.HealthCheckResponse.SERVING

@@ -99,7 +99,7 @@ async def test_an_ended_stream_makes_room_for_another() -> None:
     async with serving(register, limits=LIMITS) as server, dial(server.address, secret=None) as channel:
         watches = [await opened(channel, WATCH) for _ in range(LIMITS.streams_max)]
         watches[0].cancel()
-        while True:  # ends with the test's timeout: the server hears of the cancellation a little later
+        while True:  # ends with the test's timeout: the server learns of the cancellation a little later
             try:
                 watches.append(await opened(channel, WATCH))
                 break

@@ -13,14 +13,17 @@ CUT_WAIT_NANOS = 1_000_000_000  # how long a host may wait until it knows the cu
 
 
 def present_cut(group: GroupMembers) -> int:
-    """Return one cut for a read of all members; MIN_INSTANT if no item is visible yet."""
+    """Return one cut for a read of all members; MIN_INSTANT if no item is visible yet.
+
+    Raises GroupNotFound, ChannelNotFound, Unavailable.
+    """
     request = group_pb.GetCutRequest(
         group_id=group.info.group_id, cut_floor_unix_nano=group.view.cut_floor, wait_nanos=CUT_WAIT_NANOS
     )
     response = _ask(group, group.channels[0], request)
     if not response.HasField("floor"):
         return MIN_INSTANT
-    group.view.saw(response.floor.cut_unix_nano)
+    group.view.note_cut(response.floor.cut_unix_nano)
     return int(response.floor.cut_unix_nano)
 
 

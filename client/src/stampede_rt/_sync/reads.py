@@ -81,7 +81,7 @@ def _read_once(session: Session, state: ChannelState, query: ReadQuery, view: Se
             raise
         items = pages.whole
         if view is not None:
-            view.saw(items.cut)
+            view.note_cut(items.cut)
         return items
 
     if query.max_staleness_nanos is not None or query.least_seq is not None:

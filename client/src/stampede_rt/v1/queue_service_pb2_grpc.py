@@ -83,7 +83,7 @@ class QueueServiceServicer(object):
 
     def Take(self, request_iterator, context):
         """Take messages. The host leases each message to this taker while the taker has credit. It serves waiting takers in turn. If one of
-        a taker's leases has ended, and the host has heard nothing from the taker since that lease began, the taker may be
+        a taker's leases has ended, and the host has received nothing from the taker since that lease began, the taker may be
         frozen. The host then immediately sends it a sign of life, and gives it no messages until it answers. The end of
         the stream gives no messages back: delivered messages stay leased until the taker settles them or their leases end.
         A taker that comes back may settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED,

@@ -45,7 +45,7 @@ class QueueServiceStub:
     """
     Take: _grpc.StreamStreamMultiCallable[_queue_service_pb2.TakeRequest, _queue_service_pb2.TakeResponse]
     """Take messages. The host leases each message to this taker while the taker has credit. It serves waiting takers in turn. If one of
-    a taker's leases has ended, and the host has heard nothing from the taker since that lease began, the taker may be
+    a taker's leases has ended, and the host has received nothing from the taker since that lease began, the taker may be
     frozen. The host then immediately sends it a sign of life, and gives it no messages until it answers. The end of
     the stream gives no messages back: delivered messages stay leased until the taker settles them or their leases end.
     A taker that comes back may settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED,
@@ -81,7 +81,7 @@ class QueueServiceAsyncStub(QueueServiceStub):
     """
     Take: _aio.StreamStreamMultiCallable[_queue_service_pb2.TakeRequest, _queue_service_pb2.TakeResponse]  # type: ignore[assignment]
     """Take messages. The host leases each message to this taker while the taker has credit. It serves waiting takers in turn. If one of
-    a taker's leases has ended, and the host has heard nothing from the taker since that lease began, the taker may be
+    a taker's leases has ended, and the host has received nothing from the taker since that lease began, the taker may be
     frozen. The host then immediately sends it a sign of life, and gives it no messages until it answers. The end of
     the stream gives no messages back: delivered messages stay leased until the taker settles them or their leases end.
     A taker that comes back may settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED,
@@ -126,7 +126,7 @@ class QueueServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_queue_service_pb2.TakeResponse], _abc.AsyncIterator[_queue_service_pb2.TakeResponse]]:
         """Take messages. The host leases each message to this taker while the taker has credit. It serves waiting takers in turn. If one of
-        a taker's leases has ended, and the host has heard nothing from the taker since that lease began, the taker may be
+        a taker's leases has ended, and the host has received nothing from the taker since that lease began, the taker may be
         frozen. The host then immediately sends it a sign of life, and gives it no messages until it answers. The end of
         the stream gives no messages back: delivered messages stay leased until the taker settles them or their leases end.
         A taker that comes back may settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED,

@@ -49,7 +49,7 @@ class SeenCut:
     group_id: bytes
     cut_floor: int | None = None
 
-    def saw(self, cut: int | None) -> None:
+    def note_cut(self, cut: int | None) -> None:
         """Note the cut of an answer. `cut_floor` becomes this cut if it is the highest so far."""
         if cut is not None and (self.cut_floor is None or cut > self.cut_floor):
             self.cut_floor = cut

@@ -63,9 +63,7 @@ def test_a_recording_names_the_items_that_the_archive_lacks_and_its_file_is_inta
     assert (report.summary.recorded, report.summary.missing) == (summary.recorded, summary.missing)
 
 
-def test_an_archive_that_cannot_take_a_new_channel_is_not_called_a_host_that_cannot_be_reached(
-    rt: st.Connection, folder: Path
-) -> None:
+def test_a_failed_archive_is_not_reported_as_a_host_that_cannot_be_reached(rt: st.Connection, folder: Path) -> None:
     channels = folder / "h1" / "channels"
     channels.rename(channels.with_name("away"))
     channels.write_bytes(b"not a folder")

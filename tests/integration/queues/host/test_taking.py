@@ -179,7 +179,7 @@ async def test_a_taker_that_has_sent_a_request_since_its_lease_began_gets_furthe
         await queue.put(b"a")
         await taker.deliveries(1)
         clock.advance(5 * S)
-        await taker.settled(extend(10**9, S))  # the host hears of the taker; the kind of message does not matter
+        await taker.settled(extend(10**9, S))  # the host learns of the taker; the kind of message does not matter
         clock.advance(5 * S)
         assert (await taker.deliveries(1))[0].delivery == 2
 

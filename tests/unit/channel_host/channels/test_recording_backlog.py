@@ -1,4 +1,4 @@
-"""Items that leave memory before the archive has them: readers get them later, or hear of their loss."""
+"""Items that leave memory before the archive has them: readers get them later, or learn of their loss."""
 
 from __future__ import annotations
 

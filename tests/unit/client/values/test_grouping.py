@@ -62,7 +62,7 @@ def test_a_mapping_has_no_key_for_a_channel_without_a_value_or_for_another_objec
 def test_a_reader_never_forgets_the_highest_cut_that_it_saw() -> None:
     view = SeenCut(b"group")
     for cut in (None, 5, 9, 7, None):
-        view.saw(cut)
+        view.note_cut(cut)
     assert view.cut_floor == 9
 
 

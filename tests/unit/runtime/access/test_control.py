@@ -142,7 +142,7 @@ async def test_a_port_that_still_lacks_the_rules_lets_a_client_wait_but_not_a_me
 async def test_a_port_that_still_lacks_the_keys_of_tokens_lets_only_a_caller_with_a_token_wait(
     waits: asyncio.Event,
 ) -> None:
-    """A front-end may hear of a new cluster before the cluster has made its key."""
+    """A front-end may learn of a new cluster before the cluster has made its key."""
     key = b"k" * 32
     ends = time.time_ns() + 3600 * 10**9
     claims = TokenClaims(cluster_id="c", name="cam", roles=(Role.CLIENT,), serial="1", ends_unix_nano=ends)

@@ -94,7 +94,7 @@ class QueueHandovers:
     async def _keep(self, hosted: HostedQueue, state: QueueHandoff, next_step: int) -> None:
         """Make the copy that stays here if the queue moves: this host takes the place of the new owner's replica.
 
-        From the commit on, the directory knows this copy as in sync. This host may hear of the commit late or never.
+        From the commit on, the directory knows this copy as in sync. This host may learn of the commit late or never.
         Raises Overloaded if there is no room for the copy: then the queue does not move.
         """
         if not next_step:

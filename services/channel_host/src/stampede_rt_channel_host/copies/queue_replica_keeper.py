@@ -21,7 +21,7 @@ from stampede_rt_channel_host.queues.refusals import display_name
 
 logger = logging.getLogger(__name__)
 
-UNHEARD_SECONDS = 5.0  # if its owner was silent for this time, a copy may be obsolete
+SILENT_OWNER_SECONDS = 5.0  # if its owner was silent for this time, a copy may be obsolete
 
 
 class QueueReplicaKeeper(KeeperTasks):
@@ -49,8 +49,8 @@ class QueueReplicaKeeper(KeeperTasks):
         now this host.
         """
         while True:  # paced by the sleep
-            await asyncio.sleep(UNHEARD_SECONDS)
-            for copy in self._queues.copies.with_silent_owner(UNHEARD_SECONDS):
+            await asyncio.sleep(SILENT_OWNER_SECONDS)
+            for copy in self._queues.copies.with_silent_owner(SILENT_OWNER_SECONDS):
                 queue_id = copy.record.queue_id
                 try:
                     source = await self._directory.source_of(queue_id, self._identity.host_id)
@@ -105,7 +105,7 @@ class _KeptQueue(KeptReplicas):
         listed = await super()._list()
         self._targets = {one.known.host_id: one.target for one in listed.replicas}
         for one in listed.replicas:
-            self.start(one)  # immediately: a new owner answers nothing before it has heard of the other replicas
+            self.start(one)  # immediately: a new owner answers no caller before the other replicas report
         return listed
 
     def start(self, replica: ListedReplica) -> None:

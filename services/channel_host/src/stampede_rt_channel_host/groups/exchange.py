@@ -53,7 +53,7 @@ class TimesExchange:
         # The channels of other hosts about which this host wants to receive: by group and host.
         self._members: dict[bytes, dict[bytes, list[bytes]]] = {}
         self._creators: dict[bytes, str] = {}  # the caller that created each of these groups
-        self._fully_heard: set[bytes] = set()  # hosts that have sent all their times on the present link
+        self._fully_reported: set[bytes] = set()  # hosts that have sent all their times on the present link
         # Floors of groups that this host has still to look up: by group, then by host.
         self._floors: dict[bytes, dict[bytes, CutFloor]] = {}
         self._waiting_floors: Counter[bytes] = Counter()  # the number of floors in `_floors` of each host
@@ -77,10 +77,12 @@ class TimesExchange:
 
     def look(self, group: HostedGroup) -> None:
         """Refresh the group. If all its hosts have reported their cuts now, confirm the group's cut first."""
-        group.unheard = {
-            one for one in group.unheard if one not in self._fully_heard or not self.sharing_hosts.is_linked(one)
+        group.awaited_hosts = {
+            one
+            for one in group.awaited_hosts
+            if one not in self._fully_reported or not self.sharing_hosts.is_linked(one)
         }
-        if not group.unheard and not group.cut.is_confirmed:
+        if not group.awaited_hosts and not group.cut.is_confirmed:
             group.cut.confirm()
             self.sharing_hosts.report_floor(group.record.group_id)
         self._table.refresh(group)
@@ -116,7 +118,7 @@ class TimesExchange:
 
     def greeted(self, link: HostLink) -> None:
         """See `LinkHandler`."""
-        self._fully_heard.discard(link.host_id)
+        self._fully_reported.discard(link.host_id)
         self.sharing_hosts.greeted(link)
 
     def channels_requested(self, channel_ids: set[bytes]) -> None:
@@ -148,8 +150,8 @@ class TimesExchange:
         if is_silent and not changed:  # a sign of life: channels of the other host may have become idle
             changed |= {one for one in table.idling if host_id in table.groups[one].targets}
         if is_first:
-            self._fully_heard.add(host_id)
-            changed |= {one for one, group in table.groups.items() if host_id in group.unheard}
+            self._fully_reported.add(host_id)
+            changed |= {one for one, group in table.groups.items() if host_id in group.awaited_hosts}
         self._to_look_at.add(changed)
 
     def _look_at(self, group_id: bytes) -> None:

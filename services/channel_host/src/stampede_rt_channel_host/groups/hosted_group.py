@@ -31,8 +31,9 @@ class HostedGroup:
     """One group at this host.
 
     `record` is the latest record from the directory. `owners` gives each member's host, `targets` the addresses of the
-    live hosts. `unheard`: the live hosts that own members and have not reported their cut. A new group shows nothing
-    until all of them have reported it.
+    live hosts. `awaited_hosts`: the live hosts that own members and have not reported their cut. A new group shows
+    nothing until all of them have reported it.
+
     The group wakes `cut_observers` and `gets` when it shows more or when members or owners change. It wakes
     `member_observers` after each change of a member. `generation` grows whenever members, their hosts, or the members
     served here may have changed.
@@ -61,7 +62,7 @@ class HostedGroup:
         self._reaching: Any = SortedKeyList(key=itemgetter(0, 1))
         self._is_releasing = False
         self._begin = begin
-        self.unheard: set[bytes] = set()
+        self.awaited_hosts: set[bytes] = set()
         self.generation = 0
         # loop time of the last answer of the directory, and of the last request that named the group
         self.looked_up_s = 0.0
@@ -125,14 +126,16 @@ class HostedGroup:
     def held_by(self) -> str:
         """The members or hosts that hold the cut back, as a phrase for error texts."""
         if not self.cut.is_confirmed:
-            hosts = ", ".join(sorted(self.host_names.get(one, one.hex()) for one in self.unheard)) or "the directory"
+            hosts = (
+                ", ".join(sorted(self.host_names.get(one, one.hex()) for one in self.awaited_hosts)) or "the directory"
+            )
             return f"until {hosts} has reported its position"
         names = [self.name_of(one) for one in self.cut.waiting_on(self._now())]
         return f"held back by {', '.join(names)}" if names else "because its members have not registered again yet"
 
     def waiting_on(self) -> list[bytes]:
         """The members that hold the cut back. If hosts have not reported their cuts yet: the members at those hosts."""
-        unreported = sorted(channel_id for channel_id, host_id in self.owners.items() if host_id in self.unheard)
+        unreported = sorted(channel_id for channel_id, host_id in self.owners.items() if host_id in self.awaited_hosts)
         return unreported if unreported and not self.cut.is_confirmed else self.cut.waiting_on(self._now())
 
     def ownerless(self) -> list[bytes]:

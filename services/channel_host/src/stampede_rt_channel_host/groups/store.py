@@ -206,7 +206,7 @@ class GroupStore:
     def _misses_a_host(self, group: HostedGroup) -> bool:
         """Whether another host of the group is silent. That host may be gone, and its channels may have new owners."""
         others = {host_id for host_id in group.owners.values() if host_id != self._identity.host_id}
-        return bool(group.unheard) or not all(self.exchange.sharing_hosts.is_linked(one) for one in others)
+        return bool(group.awaited_hosts) or not all(self.exchange.sharing_hosts.is_linked(one) for one in others)
 
     async def _look_up_again(self, group_id: bytes) -> None:
         try:
@@ -279,7 +279,7 @@ class GroupStore:
         for host_id, floor in self.exchange.take_floors(group_id).items():
             group.merge_floor(host_id, floor)
         if not group.cut.is_confirmed:
-            group.unheard = {one for one in group.targets if one != self._identity.host_id}
+            group.awaited_hosts = {one for one in group.targets if one != self._identity.host_id}
         return group
 
     async def _bind_own(self, group: HostedGroup) -> None:

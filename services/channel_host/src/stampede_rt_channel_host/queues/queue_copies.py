@@ -30,7 +30,7 @@ class QueueCopy:
         self.journal = core.journal(next_step)
         self.journal.bytes_max = COPY_JOURNAL_BYTES_MAX
         self.owner_epoch = record.epoch
-        self.heard_nanos = time.monotonic_ns()  # when this host last heard of the owner, by a steady clock
+        self.heard_nanos = time.monotonic_ns()  # when the owner last sent a message, by a steady clock
 
 
 class QueueCopies:

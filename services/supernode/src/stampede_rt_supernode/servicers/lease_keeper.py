@@ -52,7 +52,7 @@ class PeerRenewal(NamedTuple):
     tenure: int
     time_unix_nano: int
     supernode_id: str
-    held_nanos: int  # how long this supernode has had the renewal before it answered
+    held_nanos: int  # the time from the arrival of the renewal to its answer
 
 
 class LeaseKeeper:
@@ -81,9 +81,10 @@ class LeaseKeeper:
         self._followed_peers = FollowedPeers(self._peers, replica, lambda: self._give_way())
         # The log position of the last mark of time, and when this leader first saw the mark, or began to lead.
         self._last_mark = self._marked_nanos = 0
-        # The id that the founder gave the cluster. In a restored cluster, whether callers of the former cluster may go
-        # over to this cluster.
-        self.founding_cluster_id, self.takes_over = "", False
+        # The id that the founder gave the cluster.
+        self.founding_cluster_id = ""
+        # Whether a restored cluster accepts callers that name the former cluster.
+        self.takes_over = False
         # Whether the cluster keeps everything in memory. If the first leader makes the cluster's id, the id shows this.
         self.in_memory = False
 
@@ -94,11 +95,10 @@ class LeaseKeeper:
             await asyncio.sleep(TICK_SECONDS)
 
     async def tick(self) -> None:
-        """As the leader, take over the leases first, and then end the due leases.
+        """Perform the work that is due on the leases, if this supernode leads. Drop all leases if another one leads.
 
-        Drop all leases if another supernode leads.
-
-        The next tick repeats failed work.
+        The first tick of a tenure takes over the leases. The later ticks end due leases. The next tick repeats failed
+        work.
         """
         status = self._log.status()
         try:
@@ -115,7 +115,8 @@ class LeaseKeeper:
                 await self.loads.tick(self._hosts.tenure)
         except StampedeError as error:
             logger.warning(
-                "leases wait", extra={"event": "leases_wait", "reason": error.reason, "cause": error.message}
+                "cannot end leases at present",
+                extra={"event": "leases_wait", "reason": error.reason, "cause": error.message},
             )
 
     def _resign(self) -> None:
@@ -157,7 +158,7 @@ class LeaseKeeper:
             )
 
     async def _mark_time(self) -> None:
-        """Add a mark of time to the log if one is due, and the directory remembers any answers."""
+        """Add a mark of time to the log if one is due. None is due while the directory keeps no answers."""
         now = self._clock.boottime_nanos()
         kept, last_mark = self._replica.read(lambda one: (len(one.kept_answers), one.kept_answers.last_mark))
         if last_mark != self._last_mark:
@@ -220,14 +221,14 @@ class LeaseKeeper:
             self._peers, lambda: self._registered_peer(peer_id, boot_incarnation), seconds, clock
         )
         self_id = self._log.status().self_id
-        # taken before the time in the answer, so that `held_nanos` is rather too short than too long
+        # Read before the time in the answer: `held_nanos` may be a little too short, but never too long.
         held = self._clock.boottime_nanos() - received
         return PeerRenewal(ttl_nanos, tenure, self._clock.time_unix_nano(), self_id, held)
 
     def note_clock(self, peer: PeerRecord, clock: ClockOffset | None) -> None:
         """Keep the clock report of a peer, if this supernode leads and `peer` is still the directory's record of it."""
-        now_there = self._replica.read(lambda directory: directory.tables.peers.by_id.get(peer.peer_id))
-        if clock is not None and peer == now_there:
+        recorded = self._replica.read(lambda directory: directory.tables.peers.by_id.get(peer.peer_id))
+        if clock is not None and peer == recorded:
             self._peers.note_clock(peer, clock, self._clock.boottime_nanos())
 
     def clock_of(self, peer: PeerRecord) -> ClockOffset | None:

@@ -158,9 +158,7 @@ def above_level(kind: str, needed: int, status: ReplicationStatus) -> errors.Ver
     """
     levels = {member.member_id: status.highest_levels.get(member.member_id) for member in status.members}
     behind = [name for name, level in sorted(levels.items()) if level is None or level < needed]
-    named = ", ".join(
-        f"{name} ({'not heard of' if levels[name] is None else f'level {levels[name]}'})" for name in behind
-    )
+    named = ", ".join(f"{name} ({'no report' if levels[name] is None else f'level {levels[name]}'})" for name in behind)
     way_out = f"upgrade {named} (runbook: upgrade)" if behind else "all supernodes know it by now: try again soon"
     return errors.VersionMismatch(
         f"{kind} needs feature level {needed}, the cluster is at level {status.feature_level}, and nothing was done; "

@@ -362,7 +362,7 @@ def test_consumers_learn_of_collected_items_in_bounded_parts_and_of_all_before_t
     held, _ = channel.look(CLOCK)
     assert held.items == 10
     assert held.report_gone(1), "the channel has more to report"
-    assert held.index.has_below(held.floor), "items that consumers have not heard of are not freed"
+    assert held.index.has_below(held.floor), "items that consumers have not learned of are not freed"
     parts = 1 + sum(1 for _ in channel.catching_up(CLOCK))
     assert parts > 10
     assert channel.consume(1, [1, 4991], CLOCK).items == 1

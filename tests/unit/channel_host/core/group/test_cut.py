@@ -184,7 +184,7 @@ def test_a_former_owner_does_not_count_and_still_receives_times() -> None:
     board = TimesBoard()
     board.enter_own(A, at(50, epoch=3), 0)
     assert board.receive(A, at(60, epoch=4), 0, 10)
-    board.enter_own(A, at(99, epoch=3), 20)  # this host has not heard yet that it lost the channel
+    board.enter_own(A, at(99, epoch=3), 20)  # this host has not learned yet that it lost the channel
     assert board.receive(A, at(70, epoch=4), 0, 30)
     found = board.find(A)
     assert found is not None

@@ -185,7 +185,7 @@ async def test_a_refused_command_is_not_in_the_log_and_the_error_names_its_level
         assert part in caught.value.message
     assert caught.value.metadata["supernodes_behind"] == "s2"
     log.highest_levels = {"s1": NEW_LEVEL}
-    with pytest.raises(VersionMismatch, match=r"s2 \(not heard of\)"):
+    with pytest.raises(VersionMismatch, match=r"s2 \(no report\)"):
         await submission.submit(operation, ChannelUpdated, op_id=id_of(9), seconds=1.0)
 
 

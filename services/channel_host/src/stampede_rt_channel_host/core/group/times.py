@@ -156,7 +156,7 @@ class TimesBoard:
         return self._known.get(channel_id)
 
     def enter_own(self, channel_id: bytes, times: ChannelTimes, silent_since: int) -> None:
-        """Enter the times of a channel that the host owns. Changes nothing if the host has heard of a later owner."""
+        """Enter the times of a channel that the host owns. Changes nothing if the host has learned of a later owner."""
         held = self._known.get(channel_id)
         if held is not None and times.epoch < held.times.epoch:
             return

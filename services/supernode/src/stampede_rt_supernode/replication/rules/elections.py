@@ -156,7 +156,7 @@ class RaftRules(FollowerRole, LeaderRole):
 class PreVoteElections(RaftRules):
     """The full set of rules: the handlers of RaftRules, and the pre-vote before an election. Tick thread only."""
 
-    # A node that has heard the leader within this time answers no pre-vote.
+    # A node that has received a message of the leader within this time answers no pre-vote.
     leader_alive_seconds: float
 
     # The term of the present pre-vote, and the ids of the members that would vote for this node in that term.

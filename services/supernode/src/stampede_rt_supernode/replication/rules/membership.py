@@ -8,7 +8,7 @@ whose removal is applied.
 
 The members in the log are known, and so are the members that a known node has named. Every other node is a *stranger*:
 only that node itself or another stranger has named it. This node hears strangers only while it is *locked out*: it has
-not heard a leader for so long that all members it knows may be gone.
+not received a message of a leader for so long that all members it knows may be gone.
 """
 
 from __future__ import annotations
