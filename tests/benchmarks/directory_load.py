@@ -244,7 +244,7 @@ async def restart(cluster: Cluster) -> list[Row]:
 
 
 async def catch_up(cluster: Cluster) -> list[Row]:
-    """A follower is away until the log no longer has the entries that it lacks. It then gets a snapshot."""
+    """A follower is unreachable until the log no longer has the entries that it lacks. It then gets a snapshot."""
     leader = await cluster.leader()
     follower, other = cluster.others(leader)
     await follower.end(signal.SIGKILL)

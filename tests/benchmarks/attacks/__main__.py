@@ -8,10 +8,10 @@ of shared memory would make no calls to the host.
 
 There are two trials of each attack. In the first trial the attacker takes only idle processor time (SCHED_IDLE),
 because a hostile client runs on a machine of its own. The goal is for this trial. In the second trial the attacker has
-the same rights to both cores as the host and the good clients. Then the good clients are measured also while a program
-runs that takes as much processor time as this attacker, and makes no calls. Run the command on an otherwise idle
-machine. On a busy machine the attacker of the first trial gets too little time. The last column shows the processor
-time of the attackers in both trials.
+the same priority as the host and the good clients. Then the good clients are measured also while a program runs that
+takes as much processor time as this attacker, and makes no calls. Run the command on an otherwise idle machine. On a
+busy machine the attacker of the first trial gets too little time. The last column shows the processor time of the
+attackers in both trials.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ from tests.support.channel_host.queue_rig import run_of as queue_run_of
 from tests.support.channel_host.queue_rig import running_queue_host
 from tests.support.channel_host.rig import FOREVER, OpenedChannel, Rig, S, run_of, running_host
 
-MADE = {"a": "cam", "b": "cam", "c": "other"}
+CREATORS = {"a": "cam", "b": "cam", "c": "other"}
 REFUSED = error_pb2.ERROR_REASON_OVERLOADED
 
 
@@ -151,7 +151,7 @@ async def test_unread_answers_count_as_bytes_in_flight() -> None:
 
 
 async def test_the_bytes_of_a_channel_count_for_the_caller_that_made_the_channel(rig: Rig) -> None:
-    mine, also_mine, others = [await rig.open(name, created_by=creator) for name, creator in MADE.items()]
+    mine, also_mine, others = [await rig.open(name, created_by=creator) for name, creator in CREATORS.items()]
     rig.accounts.set_default(Quota.BYTES_HELD, 10_000)
     (ack,) = await mine.put(run_of(bytes(6_000)))
     assert ack.first_seq == 1

@@ -224,7 +224,7 @@ def test_a_host_that_takes_a_channel_over_while_the_store_is_away_serves_it_imme
         assert channel.newest().payload == b"4"
         assert numbers(channel.get(taken, st.NOW)) == [100, 1, 2, 3, 4]
         assert numbers(channel.get(began, st.NOW, within="memory")) == [100, 1, 2, 3, 4]
-        assert "while the object store of its archive was away" in refusal(channel, began)
+        assert "while the object store of its archive was unreachable" in refusal(channel, began)
     finally:
         server.start()
         cluster.hosts[0].restart()

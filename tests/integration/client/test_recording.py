@@ -241,7 +241,7 @@ def test_items_that_cannot_be_read_in_time_are_named_as_not_read(
 
 
 def host_away(_: channel_recording.Channel, timeout_s: float) -> st.ChannelStats:
-    raise st.Unavailable("its host is away")
+    raise st.Unavailable("its host is unreachable")
 
 
 def begun_anew(
@@ -347,7 +347,7 @@ def test_a_hurried_end_asks_a_host_that_is_away_for_no_longer_than_the_end_may_t
 
     def away(_: channel_recording.Channel, timeout_s: float) -> st.ChannelStats:
         timeouts.append(timeout_s)
-        raise st.Unavailable("its host is away")
+        raise st.Unavailable("its host is unreachable")
 
     channels = [rt.channel(f"hurried/{number}", max_age="60s") for number in range(3)]
     with rt.record("hurried/*", tmp_path / "a.mcap") as recorder:

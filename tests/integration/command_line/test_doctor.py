@@ -78,7 +78,9 @@ def test_doctor_and_errors_say_who_has_the_items_of_a_recorded_channel_whose_pro
         with st.host(cluster.address, name="ended", archive=tmp_path, drain="0s") as rt:
             rt.channel("cam/rec", max_items=5, archive="7d").put(b"x", ack="disk")
             channel = other.channel("cam/rec", create=False)
-        with pytest.raises(st.Unavailable, match=r"host of the recorded channel 'cam/rec' \(ended\) is away; start it"):
+        with pytest.raises(
+            st.Unavailable, match=r"host of the recorded channel 'cam/rec' \(ended\) is unreachable; start it"
+        ):
             channel.newest()
     code, report = doctor("--url", cluster.address)
     assert (code, "with its items" in report) == (1, False)

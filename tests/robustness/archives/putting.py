@@ -35,7 +35,7 @@ class NumberProducer:
             except st.NotArchived:
                 self.refused += 1
                 self._stopping.wait(0.01)
-            except st.StampedeError:  # the host is away
+            except st.StampedeError:  # the host is unreachable
                 self._stopping.wait(0.01)
             else:
                 self._number += 1

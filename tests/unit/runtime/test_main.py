@@ -41,7 +41,7 @@ def _logging_as_before() -> Iterator[None]:
 
 async def serve(settings: Settings) -> int | None:
     if settings.what == "fail":
-        raise Unavailable("the supernodes are away")
+        raise Unavailable("the supernodes are unreachable")
     if settings.what == "listen":
         check_listen("192.0.2.1:0", allow_insecure_anywhere=settings.allow_insecure_anywhere)
     if settings.what == "file":
@@ -76,7 +76,7 @@ def _with_certificates(settings: Settings) -> Settings:
         ((), 0, ""),
         (("--what", "7"), 7, ""),
         (("--what", "9"), 2, "stampede sample: --what: '9' cannot be used; allowed: , fail, listen, file, defect, 7\n"),
-        (("--what", "fail"), 1, "stampede sample: the supernodes are away\n"),
+        (("--what", "fail"), 1, "stampede sample: the supernodes are unreachable\n"),
         (("--what", "file"), 1, "stampede sample: /nowhere/at/all cannot be used: No such file or directory\n"),
         (("--secret-file", "/nowhere/secret"), 1, None),
     ],

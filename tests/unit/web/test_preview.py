@@ -30,7 +30,7 @@ def pixels_of(png: bytes | None) -> Any:
     return np.frombuffer(rows, np.uint8).reshape(height, 1 + width * channels)[:, 1:].reshape(height, width, channels)
 
 
-def test_a_colour_array_is_the_same_picture_as_png() -> None:
+def test_the_png_of_a_colour_array_has_the_same_pixels() -> None:
     array = np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
     assert (pixels_of(png_of(array)) == array).all()
 

@@ -250,7 +250,7 @@ class Session:
         if not state.create:
             name, host = state.info.name, response.host.name or "unknown"
             raise Unavailable(
-                f"the host of the recorded channel {name!r} ({host}) is away; start it again with its archive"
+                f"the host of the recorded channel {name!r} ({host}) is unreachable; start it again with its archive"
                 if policy_from_spec(response.channel.spec).is_recorded
                 else f"the host of channel {name!r} ({host}) is lost with its items; start the host again, or open the "
                 "channel with create=True to have it at another host",

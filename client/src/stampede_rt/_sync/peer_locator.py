@@ -25,7 +25,7 @@ class PeerLocator(QueueLocator):
         super().__init__(session, state)
 
     def find(self, deadline_s: float) -> Binding:
-        """Return the binding of the peer's mailbox, from the cache or from the cluster. Raises PeerNotFound."""
+        """Return the binding of the peer's mailbox, from the cache or the cluster. Raises PeerNotFound, Unavailable."""
         if self._session.cache.owner(self._state.info.queue_id) is None:
             self._resolve(deadline_s)
         return super().find(deadline_s)

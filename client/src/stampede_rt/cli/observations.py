@@ -92,7 +92,7 @@ class Observation:
 class Inventory:
     """The channels, or the queues, of the directory: their number, and the names and hosts of the lost ones.
 
-    `recorded`: the names and hosts of the recorded channels whose hosts are away. Their archives have their items.
+    `recorded`: the names and hosts of the recorded channels whose hosts are unreachable. The archives have their items.
     `is_partial`: rules of access limit the caller, so there may be others.
     """
 

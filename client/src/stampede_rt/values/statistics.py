@@ -99,7 +99,7 @@ class ArchiveStats:
     - `place`: the host's folder, or the URL of the object store and the folder.
     - `failure`: why the last write, or the last call of the object store, failed; empty if it succeeded.
 
-    While the object store is away, a host may not know all files in it. The numbers then lack these files.
+    While the object store is unreachable, a host may not know all files in it. The numbers then lack these files.
     """
 
     items: int

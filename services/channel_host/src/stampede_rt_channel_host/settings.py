@@ -171,8 +171,8 @@ class HostSettings(ServiceSettings):
             metavar="SECONDS",
             minimum=0,
             maximum=7 * 86400,
-            help="with a folder in --archive: when this host is away, its recorded channels wait for it for this time; "
-            "then they go to another host, which does not have their archived items; 0: they do not wait",
+            help="with a folder in --archive: when this host is unreachable, its recorded channels wait for it for "
+            "this time; then they go to another host, which does not have their archived items; 0: they do not wait",
         ),
     )
     archive_bytes_max: int = field(
@@ -292,7 +292,7 @@ class HostSettings(ServiceSettings):
 
     @property
     def archive_wait_nanos(self) -> int:
-        """How long recorded channels wait for this host when it is away; 0 if other hosts have their archive, too."""
+        """The time for which recorded channels wait for this host; 0 if other hosts have their archive, too."""
         return self.archive_wait_seconds * 10**9 if isinstance(self.archive, Path) else 0
 
     def _check_processes(self) -> None:

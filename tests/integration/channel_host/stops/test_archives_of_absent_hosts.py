@@ -1,4 +1,4 @@
-"""Recorded channels whose host is away, and only this host has their archive in its folder."""
+"""Recorded channels whose host is unreachable, and only this host has their archive in its folder."""
 
 from __future__ import annotations
 
@@ -46,7 +46,9 @@ def test_a_recorded_channel_waits_for_its_host_after_a_start_of_all_hosts(
     for host in cluster.hosts:
         host.stop()
     cluster.hosts[1].restart()
-    with pytest.raises(st.Unavailable, match="waits for host h1, which is away, because only its folder has the"):
+    with pytest.raises(
+        st.Unavailable, match="waits for host h1, which is unreachable, because only its folder has the"
+    ):
         channel.put(b"too early", timeout=1)
     with pytest.raises(st.Unavailable, match="waits for host h1"):
         rt.channel("after-a-start", create=False)

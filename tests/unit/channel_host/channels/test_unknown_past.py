@@ -1,4 +1,4 @@
-"""A host that takes a recorded channel over while the object store of its archive is away."""
+"""A host that takes a recorded channel over while the object store of its archive is unreachable."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ async def test_the_new_owner_serves_its_items_and_refuses_reads_of_a_past_that_i
         one.clock = SINCE
         owner = await Owner(one).serve()
         assert owner.hosted.channel.next_seq == start_of(2)
-        with pytest.raises(Unavailable, match="was away"):
+        with pytest.raises(Unavailable, match="was unreachable"):
             await owner.read(LATEST)
         await owner.put(SINCE + 1, SINCE + 2)
         later = Bound(None, SINCE + 1)
@@ -99,7 +99,7 @@ async def test_a_read_through_a_group_waits_for_the_store_if_it_needs_it(tmp_pat
         horizon = Horizon(SINCE + 2, lambda: "")
         early, late = ALL, Query(interval=Interval(Bound(None, SINCE + 1), NOW))
         assert owner.recording.reaches_in_group(early, horizon, owner.now())
-        with pytest.raises(Unavailable, match="was away"):
+        with pytest.raises(Unavailable, match="was unreachable"):
             await owner.recording.read_in_group(early, horizon, None, PieceScheduler(), owner.now, waits=False)
         assert not owner.recording.reaches_in_group(late, horizon, owner.now())
 

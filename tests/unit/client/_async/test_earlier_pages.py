@@ -38,7 +38,7 @@ class Archive:
         await asyncio.sleep(0)
         self.reads += 1
         if self.reads == self.fails_at:
-            raise st.Unavailable("the host is away")
+            raise st.Unavailable("the host is unreachable")
         start, end = query.interval.start.offset, query.interval.end.offset
         low = 0 if query.after is None else query.after.seq
         found = [seq for seq in SEQS if start <= seq <= end and seq > low and seq not in self.gone]

@@ -84,14 +84,16 @@ def test_a_missing_majority_is_inferred_from_the_failures_of_all_rounds() -> Non
 
 
 @pytest.mark.parametrize(
-    ("now_s", "expected"), [(9.5, "its host is away"), (5.0, "no majority")], ids=["too little time", "enough time"]
+    ("now_s", "expected"),
+    [(9.5, "its host is unreachable"), (5.0, "no majority")],
+    ids=["too little time", "enough time"],
 )
 def test_an_attempt_with_too_little_time_does_not_hide_the_failure_of_an_earlier_attempt(
     now_s: float, expected: str
 ) -> None:
     call = DirectoryCall(deadline_s=10.0)
     for began_s, error in [
-        (0.0, Unavailable("its host is away", reason="NO_HOST")),
+        (0.0, Unavailable("its host is unreachable", reason="NO_HOST")),
         (now_s, Unavailable("no majority", reason="NO_QUORUM")),
     ]:
         call.begin_round(["a"], float("inf"))
@@ -110,7 +112,7 @@ def test_an_error_says_that_no_attempt_had_enough_time() -> None:
 def test_an_attempt_with_too_little_time_whose_update_may_be_done_is_told_and_marked() -> None:
     call = DirectoryCall(deadline_s=10.0)
     for now_s, error in [
-        (0.0, Unavailable("its host is away", reason="NO_HOST")),
+        (0.0, Unavailable("its host is unreachable", reason="NO_HOST")),
         (9.9, Unavailable("perhaps done", reason="AMBIGUOUS")),
     ]:
         call.begin_round(["a"], float("inf"))

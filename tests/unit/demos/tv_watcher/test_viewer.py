@@ -1,4 +1,4 @@
-"""The viewer's loop ends: with the programme, or with a sentence if the group never comes to its end."""
+"""The viewer's loop ends with the programme. If the group never reaches this end, the viewer says so."""
 
 import threading
 import time

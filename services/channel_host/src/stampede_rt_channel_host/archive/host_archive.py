@@ -98,7 +98,7 @@ class HostArchive:
     ) -> tuple[SegmentFiles, OpenedArchive]:
         """Open the files of a channel, and look at them. Raises OSError.
 
-        `may_be_unknown`: if the object store is away, the host may open them without knowing what the store has.
+        `may_be_unknown`: if the object store is unreachable, the host may open them without knowing what the store has.
         `is_move`: another host still owns the channel.
         """
         channel_id, name = record.channel_id, record.name

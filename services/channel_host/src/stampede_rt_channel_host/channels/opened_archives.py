@@ -34,7 +34,7 @@ async def open_archive(
 ) -> OpenedChannelArchive:
     """Look at the archive of a channel. Raises Unavailable if the folder cannot be read or written.
 
-    `may_be_unknown`: if the object store is away, the host may serve the channel without knowing what the store has.
+    `may_be_unknown`: if the object store is unreachable, the host may serve the channel without its list of objects.
     `is_move`: another host still owns the channel, so what this host noted earlier does not count.
     """
     try:
@@ -50,8 +50,10 @@ async def open_archive(
 
 
 async def _newest(archive: HostArchive, files: SegmentFiles, segments: tuple[Segment, ...]) -> ArchiveWindow | None:
-    """The newest archived items; None: there are none. While the object store is away, the newest items on the disk, as
-    far as they are later than all items in the store. Raises OSError.
+    """The newest archived items; None: there are none. Raises OSError.
+
+    While the object store is unreachable: the newest items on the disk, as far as they are later than all items in the
+    store.
     """
     if not segments or not files.is_known:
         return None

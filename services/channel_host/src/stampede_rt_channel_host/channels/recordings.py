@@ -43,7 +43,7 @@ class Recordings:
     async def prepare(self, record: RecordedChannel, hosted: HostedChannel | None, *, is_move: bool = False) -> None:
         """Look at the archive of a channel that the host is about to serve as `record` says.
 
-        If the object store is away, a host that takes a channel over serves it without knowing what the store has.
+        If the object store is unreachable, a host that takes a channel over serves it without the store's items.
 
         Raises InvalidArgument if the channel is to be recorded and the host has no archive. Raises Unavailable if the
         archive cannot be used.

@@ -29,7 +29,7 @@ class HostIdentity:
     `has_archive`: the host can record channels. `continues`: the boot incarnation of the former process that left all
     items of its recorded channels in that archive, or 0. `move_key`: the secret key of its permits for moves, new at
     each start, too; empty: it gives none. `is_private`: the directory places nothing here unless a caller names this
-    host. `archive_wait_nanos`: how long the recorded channels of the host wait for it when it is away.
+    host. `archive_wait_nanos`: how long the recorded channels of the host wait for it when it is unreachable.
     `archive_place`: where its archive is, for people.
     """
 

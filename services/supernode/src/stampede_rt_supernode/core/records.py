@@ -51,7 +51,7 @@ class HostRecord:
     `registration_epoch` grows with each process that replaces another, see `registration_epochs`. `load`: its load as
     the leader last noted it; None if the feature level has been below LOADS_LEVEL since the host registered.
     `move_key`: the key of its permits, see `move_permits`; empty if the host registered while the feature level was
-    below MOVES_LEVEL. `archive_wait_nanos`: how long its recorded channels wait for it when it is away.
+    below MOVES_LEVEL. `archive_wait_nanos`: how long its recorded channels wait for it when it is unreachable.
     `archive_place`: where its archive is, for people.
     """
 

@@ -1,4 +1,4 @@
-"""Measures how long the callers of recorded channels have waited for hosts that are away (decision 0318)."""
+"""Measures how long the callers of recorded channels have waited for hosts that are unreachable (decision 0318)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stampede_rt_supernode.replica import DirectoryReplica
 class ArchiveWaits:
     """The waits of this supernode. A wait begins when a caller first opens a channel of the host here.
 
-    So after a start of the whole cluster the hosts have the whole time to register, however long they were away.
+    So after a start of the whole cluster the hosts have the whole time to register, however long they were unreachable.
     """
 
     def __init__(self, replica: DirectoryReplica, clock: HostClock) -> None:
@@ -34,5 +34,5 @@ class ArchiveWaits:
 
 
 def _away(directory: Directory) -> set[int]:
-    """The registrations of the hosts that are away."""
+    """The registrations of the hosts that are unreachable."""
     return {host.registered_index for host in directory.tables.hosts.values() if not host.alive}

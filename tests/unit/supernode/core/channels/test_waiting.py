@@ -24,7 +24,7 @@ def archiving(number: int, *, name: str = "", boot: int = 1, wait: int = WAIT) -
 
 @pytest.fixture
 def log() -> Log:
-    """Two hosts with archives, of which the first has the channels `recorded` and `plain`, and is away."""
+    """Two hosts with archives, of which the first has the channels `recorded` and `plain`, and is unreachable."""
     log = Log()
     log.apply(RaiseFeatureLevel(feature_level=ARCHIVE_LEVEL))
     log.apply(archiving(1))

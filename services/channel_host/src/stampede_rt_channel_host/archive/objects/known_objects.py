@@ -1,4 +1,4 @@
-"""The list of a channel's objects on the disk of its host, for starts while the object store is away. Blocks."""
+"""The list of a channel's objects on the disk of its host, for starts while the object store is unreachable. Blocks."""
 
 from __future__ import annotations
 

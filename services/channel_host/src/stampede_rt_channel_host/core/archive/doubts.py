@@ -47,8 +47,8 @@ class _Search:
     _by_size: dict[int, int] = field(default_factory=dict)  # by the place of a segment
 
     def find(self) -> Iterator[Doubt]:
-        """All doubts. The doubts in segments that are not near have wider bounds, because their blocks may be far
-        away.
+        """All doubts. The doubts in segments that are not near have wider bounds, because their blocks may be in
+        an object store.
         """
         former: BlockHead | Segment | None = None
         ends: list[int] = []  # the end seqs of the segments that end after `former`

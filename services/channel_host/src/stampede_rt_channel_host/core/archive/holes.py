@@ -27,7 +27,7 @@ class Hole(NamedTuple):
 
 
 class WindowReach(NamedTuple):
-    """The times at which a window looked, both inclusive. Memory has the items from the time `border` on."""
+    """A window looked at the times from `low` to `high`, inclusive. Memory has the items from the time `border` on."""
 
     low: int
     high: int
@@ -49,8 +49,10 @@ def holes(blocks: SegmentBlocks, taken: Set[int]) -> Iterator[Hole]:
 def border_holes(
     segments: Sequence[Segment], blocks_of: BlocksOf, taken: Mapping[Segment, Set[int]], reach: WindowReach
 ) -> Iterator[Hole]:
-    """The holes that `holes` does not find: between two segments, next to the blocks that a read took, before all
-    items, after all items, and segments without any block that can be read. `taken`: the offsets of these blocks.
+    """The holes at the borders of segments, which `holes` does not find.
+
+    They are: segments without a readable block, and holes next to blocks that the read took. Such a hole is between two
+    segments, before all items, or after all items. `taken`: the offsets of the blocks that the read took.
     """
     with_items = [one for one in segments if one.items]
     yield from _unreadable(with_items, blocks_of, reach)
@@ -77,12 +79,12 @@ def _holes_between(
     first, end = (bisect_left(segments, one.number, key=_number) for one in (earlier, later))
     yield from _between(last, following, [one.end_seq for one in segments[first:end]])
     for lost_before in _losses(segments, earlier, later, blocks_of):
-        # the last items before it may have times in the future
+        # the last items before the loss may have times in the future
         yield _hole(min(last.head.high[0], earlier.last_accepted), lost_before, 0)
 
 
 def _unreadable(with_items: Sequence[Segment], blocks_of: BlocksOf, reach: WindowReach) -> Iterator[Hole]:
-    """The segments within reach without any block that can be read."""
+    """The segments within reach that have no readable block."""
     for one in with_items:
         if one.low is None or one.high is None or one.low[0] > reach.high or one.high[0] < reach.low:
             continue
@@ -90,39 +92,39 @@ def _unreadable(with_items: Sequence[Segment], blocks_of: BlocksOf, reach: Windo
             yield Hole(one.low[0], one.high[0], one.items)
 
 
-def _first_hole(segments: Sequence[Segment], one: Segment | None, blocks_of: BlocksOf) -> Iterator[Hole]:
-    """The hole before all items. If the archive has dropped items before it, its times are not known.
+def _first_hole(segments: Sequence[Segment], first_readable: Segment | None, blocks_of: BlocksOf) -> Iterator[Hole]:
+    """The hole before all items. `first_readable`: the first segment with a readable block.
 
-    `one`: the first segment with blocks that can be read.
+    If the archive has dropped the items before the hole, the hole has no known start.
     """
-    if one is not None and (first := blocks_of(one).items_at(0)) is not None:
-        lacks, end = given_between(segments[0].first_seq, first.head.first_seq), first.head.low[0] - 1
+    if first_readable is not None and (first := blocks_of(first_readable).items_at(0)) is not None:
+        missing, end = given_between(segments[0].first_seq, first.head.first_seq), first.head.low[0] - 1
         is_cut = given_between(1, segments[0].first_seq) > 0
-        if lacks:
-            yield Hole(end if is_cut else MIN_INSTANT, end, lacks)
-        for lost_before in () if is_cut else _losses(segments, None, one, blocks_of):
+        if missing:
+            yield Hole(end if is_cut else MIN_INSTANT, end, missing)
+        for lost_before in () if is_cut else _losses(segments, None, first_readable, blocks_of):
             yield Hole(MIN_INSTANT, lost_before - 1, 0)
 
 
 def _last_hole(
-    segments: Sequence[Segment], one: Segment | None, blocks_of: BlocksOf, reach: WindowReach
+    segments: Sequence[Segment], last_readable: Segment | None, blocks_of: BlocksOf, reach: WindowReach
 ) -> Iterator[Hole]:
-    """The hole between all archived items and the items in memory. `one`: the last segment with blocks that can be
-    read.
+    """The hole between all archived items and the items in memory. `last_readable`: the last segment with a readable
+    block.
     """
-    if one is not None and (last := blocks_of(one).items_at(-1)) is not None:
-        lacks, end = given_between(last.head.end_seq, segments[-1].end_seq), last.head.high[0]
-        if lacks and end <= reach.high:
-            yield _hole(end, end if reach.border == LAST_KEY[0] else reach.border + 1, lacks)
+    if last_readable is not None and (last := blocks_of(last_readable).items_at(-1)) is not None:
+        missing, end = given_between(last.head.end_seq, segments[-1].end_seq), last.head.high[0]
+        if missing and end <= reach.high:
+            yield _hole(end, end if reach.border == LAST_KEY[0] else reach.border + 1, missing)
 
 
 def _neighbours(
     with_items: Sequence[Segment], blocks_of: BlocksOf, taken: Mapping[Segment, Set[int]]
 ) -> Iterator[tuple[Segment | None, Segment | None]]:
-    """The pairs of neighbouring segments with blocks, if the read took the last block of the first or the first block
-    of the second segment.
+    """Yield pairs of neighbours among the segments with readable blocks. None: there is no neighbour on this side.
 
-    None: there is no such segment. Looks at no other segments, which may be in a store that is away.
+    Yields a pair only if the read took the last block of the earlier segment, or the first block of the later one.
+    Looks at no other segments, because they may be in an object store that is unreachable.
     """
     former: Segment | None = None  # the read took the last block of this segment
     for at, one in enumerate(with_items):
@@ -144,12 +146,15 @@ def _took(blocks: SegmentBlocks, at: int, offsets: Set[int]) -> bool:
 
 
 def _readable(segments: Iterable[Segment], blocks_of: BlocksOf) -> Segment | None:
-    """The first of the segments with blocks of items that can be read, or None."""
+    """The first of the segments that has a readable block of items, or None."""
     return next((one for one in segments if blocks_of(one).items_at(0) is not None), None)
 
 
 def _losses(segments: Sequence[Segment], earlier: Segment | None, later: Segment, blocks_of: BlocksOf) -> Iterator[int]:
-    """The losses of hosts that `later`, and the segments without items between `earlier` and `later`, name."""
+    """Yield the instants before which a host was lost, as recorded in `later`.
+
+    Yields also those recorded in the segments without items between `earlier` and `later`.
+    """
     first = 0 if earlier is None else bisect_right(segments, earlier.number, key=_number)
     for one in segments[first : bisect_right(segments, later.number, key=_number)]:
         lost_before = blocks_of(one).lost_before if one is later or not one.items else None
@@ -162,14 +167,14 @@ def _number(segment: Segment) -> int:
 
 
 def _between(earlier: PlacedBlock, later: PlacedBlock, ends: Sequence[int] = ()) -> Iterator[Hole]:
-    """The hole between two blocks. `ends`: where the seqs of their segments and of those between them end."""
+    """The hole between two blocks. `ends`: the end seq of each segment from the one of `earlier` on, up to `later`."""
     before, after = earlier.head, later.head
-    lacks = given_over(before.end_seq, after.first_seq, ends)
-    if lacks:
-        yield _hole(before.high[0], after.low[0], lacks)
+    missing = given_over(before.end_seq, after.first_seq, ends)
+    if missing:
+        yield _hole(before.high[0], after.low[0], missing)
 
 
-def _hole(before: int, after: int, lacks: int) -> Hole:
+def _hole(before: int, after: int, missing: int) -> Hole:
     """The hole between two times."""
     start, end = sorted((before, after))
-    return Hole(start + 1, end - 1, lacks) if end - start > 1 else Hole(start, end, lacks)
+    return Hole(start + 1, end - 1, missing) if end - start > 1 else Hole(start, end, missing)

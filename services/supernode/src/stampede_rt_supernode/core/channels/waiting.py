@@ -1,4 +1,4 @@
-"""Decides whether a recorded channel waits for its host, which is away (decision 0318). Pure.
+"""Decides whether a recorded channel waits for its host, which is unreachable (decision 0318). Pure.
 
 Only this host has the archived items, in its own folder. So the channel waits for a limited time before another host
 takes it over. The directory reads no clock. The supernode measures the time, and its command names the registration for
@@ -32,9 +32,9 @@ def check_waited(tables: Tables, operation: OpenChannel) -> None:
     if host is None or host.registered_index == operation.waited_for_index:
         return
     raise Unavailable(
-        f"channel {operation.name} waits for host {host.name}, which is away, because only its folder has the archive "
-        f"of the channel; start host {host.name} again; {host.archive_wait_nanos / 1e9:g} s after the first call, "
-        "another host takes the channel over without its archive",
+        f"channel {operation.name} waits for host {host.name}, which is unreachable, because only its folder has the "
+        f"archive of the channel; start host {host.name} again; {host.archive_wait_nanos / 1e9:g} s after the first "
+        "call, another host takes the channel over without its archive",
         reason="NO_HOST",
         metadata={"channel": operation.name, "host": host.name},
     )

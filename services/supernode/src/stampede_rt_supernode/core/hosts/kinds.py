@@ -29,7 +29,7 @@ from stampede_rt_supernode.core.validation import check_id
 
 def _register(state: DirectoryState, operation: RegisterHost, time_unix_nano: int) -> HostRegistered:
     state.check_founded()
-    host = register_host(state.tables, operation, knows_level_4=state.feature_level >= LOADS_LEVEL)
+    host = register_host(state.tables, operation, has_level_4=state.feature_level >= LOADS_LEVEL)
     return HostRegistered(host=host, cluster_id=state.cluster_id)
 
 

@@ -32,13 +32,13 @@ from stampede_rt_supernode.core.validation import (
 HOSTS_MAX = 10_000
 
 
-def register_host(tables: Tables, operation: RegisterHost, *, knows_level_4: bool = False) -> HostRecord:
+def register_host(tables: Tables, operation: RegisterHost, *, has_level_4: bool = False) -> HostRecord:
     """Register a host, perhaps again.
 
     A new boot incarnation means that the host lost its items. Then, in this one step, all its channels and queues get a
     new epoch and incarnation. A channel with a warm replica in sync moves to the host of that replica. The other
     channels and all queues stay at the host. Recorded channels keep their incarnation if the host's archive has all of
-    their items. `knows_level_4`: the feature level allows loads, archives and keys of moves; until its
+    their items. `has_level_4`: the feature level allows loads, archives and keys of moves; until its
     first report the host counts as idle.
     """
     check_register(operation)
@@ -59,16 +59,16 @@ def register_host(tables: Tables, operation: RegisterHost, *, knows_level_4: boo
             channels=before.channels if before is not None else 0,
             registered_index=tables.index,
             registration_epoch=epoch,
-            load=_idle_load(tables, before, operation) if knows_level_4 else None,
-            move_key=operation.move_key if knows_level_4 else b"",
-            archive_wait_nanos=operation.archive_wait_nanos if knows_level_4 else 0,
-            archive_place=operation.archive_place if knows_level_4 else "",
+            load=_idle_load(tables, before, operation) if has_level_4 else None,
+            move_key=operation.move_key if has_level_4 else b"",
+            archive_wait_nanos=operation.archive_wait_nanos if has_level_4 else 0,
+            archive_place=operation.archive_place if has_level_4 else "",
         )
     )
     tables.forget_lost_hosts(operation.name)
     if before is not None and before.boot_incarnation != operation.boot_incarnation:
         end_registration(tables, operation.host_id)
-        continues = knows_level_4 and before.boot_incarnation == operation.continues_boot_incarnation
+        continues = has_level_4 and before.boot_incarnation == operation.continues_boot_incarnation
         _reset_channels(tables, operation, continues=continues)
         reset_queues(tables, tables.hosts[operation.host_id], operation.new_incarnation)
     if len(tables.host_ids) == 1:

@@ -39,7 +39,7 @@ def queue_page(tables: Tables, glob: str, after: Position, queues_max: int, *, m
     found: list[QueueRecord] = []
     positions: list[Position] = []
     last: Position | None = None
-    for examined, (position, queue) in enumerate(_behind(tables, glob, after, mailboxes), start=1):
+    for examined, (position, queue) in enumerate(_entries_after(tables, glob, after, mailboxes), start=1):
         if len(found) == limit or examined > queries.NAMES_EXAMINED_MAX:
             return QueuePage(tuple(found), tuple(positions), last)
         last = position
@@ -49,7 +49,9 @@ def queue_page(tables: Tables, glob: str, after: Position, queues_max: int, *, m
     return QueuePage(tuple(found), tuple(positions), None)
 
 
-def _behind(tables: Tables, glob: str, after: Position, mailboxes: bool) -> Iterator[tuple[Position, QueueRecord]]:
+def _entries_after(
+    tables: Tables, glob: str, after: Position, mailboxes: bool
+) -> Iterator[tuple[Position, QueueRecord]]:
     prefix, (among_mailboxes, name) = fixed_prefix(glob), after
     named: Iterator[tuple[Position, QueueRecord]] = iter(())
     if not among_mailboxes:

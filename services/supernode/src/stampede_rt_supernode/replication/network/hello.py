@@ -121,7 +121,7 @@ def other_protocol(member_id: str, version: int) -> str:
 def introduced_member(hello: pb.RaftHello, settings: ReplicationSettings) -> Member | None:
     """The id and address that an unknown caller states in its hello; None without an address or a cluster id.
 
-    A member that was away while the others were replaced knows none of them, but must accept the leader's messages
+    A member that was down while the others were replaced knows none of them, but must accept the leader's messages
     (Ongaro's dissertation, section 4.1). A cluster without an id cannot be distinguished from another cluster.
     """
     if not (settings.cluster_id and hello.address):

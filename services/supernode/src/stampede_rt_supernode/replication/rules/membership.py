@@ -2,7 +2,7 @@
 
 There are three kinds. The *voters* are the members of the newest configuration in the log; only their votes and
 acknowledgements count. The *learner* gets the log from the leader, so that it can become a voter soon. This node also
-hears every other *known* node, because a member that was away does not know the present leader yet (Ongaro's
+hears every other *known* node, because a member that was unreachable does not know the present leader yet (Ongaro's
 dissertation, section 4.1: servers accept requests from servers outside their configuration). It does not hear a member
 whose removal is applied.
 

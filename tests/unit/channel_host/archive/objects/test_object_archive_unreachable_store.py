@@ -1,4 +1,4 @@
-"""A host that starts while its object store is away serves its own items, and lists the store when it is back."""
+"""A host that starts while its object store is unreachable serves its own items. It lists the store later."""
 
 from __future__ import annotations
 
