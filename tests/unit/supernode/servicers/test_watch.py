@@ -60,7 +60,7 @@ async def test_a_watch_waits_for_the_turn_of_its_caller_before_it_looks_for_chan
 ) -> None:
     class BeyondItsShare:
         must_wait = True
-        waiting, came = asyncio.Event(), asyncio.Event()
+        waiting, arrival = asyncio.Event(), asyncio.Event()
 
         async def turn(self) -> None:
             self.waiting.set()

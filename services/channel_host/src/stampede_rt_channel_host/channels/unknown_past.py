@@ -65,16 +65,16 @@ class UnknownPast:
         """The error of a read that needs the store."""
         return Unavailable(
             f"the host has taken channel {self._channel.name} over while the object store of its archive was "
-            "unreachable, so it does not know yet which earlier items the store has; read again when the store is back, "
-            'or read with within="memory"'
+            "unreachable, so it does not know yet which earlier items the store has; read again when the store is "
+            'back, or read with within="memory"'
         )
 
     def move_error(self) -> Unavailable:
         """The error of a move. The memory of the new owner would say that no items have left it."""
         return Unavailable(
             f"the host has taken channel {self._channel.name} over while the object store of its archive was "
-            "unreachable, so it does not know yet which earlier items the store has, and a new owner would not show them; move the "
-            "channel when this host reaches the store",
+            "unreachable, so it does not know yet which earlier items the store has, and a new owner would not show "
+            "them; move the channel when this host reaches the store",
             metadata={"channel": self._channel.name},
         )
 
