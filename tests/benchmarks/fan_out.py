@@ -123,7 +123,7 @@ class Child:
         assert line, "the process has ended"
         return line
 
-    def tell(self, word: str) -> None:
+    def send_line(self, word: str) -> None:
         """Send a line to the process."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{word}\n")
@@ -144,7 +144,7 @@ def measure(cluster: LocalCluster, workload: str, readers: int, rounds: int, sec
         parts: dict[bool, list[RoundPart]] = {False: [], True: []}
         for number in range(rounds):
             for stalled in (True, False) if number % 2 else (False, True):
-                stalling.tell("subscribe" if stalled else "leave")
+                stalling.send_line("subscribe" if stalled else "leave")
                 putter.put_for(WARM_S, readers)
                 parts[stalled].append(putter.put_for(seconds, readers))
         channel.put(b"end")

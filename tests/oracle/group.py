@@ -48,7 +48,7 @@ class OracleMember:
             if one.duration is not None:
                 self.ends[one.time] = max(one.time + one.duration, self.ends.get(one.time, one.time))
 
-    def says(self) -> ReportedTimes:
+    def report(self) -> ReportedTimes:
         """The present times. Collection takes nothing back: collected items still count."""
         newest = max((one.time for one in self.channel.log.values()), default=None)
         end = None if newest is None else self.ends.get(newest)
@@ -99,7 +99,7 @@ class OracleBoard:
         self.received: dict[bytes, OracleReports] = {}
 
     def own(self, channel_id: bytes, member: OracleMember) -> None:
-        self._enter(channel_id, member.says(), member.spoke_at, None)
+        self._enter(channel_id, member.report(), member.spoke_at, None)
 
     def receive(self, channel_id: bytes, owner: OracleReports, clock: int) -> None:
         """Note all times that the owner knows."""

@@ -7,7 +7,7 @@ import signal
 import sys
 
 
-def say(line: str) -> None:
+def print_line(line: str) -> None:
     print(line, flush=True)
 
 
@@ -17,16 +17,16 @@ def main() -> None:
         print("stampede fake: it cannot be", file=sys.stderr)
         sys.exit(3)
     if behaviour == "never-ready":
-        say("still thinking")
+        print_line("still thinking")
     if behaviour == "stubborn":
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if behaviour == "chatty":
         for number in range(10_000):
-            say(f"line {number} " + "x" * 100)
+            print_line(f"line {number} " + "x" * 100)
     if behaviour == "environment":
-        say(f"environment {sorted(name for name in os.environ if name.startswith('STAMPEDE_'))} {rest}")
+        print_line(f"environment {sorted(name for name in os.environ if name.startswith('STAMPEDE_'))} {rest}")
     if behaviour != "never-ready":
-        say(f"stampede fake f{os.getpid()} ready on localhost:{os.getpid()}")
+        print_line(f"stampede fake f{os.getpid()} ready on localhost:{os.getpid()}")
     while True:
         signal.pause()
 

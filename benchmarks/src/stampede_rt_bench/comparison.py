@@ -16,7 +16,7 @@ from stampede_rt_bench.peers.nats_core import NatsCore
 from stampede_rt_bench.peers.ours import StampedeRt
 from stampede_rt_bench.peers.redis_streams import RedisStreams
 from stampede_rt_bench.peers.zenoh import Zenoh
-from stampede_rt_bench.printing import finish, say, show
+from stampede_rt_bench.printing import finish, print_progress, show
 from stampede_rt_bench.tables import Table, spread
 from stampede_rt_bench.workloads.campaign import Results, compare
 from stampede_rt_bench.workloads.catalogue import READERS, Workload, size, workloads
@@ -104,7 +104,7 @@ def _run(
     report.lacks = {system.name: system.lacks for system in systems}
 
     def done(results: Results, workload: Workload) -> None:
-        say(f"measured: {workload.title}")
+        print_progress(f"measured: {workload.title}")
         show(report.table(results, workload), arguments.output, "")
         report.write(results, folder)  # after each workload, so that an interrupted campaign keeps its results
 
@@ -114,7 +114,7 @@ def _run(
         rounds=arguments.rounds,
         seconds=arguments.seconds,
         done=done,
-        report=say,
+        report=print_progress,
     )
     for table in [table for _, table in report.readers(results)] + ([table_of_goals(results)] if report.ours else []):
         show(table, arguments.output, "")

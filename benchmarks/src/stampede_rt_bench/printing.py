@@ -8,7 +8,7 @@ from stampede_rt.administration.output_forms import json_text
 from stampede_rt_bench.tables import Table
 
 
-def say(text: str) -> None:
+def print_progress(text: str) -> None:
     """Report the progress on standard error."""
     print(f"stampede bench: {text}", file=sys.stderr, flush=True)
 
@@ -18,7 +18,7 @@ def announce(title: str, form: str) -> None:
     if form == "table":
         print(f"\n{title}", flush=True)
     else:
-        say(title)
+        print_progress(title)
 
 
 def show(table: Table, form: str, title: str | None = None) -> None:

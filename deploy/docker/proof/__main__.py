@@ -90,7 +90,7 @@ def use(containers: Mapping[str, Container], order: list[str], secret: Path) -> 
     for container in containers.values():
         check_limits(container)
     for name in reversed(order):
-        say(f"{name} stopped by SIGTERM with exit code 0 after {containers[name].stop():.1f} s")
+        print_result(f"{name} stopped by SIGTERM with exit code 0 after {containers[name].stop():.1f} s")
 
 
 def make_volumes(plans: Mapping[str, ContainerPlan], images: Mapping[str, Mapping[str, Any]]) -> None:
@@ -129,12 +129,12 @@ def start(containers: Mapping[str, Container], order: list[str]) -> None:
     for name in order:
         for earlier, condition in containers[name].plan.waits_for.items():
             if condition == "service_healthy" and earlier not in healthy:
-                say(f"{earlier} is healthy after {containers[earlier].wait_healthy():.1f} s")
+                print_result(f"{earlier} is healthy after {containers[earlier].wait_healthy():.1f} s")
                 healthy.add(earlier)
         containers[name].start()
-        say(f"{name} started: {' '.join(containers[name].plan.argv)}")
+        print_result(f"{name} started: {' '.join(containers[name].plan.argv)}")
     for name in sorted(set(containers) - healthy):
-        say(f"{name} is healthy after {containers[name].wait_healthy():.1f} s")
+        print_result(f"{name} is healthy after {containers[name].wait_healthy():.1f} s")
 
 
 def check_rights(container: Container, secret: str) -> None:
@@ -150,7 +150,7 @@ def check_rights(container: Container, secret: str) -> None:
     require(container.run(["touch", "/opt/stampede/new"]).returncode != 0, f"{plan.service} can change its image")
     environment = Path(f"/proc/{container.pid}/environ").read_bytes()
     require(secret.encode() not in environment, f"{plan.service} has the secret in its environment")
-    say(f"{plan.service} runs as user {plan.uid} without capabilities, on a root that it cannot write")
+    print_result(f"{plan.service} runs as user {plan.uid} without capabilities, on a root that it cannot write")
 
 
 def run_readme_program(secret: Path) -> None:
@@ -161,7 +161,7 @@ def run_readme_program(secret: Path) -> None:
     done = client(["-c", block[1]], {"STAMPEDE_SECRET_FILE": str(secret)})
     require(done.returncode == 0, f"the first program of the README failed:\n{done.stdout}{done.stderr}")
     require(done.stdout.count("frame") >= 2, f"the first program of the README printed:\n{done.stdout}")
-    say("the first program of the README, run on the machine, printed:")
+    print_result("the first program of the README, run on the machine, printed:")
     sys.stdout.write("".join(f"           | {line}\n" for line in done.stdout.splitlines()))
 
 
@@ -170,7 +170,7 @@ def run_program(channel: str, secret: Path) -> None:
     done = client([str(PROGRAM), channel], {"STAMPEDE_SECRET_FILE": str(secret)})
     require(done.returncode == 0, f"the program failed:\n{done.stdout}{done.stderr}")
     require(done.stdout.splitlines() == EXPECTED, f"the program printed:\n{done.stdout}")
-    say(f"a program on {channel} printed: " + "; ".join(EXPECTED))
+    print_result(f"a program on {channel} printed: " + "; ".join(EXPECTED))
 
 
 def check_refusal(folder: Path) -> None:
@@ -180,7 +180,7 @@ def check_refusal(folder: Path) -> None:
     wrong.chmod(0o600)
     done = client([str(PROGRAM)], {"STAMPEDE_SECRET_FILE": str(wrong)})
     require(done.returncode != 0 and "PermissionDenied" in done.stderr, f"another secret was accepted:\n{done.stderr}")
-    say("a program that brings another secret is refused with PermissionDenied")
+    print_result("a program that brings another secret is refused with PermissionDenied")
 
 
 def survive_deaths(containers: Mapping[str, Container], secret: Path) -> None:
@@ -193,7 +193,7 @@ def survive_deaths(containers: Mapping[str, Container], secret: Path) -> None:
         run_program(f"cam/without-{name}", secret)
         containers[name].start()
         seconds = containers[name].wait_healthy()
-        say(f"{name}, killed meanwhile, was started again and is healthy after {seconds:.1f} s")
+        print_result(f"{name}, killed meanwhile, was started again and is healthy after {seconds:.1f} s")
 
 
 def check_limits(container: Container) -> None:
@@ -206,7 +206,7 @@ def check_limits(container: Container) -> None:
     require(2 * peak < plan.memory_bytes_max, f"{plan.service} used {peak} of {plan.memory_bytes_max} bytes")
     require(2 * tasks < plan.tasks_max, f"{plan.service} has {tasks} of {plan.tasks_max} tasks")
     allowed = plan.memory_bytes_max // 2**20
-    say(f"{plan.service} used {peak // 2**20} of {allowed} MiB and {tasks} of {plan.tasks_max} tasks at most")
+    print_result(f"{plan.service} used {peak // 2**20} of {allowed} MiB and {tasks} of {plan.tasks_max} tasks at most")
 
 
 def client(words: list[str], env: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
@@ -224,7 +224,7 @@ def require(holds: bool, otherwise: str) -> None:
         raise ProofFailed(otherwise)
 
 
-def say(line: str) -> None:
+def print_result(line: str) -> None:
     """Print one result, with the time since the start."""
     sys.stdout.write(f"  {time.monotonic() - _BEGAN:5.1f} s  {line}\n")
     sys.stdout.flush()

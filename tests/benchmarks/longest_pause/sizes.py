@@ -1,4 +1,4 @@
-"""The sizes of the cases, at a share of 1."""
+"""The sizes of the cases with `--share 1`, the default."""
 
 ITEMS = 500_000
 LATE_ITEMS = 300_000

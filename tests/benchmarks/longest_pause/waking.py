@@ -16,6 +16,7 @@ from tests.support.channel_host.rig import MAX_INSTANT, Rig, S, between, run_of
 
 
 async def reach(rig: Rig, items: int) -> tuple[str, Work]:
+    """Puts of equal times, while a get waits for a later time."""
     channel, hosted = await opened(rig)
     now = rig.now()
     for _ in range(items):
@@ -33,7 +34,7 @@ async def reach(rig: Rig, items: int) -> tuple[str, Work]:
 
 
 async def release(rig: Rig, gets: int) -> tuple[str, Work]:
-    """All gets wait for the next item."""
+    """One put answers all blocked gets."""
     channel, _ = await opened(rig)
     calls = [rig.channels.Get() for _ in range(max(1, gets // CALLS))]
     for call in calls:
@@ -55,7 +56,7 @@ async def release(rig: Rig, gets: int) -> tuple[str, Work]:
 
 
 async def left_gets(rig: Rig, gets: int) -> tuple[str, Work]:
-    """The callers leave, and no caller waits for the answers."""
+    """The callers of all blocked gets leave."""
     channel, _ = await opened(rig)
     calls = [rig.channels.Get() for _ in range(max(1, gets // CALLS))]
     for call in calls:
@@ -68,7 +69,7 @@ async def left_gets(rig: Rig, gets: int) -> tuple[str, Work]:
             call.cancel()
         await channel.until(lambda status: status.waiting_gets == 0)
 
-    return f"the callers of {len(calls) * CALLS:,} blocked gets go", work
+    return f"the callers of {len(calls) * CALLS:,} blocked gets leave", work
 
 
 async def subscribers(rig: Rig, count: int) -> tuple[str, Work]:

@@ -38,7 +38,7 @@ class Hosts:
             found[line[2]] = line[-1]
         return found
 
-    async def says(self, text: str) -> str:
+    async def next_line(self, text: str) -> str:
         """The next line on standard error with this text. Notes the process ids on the way."""
         assert self.supervisor.stderr is not None
         async with asyncio.timeout(SECONDS):
@@ -52,7 +52,7 @@ class Hosts:
 
     async def started(self, count: int) -> None:
         for _ in range(count):
-            await self.says("started a host process")
+            await self.next_line("started a host process")
 
     async def ended(self) -> int:
         """The exit status."""
@@ -103,7 +103,7 @@ async def test_a_killed_process_is_started_again_and_a_frozen_process_does_not_p
         await running.ready(2)
         before = {one.name: one for one in directory.hosts.values()}
         os.kill(running.pids[1], signal.SIGKILL)
-        line = await running.says("a host process has ended; it is started again after a pause")
+        line = await running.next_line("a host process has ended; it is started again after a pause")
         assert "number=1" in line
         assert "exit_status=-9" in line
         assert set(await running.ready(1)) == {"h-1"}

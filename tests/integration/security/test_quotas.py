@@ -35,7 +35,7 @@ class Operator:
         self.address, self._folder, self.capsys = cluster.address, folder, capsys
         self._set: set[str] = set()
 
-    def says(self, *words: str, status: int = 0, out: bool | None = None) -> str:
+    def output_of(self, *words: str, status: int = 0, out: bool | None = None) -> str:
         self.capsys.readouterr()
         assert run([*words, "--url", self.address]) == status
         captured = self.capsys.readouterr()
@@ -43,20 +43,20 @@ class Operator:
 
     def set(self, who: str, *limits: str) -> str:
         self._set.add(who)
-        return self.says("quota", "set", who, *limits)
+        return self.output_of("quota", "set", who, *limits)
 
     def rows(self, *words: str) -> list[dict[str, Any]]:
-        rows: list[dict[str, Any]] = json.loads(self.says("quota", *words, "-o", "json"))
+        rows: list[dict[str, Any]] = json.loads(self.output_of("quota", *words, "-o", "json"))
         return rows
 
     def token(self, name: str) -> str:
         file = self._folder / "token"
-        self.says("token", "issue", name, "--out", str(file))
+        self.output_of("token", "issue", name, "--out", str(file))
         return file.read_text().strip()
 
     def take_back(self) -> None:
         for who in self._set:
-            self.says("quota", "rm", who)
+            self.output_of("quota", "rm", who)
 
 
 @pytest.fixture
@@ -109,7 +109,7 @@ def test_the_use_and_the_refusals_of_each_caller_are_shown_for_each_part(
     assert host["bytes-in-flight"]["limit"] == 0
     assert host["streams"]["who"] == CLIENT
     assert operator.rows("use", "team/unheard-of") == []
-    assert "calls refused, the last one" in operator.says("doctor", status=1, out=True)
+    assert "calls refused, the last one" in operator.output_of("doctor", status=1, out=True)
 
 
 def test_a_quota_of_some_callers_does_not_limit_a_caller_with_the_secret_of_the_cluster(
@@ -151,7 +151,7 @@ def test_a_client_makes_no_more_channels_and_no_faster_than_its_quotas_allow(
     assert "changes-per-second" in refusals
     refused = {row["quota"]: row["refused"] for row in operator.rows("use", "maker")}
     assert refused["changes-per-second"] == refusals.count("changes-per-second")
-    assert "calls refused, the last one" in operator.says("doctor", status=1, out=True)
+    assert "calls refused, the last one" in operator.output_of("doctor", status=1, out=True)
 
 
 def test_a_client_at_its_quota_of_channels_or_queues_does_not_try_again(
@@ -196,7 +196,7 @@ def test_a_client_has_no_more_groups_and_peers_than_its_quotas_allow(cluster: Lo
 
 
 def test_a_quota_above_the_whole_event_loop_is_refused(operator: Operator) -> None:
-    error_output = operator.says("quota", "set", "cam", "cpu-percent=300", status=2)
+    error_output = operator.output_of("quota", "set", "cam", "cpu-percent=300", status=2)
     assert "cpu-percent is 300; a service has 100 % of its event loop" in error_output
 
 
@@ -213,23 +213,23 @@ def test_settings_are_listed_with_the_defaults_and_checked_for_one_caller(operat
     assert found["streams"] == (2**62, "cam-1")
     assert found["bytes-in-flight"] == (64 * 2**20, "cam-*")
     assert found["subscriptions"] == (2048, "(default)")
-    assert operator.says("quota", "rm", "cam-*", "streams") == "1 limit of cam-* is removed.\n"
-    assert operator.says("quota", "rm", "cam-9") == "No such limit was set for cam-9.\n"
+    assert operator.output_of("quota", "rm", "cam-*", "streams") == "1 limit of cam-* is removed.\n"
+    assert operator.output_of("quota", "rm", "cam-9") == "No such limit was set for cam-9.\n"
 
 
 def test_a_wrong_quota_is_refused_with_advice(operator: Operator) -> None:
-    assert "is a pattern; name one caller" in operator.says("quota", "check", "cam-*", status=2)
+    assert "is a pattern; name one caller" in operator.output_of("quota", "check", "cam-*", status=2)
     # In an earlier version, the command took the address for a client's name.
     for arguments in (("set", "10.0.0.3", "streams=3"), ("check", "10.0.0.3")):
-        assert "10.0.0.3 is an address; write @10.0.0.3" in operator.says("quota", *arguments, status=2)
-    assert "no caller that matches 'nobody' uses any quota" in operator.says("quota", "use", "nobody")
+        assert "10.0.0.3 is an address; write @10.0.0.3" in operator.output_of("quota", *arguments, status=2)
+    assert "no caller that matches 'nobody' uses any quota" in operator.output_of("quota", "use", "nobody")
     for words, complaint in (
         (("cam", "x=3"), "there is no quota 'x'; the quotas are streams, "),
         (("cam", "streams=3MiB"), "write it as streams=100, or streams=unlimited"),
         (("cam", "bytes-in-flight"), "write it as bytes-in-flight=64MiB"),
     ):
         with pytest.raises(SystemExit):
-            operator.says("quota", "set", *words)
+            operator.output_of("quota", "set", *words)
         assert complaint in operator.capsys.readouterr().err
 
 
@@ -237,5 +237,5 @@ def test_a_client_changes_no_quotas(operator: Operator, monkeypatch: pytest.Monk
     operator.token("cam")
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(tmp_path / "token"))
     for words in (("set", "cam", "streams=9"), ("ls",), ("use",)):
-        assert "client cam may not call" in operator.says("quota", *words, status=1)
+        assert "client cam may not call" in operator.output_of("quota", *words, status=1)
     monkeypatch.undo()

@@ -47,7 +47,7 @@ async def flip(one: Supernode, folder: Path, ask: Supernode) -> None:
     await called(ask.stub.UpdateChannel(request, timeout=20), ask)
 
 
-async def says_of_itself(one: Supernode, text: str) -> None:
+async def wait_until_it_reports(one: Supernode, text: str) -> None:
     async for _ in attempts():
         pong = await one.stub.Ping(pb.DirectoryServicePingRequest(), timeout=5)
         if text in pong.refused_supernodes.get(one.name, ""):
@@ -71,7 +71,7 @@ async def test_two_supernodes_continue_to_serve_if_the_third_has_a_different_sta
         leader = await cluster.leader()
         odd = leader if leads else cluster.others(leader)[0]
         await flip(odd, tmp_path, ask=leader)
-        await says_of_itself(odd, "differs from that of most members")
+        await wait_until_it_reports(odd, "differs from that of most members")
         for other in cluster.others(odd):
             await served_by(other)
             assert (await other.stub.Ping(pb.DirectoryServicePingRequest(), timeout=5)).ready

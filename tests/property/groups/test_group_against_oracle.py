@@ -182,9 +182,9 @@ def take_matches(rng: RandomSource, scenario: Scenario) -> None:
 
 def exchange(rng: RandomSource, scenario: Scenario) -> None:
     """Let all hosts tell all others their times, or one host tell one other."""
-    teller, hearer = rng.pick(scenario.world.up), rng.pick(scenario.world.up)
-    if rng.below(2) and teller != hearer:
-        scenario.world.tell(teller, hearer)
+    sender, receiver = rng.pick(scenario.world.up), rng.pick(scenario.world.up)
+    if rng.below(2) and sender != receiver:
+        scenario.world.send_times(sender, receiver)
     else:
         scenario.world.exchange()
 

@@ -218,26 +218,26 @@ class World:
 
     def exchange(self) -> None:
         """Deliver all messages between the hosts: times, cut floors and signs of life."""
-        for teller in self.up:
-            for hearer in self.up:
-                if hearer != teller:
-                    self.tell(teller, hearer)
+        for sender in self.up:
+            for receiver in self.up:
+                if receiver != sender:
+                    self.send_times(sender, receiver)
 
-    def tell(self, teller: int, hearer: int) -> None:
-        speaking, hearing = self.hosts[teller], self.hosts[hearer]
+    def send_times(self, sender: int, receiver: int) -> None:
+        sending_host, receiving_host = self.hosts[sender], self.hosts[receiver]
         for channel_id, one in self.placed.items():
-            known = speaking.board.find(channel_id)
-            if one.owner != teller or known is None:
+            known = sending_host.board.find(channel_id)
+            if one.owner != sender or known is None:
                 continue
-            hearing.board.receive(channel_id, known.times, known.silent_nanos(self.clock), self.clock)
-            hearing.oracle_board.receive(channel_id, speaking.oracle_board.received[channel_id], self.clock)
-        hearing.board.confirm([one for one in CHANNELS if self.placed[one].owner == teller], self.clock)
-        for group, cut in enumerate(speaking.cuts):
+            receiving_host.board.receive(channel_id, known.times, known.silent_nanos(self.clock), self.clock)
+            receiving_host.oracle_board.receive(channel_id, sending_host.oracle_board.received[channel_id], self.clock)
+        receiving_host.board.confirm([one for one in CHANNELS if self.placed[one].owner == sender], self.clock)
+        for group, cut in enumerate(sending_host.cuts):
             floor = cut.cut
             if floor is not None:
-                hearing.cuts[group].merge_floor(floor)
-                hearing.oracles[group].raise_to(floor)
-        hearing.told_by.add(teller)
+                receiving_host.cuts[group].merge_floor(floor)
+                receiving_host.oracles[group].raise_to(floor)
+        receiving_host.told_by.add(sender)
 
     def agree(self) -> None:
         """Check that all hosts show the same once each has told each other everything.

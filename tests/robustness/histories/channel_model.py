@@ -202,10 +202,10 @@ def violations(operations: Iterable[Operation]) -> tuple[int, list[str]]:
 def _check(history: list[Operation]) -> None:
     answers = [one.answer for one in history if isinstance(one.answer, SeenChannel) and one.answer.created]
     model = ChannelModel(frozenset(answer.channel_id for answer in answers))
-    check_linearizable([one for one in history if not _says_nothing(one)], NoChannel(), model.step)
+    check_linearizable([one for one in history if not _has_no_outcome(one)], NoChannel(), model.step)
 
 
-def _says_nothing(operation: Operation) -> bool:
+def _has_no_outcome(operation: Operation) -> bool:
     return operation.ambiguous and isinstance(operation.call, Resolve)
 
 

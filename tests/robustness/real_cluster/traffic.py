@@ -18,7 +18,7 @@ CLIENT = "traffic"
 TRANSPORTS = ("best", "grpc", "tcp")
 NAMES_IN_USE, NAMES_CHANGE_SECONDS = 3, 10.0
 PAUSE_SECONDS = 0.05
-KEPT_SECONDS = "1h"  # longer than any campaign, so that retention collects nothing
+MAX_AGE = "1h"  # longer than any campaign, so that retention collects nothing
 ITEMS_MAX = 1_000_000
 
 
@@ -58,7 +58,7 @@ class Traffic:
         return self._policy.get("ack") == "replica"
 
     async def run(self, began: float) -> None:
-        """Put and read until cancelled. Channels come and go, and a few are in use at a time."""
+        """Put and read until cancelled. Uses a few channels at a time, and new ones after NAMES_CHANGE_SECONDS."""
         while True:
             age = int((time.monotonic() - began) / NAMES_CHANGE_SECONDS)
             await self.once(f"robust-data/{age}-{self._random_source.randrange(NAMES_IN_USE)}")
@@ -81,12 +81,12 @@ class Traffic:
     async def open(self, name: str, host: str | None = None) -> aio.Channel:
         """Open the channel, and create it if it does not exist. Raises StampedeError."""
         if name not in self._handles:
-            kept = {"max_age": KEPT_SECONDS, "max_items": ITEMS_MAX} | self._policy
-            self._handles[name] = await self.rt.channel(name, host=host, **kept)
+            policy = {"max_age": MAX_AGE, "max_items": ITEMS_MAX} | self._policy
+            self._handles[name] = await self.rt.channel(name, host=host, **policy)
         return self._handles[name]
 
     def in_use(self) -> list[aio.Channel]:
-        """The channels that the workers and the faults have opened last."""
+        """The channels that the workers and the faults have opened most recently."""
         return [*self._handles.values()][-2 * NAMES_IN_USE :]
 
     async def put(self, channel: aio.Channel) -> st.Item:

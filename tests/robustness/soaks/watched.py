@@ -74,11 +74,11 @@ class Watcher:
             self.kills.append((process.name, time.monotonic() - began_s))
 
     async def _see(self, text: str) -> None:
-        await self._tell(text)
+        await self._put_text(text)
         arguments = [TOLD, text, len(self._cluster.hosts)]
         await self._tab.wait_for_function(SHOWS_PRESENT_STATE, arg=arguments, timeout=1000 * BACK_SECONDS_MAX)
 
-    async def _tell(self, text: str) -> None:
+    async def _put_text(self, text: str) -> None:
         async with aio.connect(self._cluster.address, secret=self._cluster.secret_file) as rt:
             while True:
                 with contextlib.suppress(st.StampedeError):

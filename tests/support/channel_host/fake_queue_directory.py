@@ -92,7 +92,7 @@ class FakeQueueDirectory(
             kind = directory_pb2.CHANGE_KIND_UPDATED if kept else directory_pb2.CHANGE_KIND_REMOVED
             yield directory_service_pb2.WatchResponse(changes=[directory_pb2.DirectoryChange(kind=kind, queue=record)])
 
-    def tell(self, record: queue_pb2.QueueRecord) -> None:
+    def report(self, record: queue_pb2.QueueRecord) -> None:
         """Report the present queue, or its deletion, to watchers."""
         for changes in self._watchers:
             changes.put_nowait(record)

@@ -20,7 +20,7 @@ from stampede_rt_runtime.listen import AddressNotAllowed, CannotListen, check_li
 from stampede_rt_runtime.logs import log_defects, set_up_logging
 from stampede_rt_runtime.main import announce
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings
-from stampede_rt_runtime.supervision.systemd import STOPPING, tell_systemd
+from stampede_rt_runtime.supervision.systemd import STOPPING, notify_systemd
 from stampede_rt_runtime.values import Address
 from stampede_rt_web.guard import TOKEN_CHARACTERS_MIN, Guard
 from stampede_rt_web.settings import WebSettings
@@ -117,7 +117,7 @@ class _Server(uvicorn.Server):
     def stop(self) -> None:
         """Stop after the running requests, at most SHUTDOWN_SECONDS later."""
         self.should_exit = True
-        tell_systemd(STOPPING)
+        notify_systemd(STOPPING)
 
     def capture_signals(self) -> AbstractContextManager[None]:  # type: ignore[override]  # uvicorn's is a generator
         """Leave signals to the caller."""

@@ -10,7 +10,7 @@ from stampede_rt_bench.capacity.memory import measure_memory
 from stampede_rt_bench.capacity.report import CapacityReport
 from stampede_rt_bench.machine import describe
 from stampede_rt_bench.peers.ours import StampedeRt
-from stampede_rt_bench.printing import finish, say, show
+from stampede_rt_bench.printing import finish, print_progress, show
 from stampede_rt_bench.workloads.campaign import Results, compare
 from stampede_rt_bench.workloads.catalogue import LARGE, MEDIUM, SMALL, Workload, size, workloads
 
@@ -45,18 +45,18 @@ def measure_capacity(arguments: argparse.Namespace) -> int:
     system, only = StampedeRt(), arguments.work
     report = CapacityReport(command=_command(arguments), machine=describe(("grpcio",)), system=system.name)
     if not only or MEMORY in only:
-        say("memory: channels and items in a new host")
+        print_progress("memory: channels and items in a new host")
         report.memory = measure_memory(arguments.items, arguments.rounds)
         report.write(folder)
 
     def done(results: Results, workload: Workload) -> None:
-        say(f"measured: {workload.title}")
+        print_progress(f"measured: {workload.title}")
         report.results = results
         report.machine["load after"] = f"{os.getloadavg()[0]:.1f}"
         report.write(folder)  # after each workload, so that an interrupted run keeps its figures
 
     chosen = [workload for workload in capacity_workloads() if not only or workload.name in only]
-    compare([system], chosen, rounds=arguments.rounds, seconds=arguments.seconds, done=done, report=say)
+    compare([system], chosen, rounds=arguments.rounds, seconds=arguments.seconds, done=done, report=print_progress)
     for table in report.tables():
         show(table, arguments.output, "")
     finish(report.values(), f"\nThe report is in {folder}: capacity.md and capacity.json.", arguments.output)

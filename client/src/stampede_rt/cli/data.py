@@ -19,7 +19,7 @@ from stampede_rt.cli.arguments import (
     timeout_seconds,
 )
 from stampede_rt.cli.exit_statuses import NOTHING
-from stampede_rt.cli.item_text import add_item_options, item_printer, item_row, tell_dropped, tell_losses
+from stampede_rt.cli.item_text import add_item_options, item_printer, item_row, print_dropped, print_losses
 from stampede_rt.cli.terminal import check_raw_output
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.escaping import escaped
@@ -185,6 +185,6 @@ def run_echo(arguments: argparse.Namespace) -> int:
             print(line(item, arguments.channel if arguments.format else ""), flush=True)
             if count == arguments.count:
                 break
-        tell_dropped(subscription.dropped)
-        tell_losses(subscription.losses)
+        print_dropped(subscription.dropped)
+        print_losses(subscription.losses)
     return 0

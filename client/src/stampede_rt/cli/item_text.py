@@ -66,14 +66,14 @@ def item_printer(arguments: argparse.Namespace) -> Callable[..., str]:
     return lambda item, channel="", late=None: json.dumps(_named(channel) | item_row(item) | _lateness(late))
 
 
-def tell_losses(losses: int) -> None:
+def print_losses(losses: int) -> None:
     """Print on standard error how many gaps of lost items the reader got."""
     if losses:
         why = "a replica replaced a lost host and may have lacked items, or the archive lacks items"
         print(f"stampede: {losses} gaps of lost items: {why}", file=sys.stderr)
 
 
-def tell_dropped(dropped: int) -> None:
+def print_dropped(dropped: int) -> None:
     """Say on standard error how many items a subscription did not get, if there are any."""
     if dropped:
         print(f"stampede: retention collected {dropped} items before they could be printed", file=sys.stderr)

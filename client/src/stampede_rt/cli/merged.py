@@ -18,7 +18,7 @@ from stampede_rt.cli.arguments import (
     parse_count,
     timeout_seconds,
 )
-from stampede_rt.cli.item_text import add_item_options, item_printer, tell_dropped
+from stampede_rt.cli.item_text import add_item_options, item_printer, print_dropped
 from stampede_rt.cli.merging import MergedItem, TimeMerge
 from stampede_rt.errors import ChannelNotFound, IncarnationLost, StampedeError, WatchRestart
 from stampede_rt.escaping import escaped
@@ -69,7 +69,7 @@ def run_sub(arguments: argparse.Namespace) -> int:
                     break
         finally:
             stream.end()
-    tell_dropped(stream.dropped)
+    print_dropped(stream.dropped)
     return 0
 
 

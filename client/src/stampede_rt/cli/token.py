@@ -68,18 +68,18 @@ def run_issue(arguments: argparse.Namespace) -> int:
             file.write(made.token + "\n")
         print_behind(cluster.parts_behind(made.version))
     until = instant_text(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
-    people = arguments.output == "table"
-    valid_until = until if people else made.valid_until_unix_nano
+    for_people = arguments.output == "table"
+    valid_until = until if for_people else made.valid_until_unix_nano
     facts = {"name": arguments.name, "serial": made.serial, "valid_until": valid_until}
     if arguments.out is None:
-        if people:
+        if for_people:
             print(made.token)  # without other text, so that a script can take it
             print(f"serial {made.serial} (for `stampede token revoke`), valid until {until}", file=sys.stderr)
         else:
             print_facts({**facts, "token": made.token}, arguments.output)
         return 0
     print_facts({**facts, "file": str(arguments.out)}, arguments.output)
-    if people:
+    if for_people:
         print(f"\nThe client sets STAMPEDE_SECRET_FILE={arguments.out}.")
     return 0
 
@@ -95,8 +95,8 @@ def run_revoke(arguments: argparse.Namespace) -> int:
         print_done({"serial": serial, "revoked": True}, text, arguments.output)
         try:
             print_behind(cluster.parts_behind(version))
-        except PermissionDenied as own:
-            print(f"stampede: {escaped(own.message)}", file=sys.stderr)
+        except PermissionDenied as error:  # the operator has revoked its own token
+            print(f"stampede: {escaped(error.message)}", file=sys.stderr)
     return 0
 
 

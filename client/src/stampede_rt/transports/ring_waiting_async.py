@@ -62,7 +62,7 @@ class RingWaits:
             if not self._has_thread:
                 self._has_thread = True
                 threading.Thread(target=self._run, name="stampede waits for rings", daemon=True).start()
-            self._tell()
+            self._wake_thread()
         try:
             async with asyncio.timeout(min(timeout_s, WAIT_S_MAX)):
                 await wait.future
@@ -86,9 +86,9 @@ class RingWaits:
             for wait in self._waits:
                 wait.wake()
             self._waits.clear()
-            self._tell()
+            self._wake_thread()
 
-    def _tell(self) -> None:
+    def _wake_thread(self) -> None:
         self._wakeup.value = (self._wakeup.value + 1) & 0xFFFF_FFFF
         futexes.wake(ctypes.addressof(self._wakeup))
 

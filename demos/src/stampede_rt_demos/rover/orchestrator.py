@@ -33,7 +33,7 @@ CONSUMERS = {"depth": "stereo", "planner": "rover"}
 def conduct(seconds: int, progress: Progress) -> RoverReport:
     """Run the demo for `seconds`. Blocks for about twenty seconds more. If a part fails, raises DemoFailed."""
     clock = decode_clock(locate_film())
-    progress.say(f"Starting a cluster: 1 front-end, 1 supernode, {HOSTS} channel hosts ...")
+    progress.print_line(f"Starting a cluster: 1 front-end, 1 supernode, {HOSTS} channel hosts ...")
     try:
         with LocalCluster(supernodes=1, hosts=HOSTS) as cluster:
             environment = {"STAMPEDE_SECRET_FILE": str(cluster.secret_file)}
@@ -50,7 +50,7 @@ def conduct(seconds: int, progress: Progress) -> RoverReport:
 
 def _start_roles(roles: RoleProcesses, cluster: LocalCluster, seconds: int, progress: Progress) -> None:
     """Start the rover. When its channels and group exist, start the consumers."""
-    progress.say("Starting the rover, a host in a process of its own, and 2 consumers ...")
+    progress.print_line("Starting the rover, a host in a process of its own, and 2 consumers ...")
     roles.start("rover", role_command("rover", "rig", cluster.address, seconds))
     _wait_ready(roles, 1)
     for name, demo in CONSUMERS.items():

@@ -61,7 +61,7 @@ def play(stage: Stage) -> dict[str, object]:
             took.append((frame.time - start, time.perf_counter_ns() - began))
             newest = cameras[side].newest() if cameras[side].host == RIG else None
             by_reference += newest is not None and newest.payload is jpeg
-            stage.tell_progress(items=len(took))
+            stage.send_progress(items=len(took))
         wait_until(start + stage.settings.length_nanos)
         for camera in cameras.values():
             put_end(camera, start + stage.settings.length_nanos)

@@ -44,7 +44,7 @@ def produce(stage: Stage, channel: st.Channel, plan: Iterable[PlannedItem], unti
         if planned.due > planned.time:
             channel.advance(planned.due)
         period_nanos = planned.duration
-        stage.tell_progress(items=len(lateness))
+        stage.send_progress(items=len(lateness))
     wait_until(until)
     channel.advance(until)
     return {

@@ -25,7 +25,7 @@ class Progress:
         self._open = False  # whether the terminal shows a line that the next line replaces
         self._shown: float | None = None
 
-    def say(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Write a line that stays."""
         self.close()
         print(text, file=self._output, flush=True)

@@ -62,7 +62,7 @@ class Stage:
         Returns the start, in nanoseconds since the epoch. Call this method once, after all slow preparations. If the
         orchestrator ends then or later, this process ends, too.
         """
-        self.tell("ready")
+        self.send_event("ready")
         with open(0, "rb", buffering=0, closefd=False) as orchestrator:
             line = orchestrator.readline(_START_LINE_BYTES_MAX)
         if not line:
@@ -76,20 +76,20 @@ class Stage:
         """Return the CPU time of this process since the start of the programme, without its preparations."""
         return time.process_time() - self._ready_cpu_seconds
 
-    def tell(self, event: str, **fields: object) -> None:
+    def send_event(self, event: str, **fields: object) -> None:
         """Send one event. Blocks while the orchestrator does not read."""
         line = messages.encode(event, **fields)
         with self._lock:
             print(line, flush=True)
 
-    def tell_progress(self, **fields: object) -> None:
+    def send_progress(self, **fields: object) -> None:
         """Send a `progress` event, or nothing if the last one is less than PROGRESS_NANOS ago."""
         now = time.monotonic_ns()
         with self._lock:
             if now - self._progress_nanos < PROGRESS_NANOS:
                 return
             self._progress_nanos = now
-        self.tell("progress", **fields)
+        self.send_event("progress", **fields)
 
 
 def run_role(play: Callable[[Stage], Mapping[str, object]], argv: Sequence[str] | None = None) -> int:
@@ -102,9 +102,9 @@ def run_role(play: Callable[[Stage], Mapping[str, object]], argv: Sequence[str] 
     try:
         result = play(stage)
     except (DemoFailed, st.StampedeError) as failure:
-        stage.tell("failed", message=str(failure))
+        stage.send_event("failed", message=str(failure))
         return 1
-    stage.tell("result", cpu_seconds=stage.cpu_seconds, cpu_seconds_in_all=time.process_time(), **result)
+    stage.send_event("result", cpu_seconds=stage.cpu_seconds, cpu_seconds_in_all=time.process_time(), **result)
     return 0
 
 

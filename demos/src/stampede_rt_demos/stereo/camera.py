@@ -62,7 +62,7 @@ def film(stage: Stage, side: Side) -> dict[str, object]:
                 jpeg, time=frame.time, attributes={NUMBER_ATTRIBUTE: str(frame.number)}, timeout=PUT_TIMEOUT_SECONDS
             )
             took.append((frame.time, time.perf_counter_ns() - began))
-            stage.tell_progress(items=len(took))
+            stage.send_progress(items=len(took))
         wait_until(start + length)
         put_end(channel, start + length)
     return {"put": len(took), **_put_times(took, start + length // 2)}

@@ -33,14 +33,16 @@ def play(stage: Stage) -> dict[str, object]:
             depth.put({"disparity": disparity}, time=left.time)
             measured.append((left.time - start, disparity, true_disparity(number_of(left))))
             last[:] = [pair]
-            stage.tell_progress(items=len(measured))
+            stage.send_progress(items=len(measured))
 
         threads = stack.enter_context(ThreadPoolExecutor(1))
         of_right = threads.submit(take_pairs, by_right, Side.RIGHT, ignore)
         of_left = take_pairs(by_left, Side.LEFT, handle)
         depth.put({"disparity": END_DISPARITY}, time=start + stage.settings.length_nanos + END_NANOS)
         records = {"left": of_left.as_record(), "right": of_right.result().as_record()}
-    stage.tell("picture", frames=[base64.b64encode(item.payload or b"").decode() for pair in last for item in pair])
+    stage.send_event(
+        "picture", frames=[base64.b64encode(item.payload or b"").decode() for pair in last for item in pair]
+    )
     return {**records, "measured": measured}
 
 

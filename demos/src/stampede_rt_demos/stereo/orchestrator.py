@@ -71,7 +71,7 @@ def conduct(seconds: int, progress: Progress, *, certificates: bool = False) -> 
     If a needed part is missing, does not start, or dies, ends every process and raises DemoFailed.
     """
     clock = decode_clock(locate_film())
-    progress.say(f"Starting a cluster: 1 front-end, {SUPERNODES} supernodes, {HOSTS} channel hosts ...")
+    progress.print_line(f"Starting a cluster: 1 front-end, {SUPERNODES} supernodes, {HOSTS} channel hosts ...")
     try:
         with LocalCluster(supernodes=SUPERNODES, hosts=HOSTS, tls=certificates) as cluster:
             results, frames = _run(cluster, seconds, progress)
@@ -90,7 +90,7 @@ def _run(cluster: LocalCluster, seconds: int, progress: Progress) -> tuple[Mappi
         with RoleProcesses() as roles:
             for name, module in ROLES.items():
                 roles.start(name, role_command("stereo", module, cluster.address, seconds), environments[name])
-            progress.say(f"Starting {len(ROLES)} processes: {', '.join(ROLES)} ...")
+            progress.print_line(f"Starting {len(ROLES)} processes: {', '.join(ROLES)} ...")
             _wait_ready(roles)
             return _play(roles, seconds, progress)
 

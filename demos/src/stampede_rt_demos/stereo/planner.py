@@ -51,7 +51,7 @@ def play(stage: Stage) -> dict[str, object]:
                 continue
             round_trips.append(time.perf_counter_ns() - began)
             stops += median >= NEAR_PIXELS
-            stage.tell_progress(items=len(round_trips))
+            stage.send_progress(items=len(round_trips))
         rt.send(MAPPER, json.dumps({"number": END_NUMBER}).encode())
     return {
         "answers": len(round_trips),

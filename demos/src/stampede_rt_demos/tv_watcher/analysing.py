@@ -41,7 +41,7 @@ def analyse(stage: Stage, source: StreamPlan, target: StreamPlan, feature: Featu
             if end <= time.time_ns():
                 features.advance(end)
             analysed += 1
-            stage.tell_progress(items=analysed)
+            stage.send_progress(items=analysed)
 
         until = start + stage.settings.length_nanos
         receipts = receive(sources, start, until, handle)

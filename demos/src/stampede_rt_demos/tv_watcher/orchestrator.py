@@ -99,7 +99,9 @@ def conduct(seconds: int, progress: Progress, *, certificates: bool = False) -> 
     """
     locate_film()
     cpu_before = _children_cpu_seconds()
-    progress.say(f"Starting a cluster: {FRONTENDS} front-end, {SUPERNODES} supernodes, {HOSTS} channel hosts ...")
+    progress.print_line(
+        f"Starting a cluster: {FRONTENDS} front-end, {SUPERNODES} supernodes, {HOSTS} channel hosts ..."
+    )
     try:
         with LocalCluster(frontends=FRONTENDS, supernodes=SUPERNODES, hosts=HOSTS, tls=certificates) as cluster:
             collected, accepted, placed = _run_programme(cluster, seconds, progress)
@@ -123,7 +125,7 @@ def _run_programme(
         with RoleProcesses() as roles:
             for name, module in MODULES.items():
                 roles.start(name, role_command("tv_watcher", module, cluster.address, seconds), environments[name])
-            progress.say(f"Starting {len(MODULES)} processes: {', '.join(MODULES)} ...")
+            progress.print_line(f"Starting {len(MODULES)} processes: {', '.join(MODULES)} ...")
             _wait_ready(roles)
             collected = _play(roles, seconds, progress)
         accepted = {name: channel.stats().accepted for name, channel in channels.items()}

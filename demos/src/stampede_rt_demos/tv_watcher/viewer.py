@@ -43,7 +43,7 @@ def play(stage: Stage) -> dict[str, object]:
             }
             spans = watch(stage, cuts, until)
         receipts = {name: future.result() for name, future in live.items()}
-    stage.tell("picture", **picture_record(spans, start))
+    stage.send_event("picture", **picture_record(spans, start))
     return {"receipts": {name: each.as_record() for name, each in receipts.items()}}
 
 
@@ -61,7 +61,7 @@ def watch(stage: Stage, cuts: st.CutSubscription, until: int) -> deque[Span]:
         for cut in cuts:
             for step, span in spans_taken(cut, time.time_ns()):
                 spans.append(span)
-                stage.tell("step", **steps.step_fields(step))
+                stage.send_event("step", **steps.step_fields(step))
             if cut.time >= until:
                 return spans
     finally:

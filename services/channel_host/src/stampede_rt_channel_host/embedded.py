@@ -119,9 +119,9 @@ class EmbeddedHost:
         def perform(store: ChannelStore, answer: Future[pb.PutAck | None]) -> None:
             ack = put_here(store, channel_id, epoch, put)
             if ack is None or isinstance(ack, pb.PutAck):
-                _tell(answer, ack)
+                _set_result(answer, ack)
             elif self._loop is not None:
-                waiting = self._loop.create_task(_tell_when_due(answer, ack))
+                waiting = self._loop.create_task(_set_result_when_due(answer, ack))
                 answer.add_done_callback(partial(_cancel, self._loop, waiting))
 
         return self._on_loop(perform)
@@ -175,7 +175,7 @@ class EmbeddedHost:
         """Read by reference, with the wait of the query. None: the answer is long."""
 
         def perform(store: ChannelStore, answer: Future[InProcessAnswer | None]) -> None:
-            waiting = read_here(store, channel_id, epoch, query, lambda found: _tell(answer, found))
+            waiting = read_here(store, channel_id, epoch, query, lambda found: _set_result(answer, found))
             if waiting is not None and self._loop is not None:
                 answer.add_done_callback(partial(_cancel, self._loop, waiting))
 
@@ -198,7 +198,7 @@ class EmbeddedHost:
             try:
                 perform(store, answer)
             except Exception as error:  # noqa: BLE001  # the caller raises it
-                _tell(answer, error)
+                _set_result(answer, error)
 
         try:
             loop.call_soon_threadsafe(run)
@@ -239,7 +239,7 @@ class EmbeddedHost:
             self._turns.loop_ended()
             _here.discard(self)  # another program may have the host's port now
             for answer in [*self._pending_answers]:  # the loop no longer answers these calls
-                _tell(answer, None)
+                _set_result(answer, None)
             for stream in [*self._puts]:
                 stream.end(Unavailable("the host of this process has ended"))
 
@@ -275,7 +275,7 @@ class EmbeddedHost:
         self._started.set_result(None)
 
 
-def _tell(answer: Future[Any], found: object) -> None:
+def _set_result(answer: Future[Any], found: object) -> None:
     """Set the result of a call. Does nothing if its caller has given up."""
     with contextlib.suppress(InvalidStateError):
         if isinstance(found, Exception):
@@ -284,9 +284,9 @@ def _tell(answer: Future[Any], found: object) -> None:
             answer.set_result(found)
 
 
-async def _tell_when_due(answer: Future[pb.PutAck | None], ack: HeldAck) -> None:
+async def _set_result_when_due(answer: Future[pb.PutAck | None], ack: HeldAck) -> None:
     """Set the result of a put that waits for the disk."""
-    _tell(answer, await ack.due())
+    _set_result(answer, await ack.due())
 
 
 def _cancel(loop: asyncio.AbstractEventLoop, waiting: WaitingGet | asyncio.Task[None], answer: Future[Any]) -> None:

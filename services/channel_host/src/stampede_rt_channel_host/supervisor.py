@@ -18,7 +18,7 @@ from collections.abc import Iterator, Sequence
 
 from stampede_rt.escaping import escaped
 from stampede_rt_runtime.main import EXIT_FAILED
-from stampede_rt_runtime.supervision.systemd import READY, STOPPING, tell_systemd, without_supervisor
+from stampede_rt_runtime.supervision.systemd import READY, STOPPING, notify_systemd, without_supervisor
 
 logger = logging.getLogger(__name__)
 
@@ -141,7 +141,7 @@ class Supervisor:
     def _note_ready(self, number: int) -> None:
         before, self._ready = self._ready, self._ready | {number}
         if len(before) < len(self._ready) == len(self._arguments):
-            tell_systemd(READY)
+            notify_systemd(READY)
 
     async def _pause(self, number: int, status: int, pause_s: float) -> None:
         logger.warning(
@@ -162,7 +162,7 @@ class Supervisor:
     def _ask_to_stop(self) -> None:
         """Tell each process to stop. A second call tells them to end all calls immediately."""
         self._stopping.set()
-        tell_systemd(STOPPING)
+        notify_systemd(STOPPING)
         for process in self._running.values():
             _signal(process, signal.SIGTERM)
             _signal(process, signal.SIGCONT)  # a frozen process gets no other signal

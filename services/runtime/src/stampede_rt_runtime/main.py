@@ -21,7 +21,7 @@ from stampede_rt_runtime.logs import log_defects, set_up_logging
 from stampede_rt_runtime.memory import allocator
 from stampede_rt_runtime.service_settings import ServiceSettings
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings
-from stampede_rt_runtime.supervision.systemd import READY, tell_systemd
+from stampede_rt_runtime.supervision.systemd import READY, notify_systemd
 
 logger = logging.getLogger(__name__)
 
@@ -52,7 +52,7 @@ def run_service(
     log_defects()
     open_files.raise_limit()
     allocator.give_back_memory()
-    _tell_of_clients_certificates(settings, service)
+    _warn_of_clients_certificates(settings, service)
     try:
         return run_loop(serve(settings)) or 0
     except (AddressNotAllowed, SettingsError) as error:
@@ -67,7 +67,7 @@ def run_service(
         return 130
 
 
-def _tell_of_clients_certificates(settings: ServiceSettings, service: str) -> None:
+def _warn_of_clients_certificates(settings: ServiceSettings, service: str) -> None:
     """Warn if the service has no certificates, but the environment names certificates for clients.
 
     The user may have meant them for the service.
@@ -111,4 +111,4 @@ def announce(line: str) -> None:
     """Print the ready line on stdout and flush it, because the process's starter waits for it. Tell systemd, too."""
     sys.stdout.write(escaped(line) + "\n")
     sys.stdout.flush()
-    tell_systemd(READY)
+    notify_systemd(READY)

@@ -28,7 +28,7 @@ from stampede_rt_runtime.quotas.use_servicer import QuotaUseServicer
 from stampede_rt_runtime.reflecting import describe_services, noting_names
 from stampede_rt_runtime.sockets.server import SocketServer
 from stampede_rt_runtime.sockets.tcp_socket import listen_over_tcp
-from stampede_rt_runtime.supervision.systemd import STOPPING, tell_systemd
+from stampede_rt_runtime.supervision.systemd import STOPPING, notify_systemd
 from stampede_rt_runtime.tls import ServiceTls
 from stampede_rt_runtime.tracing import tracing_interceptors
 from stampede_rt_runtime.values import Address, parse_address
@@ -166,7 +166,7 @@ class ServiceServer:
         with _signals_set(self.stopping):
             await self.stopping.wait()
         logger.info("stopping", extra={"event": "stopping", "address": self.address})
-        tell_systemd(STOPPING)
+        notify_systemd(STOPPING)
         hurry = asyncio.Event()
         with _signals_set(hurry):
             if leave is not None:

@@ -54,7 +54,7 @@ async def test_a_changed_policy_applies_when_the_directory_reports_it(rig: Queue
     waiting = asyncio.create_task(queue.put(b"b"))
     await queue.until(lambda status: status.waiting_enqueues == 1)
     queue.record.spec.max_items, queue.record.spec_version = 2, 2
-    rig.directory.tell(queue.record)
+    rig.directory.report(queue.record)
     assert (await waiting).first_seq == 2
 
 
@@ -64,7 +64,7 @@ async def test_takers_of_a_deleted_queue_get_an_error_and_its_messages_are_delet
     await rig.directory.called("Watch", times=1)
     await rig.directory.called("ResolveQueue", times=2)  # the change may have come before the watch began
     del rig.directory.queues[queue.queue_id]
-    rig.directory.tell(queue.record)
+    rig.directory.report(queue.record)
     assert await taker.ended() == grpc.StatusCode.NOT_FOUND
     assert rig.host.queues.all() == []
 

@@ -28,7 +28,7 @@ def test_host_time_corrects_a_small_offset_slowly() -> None:
     assert clock.offset_nanos < 1000
 
 
-def test_readings_in_quick_succession_follow_as_well_as_rare_ones() -> None:
+def test_frequent_readings_correct_an_offset_as_fast_as_rare_ones() -> None:
     clock = HostTime(0, 0)
     for step in range(1, 100_001):
         clock.read(step * 1000, step * 1000 + 1_000_000)

@@ -83,7 +83,7 @@ class Wire:
         await self.incoming.put(pb.ExchangeTimesResponse(hello=pb.ExchangeHello(**hello)))
         assert (await self.sent.get()).hello.host_id == ME
 
-    async def say(self, update: pb.TimesUpdate) -> None:
+    async def send(self, update: pb.TimesUpdate) -> None:
         await self.incoming.put(pb.ExchangeTimesResponse(update=update))
 
     async def end(self) -> None:
@@ -97,7 +97,7 @@ async def test_the_other_host_gets_only_the_newest_state_of_its_wanted_channels(
     await wire.greet()
     assert (await wire.sent.get()).update == pb.TimesUpdate()
     wire.link.report_times(b"one")  # the other host has not asked for it
-    await wire.say(pb.TimesUpdate(interest=pb.TimesInterest(channel_ids=[b"one", b"two"])))
+    await wire.send(pb.TimesUpdate(interest=pb.TimesInterest(channel_ids=[b"one", b"two"])))
     update = (await wire.sent.get()).update
     assert [times.channel_id for times in update.times] == [b"one", b"two"]
     wire.may_write.clear()
@@ -120,9 +120,9 @@ async def test_a_link_reports_when_the_other_host_has_sent_its_whole_state() -> 
     notebook = Notebook()
     wire = Wire(notebook)
     await wire.greet()
-    await wire.say(pb.TimesUpdate(floors=[group_pb2.CutFloor(cut_unix_nano=1)] * ENTRIES_MAX))
-    await wire.say(pb.TimesUpdate())
-    await wire.say(pb.TimesUpdate())
+    await wire.send(pb.TimesUpdate(floors=[group_pb2.CutFloor(cut_unix_nano=1)] * ENTRIES_MAX))
+    await wire.send(pb.TimesUpdate())
+    await wire.send(pb.TimesUpdate())
     await wire.end()
     assert [is_first for _, is_first in notebook.received] == [False, True, False]
 
@@ -136,7 +136,7 @@ async def test_a_certificate_is_valid_only_for_the_host_that_it_names() -> None:
         await wire.running
     own = Wire(notebook, certified_name="h2")
     await own.greet()
-    await own.say(pb.TimesUpdate())
+    await own.send(pb.TimesUpdate())
     await own.end()
     assert len(notebook.received) == 1
 
@@ -147,7 +147,7 @@ async def test_a_host_accepts_no_further_messages_under_an_outdated_host_name() 
     await wire.greet()
     await notebook.stands.wait()
     notebook.names[OTHER] = "h2"
-    await wire.say(pb.TimesUpdate(floors=[group_pb2.CutFloor(cut_unix_nano=1)]))
+    await wire.send(pb.TimesUpdate(floors=[group_pb2.CutFloor(cut_unix_nano=1)]))
     with pytest.raises(PermissionDenied):
         await wire.running
     assert notebook.received == []
@@ -170,7 +170,7 @@ async def test_a_link_to_the_wrong_host_is_refused(hello: dict[str, Any], error:
 
 async def test_a_link_without_a_greeting_is_refused() -> None:
     wire = Wire(Notebook())
-    await wire.say(pb.TimesUpdate())
+    await wire.send(pb.TimesUpdate())
     with pytest.raises(InvalidArgument, match="hello"):
         await wire.running
 

@@ -1,4 +1,4 @@
-"""Dead letters: the producer whose name and numbers they have."""
+"""The producer id and the numbers with which a host puts dead letters."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Source:
 
 
 async def test_a_refused_message_is_moved_again_with_the_same_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With another number, the queue would store both moves if an earlier move was still under way."""
+    """With another number, the queue would store the message twice if the first put had not ended yet."""
     refused = channel_service_pb2.PutRejection(error=error_pb2.Error(reason=error_pb2.ERROR_REASON_QUEUE_FULL))
     answers = [channel_service_pb2.PutAck(rejections=[refused]), channel_service_pb2.PutAck(first_seq=1)]
     numbers: list[int] = []

@@ -98,12 +98,12 @@ def test_a_flush_raises_the_refusal_that_another_thread_counts_while_the_flush_l
         flushed.wait(0.2)
         return from_error_message(error)
 
-    def tell() -> None:
+    def set_signal() -> None:
         session.on_response(pb.PutResponse(acks=[refused()]))
         has_reported.set()
 
     def looked() -> None:
-        threading.Thread(target=tell).start()
+        threading.Thread(target=set_signal).start()
         assert has_reported.wait(LIMIT_S)
 
     monkeypatch.setattr(producer_module, "from_error_message", slow)

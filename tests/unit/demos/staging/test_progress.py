@@ -40,5 +40,5 @@ def test_a_lasting_line_replaces_the_temporary_one():
     output = Terminal()
     progress = Progress(output)
     progress.show("passing")
-    progress.say("staying")
+    progress.print_line("staying")
     assert output.getvalue() == "\r\x1b[Kpassing\r\x1b[Kstaying\n"

@@ -89,7 +89,7 @@ def test_a_role_ends_if_the_orchestrator_goes_while_it_plays():
     with start_role("""
 def play(stage):
     stage.wait_for_start()
-    stage.tell("progress", items=1)
+    stage.send_event("progress", items=1)
     signal.pause()
 """) as role:
         read_event(role)

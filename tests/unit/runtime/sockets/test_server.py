@@ -283,10 +283,10 @@ async def test_a_stream_over_a_socket_counts_with_the_costs_of_sockets(
     """
     found: list[object] = []
 
-    async def tell(_self: Streams, _requests: Any, context: Any) -> None:
+    async def note_costs(_self: Streams, _requests: Any, context: Any) -> None:
         found.append((current_work()._costs, context._work._costs))
 
-    monkeypatch.setattr(Streams, "hold", tell)
+    monkeypatch.setattr(Streams, "hold", note_costs)
     async with plain() as one:
         async with raw_stream(one.target) as stream:
             await stream.begin(HOLD)

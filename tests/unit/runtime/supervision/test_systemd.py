@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from stampede_rt_runtime.supervision.systemd import READY, tell_systemd, without_supervisor
+from stampede_rt_runtime.supervision.systemd import READY, notify_systemd, without_supervisor
 
 
 @pytest.mark.parametrize("abstract", [False, True])
@@ -18,7 +18,7 @@ def test_a_service_reports_its_state_to_the_supervisor_at_a_path_or_an_abstract_
     monkeypatch.setenv("NOTIFY_SOCKET", name)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as one:
         one.bind("\0" + name[1:] if abstract else name)
-        tell_systemd(READY)
+        notify_systemd(READY)
         assert one.recv(100, socket.MSG_DONTWAIT) == b"READY=1"
 
 
@@ -26,7 +26,7 @@ def test_a_missing_supervisor_is_only_logged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
-    tell_systemd(READY)
+    notify_systemd(READY)
     assert [record.__dict__["event"] for record in caplog.records] == ["supervisor_not_told"]
 
 
@@ -34,7 +34,7 @@ def test_without_a_supervisor_nothing_is_reported(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    tell_systemd(READY)
+    notify_systemd(READY)
     assert caplog.records == []
 
 

@@ -115,7 +115,7 @@ class InProcessPutStream:
             self.end(StampedeError(f"a defect in the host of this process: {defect!r}"))
             return
         self._is_called = False
-        self._tell(acks)
+        self._report_acks(acks)
         self._schedule_rest()  # while `_is_called` was set, `send` only added its runs
 
     def _schedule_rest(self) -> None:
@@ -124,7 +124,7 @@ class InProcessPutStream:
             self._is_called = True
             self._loop.call_soon(self._put_sent)
 
-    def _tell(self, acks: Sequence[pb.PutAck | HeldAck]) -> None:
+    def _report_acks(self, acks: Sequence[pb.PutAck | HeldAck]) -> None:
         """Report the acks in order, as soon as they are due."""
         now, later = ([], acks) if self._held else _split(acks)
         for ack in later:

@@ -39,7 +39,7 @@ Dial = Callable[[str], grpc.aio.Channel]
 NAMES_LOGGED_MAX = 20
 # After these errors another host, or later the same one, may take the channel. After StaleBinding this host has ended
 # the move, and tries again.
-_AGAIN = (Overloaded, Unavailable, DeadlineExceeded, MoveConflict, StaleBinding)
+_RETRYABLE = (Overloaded, Unavailable, DeadlineExceeded, MoveConflict, StaleBinding)
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.05, 1.0
 BEGIN_SECONDS_MAX = 2.0  # the drain tries another host if one has not begun a move after this time
 
@@ -148,7 +148,7 @@ class HostDrain:
     async def run(self, seconds: float, *, is_last: bool = False) -> DrainResult:
         """Move all channels and queues away. Ends after `seconds`, even if some have not moved. Raises nothing.
 
-        `is_last`: the host stops after that, and with it the items in its memory.
+        `is_last`: the host stops after this call, and the items in its memory are lost.
         """
         own = self._own()
         left = dict.fromkeys(own, "the time was over")
@@ -161,7 +161,7 @@ class HostDrain:
             except StampedeError as error:
                 left = dict.fromkeys(left, str(error))
         drained = DrainResult(len(own) - len(left), {own[one].name: why for one, why in left.items()})
-        _tell(drained.moved, {own[one]: why for one, why in left.items()}, is_last=is_last)
+        _log_outcome(drained.moved, {own[one]: why for one, why in left.items()}, is_last=is_last)
         return drained
 
     def _own(self) -> dict[bytes, _OwnSubject]:
@@ -173,9 +173,9 @@ class HostDrain:
         return {one.id: one for one in own}
 
     async def _move_all(self, own: dict[bytes, _OwnSubject], left: dict[bytes, str]) -> None:
-        """Move the channels.
+        """Move the channels and queues.
 
-        Removes each moved channel from `left`, and notes there the reason for each other channel.
+        Removes each moved one from `left`, and enters there the reason for each other one.
         """
         hosts = await self._directory.other_hosts()
         if not hosts:
@@ -185,8 +185,8 @@ class HostDrain:
         others = _OtherHosts(hosts, self._dial, self._dial_streams, self._allow)
         try:
             async with asyncio.TaskGroup() as moves:
-                for each, place in ((one, places[one.id]) for one in own.values()):
-                    moves.create_task(_move(each, place, others, left))
+                for one in own.values():
+                    moves.create_task(_move(one, places[one.id], others, left))
         finally:
             await others.aclose()
 
@@ -208,7 +208,7 @@ class _OtherHosts:
     async def move(self, own: _OwnSubject, host: OtherHost) -> OtherHost:
         """Have a host take a channel or queue over, as soon as the limits allow another move.
 
-        Returns another host to try instead, if `host` has turned out to be silent meanwhile; otherwise `host`. Raises
+        Returns `host` after the move. If `host` has become silent meanwhile, returns another host to try. Raises
         the errors of MigrationService.MoveHere, Unavailable, and DeadlineExceeded if the host has not begun the move
         after BEGIN_SECONDS_MAX.
         """
@@ -232,8 +232,9 @@ class _OtherHosts:
                     raise
 
     async def _take_over(self, own: _OwnSubject, target: str) -> None:
-        """Ask once. All channels share one stream. Each queue has a call of its own. At a host of an older release each
-        channel has one, too.
+        """Send one request. All channels share one stream, and each queue has a call of its own.
+
+        At a host of an older release each channel has a call of its own, too.
         """
         if target not in self._requests:
             self._connections[target] = self._dial(target)
@@ -289,7 +290,7 @@ async def _move(own: _OwnSubject, place: OtherHost, others: _OtherHosts, left: d
             left[own.id] = str(error)
             if error.reason == "SHUTTING_DOWN":
                 others.leave_out(host)
-            elif not _may_pass(error):
+            elif not _may_succeed_later(error):
                 return
         host = others.after(own, host)
         await asyncio.sleep(delay_s)
@@ -298,7 +299,7 @@ async def _move(own: _OwnSubject, place: OtherHost, others: _OtherHosts, left: d
         left.pop(own.id, None)
 
 
-def _tell(moved: int, left: dict[_OwnSubject, str], *, is_last: bool) -> None:
+def _log_outcome(moved: int, left: dict[_OwnSubject, str], *, is_last: bool) -> None:
     """Log the outcome. `left`: the channels and queues that are still here, with the reasons. `is_last`: see `run`."""
     archived = [one for one in left if is_last and one.needs_archive]
     stuck = [one for one in left if not is_last or not (one.needs_archive or one.is_empty)]
@@ -329,8 +330,8 @@ def _named(subjects: Sequence[_OwnSubject]) -> dict[str, str | int]:
     return {"channels": names, "count": len(subjects)}
 
 
-def _may_pass(error: StampedeError) -> bool:
+def _may_succeed_later(error: StampedeError) -> bool:
     """Whether a move that failed with this error may succeed later, at this or another host."""
     # this host allows a move at one epoch, and may have got another epoch since then
     is_of_former_epoch = isinstance(error, PermissionDenied) and "host_id" in error.metadata
-    return is_of_former_epoch or isinstance(error, _AGAIN)
+    return is_of_former_epoch or isinstance(error, _RETRYABLE)

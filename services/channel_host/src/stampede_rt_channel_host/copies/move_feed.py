@@ -53,17 +53,17 @@ class MoveFeed(CopyFeed):
     def hold(self) -> None:
         """Have the source hold all changes, and hand the channel over."""
         self.held_nanos = time.monotonic_ns()
-        self._tell(hold=True)
+        self._report_step(hold=True)
 
     def committed(self, epoch: int) -> None:
         """Tell the source that this host is the owner."""
-        self._tell(committed_epoch=epoch)
+        self._report_step(committed_epoch=epoch)
 
     def released(self) -> None:
         """Tell the source that nobody needs its items any more."""
-        self._tell(released=True)
+        self._report_step(released=True)
 
-    def _tell(self, **step: Any) -> None:
+    def _report_step(self, **step: Any) -> None:
         self._step |= step
         self._wakeup.set()
 

@@ -113,7 +113,7 @@ class QueueArrivals:
             room.set(0)
             journal = core.journal(arriving.next_step) if arriving.next_step else None
             adopted = await self._take_over(record, QueueContent(core, journal), arriving.permit)
-            await _tell(call, adopted.epoch)
+            await _report_commit(call, adopted.epoch)
         except grpc.RpcError as error:
             raise from_rpc_error(error, target) from error
         except asyncio.InvalidStateError:  # grpc raises this for a write after the end of the call
@@ -165,7 +165,7 @@ class QueueArrivals:
         return adopted
 
 
-async def _tell(call: Any, epoch: int) -> None:
+async def _report_commit(call: Any, epoch: int) -> None:
     """Tell the former owner that this host owns the queue. If the former owner has gone, it learns this from the
     directory.
     """

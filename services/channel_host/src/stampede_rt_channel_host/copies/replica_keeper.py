@@ -118,7 +118,7 @@ class KeptReplicas(ABC):
             raise
         except StampedeError as error:
             self._listed_s = -LIST_SECONDS
-            self._tell(error)
+            self._log_failure(error)
 
     def work_for(self, host_id: bytes, work: Callable[[], Coroutine[Any, Any, None]], what: str) -> None:
         """Do `work` for the replica at a host in the background, unless earlier work for it is still running.
@@ -179,14 +179,14 @@ class KeptReplicas(ABC):
             if one.target and not self._replication.is_fed(one.known.host_id):
                 self.start(one)
         if failure is not None:
-            self._tell(failure)
+            self._log_failure(failure)
 
     async def _remove(self, replicas: list[ListedReplica]) -> None:
         for one in replicas:
             await self._directory.remove_replica(self._thing_id, one.known.host_id)
             self._listed_s = -LIST_SECONDS
 
-    def _tell(self, error: StampedeError) -> None:
+    def _log_failure(self, error: StampedeError) -> None:
         """Log a failure, once until the next success."""
         if not self._has_reported:
             self._has_reported = True
@@ -300,6 +300,6 @@ class KeptChannel(KeptReplicas):
             await stub.BindChannel(request, timeout=BIND_SECONDS_MAX)
         except grpc.RpcError as error:
             if not isinstance(from_rpc_error(error, replica.target), StaleBinding):
-                self._tell(from_rpc_error(error, replica.target))
+                self._log_failure(from_rpc_error(error, replica.target))
         finally:
             await channel.close(None)

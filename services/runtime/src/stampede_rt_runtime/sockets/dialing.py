@@ -95,7 +95,7 @@ class SocketChannel(AnnotatedChannel):
         bidi = BidiMethod(method, request_serializer, response_deserializer, over_grpc)
 
         def begin(*, metadata: Metadata | None = None) -> HostStream:
-            return HostStream(self._begun(bidi, metadata or ()), self._tell)
+            return HostStream(self._begun(bidi, metadata or ()), self._log_transport)
 
         return begin
 
@@ -128,7 +128,7 @@ class SocketChannel(AnnotatedChannel):
         route.tcp.head_start_s = HEAD_START_S
         return route
 
-    def _tell(self) -> None:
+    def _log_transport(self) -> None:
         """Log the transport after the host's first answer: over gRPC a stream also begins if no host is at its
         target."""
         extra = {"event": "host_stream_began", "target": self._target, "transport": self._used.value}

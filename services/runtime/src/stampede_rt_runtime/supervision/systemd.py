@@ -15,7 +15,7 @@ SOCKET_VARIABLE = "NOTIFY_SOCKET"
 logger = logging.getLogger(__name__)
 
 
-def tell_systemd(state: str) -> None:
+def notify_systemd(state: str) -> None:
     """Send `state` to the service's supervisor. Does nothing if no supervisor asks for it.
 
     Does not block: if the supervisor does not read, the state is lost, and the log says so.

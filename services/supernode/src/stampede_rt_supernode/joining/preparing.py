@@ -113,7 +113,7 @@ def _restored(arguments: argparse.Namespace, founding: FoundingRecord) -> Foundi
     except (StoreDamaged, StoreRefused) as error:
         raise StampedeError(str(error)) from error
     if arguments.output == "table":
-        _say(f"Everything that {arguments.restore} holds is taken over, up to log position {index}.")
+        _print(f"Everything that {arguments.restore} holds is taken over, up to log position {index}.")
     return replace(founding, started=True, takes_over=arguments.take_over)
 
 
@@ -145,9 +145,11 @@ def _run_join(arguments: argparse.Namespace) -> int:
 def _done(arguments: argparse.Namespace, founding: FoundingRecord, text: str) -> None:
     """Print the outcome and the command that starts the supernode."""
     if arguments.output == "table":
-        _say(f"{text} Start this supernode:", "", _start(arguments))
+        _print(f"{text} Start this supernode:", "", _start(arguments))
         if not (_is_secured() or is_loopback(arguments.listen)):
-            _say("", "Add its certificate (--tls-ca ...), or, on a network that you trust, --allow-insecure-anywhere.")
+            _print(
+                "", "Add its certificate (--tls-ca ...), or, on a network that you trust, --allow-insecure-anywhere."
+            )
         return
     facts = {"supernode": founding.supernode_id, "address": founding.address, "cluster_id": founding.log_cluster_id}
     facts |= {"data_dir": str(arguments.data_dir), "start": _start(arguments)}
@@ -172,7 +174,7 @@ def _check_callable(address: str, members: Mapping[str, str]) -> None:
         )
 
 
-def _say(*lines: str) -> None:
+def _print(*lines: str) -> None:
     sys.stdout.write("".join(escaped(line) + "\n" for line in lines))
 
 

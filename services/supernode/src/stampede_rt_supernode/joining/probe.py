@@ -96,7 +96,7 @@ class Probe:
         try:
             pong = await stub.Ping(directory_service_pb2.DirectoryServicePingRequest(), timeout=PROBE_SECONDS)
         except grpc.aio.AioRpcError:  # for some reason this supernode cannot reach the member
-            await self._tell_why(member)
+            await self._log_refused_certificates(member)
             return ProbeResult(False, None)
         self._logged.pop(member.address, None)
         took = time.monotonic_ns() - began
@@ -108,7 +108,7 @@ class Probe:
         )
         return ProbeResult(pong.ready, took, clock)
 
-    async def _tell_why(self, member: Member) -> None:
+    async def _log_refused_certificates(self, member: Member) -> None:
         """Log once that certificates are the reason why the member does not answer, if they are the reason."""
         refusal = await self._explain(member.address) if self._explain else None
         if refusal is not None and self._logged.get(member.address) != refusal.message:

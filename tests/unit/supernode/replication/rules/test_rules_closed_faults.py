@@ -39,7 +39,7 @@ ON_BOTH = pytest.mark.parametrize(
 )
 
 
-def says_success(message: Message) -> bool:
+def is_success(message: Message) -> bool:
     return isinstance(message, AppendReply) and message.success
 
 
@@ -126,7 +126,7 @@ def test_a_snapshot_that_cannot_be_loaded_is_not_acknowledged(rules: type) -> No
         assert lone.held() == [(1, 0)]
     else:
         replies += lone.receive("b", piece(5, last, commit=9))
-    assert not any(says_success(message) for _, message in replies + lone.sent_messages())
+    assert not any(is_success(message) for _, message in replies + lone.sent_messages())
 
 
 @ON_BOTH
@@ -180,7 +180,7 @@ def test_a_whole_snapshot_replaces_state_and_log_and_is_acknowledged() -> None:
         replies += lone.receive("b", piece(5, chunk, commit=12))
     lone.open_snapshot()
     replies += lone.receive("b", append(5, (9, 5), [], commit=12))
-    assert [says_success(message) for _, message in replies] == [False] * (len(replies) - 1) + [True]
+    assert [is_success(message) for _, message in replies] == [False] * (len(replies) - 1) + [True]
     assert replies[-1][1] == AppendReply(term=5, next_index=10, reset=False, success=True)
     assert lone.held() == [(8, 5), (9, 5)]
     assert lone.machine.entries[-1] == (9, b"9/5")
@@ -226,7 +226,7 @@ def test_a_snapshot_in_which_a_bit_has_changed_is_not_opened() -> None:
     chunks[-1] = replace(chunks[-1], data=bytes(changed))
     replies = [lone.receive("b", piece(5, chunk, commit=9)) for chunk in chunks]
     assert not lone.node.keeper.is_opening
-    assert not any(says_success(message) for reply in replies for _, message in reply)
+    assert not any(is_success(message) for reply in replies for _, message in reply)
     lone.open_snapshot()
     assert lone.machine.entries == []
 

@@ -55,7 +55,7 @@ class Multicasts:
     def _begin(self, hosted: HostedChannel) -> ChannelMulticast:
         made = ChannelMulticast(hosted, self.group, self._now)
         task = asyncio.create_task(made.run(), name="multicast")
-        task.add_done_callback(_tell)
+        task.add_done_callback(_log_defect)
         self._channels[hosted] = made, task
         return made
 
@@ -77,7 +77,7 @@ class Multicasts:
         self.group.close()
 
 
-def _tell(task: asyncio.Task[None]) -> None:
+def _log_defect(task: asyncio.Task[None]) -> None:
     """Log a defect. The readers get no more datagrams, and continue without them."""
     if not task.cancelled() and (failure := task.exception()) is not None:
         logger.error("the multicast of a channel has failed", exc_info=failure, extra={"event": "multicast_failed"})

@@ -161,8 +161,8 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         """
         places = self._columns.places
         first = (self[at].head for at in range(places[0] if places else len(self)))
-        reported = next((one.first_accepted for one in first if _tells_loss(one)), None)
-        if reported is None or any(_tells_loss(one.head) and one.head.first_accepted == NOTHING_LOST for one in self):
+        reported = next((one.first_accepted for one in first if _records_loss(one)), None)
+        if reported is None or any(_records_loss(one.head) and one.head.first_accepted == NOTHING_LOST for one in self):
             return None
         return reported
 
@@ -175,7 +175,7 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         return self[self._columns.places[at]]
 
 
-def _tells_loss(head: BlockHead) -> bool:
+def _records_loss(head: BlockHead) -> bool:
     return head.kind == GAP and head.first_seq == head.end_seq
 
 
