@@ -150,7 +150,7 @@ class _Leases(LeaseKeeper):
             await wait(lambda resume: self._end_all(due, resume))
 
     @staticmethod
-    async def _give_way() -> None:
+    async def _let_others_run() -> None:
         """Do nothing: there is no event loop."""
 
     def _end_all(self, due: list[tuple[bytes, int, int]], resume: Resume) -> None:

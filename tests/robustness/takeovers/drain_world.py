@@ -16,7 +16,7 @@ from stampede_rt_channel_host.copies.draining import DrainResult, HostDrain
 from stampede_rt_channel_host.copies.migration_servicer import MigrationServicer
 from stampede_rt_supernode.core.commands import Operation
 from stampede_rt_supernode.core.hosts.commands import ExpireHost, RegisterHost
-from stampede_rt_supernode.core.replicas.things import Copied
+from stampede_rt_supernode.core.replicas.copied_subjects import Copied
 from tests.robustness.moves.links import Link
 from tests.robustness.moves.two_hosts import World
 from tests.robustness.takeovers.streams import Call, Connection, Method

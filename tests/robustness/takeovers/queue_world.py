@@ -32,7 +32,7 @@ from stampede_rt_supernode.core.commands import Operation
 from stampede_rt_supernode.core.moves.commands import CommitQueueMove, QueueMoveCommitted
 from stampede_rt_supernode.core.records import QueueRecord, ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas.commands import AddReplica, RemoveReplica, SetReplicaInSync
-from stampede_rt_supernode.core.replicas.things import Copied
+from stampede_rt_supernode.core.replicas.copied_subjects import Copied
 from tests.robustness.moves.two_hosts import World
 from tests.robustness.takeovers.streams import Connection, Method
 from tests.robustness.takeovers.world import Cluster, LeasedHost

@@ -18,8 +18,8 @@ from stampede_rt_supernode.codecs.record_codec import channel_record
 from stampede_rt_supernode.core.cluster.feature_levels import MOVES_LEVEL
 from stampede_rt_supernode.core.commands import Operation
 from stampede_rt_supernode.core.records import ChannelRecord
-from stampede_rt_supernode.core.replicas.things import Copied, copied_with_id
-from stampede_rt_supernode.core.replicas.things import id_of as id_of_thing
+from stampede_rt_supernode.core.replicas.copied_subjects import Copied, copied_with_id
+from stampede_rt_supernode.core.replicas.copied_subjects import id_of as id_of_subject
 from tests.robustness.moves.two_hosts import Host, World, key_of
 from tests.support.supernode.operations import Log, expire, id_of, open_channel, register
 from tests.support.virtual_time import VirtualClock
@@ -169,7 +169,7 @@ class Cluster(World):
         self.renewed_s = dict.fromkeys(self.renewed_s, self.clock.now_s)
 
     def apply(self, operation: Operation) -> Any:
-        before = [(one, [*self.successors(id_of_thing(one))]) for one in self.copied()]
+        before = [(one, [*self.successors(id_of_subject(one))]) for one in self.copied()]
         try:
             return super().apply(operation)
         finally:
@@ -177,20 +177,20 @@ class Cluster(World):
                 self._check_successor(thing, successors)
             self._note()
 
-    def successors(self, thing_id: bytes) -> Iterator[bytes]:
+    def successors(self, subject_id: bytes) -> Iterator[bytes]:
         """The hosts that must go on with the channel or queue if its owner is lost."""
         tables = self.log.directory.tables
-        for one in tables.replicas.of(thing_id):
+        for one in tables.replicas.of(subject_id):
             host = tables.hosts[one.host_id]
             if one.in_sync and host.alive and host.boot_incarnation == one.boot_incarnation:
                 yield one.host_id
 
     def is_complete(self, replicas: int) -> bool:
         """Whether each channel or queue has this number of replicas in sync."""
-        return all(len([*self.successors(id_of_thing(one))]) == replicas for one in self.copied())
+        return all(len([*self.successors(id_of_subject(one))]) == replicas for one in self.copied())
 
     def _check_successor(self, before: Copied, successors: list[bytes]) -> None:
-        after = copied_with_id(self.log.directory.tables, id_of_thing(before))
+        after = copied_with_id(self.log.directory.tables, id_of_subject(before))
         if successors and before.incarnation != after.incarnation:
             assert after.host_id in successors, "a replica was in sync, but another host became the owner"
             ack = before.policy.ack if isinstance(before, ChannelRecord) else before.spec.ack
@@ -199,7 +199,7 @@ class Cluster(World):
 
     def _note(self) -> None:
         for one in self.copied():
-            known = self.incarnations.setdefault(id_of_thing(one), [])
+            known = self.incarnations.setdefault(id_of_subject(one), [])
             if one.incarnation not in known[-1:]:
                 known.append(one.incarnation)
 

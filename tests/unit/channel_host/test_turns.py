@@ -34,7 +34,7 @@ def test_a_thread_sees_only_complete_steps_and_repeated_looks_do_not_stop_the_lo
     loop = threading.Thread(target=run)
     loop.start()
     while not ended.is_set():
-        turns.give_way()
+        turns.let_loop_run()
         with turns.lock:
             looks.append(state[0] == state[1])
     loop.join()

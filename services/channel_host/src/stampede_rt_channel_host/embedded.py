@@ -167,7 +167,7 @@ class EmbeddedHost:
         """Call `look` with the store, between two steps of the loop. None if the host is not there."""
         if self._served is None or self._has_ended or self._process != os.getpid():
             return None
-        self._turns.give_way()
+        self._turns.let_loop_run()
         with self._turns.lock:
             return look(self._served.host.store, *arguments)
 

@@ -47,7 +47,7 @@ def _own_flags(settings: HostSettings, base_name: str, number: int) -> list[str]
 
 
 def _with_own_port(text: str, number: int) -> str:
-    """The address of a process: the port counts up from the port of process 0.
+    """The address of a process: the port is counted from the port of process 0.
 
     Port 0 stays, and means any free port.
     """

@@ -11,7 +11,7 @@ import selectors
 import threading
 import time
 
-_GIVE_WAY_SECONDS = 0.0001
+_LOOP_RUN_SECONDS = 0.0001
 
 
 class LoopTurns:
@@ -38,10 +38,10 @@ class LoopTurns:
         """Whether the calling thread holds the lock: it runs a step of the loop, or looks."""
         return self.lock._is_owned()  # type: ignore[attr-defined, no-any-return]
 
-    def give_way(self) -> None:
+    def let_loop_run(self) -> None:
         """Let the loop run if it waits for the lock. A thread calls this method before it takes the lock."""
         if self._is_awaited:
-            time.sleep(_GIVE_WAY_SECONDS)
+            time.sleep(_LOOP_RUN_SECONDS)
 
     def loop_ended(self) -> None:
         """Release the lock, and never take it again. Call it on the loop's thread, when the loop is closed."""

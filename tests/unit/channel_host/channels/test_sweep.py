@@ -97,10 +97,10 @@ async def test_a_step_of_the_sweep_frees_few_entries_if_many_channels_have_old_i
     await host.sweep.sweep()
     freed: list[int] = []
 
-    async def give_way() -> None:
+    async def let_others_run() -> None:
         freed.append(sum(one.channel.freed_entries for one in channels))
 
-    monkeypatch.setattr(sweep, "_give_way", give_way)
+    monkeypatch.setattr(sweep, "_let_others_run", let_others_run)
     host.clock.advance(2 * S)
     await host.sweep.sweep()
     assert sum(one.channel.freed_entries for one in channels) == 40 * 99

@@ -151,12 +151,12 @@ async def test_a_leader_updates_leases_after_changes_of_peers_a_few_in_each_turn
             noted.append(turn)
         return note(table, holder, now)
 
-    async def give_way() -> None:
+    async def let_others_run() -> None:
         nonlocal turn
         turn += 1
 
     monkeypatch.setattr(lease.LeaseTable, "note", counted)
-    monkeypatch.setattr(lease_keeper.LeaseKeeper, "_give_way", staticmethod(give_way))
+    monkeypatch.setattr(lease_keeper.LeaseKeeper, "_let_others_run", staticmethod(let_others_run))
     for number in range(30):
         await node.peers.RegisterPeer(entering(5000 + number))
     await node.leases.tick()

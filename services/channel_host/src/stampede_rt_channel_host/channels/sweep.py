@@ -27,7 +27,7 @@ class Sweep:
 
     def __init__(self, now: Callable[[], int]) -> None:
         self._now = now
-        # no dict, because a dict passes over the places of all deleted keys to find its first key
+        # An OrderedDict, because a dict skips the places of all deleted keys each time that it finds its first key.
         self._touched: OrderedDict[HostedChannel, None] = OrderedDict()
         self._deadlines: Deadlines[HostedChannel] = Deadlines()
         self.looked_at = 0
@@ -50,7 +50,7 @@ class Sweep:
     async def sweep(self) -> None:
         """Free outdated items in all channels that are due. Lets other tasks run in between."""
         while self._step():
-            await _give_way()
+            await _let_others_run()
 
     def reclaim(self) -> bool:
         """Free some outdated items in one step, because a put needs the memory. Returns True if more may be due now.
@@ -62,14 +62,14 @@ class Sweep:
     def _next(self) -> HostedChannel | None:
         return next(iter(self._touched), None) or self._deadlines.pop(self._now())
 
-    def _step(self, following: Callable[[], HostedChannel | None] | None = None) -> bool:
+    def _step(self, next_channel: Callable[[], HostedChannel | None] | None = None) -> bool:
         """Look at some channels, and free some of their items. Returns True if more may be due now.
 
-        `following` gives the next channel to look at, or None.
+        `next_channel` returns the next channel to look at, or None. By default changed channels come first.
         """
-        freed_entries, following = 0, following or self._next
+        freed_entries, next_channel = 0, next_channel or self._next
         for _ in range(CHANNELS_PER_STEP_MAX):
-            hosted = following()
+            hosted = next_channel()
             if hosted is None:
                 return False
             before = hosted.core.freed_entries
@@ -90,10 +90,10 @@ class Sweep:
         else:
             self.looked_at += 1
             more = hosted.collect(self._now())
-        self._enter(hosted)
+        self._note_deadline(hosted)
         return more
 
-    def _enter(self, hosted: HostedChannel) -> None:
+    def _note_deadline(self, hosted: HostedChannel) -> None:
         self.looked_at += 1
         due = hosted.next_deadline(self._now())
         if due is None:
@@ -102,5 +102,5 @@ class Sweep:
             self._deadlines.arm(hosted, due)
 
 
-async def _give_way() -> None:
+async def _let_others_run() -> None:
     await asyncio.sleep(0)

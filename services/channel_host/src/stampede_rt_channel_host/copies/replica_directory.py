@@ -51,21 +51,21 @@ class ReplicaDirectory:
     """
 
     def __init__(self, supernodes: Supernodes, *, of_queues: bool = False) -> None:
-        """`of_queues`: the ids in all calls are ids of queues."""
+        """`of_queues`: the subjects of all calls are queues, and not channels."""
         self._supernodes = supernodes
         self._of_queues = of_queues
 
-    def _subject(self, thing_id: bytes) -> subject_pb2.Subject:
+    def _subject(self, subject_id: bytes) -> subject_pb2.Subject:
         if self._of_queues:
-            return subject_pb2.Subject(queue_id=thing_id)
-        return subject_pb2.Subject(channel_id=thing_id)
+            return subject_pb2.Subject(queue_id=subject_id)
+        return subject_pb2.Subject(channel_id=subject_id)
 
-    async def source_of(self, channel_id: bytes, host_id: bytes) -> FeedSource | None:
-        """The host that feeds the copy of the channel at the host `host_id`; None if the directory has no such copy.
+    async def source_of(self, subject_id: bytes, host_id: bytes) -> FeedSource | None:
+        """The host that feeds the copy at the host `host_id`; None if the directory has no such copy.
 
-        Raises ChannelNotFound.
+        Raises ChannelNotFound, QueueNotFound.
         """
-        request = pb.ListReplicasRequest(subject=self._subject(channel_id))
+        request = pb.ListReplicasRequest(subject=self._subject(subject_id))
         response: pb.ListReplicasResponse = await self._call("ListReplicas", request)
         if response.owner_host_id == host_id:
             return FeedSource(host_id, "", response.epoch)
@@ -76,9 +76,9 @@ class ReplicaDirectory:
         target = _targets(response).get(replica.source_host_id, "")
         return FeedSource(replica.source_host_id, target, response.epoch, is_replica)
 
-    async def replicas_of(self, channel_id: bytes) -> ListedReplicas:
-        """The replicas of a channel. Raises ChannelNotFound."""
-        request = pb.ListReplicasRequest(subject=self._subject(channel_id))
+    async def replicas_of(self, subject_id: bytes) -> ListedReplicas:
+        """The replicas of a channel or queue. Raises ChannelNotFound, QueueNotFound."""
+        request = pb.ListReplicasRequest(subject=self._subject(subject_id))
         response: pb.ListReplicasResponse = await self._call("ListReplicas", request)
         targets = _targets(response)
         replicas = [
@@ -88,32 +88,32 @@ class ReplicaDirectory:
         ]
         return ListedReplicas(response.owner_host_id, response.epoch, replicas)
 
-    async def add_replica(self, channel_id: bytes, epoch: int, *, acknowledged: bool) -> None:
+    async def add_replica(self, subject_id: bytes, epoch: int, *, acknowledged: bool) -> None:
         """Add a replica at a host that the directory chooses. `acknowledged`: puts wait for it.
 
         Raises Unavailable (NO_HOST) immediately if there is no host.
         """
         request = pb.AddReplicaRequest(
             request_id=os.urandom(ID_BYTES),
-            subject=self._subject(channel_id),
+            subject=self._subject(subject_id),
             epoch=epoch,
             kind=replica_pb2.REPLICA_KIND_WARM,
             acknowledged=acknowledged,
         )
         await self._call("AddReplica", request, ADD_SECONDS_MAX, final_reason="NO_HOST")
 
-    async def remove_replica(self, channel_id: bytes, host_id: bytes) -> None:
+    async def remove_replica(self, subject_id: bytes, host_id: bytes) -> None:
         """Remove the replica at a host."""
         request = pb.RemoveReplicaRequest(
-            request_id=os.urandom(ID_BYTES), subject=self._subject(channel_id), host_id=host_id
+            request_id=os.urandom(ID_BYTES), subject=self._subject(subject_id), host_id=host_id
         )
         await self._call("RemoveReplica", request)
 
-    async def change(self, channel_id: bytes, epoch: int, change: ReplicaChange) -> None:
-        """Set or clear a replica's flag in the log. Raises StaleBinding, HostNotFound, InvalidArgument."""
+    async def change(self, subject_id: bytes, epoch: int, change: ReplicaChange) -> None:
+        """Set or clear the in-sync flag of a replica. Raises StaleBinding, HostNotFound, InvalidArgument."""
         request = pb.SetReplicaInSyncRequest(
             request_id=os.urandom(ID_BYTES),
-            subject=self._subject(channel_id),
+            subject=self._subject(subject_id),
             epoch=epoch,
             host_id=change.host_id,
             boot_incarnation=change.boot_incarnation,

@@ -48,13 +48,13 @@ class KeptReplicas(ABC):
     """
 
     def __init__(
-        self, host_id: bytes, directory: ReplicaDirectory, replication: OwnedReplicas[Any], thing_id: bytes
+        self, host_id: bytes, directory: ReplicaDirectory, replication: OwnedReplicas[Any], subject_id: bytes
     ) -> None:
-        """`thing_id`: the id of the channel or queue."""
+        """`subject_id`: the id of the channel or queue."""
         self._host_id = host_id
         self._directory = directory
         self._replication = replication
-        self._thing_id = thing_id
+        self._subject_id = subject_id
         self._listed_s = -LIST_SECONDS
         self._lacks = True
         self._missing_s = MISSING_SECONDS
@@ -144,7 +144,7 @@ class KeptReplicas(ABC):
             await self._make_complete(listed)
         for change in self._replication.changes():
             try:
-                await self._directory.change(self._thing_id, self.epoch, change)
+                await self._directory.change(self._subject_id, self.epoch, change)
             except (HostNotFound, InvalidArgument):  # the replica is gone, or has begun anew
                 self._listed_s = -LIST_SECONDS
                 continue
@@ -157,7 +157,7 @@ class KeptReplicas(ABC):
         self._lacks = in_sync != wanted or len(self._replication.states()) != wanted
 
     async def _list(self) -> ListedReplicas:
-        listed = await self._directory.replicas_of(self._thing_id)
+        listed = await self._directory.replicas_of(self._subject_id)
         if listed.owner_host_id == self._host_id and listed.epoch == self.epoch:
             self._replication.know([one.known for one in listed.replicas])
         return listed
@@ -170,7 +170,7 @@ class KeptReplicas(ABC):
         if len(replicas) < wanted:
             try:
                 for _ in range(wanted - len(replicas)):
-                    await self._directory.add_replica(self._thing_id, self.epoch, acknowledged=self.waits)
+                    await self._directory.add_replica(self._subject_id, self.epoch, acknowledged=self.waits)
             except Unavailable as error:  # no host is left
                 failure, self._missing_s = error, min(2 * missing_s, LIST_SECONDS)
             replicas = (await self._list()).replicas
@@ -183,7 +183,7 @@ class KeptReplicas(ABC):
 
     async def _remove(self, replicas: list[ListedReplica]) -> None:
         for one in replicas:
-            await self._directory.remove_replica(self._thing_id, one.known.host_id)
+            await self._directory.remove_replica(self._subject_id, one.known.host_id)
             self._listed_s = -LIST_SECONDS
 
     def _log_failure(self, error: StampedeError) -> None:
@@ -295,7 +295,7 @@ class KeptChannel(KeptReplicas):
         """Bind the channel at the host of a replica. That host answers MOVED, because a replica serves no readers."""
         channel = self._dial(replica.target)
         stub = gatekeeper_service_pb2_grpc.GatekeeperServiceStub(channel)
-        request = gatekeeper_service_pb2.BindChannelRequest(channel_id=self._thing_id, epoch=self._hosted.epoch)
+        request = gatekeeper_service_pb2.BindChannelRequest(channel_id=self._subject_id, epoch=self._hosted.epoch)
         try:
             await stub.BindChannel(request, timeout=BIND_SECONDS_MAX)
         except grpc.RpcError as error:

@@ -20,7 +20,7 @@ async def sweep_queues_forever(store: QueueStore) -> NoReturn:
     while True:  # paced by the sleep
         await asyncio.sleep(ROUND_SECONDS)
         while sweep_queues(store):
-            await _give_way()
+            await _let_others_run()
 
 
 def sweep_queues(store: QueueStore) -> int:
@@ -33,5 +33,5 @@ def sweep_queues(store: QueueStore) -> int:
     return QUEUES_PER_STEP_MAX
 
 
-async def _give_way() -> None:
+async def _let_others_run() -> None:
     await asyncio.sleep(0)

@@ -40,15 +40,15 @@ def channel_id_of(subject: subject_pb2.Subject) -> bytes:
     return subject.channel_id
 
 
-def copied_thing(subject: subject_pb2.Subject) -> tuple[bytes, bool]:
+def copied_subject(subject: subject_pb2.Subject) -> tuple[bytes, bool]:
     """The id of the channel or queue of a subject, and whether it is a queue."""
     is_of_queue = subject.WhichOneof("id") == "queue_id"
     return (subject.queue_id if is_of_queue else subject.channel_id), is_of_queue
 
 
-def subject_of(thing_id: bytes, *, is_of_queue: bool = False) -> subject_pb2.Subject:
+def subject_of(subject_id: bytes, *, is_of_queue: bool = False) -> subject_pb2.Subject:
     """The subject of a channel or queue."""
-    return subject_pb2.Subject(queue_id=thing_id) if is_of_queue else subject_pb2.Subject(channel_id=thing_id)
+    return subject_pb2.Subject(queue_id=subject_id) if is_of_queue else subject_pb2.Subject(channel_id=subject_id)
 
 
 def replica_record(replica: ReplicaRecord) -> replica_pb2.ReplicaRecord:
@@ -68,9 +68,9 @@ def replica_record(replica: ReplicaRecord) -> replica_pb2.ReplicaRecord:
 
 def replica_from(record: replica_pb2.ReplicaRecord) -> ReplicaRecord:
     """The copy of a record that this codec wrote."""
-    thing_id, is_of_queue = copied_thing(record.subject)
+    subject_id, is_of_queue = copied_subject(record.subject)
     return ReplicaRecord(
-        channel_id=thing_id,
+        channel_id=subject_id,
         is_of_queue=is_of_queue,
         host_id=record.host_id,
         boot_incarnation=record.boot_incarnation,

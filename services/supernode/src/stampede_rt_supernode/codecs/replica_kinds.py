@@ -8,7 +8,7 @@ from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt_supernode.codecs.host_codec import host_entry, host_from
 from stampede_rt_supernode.codecs.kind_codec import KindCodec
 from stampede_rt_supernode.codecs.replica_codec import (
-    copied_thing,
+    copied_subject,
     kind_from,
     kind_message,
     replica_from,
@@ -37,9 +37,9 @@ def _add_message(operation: AddReplica) -> pb.AddReplicaCommand:
 
 
 def _read_add(message: pb.AddReplicaCommand) -> AddReplica:
-    thing_id, is_of_queue = copied_thing(message.subject)
+    subject_id, is_of_queue = copied_subject(message.subject)
     return AddReplica(
-        channel_id=thing_id,
+        channel_id=subject_id,
         is_of_queue=is_of_queue,
         epoch=message.epoch,
         host_id=message.host_id,
@@ -56,8 +56,8 @@ def _remove_message(operation: RemoveReplica) -> pb.RemoveReplicaCommand:
 
 
 def _read_remove(message: pb.RemoveReplicaCommand) -> RemoveReplica:
-    thing_id, is_of_queue = copied_thing(message.subject)
-    return RemoveReplica(channel_id=thing_id, is_of_queue=is_of_queue, host_id=message.host_id)
+    subject_id, is_of_queue = copied_subject(message.subject)
+    return RemoveReplica(channel_id=subject_id, is_of_queue=is_of_queue, host_id=message.host_id)
 
 
 def _in_sync_message(operation: SetReplicaInSync) -> pb.SetReplicaInSyncCommand:
@@ -72,9 +72,9 @@ def _in_sync_message(operation: SetReplicaInSync) -> pb.SetReplicaInSyncCommand:
 
 
 def _read_in_sync(message: pb.SetReplicaInSyncCommand) -> SetReplicaInSync:
-    thing_id, is_of_queue = copied_thing(message.subject)
+    subject_id, is_of_queue = copied_subject(message.subject)
     return SetReplicaInSync(
-        channel_id=thing_id,
+        channel_id=subject_id,
         is_of_queue=is_of_queue,
         epoch=message.epoch,
         host_id=message.host_id,

@@ -13,7 +13,7 @@ from dataclasses import replace
 from stampede_rt_supernode.core.groups.transitions import leave_groups, note_lost_cuts
 from stampede_rt_supernode.core.queues.placement import move_mailboxes
 from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaKind
-from stampede_rt_supernode.core.replicas.things import Copied, copied_with_id, id_of
+from stampede_rt_supernode.core.replicas.copied_subjects import Copied, copied_with_id, id_of
 from stampede_rt_supernode.core.replicas.transitions import copies_after_owner_change, drop_copy, store
 from stampede_rt_supernode.core.tables import Tables
 

@@ -16,11 +16,13 @@ PEERS_PER_TURN = 1024  # the most peers at which one turn of the event loop look
 class FollowedPeers:
     """Brings a table of leases up to date with the peers of the directory. Use it on one event loop."""
 
-    def __init__(self, leases: LeaseTable, replica: DirectoryReplica, give_way: Callable[[], Awaitable[None]]) -> None:
-        """`give_way` lets other work of the event loop run."""
+    def __init__(
+        self, leases: LeaseTable, replica: DirectoryReplica, let_others_run: Callable[[], Awaitable[None]]
+    ) -> None:
+        """`let_others_run` lets other tasks of the event loop run."""
         self._leases = leases
         self._replica = replica
-        self._give_way = give_way
+        self._let_others_run = let_others_run
         # How far the table has followed the directory: `replica.restored` at that time, and the position in the ring of
         # peers. None if it has followed nothing in this tenure.
         self._followed: tuple[int, int] | None = None
@@ -44,7 +46,7 @@ class FollowedPeers:
                 self._followed = (self._followed or (-1, 0))[0], page.position
             else:
                 return
-            await self._give_way()
+            await self._let_others_run()
 
     def _changed_peers(self, directory: Directory) -> ChangePage | None:
         """The next changes; None if the ring has dropped them, or the whole state was replaced."""
@@ -65,9 +67,9 @@ class FollowedPeers:
         live: list[PeerRecord] = []
         for start in range(0, len(peers), PEERS_PER_TURN):
             live += [one for one in peers[start : start + PEERS_PER_TURN] if one.alive]
-            await self._give_way()
+            await self._let_others_run()
         for _ in self._leases.following(live, index, now):
-            await self._give_way()
+            await self._let_others_run()
         self._followed = followed
 
     def _all_peers(self, directory: Directory) -> tuple[tuple[PeerRecord, ...], int, tuple[int, int]]:

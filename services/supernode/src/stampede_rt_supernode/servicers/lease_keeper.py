@@ -78,7 +78,7 @@ class LeaseKeeper:
         self.loads = HostLoads(replica, submission, clock)
         self._hosts = LeaseTable()
         self._peers = LeaseTable()
-        self._followed_peers = FollowedPeers(self._peers, replica, lambda: self._give_way())
+        self._followed_peers = FollowedPeers(self._peers, replica, lambda: self._let_others_run())
         # The log position of the last mark of time, and when this leader first saw the mark, or began to lead.
         self._last_mark = self._marked_nanos = 0
         # The id that the founder gave the cluster.
@@ -105,7 +105,7 @@ class LeaseKeeper:
             if not status.is_leader:
                 self._resign()
                 for _ in chain(self._hosts.freeing(), self._peers.freeing()):
-                    await self._give_way()
+                    await self._let_others_run()
             elif self._hosts.tenure != status.tenure:
                 await self._take_over(status)
             else:
@@ -189,7 +189,7 @@ class LeaseKeeper:
         await self._followed_peers.follow(now)
         due = self._peers.due(now)
         while self._peers.is_behind(now):
-            await self._give_way()
+            await self._let_others_run()
             due = self._peers.due(now)
         leases = [PeerLease(peer_id=one, boot_incarnation=boot, registered_index=at) for one, boot, at in due]
         for start in range(0, len(leases), PEERS_PER_ENTRY_MAX):
@@ -202,7 +202,7 @@ class LeaseKeeper:
             )
 
     @staticmethod
-    async def _give_way() -> None:
+    async def _let_others_run() -> None:
         await asyncio.sleep(0)
 
     async def renew(self, host_id: bytes, boot_incarnation: int, *, seconds: float) -> tuple[int, int]:

@@ -14,7 +14,7 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.replica_codec import (
-    copied_thing,
+    copied_subject,
     kind_from,
     load_from,
     load_message,
@@ -32,7 +32,7 @@ from stampede_rt_supernode.core.replicas.commands import (
     ReplicaRemoved,
     SetReplicaInSync,
 )
-from stampede_rt_supernode.core.replicas.things import Copied, copied_by_id
+from stampede_rt_supernode.core.replicas.copied_subjects import Copied, copied_by_id
 from stampede_rt_supernode.core.replicas.transitions import check_has_host
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
@@ -48,9 +48,9 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
 
     @errors_as_status
     async def AddReplica(self, request: pb.AddReplicaRequest, context: Context) -> pb.AddReplicaResponse:
-        thing_id, is_of_queue = await self._check_configures(context, request.subject)
+        subject_id, is_of_queue = await self._check_configures(context, request.subject)
         operation = AddReplica(
-            channel_id=thing_id,
+            channel_id=subject_id,
             is_of_queue=is_of_queue,
             epoch=request.epoch,
             host_id=request.host_id,
@@ -64,8 +64,8 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
 
     @errors_as_status
     async def RemoveReplica(self, request: pb.RemoveReplicaRequest, context: Context) -> pb.RemoveReplicaResponse:
-        thing_id, is_of_queue = await self._check_configures(context, request.subject)
-        operation = RemoveReplica(channel_id=thing_id, is_of_queue=is_of_queue, host_id=request.host_id)
+        subject_id, is_of_queue = await self._check_configures(context, request.subject)
+        operation = RemoveReplica(channel_id=subject_id, is_of_queue=is_of_queue, host_id=request.host_id)
         await self._calls.submit(context, operation, ReplicaRemoved, request.request_id)
         return pb.RemoveReplicaResponse()
 
@@ -74,11 +74,11 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
         self, request: pb.SetReplicaInSyncRequest, context: Context
     ) -> pb.SetReplicaInSyncResponse:
         """In a cluster with certificates only the owner of the channel or queue may call this."""
-        thing_id, is_of_queue = copied_thing(request.subject)
-        found = await self._calls.read(context, lambda one: _find(one, thing_id, is_of_queue=is_of_queue))
-        self._calls.check_host(context, found.thing.host_id)
+        subject_id, is_of_queue = copied_subject(request.subject)
+        found = await self._calls.read(context, lambda one: _find(one, subject_id, is_of_queue=is_of_queue))
+        self._calls.check_host(context, found.subject.host_id)
         operation = SetReplicaInSync(
-            channel_id=thing_id,
+            channel_id=subject_id,
             is_of_queue=is_of_queue,
             epoch=request.epoch,
             host_id=request.host_id,
@@ -101,37 +101,37 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
 
     @errors_as_status
     async def ListReplicas(self, request: pb.ListReplicasRequest, context: Context) -> pb.ListReplicasResponse:
-        thing_id, is_of_queue = copied_thing(request.subject)
+        subject_id, is_of_queue = copied_subject(request.subject)
         found = await self._calls.read(
-            context, lambda one: _find(one, thing_id, is_of_queue=is_of_queue), stale_ok=request.stale_ok
+            context, lambda one: _find(one, subject_id, is_of_queue=is_of_queue), stale_ok=request.stale_ok
         )
-        if isinstance(found.thing, QueueRecord):
-            check_queue_known(found.thing)
+        if isinstance(found.subject, QueueRecord):
+            check_queue_known(found.subject)
         else:
-            check_known(AccessKind.CHANNEL, found.thing.name, by_id=True)
-        loads = self._loads.of(thing_id, [host.host_id for host in found.hosts])
+            check_known(AccessKind.CHANNEL, found.subject.name, by_id=True)
+        loads = self._loads.of(subject_id, [host.host_id for host in found.hosts])
         return pb.ListReplicasResponse(
             replicas=[replica_record(replica) for replica in found.replicas],
             loads=[load_message(load) for load in loads],
             hosts=[host_record(host) for host in found.hosts],
-            owner_host_id=found.thing.host_id,
-            epoch=found.thing.epoch,
+            owner_host_id=found.subject.host_id,
+            epoch=found.subject.epoch,
             applied_index=found.applied_index,
         )
 
     async def _check_configures(self, context: Context, subject: subject_pb2.Subject) -> tuple[bytes, bool]:
-        """The id of the copied thing, and whether it is a queue. Raises PermissionDenied."""
-        thing_id, is_of_queue = copied_thing(subject)
+        """The id of the copied subject, and whether it is a queue. Raises PermissionDenied."""
+        subject_id, is_of_queue = copied_subject(subject)
         if is_of_queue:
             await self._calls.check_level(context, "a replica of a queue", QUEUE_REPLICAS_LEVEL)
         kind = AccessKind.QUEUE if is_of_queue else AccessKind.CHANNEL
-        await self._calls.check_thing(context, AccessVerb.CONFIGURE, kind, thing_id)
-        return thing_id, is_of_queue
+        await self._calls.check_thing(context, AccessVerb.CONFIGURE, kind, subject_id)
+        return subject_id, is_of_queue
 
 
 @dataclass(frozen=True, slots=True)
 class _FoundReplicas:
-    thing: Copied
+    subject: Copied
     replicas: tuple[ReplicaRecord, ...]
     hosts: tuple[HostRecord, ...]  # the owner, then the hosts of the copies
     applied_index: int
@@ -146,9 +146,9 @@ def _check_has_host(directory: Directory, operation: AddReplica, request_id: byt
         check_has_host(directory.tables, operation)
 
 
-def _find(directory: Directory, thing_id: bytes, *, is_of_queue: bool) -> _FoundReplicas:
+def _find(directory: Directory, subject_id: bytes, *, is_of_queue: bool) -> _FoundReplicas:
     tables = directory.tables
-    thing = copied_by_id(tables, thing_id, is_of_queue=is_of_queue)
-    replicas = tables.replicas.of(thing_id)
-    host_ids = (thing.host_id, *(replica.host_id for replica in replicas))
-    return _FoundReplicas(thing, replicas, tuple(tables.hosts[one] for one in host_ids), directory.applied_index)
+    subject = copied_by_id(tables, subject_id, is_of_queue=is_of_queue)
+    replicas = tables.replicas.of(subject_id)
+    host_ids = (subject.host_id, *(replica.host_id for replica in replicas))
+    return _FoundReplicas(subject, replicas, tuple(tables.hosts[one] for one in host_ids), directory.applied_index)

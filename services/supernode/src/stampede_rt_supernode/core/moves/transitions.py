@@ -22,7 +22,7 @@ from stampede_rt_supernode.core.lookups import channel_by_id, queue_by_id
 from stampede_rt_supernode.core.moves.commands import CommitMove, CommitQueueMove, MoveCommitted, QueueMoveCommitted
 from stampede_rt_supernode.core.queues.transitions import check_queue_epoch
 from stampede_rt_supernode.core.records import HostRecord, QueueRecord, ReplicaKind, ReplicaRecord
-from stampede_rt_supernode.core.replicas.things import Copied, id_of
+from stampede_rt_supernode.core.replicas.copied_subjects import Copied, id_of
 from stampede_rt_supernode.core.replicas.transitions import check_epoch, copies_after_owner_change, store
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation

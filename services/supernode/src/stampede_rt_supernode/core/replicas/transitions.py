@@ -20,7 +20,7 @@ from stampede_rt_supernode.core.replicas.commands import (
     ReplicaRemoved,
     SetReplicaInSync,
 )
-from stampede_rt_supernode.core.replicas.things import Copied, about, copied_by_id, id_of, shown
+from stampede_rt_supernode.core.replicas.copied_subjects import Copied, about, copied_by_id, id_of, shown
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation
 
@@ -74,9 +74,9 @@ def check_has_host(tables: Tables, operation: AddReplica) -> None:
     Raises the errors of `add_replica` about the fields of `operation`, about the id and the epoch, and about hosts.
     """
     check_add_replica(operation)
-    thing = copied_by_id(tables, operation.channel_id, is_of_queue=operation.is_of_queue)
-    check_epoch(thing, operation.epoch)
-    _choose_host(tables, thing, operation.host_id)
+    subject = copied_by_id(tables, operation.channel_id, is_of_queue=operation.is_of_queue)
+    check_epoch(subject, operation.epoch)
+    _choose_host(tables, subject, operation.host_id)
 
 
 def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
