@@ -48,7 +48,7 @@ class Hosts:
                     self.pids[int(fields["number"])] = int(fields["pid"])
                 if text in line:
                     return line
-        raise AssertionError(f"the supervisor ended and never said {text}")
+        raise AssertionError(f"the supervisor ended without the line {text!r}")
 
     async def started(self, count: int) -> None:
         for _ in range(count):

@@ -26,36 +26,36 @@ def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
         yield rt
 
 
-def again(handle: Any) -> Any:
+def pickled_copy(handle: Any) -> Any:
     return pickle.loads(pickle.dumps(handle))
 
 
 def test_a_pickled_channel_is_the_channel_of_that_name_with_its_codec(rt: st.Connection) -> None:
     channel = rt.channel("passing/numbers", codec="json", max_items=10)
     item = channel.put({"n": 1})
-    passed = again(channel)
+    passed = pickled_copy(channel)
     assert passed == channel
     assert passed.newest().value == {"n": 1}
     assert passed.put({"n": 2}).seq == item.seq + 1
     assert passed._session is not channel._session
-    assert again(channel)._session is passed._session, "handles from elsewhere share one connection"
+    assert pickled_copy(channel)._session is passed._session, "handles from elsewhere share one connection"
 
 
 def test_a_pickled_queue_group_and_descriptor_work_where_they_are_unpickled(rt: st.Connection) -> None:
     channel, queue = rt.channel("passing/camera", codec="json"), rt.queue("passing/work", codec="json", prefetch=3)
     group = rt.group("passing/group", [channel])
     queue.put([1])
-    with again(queue) as passed:
+    with pickled_copy(queue) as passed:
         message = passed.get(timeout=5)
         assert message is not None
         assert message.value == [1]
-    assert again(group) == group
-    assert again(group).channels[0].put({"x": 1}).value == {"x": 1}
-    assert again(group[channel]) == group[channel]
+    assert pickled_copy(group) == group
+    assert pickled_copy(group).channels[0].put({"x": 1}).value == {"x": 1}
+    assert pickled_copy(group[channel]) == group[channel]
 
 
 def test_a_pickled_connection_is_another_connection_to_the_same_cluster(rt: st.Connection) -> None:
-    with again(rt) as passed:
+    with pickled_copy(rt) as passed:
         assert passed.cluster_id == rt.cluster_id
         assert passed._session is not rt._session
 
@@ -102,7 +102,7 @@ def test_an_object_with_an_open_stream_cannot_be_pickled_or_copied(cluster: Loca
                     copied(one)
         with pytest.raises(TypeError, match="passing-peer"):
             pickle.dumps(rt)
-        assert again(channel) == channel
+        assert pickled_copy(channel) == channel
 
 
 def test_a_secret_that_was_an_argument_is_never_pickled(cluster: LocalCluster) -> None:
@@ -130,14 +130,14 @@ def test_items_answers_and_errors_are_values_that_can_be_pickled(rt: st.Connecti
     channel = rt.channel("passing/values", codec="json")
     channel.put({"n": 1}, attributes={"a": "b"})
     items = channel.get(st.OLDEST, st.NOW)
-    passed = again(items)
+    passed = pickled_copy(items)
     assert (list(passed), passed.complete, passed.interval) == (list(items), items.complete, items.interval)
     assert passed[0].value == {"n": 1}
-    nothing = again(channel.get(items[0].time + 1, st.NOW, match="start"))
+    nothing = pickled_copy(channel.get(items[0].time + 1, st.NOW, match="start"))
     assert (nothing.reason, bool(nothing.reason.detail)) == ("NOT_YET", True)
-    error = again(st.ChannelNotFound("no channel", metadata={"channel": "x"}))
+    error = pickled_copy(st.ChannelNotFound("no channel", metadata={"channel": "x"}))
     assert (type(error), str(error), error.metadata) == (st.ChannelNotFound, "no channel", {"channel": "x"})
-    assert again(channel.info) == channel.info
+    assert pickled_copy(channel.info) == channel.info
 
 
 def test_every_handle_shows_its_kind_and_whether_it_is_closed(cluster: LocalCluster) -> None:

@@ -80,8 +80,8 @@ class Load:
         assert self.failures == []
 
 
-def shows(address: str, certificate: Path, caller: st.TlsFiles) -> bool:
-    """Whether a service that is called now shows the certificate in that file."""
+def presents(address: str, certificate: Path, caller: st.TlsFiles) -> bool:
+    """Whether a service that is called now presents the certificate in that file."""
     host, _, port = address.rpartition(":")
     ca, own, key = caller.paths()
     context = ssl.create_default_context(cafile=ca)
@@ -113,7 +113,7 @@ def cluster() -> Iterator[LocalCluster]:
 
 
 def files_of(certificates: ClusterCertificates, cluster: LocalCluster) -> dict[str, Path]:
-    """Address -> the certificate that the service there should show."""
+    """Address -> the certificate that the service at this address should present."""
     return {
         process.address: Path(process.arguments[process.arguments.index("--tls-certificate") + 1])
         for process in cluster.processes()
@@ -149,8 +149,8 @@ def test_certificates_and_authority_are_replaced_under_load_without_a_failed_cal
         certificates.renew()
         for address, file in services.items():
             wait_until(
-                lambda address=address, file=file: shows(address, file, newcomer),
-                f"{address} shows its new certificate",
+                lambda address=address, file=file: presents(address, file, newcomer),
+                f"{address} presents its new certificate",
             )
         load.wait_for_progress()
         certificates.forget_former()

@@ -21,7 +21,7 @@ import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import ServiceProcess
-from tests.robustness.moves.test_real_processes import READY_S, SETTLED_S, Producer, check, moved
+from tests.robustness.moves.test_real_processes import READY_S, SETTLED_S, Producer, check, try_move
 from tests.robustness.moves.test_real_replicas import QueueLoad, in_sync, moved_queue
 from tests.support.cluster import cluster_fixture
 from tests.support.cutting_relay import CuttingRelay
@@ -131,7 +131,7 @@ def test_cut_streams_and_frozen_hosts_lose_nothing(cluster: LocalCluster, hosts:
         wait_for_acks(load)
         for _ in range(FAULTS_PER_SEED):
             fault, to = Fault(hosts, source), source.choice([name for name in NAMES if name != channel.host])
-            moves = pool.submit(moved, rt, channel, to), pool.submit(moved_queue, rt, queue.name, to)
+            moves = pool.submit(try_move, rt, channel, to), pool.submit(moved_queue, rt, queue.name, to)
             fault.wait_over()
             print(fault.description, to, *(one.result(SETTLED_S) or "moved" for one in moves), sep="; ")
             wait_for_acks(load)

@@ -59,7 +59,7 @@ class Hosts:
         """Start the killed processes again, and wait until all are ready."""
         for one in self.processes.values():
             if not one.alive:
-                again(one)
+                start_again(one)
         for one in self.processes.values():
             one.wait_ready(READY_S)
 
@@ -70,7 +70,7 @@ class Hosts:
         return plan
 
 
-def again(process: ServiceProcess) -> None:
+def start_again(process: ServiceProcess) -> None:
     """Start a process again that another process has killed."""
     process.kill()  # waits for the end of the former run
     process.start()
@@ -142,7 +142,7 @@ def victim_of(rt: Any, hosts: Hosts, victim: str, source: str, destination: str)
 def may_lose(victim: str, step: str) -> bool:
     """Whether the victim is the only host with the items at that step.
 
-    Its death may lose them then, as the death of any owner without a replica.
+    If the victim dies then, its items are lost, as with any owner without a replica.
     """
     if victim == "source":
         return step in (*STEPS[:3], *SOURCE_STEPS)  # the source may still be the owner
@@ -165,14 +165,14 @@ def test_a_move_leaves_one_owner_and_loses_nothing_if_a_process_dies_or_freezes(
         wait_until(lambda: len(producer.acknowledged) > 20, "items before the move")
         number = signal.SIGKILL if fault == "kill" else signal.SIGSTOP
         plan = hosts.plan(step, process, number, source, destination)
-        move = pool.submit(moved, rt, channel, destination)
+        move = pool.submit(try_move, rt, channel, destination)
         wait_until(lambda: not plan.exists() or move.done(), f"the move is at the step {step!r}")
         assert not plan.exists(), move.result()
         if fault == "stop":
             time.sleep(FROZEN_S)
             process.resume()
         elif victim == "leader":
-            again(process)
+            start_again(process)
             process.wait_ready(READY_S)
         failure = move.result(SETTLED_S)
         count = len(producer.acknowledged)
@@ -183,7 +183,8 @@ def test_a_move_leaves_one_owner_and_loses_nothing_if_a_process_dies_or_freezes(
         print(victim, fault, step, "->", failure or "moved")
 
 
-def moved(rt: Any, channel: Any, destination: str) -> st.StampedeError | None:
+def try_move(rt: Any, channel: Any, destination: str) -> st.StampedeError | None:
+    """Move the channel. Returns the error if the move fails."""
     try:
         rt.move(channel, destination, timeout="40s")
     except st.StampedeError as error:

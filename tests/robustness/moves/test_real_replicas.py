@@ -33,8 +33,8 @@ from tests.robustness.moves.test_real_processes import (
     SETTLED_S,
     Hosts,
     Producer,
-    again,
-    moved,
+    start_again,
+    try_move,
     victim_of,
 )
 from tests.support.cluster import cluster_fixture
@@ -166,7 +166,7 @@ class Scenario:
             time.sleep(FROZEN_S)
             process.resume()
         elif victim == "leader":
-            again(process)
+            start_again(process)
             process.wait_ready(READY_S)
 
 
@@ -180,7 +180,7 @@ def test_a_channel_with_a_replica_loses_nothing(cluster: LocalCluster, hosts: Ho
                              ack="replica")  # fmt: skip
         scenario = Scenario(rt, hosts, lambda: channel.stats().copies, channel.host)
         producer = Producer(channel)
-        scenario.play(case, lambda to: moved(rt, channel, to), producer)
+        scenario.play(case, lambda to: try_move(rt, channel, to), producer)
         producer.end_of_reader()
         assert producer.reader_error is None
         incarnations = {incarnation for _, incarnation in producer.acknowledged}

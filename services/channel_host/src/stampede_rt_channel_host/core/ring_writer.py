@@ -49,7 +49,7 @@ class BodyInParts(Protocol):
 
 
 class RingRun(NamedTuple):
-    """Items in the order of acceptance that ascend in time. `body`: the encoded run with exactly these items.
+    """Items whose times ascend in the order of acceptance. `body`: the encoded run with exactly these items.
 
     `duration` and `payload`: see `layout`; they count only for a single item.
     """
@@ -64,7 +64,7 @@ class RingRun(NamedTuple):
 
 
 class RingFacts(NamedTuple):
-    """The facts about a channel that a ring repeats, see `layout`. None: the instant or the limit is absent.
+    """The facts about a channel that a ring shows to readers, see `layout`. None: the instant or the limit is absent.
 
     `has_items`: in memory, or perhaps in the archive. `is_recorded`: the channel has an archive.
     """
@@ -98,7 +98,7 @@ class RingWriter:
     """The only writer of a ring. All bytes of `memory` are zero at first."""
 
     def __init__(self, memory: memoryview, size: RingSize, incarnation: int, newest_time: int | None) -> None:
-        """`newest_time`: the time of the channel's newest item. Append the newest held items next, in order."""
+        """`newest_time`: the time of the channel's newest item. The caller first appends the held items, in order."""
         self._words = words_of(memory)
         self._data = memory[size.data_begin :]
         self._size = size
@@ -163,7 +163,7 @@ class RingWriter:
         return begin
 
     def publish(self, facts: RingFacts, clock: ClockReading) -> None:
-        """Show the appended runs and the facts to readers. The caller then wakes the waiting readers."""
+        """Show the appended runs and the facts to readers. The caller must then wake the waiting readers."""
         if not facts.has_items:
             self._newest_slot = NO_ITEMS
         elif self._newest_slot == NO_ITEMS:
@@ -209,7 +209,7 @@ class RingWriter:
         self._data.release()
 
     def close(self) -> None:
-        """Tell readers that the host no longer writes this ring. The caller then wakes the waiting readers."""
+        """Tell readers that the host no longer writes this ring. The caller must then wake the waiting readers."""
         words = self._words
         words[STATE_WORD] = CLOSED
         words[CHANGES_WORD] = (words[CHANGES_WORD] + 1) & 0xFFFF_FFFF

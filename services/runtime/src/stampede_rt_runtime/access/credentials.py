@@ -38,22 +38,22 @@ def identify(
     Raises PermissionDenied, and the errors of `read_token`.
     """
     certified = _certified(accepted, certificate) if accepted.cluster else None
-    brought = _brought(authorization)
-    token = _token(accepted, brought)
+    credential = _credential_in(authorization)
+    token = _token(accepted, credential)
     if token is not None:
         # the token comes first, because it names one client, and many clients may share a certificate
         return replace(token, connection=certified)
-    secret = _by_secret(accepted, brought) if accepted.secrets else None
+    secret = _by_secret(accepted, credential) if accepted.secrets else None
     return certified or secret or ANYONE
 
 
-def of_certificate_alone(accepted: AcceptedCredentials, certificate: CallerCertificate | None) -> Caller:
+def identify_by_certificate(accepted: AcceptedCredentials, certificate: CallerCertificate | None) -> Caller:
     """The caller of a method that needs no secret: the owner of the certificate, if the service has certificates."""
     return _certified(accepted, certificate) if accepted.cluster else ANYONE
 
 
-def _brought(authorization: bytes | None) -> bytes | None:
-    """The secret or token in the metadata. None: the metadata has none. Empty: it has another scheme."""
+def _credential_in(authorization: bytes | None) -> bytes | None:
+    """The secret or token in the metadata; None if the metadata has none, and empty if they have another scheme."""
     if authorization is None:
         return None
     return authorization[len(SCHEME) :] if authorization.startswith(SCHEME) else b""
@@ -74,24 +74,24 @@ def _certified(accepted: AcceptedCredentials, certificate: CallerCertificate | N
     return by_certificate(certificate)
 
 
-def _token(accepted: AcceptedCredentials, brought: bytes | None) -> Caller | None:
-    if brought is None:
+def _token(accepted: AcceptedCredentials, credential: bytes | None) -> Caller | None:
+    if credential is None:
         return None
     try:
-        return accepted.read_token(brought.decode())
+        return accepted.read_token(credential.decode())
     except UnicodeDecodeError:
         return None
 
 
-def _by_secret(accepted: AcceptedCredentials, brought: bytes | None) -> Caller:
-    if brought is None:
+def _by_secret(accepted: AcceptedCredentials, credential: bytes | None) -> Caller:
+    if credential is None:
         raise _refused(
             "the call brought no secret",
             f"copy the service's secret file to one of the files that callers read: {_SEARCHED_FILES}. A client sends "
             "it to another machine only if $STAMPEDE_SECRET_FILE, or connect(secret=...), names it",
         )
     for secrets, of_cluster in ((accepted.secrets, True), (accepted.client_secrets, False)):
-        if _is_one_of(brought, secrets):
+        if _is_one_of(credential, secrets):
             return by_secret(of_cluster=of_cluster)
     raise _refused(
         "the call brought a secret that differs from the service's",
@@ -99,8 +99,8 @@ def _by_secret(accepted: AcceptedCredentials, brought: bytes | None) -> Caller:
     )
 
 
-def _is_one_of(brought: bytes, secrets: tuple[str, ...]) -> bool:
-    return any(hmac.compare_digest(brought, secret.encode()) for secret in secrets)
+def _is_one_of(credential: bytes, secrets: tuple[str, ...]) -> bool:
+    return any(hmac.compare_digest(credential, secret.encode()) for secret in secrets)
 
 
 def _refused(what: str, remedy: str) -> PermissionDenied:
