@@ -17,17 +17,17 @@ FOLDER = "tests"
 def complaints(sources: Mapping[str, str]) -> list[str]:
     """Return the imports of names that do not exist. `sources`: the source of each module, by its dotted name."""
     trees = {name: ast.parse(source) for name, source in sources.items()}
-    made = {name: _names_of(tree) for name, tree in trees.items()}
+    defined = {name: _names_of(tree) for name, tree in trees.items()}
     for name in sources:
         parent, _, last = name.rpartition(".")
-        made.setdefault(parent, set()).add(last)
+        defined.setdefault(parent, set()).add(last)
     return [
         f"{importer}, line {node.lineno}: {node.module} has no {alias.name}"
         for importer, tree in sorted(trees.items())
         for node in ast.walk(tree)
         if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] == FOLDER
         for alias in node.names
-        if alias.name not in made.get(node.module, set())
+        if alias.name not in defined.get(node.module, set())
     ]
 
 

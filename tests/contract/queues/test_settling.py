@@ -1,4 +1,4 @@
-"""Queues, on both clients: leases, acknowledgements, give-backs."""
+"""Queues, on both clients: takers acknowledge messages, give them back, or let their leases end."""
 
 from __future__ import annotations
 

@@ -26,13 +26,13 @@ def png_of(array: Any) -> bytes | None:
     stride = -(-max(array.shape[:2]) // SIDE_MAX)
     shown = array[::stride, ::stride]
     if shown.dtype != np.uint8:
-        shown = _spread(shown)
+        shown = _scaled_to_bytes(shown)
     if shown.ndim == 3 and shown.shape[2] == 1:
         shown = shown[:, :, 0]
     return _encode(np.ascontiguousarray(shown))
 
 
-def _spread(values: Any) -> Any:
+def _scaled_to_bytes(values: Any) -> Any:
     import numpy as np
 
     numbers = np.nan_to_num(values.astype(np.float64), posinf=0.0, neginf=0.0)

@@ -152,7 +152,7 @@ class Player(BackgroundStart, BoundToProcess):
         self._holds.set()
         try:
             await self._play_rounds(topics, schedule)
-        except FileError as error:  # the file is damaged behind the items so far
+        except FileError as error:  # the file is damaged after the items so far
             await self._flush()
             raise FileError(f"{error.message}; the channels had accepted {self.accepted} items before") from error
         finally:

@@ -28,12 +28,12 @@ class MemberAnswers(NamedTuple):
 
 
 def read_members(group: GroupMembers, query: ReadQuery) -> MemberAnswers:
-    """Read all members at the present cut, or at the cut as of `as_of`."""
+    """Read all members at the present cut, or with `as_of` at the cut of that instant. Raises as `read` does."""
     view, reason = group.view, None
     if query.as_of is None:
         query = replace(query, cut=present_cut(group))
     else:
-        view = SeenCut(group.info.group_id)  # the present cut has no influence
+        view = SeenCut(group.info.group_id)  # without the present cut, which is later
         cut, reason, _ = cut_as_of(group, query.as_of)
         query = replace(query, cut=cut)
     channels = group.channels

@@ -153,7 +153,7 @@ class Player(BackgroundStart, BoundToProcess):
         self._holds.set()
         try:
             self._play_rounds(topics, schedule)
-        except FileError as error:  # the file is damaged behind the items so far
+        except FileError as error:  # the file is damaged after the items so far
             self._flush()
             raise FileError(f"{error.message}; the channels had accepted {self.accepted} items before") from error
         finally:

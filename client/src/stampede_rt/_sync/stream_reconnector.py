@@ -79,7 +79,7 @@ class StreamReconnector:
                 self._since_s = None  # if the program uses the stream again, a new time of `reconnect` begins
             if over or not may_heal(error) or self._session.closing or self._session.closed:
                 raise
-            self._tell(error)
+            self._log_long_break(error)
         else:
             self._is_open()
             return True
@@ -90,7 +90,7 @@ class StreamReconnector:
         began_s = monotonic_s() if self._since_s is None else self._since_s
         return max(began_s + self._bound_s - monotonic_s(), 0.0)
 
-    def _tell(self, error: StampedeError) -> None:
+    def _log_long_break(self, error: StampedeError) -> None:
         if not self._is_logged and self._since_s is not None and monotonic_s() - self._since_s > SILENT_S:
             self._is_logged = True
             bound = "" if self._bound_s == float("inf") else f" for {format_duration(round(self._bound_s * 1e9))}"

@@ -35,8 +35,8 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD_BYTES_MAX = 256 * 1024 * 1024
 """The largest record that is read, and the largest chunk after decompression. A larger one counts as damage."""
 CHUNK_RECORDS_MAX = 2**20
-"""The most records of one chunk. A chunk with more counts as damage: a few kilobytes may unpack to millions of records,
-and each record takes hundreds of bytes of memory.
+"""The most records of one chunk. A chunk with more counts as damage: a few kilobytes may decompress to millions of
+records, and each record takes hundreds of bytes of memory.
 """
 _FRAME = struct.Struct("<BQ")
 _MESSAGE_HEAD_BYTES = 22
@@ -121,28 +121,25 @@ class RecordFile:
     def frames(self, offset: int = len(MAGIC)) -> Iterator[RecordFrame | Damage]:
         """Yield the records from the byte `offset` on, and the parts that are not records. Ends at the end mark.
 
-        A file that ends without the end mark ends with a Damage of the rest, perhaps of no bytes.
+        If the file has no end mark, the last part is a Damage, perhaps of no bytes.
         """
         while True:
             frame = self.frame_at(offset)
-            if frame is not None and not self.fits(frame):
-                frame = None
-            if frame is None and self.size - offset == len(MAGIC) and self._read(offset, len(MAGIC)) == MAGIC:
-                return
-            if frame is not None:
+            if frame is not None and self.has_consistent_lengths(frame):
                 yield frame
                 offset = frame.end
                 continue
-            behind = self._next_chunk(offset + 1)
-            end = self.size if behind is None else behind
-            detail = "the file ends without its end mark" if behind is None else "these bytes are no record"
-            yield Damage(offset, end, detail)
-            if behind is None:
+            if self.size - offset == len(MAGIC) and self.has_end_mark():
                 return
-            offset = behind
+            next_chunk = self._next_chunk(offset + 1)
+            if next_chunk is None:
+                yield Damage(offset, self.size, "the file ends without its end mark")
+                return
+            yield Damage(offset, next_chunk, "these bytes are no record")
+            offset = next_chunk
 
     def chunk_head(self, frame: RecordFrame) -> tuple[int, int, int] | None:
-        """Return the first time, the last time and the unpacked size in the head of a chunk; None: it is no chunk.
+        """Return the first time, the last time and the decompressed size in the head of a chunk; None: it is no chunk.
 
         No checksum covers the head.
         """
@@ -161,7 +158,7 @@ class RecordFile:
         return RecordFrame(offset, opcode, length)
 
     def _next_chunk(self, offset: int) -> int | None:
-        """Find the next whole and unharmed chunk at or after a byte. Reads the file in parts."""
+        """Find the next whole and undamaged chunk at or after a byte. Reads the file in parts."""
         while offset < self.size:
             part = self._read(offset, _SEARCH_BYTES + _COMPRESSION_AT + 8)
             for match in _COMPRESSION.finditer(part, _COMPRESSION_AT):
@@ -171,7 +168,7 @@ class RecordFile:
             offset += _SEARCH_BYTES
         return None
 
-    def fits(self, frame: RecordFrame) -> bool:
+    def has_consistent_lengths(self, frame: RecordFrame) -> bool:
         """Whether the kind and the length of a record agree with the lengths inside it.
 
         No checksum covers the kind and the lengths. A flipped bit in them may hide a chunk: the chunk looks like
@@ -189,7 +186,7 @@ class RecordFile:
         return int.from_bytes(stored, "little") + _CHUNK_HEAD.size + name_length + 8 == frame.length
 
     def is_chunk(self, offset: int) -> bool:
-        """Whether a whole and unharmed chunk begins at a byte. Reads it."""
+        """Whether a whole and undamaged chunk begins at a byte. Reads it."""
         frame = self.frame_at(offset)
         if frame is None or frame.opcode != Opcode.CHUNK or not self._has_lengths_of_chunk(frame):
             return False
@@ -208,15 +205,15 @@ class RecordFile:
             )
         return self._read(frame.offset + _FRAME.size, frame.length)
 
-    def checksum(self, offset: int, end: int, found: int = 0) -> int:
+    def checksum(self, offset: int, end: int, crc: int = 0) -> int:
         """Return the CRC-32 of the bytes from `offset` to `end`, exclusive. Reads them in parts.
 
-        `found`: the checksum of the bytes before `offset` that belong to it.
+        `crc`: the CRC-32 of the earlier bytes, if the checksum begins before `offset`.
         """
         while offset < end and (part := self._read(offset, min(_SEARCH_BYTES, end - offset))):
-            found = zlib.crc32(part, found)
+            crc = zlib.crc32(part, crc)
             offset += len(part)
-        return found
+        return crc
 
     def attachment(self, frame: RecordFrame) -> Attachment:
         """Decode an attachment. Raises FileError, also if it does not have the checksum that it states (0: none)."""
@@ -282,26 +279,26 @@ def _decompressed(chunk: Chunk) -> bytes:
     limit = chunk.uncompressed_size
     if limit > RECORD_BYTES_MAX:
         raise ValueError(f"a chunk says that it has {limit} bytes; at most {RECORD_BYTES_MAX} are read")
-    unpack = _UNPACKERS.get(chunk.compression)
-    if unpack is None:
+    decompress = _DECOMPRESSORS.get(chunk.compression)
+    if decompress is None:
         raise ValueError(f"its compression {chunk.compression!r} is not known")
-    data = unpack(chunk.data, limit + 1)
+    data = decompress(chunk.data, limit + 1)
     if len(data) != limit:
         raise ValueError(f"it has {len(data)} bytes in place of {limit}")
     return data
 
 
-def _unpacked_zstd(data: bytes, bytes_max: int) -> bytes:
+def _decompressed_zstd(data: bytes, bytes_max: int) -> bytes:
     with zstandard.ZstdDecompressor().stream_reader(BytesIO(data)) as reader:
         return reader.read(bytes_max)
 
 
-def _unpacked_lz4(data: bytes, bytes_max: int) -> bytes:
+def _decompressed_lz4(data: bytes, bytes_max: int) -> bytes:
     return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=bytes_max))
 
 
-_UNPACKERS: dict[str, Callable[[bytes, int], bytes]] = {
+_DECOMPRESSORS: dict[str, Callable[[bytes, int], bytes]] = {
     "": lambda data, bytes_max: data[:bytes_max],
-    "zstd": _unpacked_zstd,
-    "lz4": _unpacked_lz4,
+    "zstd": _decompressed_zstd,
+    "lz4": _decompressed_lz4,
 }

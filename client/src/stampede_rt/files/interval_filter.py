@@ -26,7 +26,7 @@ class IntervalFilter:
 
     It drops a gap only if the end of the gap and the next item are before the interval, or the start of the gap and the
     item before it are after the interval. So a gap waits for the next item of its channel that is not late, and the
-    events behind it wait, too.
+    events after it wait, too.
     """
 
     def __init__(self, start: int, end: int, chosen: Callable[[str], bool], take: Callable[[Any], object]) -> None:

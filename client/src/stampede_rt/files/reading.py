@@ -130,7 +130,7 @@ class FileReader:
     def content_at(self, offset: int) -> ChunkContent:
         """Read the chunk at a byte, as the index names it. Raises FileError."""
         frame = self._records.frame_at(offset)
-        if frame is None or frame.opcode != Opcode.CHUNK or not self._records.fits(frame):
+        if frame is None or frame.opcode != Opcode.CHUNK or not self._records.has_consistent_lengths(frame):
             raise FileError(f"the index of {self.path!r} names a chunk at byte {offset}, and there is none")
         content = self._content(frame, self._records.chunk_records(frame))
         self.check(content)

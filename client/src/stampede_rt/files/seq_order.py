@@ -65,7 +65,7 @@ class SeqOrder:
 
 
 def _place_of(event: Event) -> tuple[Key, tuple[int, int] | None]:
-    """Return the channel of an event, and its place there: gaps before the item of the same seq, advances behind it."""
+    """Return the channel of an event, and its place there: gaps before the item of the same seq, advances after it."""
     if isinstance(event, FileEntry):
         key = (event.topic.name, event.topic.incarnation or 0)
         return key, None if event.seq is None or event.topic.incarnation is None else (event.seq, 1)

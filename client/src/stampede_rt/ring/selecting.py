@@ -236,11 +236,11 @@ def _matching(found: _Items, match: Match, within: ResolvedInterval, now: int, f
 def _reaching_in(found: _Items, within: ResolvedInterval, now: int, facts: list[int]) -> list[int]:
     """Return the items at or before the interval's start whose spans contain an instant of it."""
     times, start = found.times, within.start
-    behind = bisect_right(times, start)
-    if not behind:
+    end = bisect_right(times, start)
+    if not end:
         return []
-    bucket = times[behind - 1]
-    positions = range(bisect_left(times, bucket), behind)
+    bucket = times[end - 1]
+    positions = range(bisect_left(times, bucket), end)
     if bucket in within:
         return [*positions]
     is_newest = _time_behind(found, bucket, facts) is None

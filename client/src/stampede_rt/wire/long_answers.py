@@ -85,11 +85,11 @@ def _long_run(view: memoryview) -> LongRun:
     """Return a delivered run. A run is encoded anew if its fields do not come in the order of their numbers."""
     if view[0] == _RUN_TAG:
         length, begin = decode_varint(view, 1)
-        behind = view[begin + length :]
+        rest = view[begin + length :]
         if begin + length == len(view):
             return LongRun(view[begin:], None)
-        if len(behind) == _NEXT_TIME.size and behind[0] == _NEXT_TIME_TAG:
-            return LongRun(view[begin : begin + length], _NEXT_TIME.unpack(behind)[1])
+        if len(rest) == _NEXT_TIME.size and rest[0] == _NEXT_TIME_TAG:
+            return LongRun(view[begin : begin + length], _NEXT_TIME.unpack(rest)[1])
     one = item_pb2.DeliveredRun.FromString(bytes(view))
     next_time = one.next_time_unix_nano if one.HasField("next_time_unix_nano") else None
     return LongRun(memoryview(one.run.SerializeToString()), next_time)

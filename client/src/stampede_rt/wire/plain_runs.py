@@ -107,7 +107,7 @@ def _lengths_of(payload_bytes: int) -> bytes:
 
 
 def _number_at(raw: bytes | memoryview, at: int, tag: int) -> tuple[int, int | None]:
-    """Return the only number of the column at `at`, after the position behind it; None if another field is there."""
+    """Return the only number of the column at `at`, after the position after it; None if another field is there."""
     if raw[at] != tag or raw[at + 1] != 8:
         return at, None
     return at + _COLUMN.size, _COLUMN.unpack_from(raw, at)[2]

@@ -286,8 +286,8 @@ def plain_payload_at(sealed: bytes, payload_bytes: int) -> int:
             continue
         length, value = decode_varint(sealed, at + 1)
         if tag == _PAYLOADS_TAG:
-            behind = len(sealed) - value - length
-            return value if length == payload_bytes and behind in _SEALS_OF_ONE else 0
+            rest_bytes = len(sealed) - value - length
+            return value if length == payload_bytes and rest_bytes in _SEALS_OF_ONE else 0
         if tag not in _COLUMN_TAGS:
             return 0
         at = value + length

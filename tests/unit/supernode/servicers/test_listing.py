@@ -27,8 +27,8 @@ class Calls:
 
 
 def search(_: Directory, after: str, most: int) -> SearchStep[str, str]:
-    behind = [name for name in NAMES if name > after]
-    return SearchStep([(name, name) for name in behind[:most]], behind[most - 1] if len(behind) > most else None)
+    later = [name for name in NAMES if name > after]
+    return SearchStep([(name, name) for name in later[:most]], later[most - 1] if len(later) > most else None)
 
 
 async def listed(after: str, size: int, calls: Any = None, seconds: float = 5.0) -> ListedPage[str, str]:

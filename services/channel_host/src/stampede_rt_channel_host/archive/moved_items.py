@@ -38,7 +38,7 @@ class MovedItems:
             self._note_ends()
 
     def _note_ends(self) -> None:
-        """Note a hole behind the last item, and items that memory has lost since this object looked at them."""
+        """Note a hole after the last item, and items that memory has lost since this object looked at them."""
         if self._looked_to < self._end:
             self.lacks_from = self._end
         first = next(self._channel.accepted_from(self.lacks_from), None)

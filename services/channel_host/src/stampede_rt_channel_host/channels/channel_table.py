@@ -61,8 +61,8 @@ class ChannelTable(Mapping[bytes, HostedChannel]):
 
     def named_after(self, name: str, count: int) -> list[HostedChannel]:
         """The first `count` channels whose names follow `name`, sorted by name."""
-        behind = self._names.irange(minimum=(name, _ID_END), inclusive=(False, True))
-        return [self._by_id[channel_id] for _, channel_id in islice(behind, count)]
+        later = self._names.irange(minimum=(name, _ID_END), inclusive=(False, True))
+        return [self._by_id[channel_id] for _, channel_id in islice(later, count)]
 
     def batches(self, count: int) -> Iterator[list[HostedChannel]]:
         """All channels sorted by name, `count` at a time. The table may change between two batches."""

@@ -88,7 +88,7 @@ def loss_after(stop: CleanStop, since: int | None, end_seq: int) -> tuple[int | 
 def lost_since(segments: Sequence[Segment]) -> int | None:
     """The earliest instant at which items behind these segments may lie; None: any instant.
 
-    The newest item may have a time in the future. Then the items behind it have the time of their acceptance.
+    The newest item may have a time in the future. Then the items after it have the time of their acceptance.
     """
     newest = span_of((*segments,)).newest
     return None if newest is None else min(newest, max(one.last_accepted for one in segments))

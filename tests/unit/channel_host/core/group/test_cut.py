@@ -122,7 +122,7 @@ def test_the_member_with_the_latest_item_decides_the_cut_if_all_members_are_sile
     board.enter_own(B, at(70), -1)
     cut = GroupCut(definition, board)
     cut.confirm()
-    assert cut.refresh(5 * S)  # no call looked in between, when only A was left
+    assert cut.refresh(5 * S)  # no call refreshed the cut while B alone was silent
     assert (cut.cut, cut.waiting_on(5 * S), cut.next_idle(5 * S)) == (100, [A], None)
 
 

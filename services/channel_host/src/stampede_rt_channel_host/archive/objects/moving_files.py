@@ -179,7 +179,7 @@ class MovingFiles(SegmentFiles):
         return self._segments
 
     def lacks_items(self, archived_to: int) -> bool:
-        """Whether segments may be missing: there is a hole between two segments, or behind the last one, or all
+        """Whether segments may be missing: there is a hole between two segments, or after the last one, or all
         segments belong to this owner. `archived_to`: see `find_again`.
         """
         pairs = pairwise(self._segments)

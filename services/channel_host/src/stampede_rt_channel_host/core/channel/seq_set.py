@@ -163,8 +163,8 @@ class CountedSeqs(SeqSet):
         Scans the ranges of the first and the last block, and adds the stored counts of the blocks between. If a range
         has `first`, the method counts the seqs of that range in one step.
         """
-        behind = max(first, min(end, self.end_of(first)))
-        known, first = behind - first, behind
+        known_end = max(first, min(end, self.end_of(first)))
+        known, first = known_end - first, known_end
         low, high = -(-first // BLOCK_SEQS), end // BLOCK_SEQS
         if low >= high:
             return known + self._scan(first, end)
