@@ -49,7 +49,7 @@ async def elsewhere(rig: Rig, channels: int) -> tuple[str, Work]:
         await idle(rig)
 
     logging.getLogger("stampede_rt_channel_host").addHandler(logging.NullHandler())
-    return f"{channels:,} channels and as many queues went elsewhere when the host registers again", work
+    return f"{channels:,} channels and as many queues went to other hosts when the host registers again", work
 
 
 async def touched(rig: Rig, channels: int) -> tuple[str, Work]:

@@ -42,7 +42,7 @@ def slow(rt: Any) -> Iterator[Any]:
     for _ in range(ITEMS):
         channel.put(bytes(ITEM_BYTES))
     failures: list[Exception] = []
-    moving = threading.Thread(target=_failing, args=(lambda: rt.move(channel, "h2"), failures), daemon=True)
+    moving = threading.Thread(target=_note_failure, args=(lambda: rt.move(channel, "h2"), failures), daemon=True)
     moving.start()
     wait_until(lambda: "cam" in rt.hosted_channels("h2"), "the copy has begun")
     yield channel
@@ -51,7 +51,7 @@ def slow(rt: Any) -> Iterator[Any]:
     assert len(failures) == 1
 
 
-def _failing(call: Callable[[], object], failures: list[Exception]) -> None:
+def _note_failure(call: Callable[[], object], failures: list[Exception]) -> None:
     try:
         call()
     except Exception as error:  # noqa: BLE001 - another thread looks at it
@@ -74,12 +74,12 @@ async def test_a_second_move_is_a_conflict_for_callers_with_asyncio_too(slow: An
             await rt.move("cam", "h3")
 
 
-def test_a_queue_with_two_moves_at_the_same_time_makes_both(rt: Any) -> None:
+def test_a_queue_performs_two_moves_that_begin_at_the_same_time(rt: Any) -> None:
     queue = rt.queue("jobs", host="h1")
     queue.put(b"x")
     failures: list[Exception] = []
     moves = [
-        threading.Thread(target=_failing, args=(lambda host=host: rt.move_queue("jobs", host), failures))  # type: ignore[misc]
+        threading.Thread(target=_note_failure, args=(lambda host=host: rt.move_queue("jobs", host), failures))  # type: ignore[misc]
         for host in ("h2", "h3")
     ]
     for move in moves:

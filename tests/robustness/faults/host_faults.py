@@ -50,7 +50,7 @@ async def kill_host(scene: Scene) -> None:
     evidence = f"{KILLED}; {_reopened(pinned)}"
     await started(pinned.host)
     await _read(scene, pinned)
-    scene.ended("host: kill -9, its channels go elsewhere", began, recovery, evidence=evidence)
+    scene.ended("host: kill -9, its channels go to other hosts", began, recovery, evidence=evidence)
 
 
 async def restart_host(scene: Scene) -> None:

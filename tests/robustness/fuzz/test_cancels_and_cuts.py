@@ -1,4 +1,4 @@
-"""After any cuts and cancellations no call hangs, no acknowledged item is lost or doubled, and no task or thread stays.
+"""After cuts and cancellations no call hangs, no acknowledged item is lost or repeated, and no task or thread is left.
 
 `make fuzz` runs other and longer scenarios: STAMPEDE_FUZZ_SCENARIOS of STAMPEDE_FUZZ_SECONDS each, from
 STAMPEDE_FUZZ_SEED on.

@@ -106,15 +106,15 @@ class BindingCache:
 
 
 def order_by_round_trip(
-    targets: Iterable[str], round_trip_s: dict[str, float], elsewhere: Collection[str] = ()
+    targets: Iterable[str], round_trip_s: dict[str, float], in_other_zones: Collection[str] = ()
 ) -> list[str]:
     """Return the supernodes at `targets`, best first (paper, section 4.3).
 
-    Supernodes of the caller's zone come before the supernodes `elsewhere`, and a shorter round trip comes before a
+    Supernodes of the caller's zone come before the supernodes `in_other_zones`, and a shorter round trip comes before a
     longer one. Supernodes without a round trip did not answer, and come last. Equal supernodes keep their order.
     """
 
     def order(target: str) -> tuple[bool, bool, float]:
-        return (target not in round_trip_s, target in elsewhere, round_trip_s.get(target, 0.0))
+        return (target not in round_trip_s, target in in_other_zones, round_trip_s.get(target, 0.0))
 
     return sorted(targets, key=order)

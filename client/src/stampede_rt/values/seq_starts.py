@@ -40,7 +40,7 @@ def begin_of(first: int, end: int) -> int:
 
 
 def given_over(first: int, end: int, ends: Iterable[int]) -> int:
-    """Return the number of items as `given_between` does, but also with the seqs before the last start of an owner.
+    """Return the number of items as `given_between` does, but count also the seqs before the last start of an owner.
 
     `ends`: the seqs at which segments end, exclusive, in ascending order. The segments show that a former owner used
     the seqs up to such an end.

@@ -34,9 +34,9 @@ def rank(supernodes: Iterable[Supernode], zone: str) -> list[Supernode]:
     """
 
     def order(node: Supernode) -> tuple[bool, bool, bool, int, str]:
-        elsewhere = bool(zone) and node.zone != zone
+        is_in_other_zone = bool(zone) and node.zone != zone
         unmeasured = node.round_trip_nanos is None
-        return (not node.healthy, elsewhere, unmeasured, node.round_trip_nanos or 0, node.supernode_id)
+        return (not node.healthy, is_in_other_zone, unmeasured, node.round_trip_nanos or 0, node.supernode_id)
 
     return sorted(supernodes, key=order)
 

@@ -134,7 +134,7 @@ class _Parts:
     membership: MembershipServicer
 
     async def end_streams(self) -> None:
-        """End all watches, so that callers go elsewhere. Hand the leadership over. Then close the log.
+        """End all watches, so that callers use another supernode. Hand the leadership over. Then close the log.
 
         Because of the hand-over, the other members need not wait for an election timeout.
         """

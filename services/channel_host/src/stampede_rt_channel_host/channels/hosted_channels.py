@@ -301,7 +301,7 @@ class HostedChannel:
     @property
     def is_fallback(self) -> bool:
         """Whether another host owns the channel, and this host keeps the items in case that host is lost soon."""
-        return self.moving is not None and self.moving.elsewhere is not None
+        return self.moving is not None and self.moving.redirect_error is not None
 
     def close_ring(self) -> None:
         """Stop repeating the channel in shared memory. The readers ask the host again. Idempotent."""

@@ -115,9 +115,9 @@ def is_given_away(hosted: HostedChannel | None) -> bool:
     return hosted is not None and hosted.copy is None and hosted.moving is not None and hosted.moving.is_held
 
 
-def elsewhere(hosted: HostedChannel | None) -> StampedeError | None:
+def redirect_error(hosted: HostedChannel | None) -> StampedeError | None:
     """The error that sends callers to the new owner of a channel that has just moved from here; otherwise None."""
-    return hosted.moving.elsewhere if hosted is not None and hosted.moving is not None else None
+    return hosted.moving.redirect_error if hosted is not None and hosted.moving is not None else None
 
 
 def _ignore_floors(floors: Sequence[CutFloor]) -> None:

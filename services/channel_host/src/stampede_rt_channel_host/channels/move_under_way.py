@@ -26,7 +26,7 @@ class HeldPuts(Protocol):
 
 
 class MoveUnderWay:
-    """A move under way. `elsewhere`: the error that sends callers to the new owner, as soon as there is one."""
+    """A move under way. `redirect_error`: the error that sends callers to the new owner, as soon as there is one."""
 
     def __init__(self, name: str, puts: HeldPuts, begin: Callable[[Pieces[None]], None]) -> None:
         """`name` is the channel's name. `begin` does work in pieces."""
@@ -34,7 +34,7 @@ class MoveUnderWay:
         self._puts = puts
         self._begin = begin
         self._timer: asyncio.TimerHandle | None = None
-        self.elsewhere: StampedeError | None = None
+        self.redirect_error: StampedeError | None = None
         self.is_held = False
         self._over = asyncio.Event()
 
@@ -63,10 +63,10 @@ class MoveUnderWay:
         self._over.set()
         self._puts.release()
 
-    def gone(self, elsewhere: StampedeError) -> None:
+    def gone(self, redirect_error: StampedeError) -> None:
         """Send the waiting calls to another host, which owns the channel now."""
         self.stop()
-        self.elsewhere = elsewhere
+        self.redirect_error = redirect_error
         self._over.set()
 
     async def decided(self) -> None:

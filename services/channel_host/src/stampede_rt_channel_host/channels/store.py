@@ -17,7 +17,7 @@ from stampede_rt_channel_host.channels.copy_state import Freshness, gone
 from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.host_clocks import HostClocks
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.hosted_copies import HostedCopies, elsewhere, inherits, is_given_away
+from stampede_rt_channel_host.channels.hosted_copies import HostedCopies, inherits, is_given_away, redirect_error
 from stampede_rt_channel_host.channels.limits.id_owners import IdOwners
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.multicast.multicasts import Multicasts
@@ -98,7 +98,7 @@ class ChannelStore:
         self._check_lease()
         hosted = self._channels.get(channel_id)
         if hosted is None or not hosted.epoch or hosted.copy is not None or hosted.is_fallback or not hosted.is_ready:
-            raise elsewhere(hosted) or refusals.not_here(self._identity.name, channel_id)
+            raise redirect_error(hosted) or refusals.not_here(self._identity.name, channel_id)
         if hosted.epoch != epoch:
             raise refusals.wrong_epoch(hosted.record.name, epoch, hosted.epoch)
         return hosted
@@ -172,9 +172,9 @@ class ChannelStore:
     def registering(self, records: Iterable[RecordedChannel], *, is_complete: bool) -> Pieces[None]:
         """Process the directory's answer to a registration, in pieces. The host does not hold the lease meanwhile.
 
-        The store drops the channels that went elsewhere, and takes over new epochs. `is_complete` False: the answer
-        does not name all channels of the host. The store then serves an unnamed channel again only after its next
-        `bind`.
+        The store drops the channels that other hosts own now, and takes over new epochs. `is_complete` False: the
+        answer does not name all channels of the host. The store then serves an unnamed channel again only after its
+        next `bind`.
         """
         self.registrations += 1
         yield from comparing(
@@ -196,16 +196,17 @@ class ChannelStore:
         if record is not None and not (record.policy.is_recorded and not hosted.has_same_items(record)):
             self.adopt(record)
         elif is_complete:
-            logger.warning("channel went elsewhere", extra={"event": "channel_moved", "channel": hosted.record.name})
-            return self._drop(
-                hosted.record.channel_id, refusals.not_here(self._identity.name, hosted.record.channel_id)
+            record_here, host = hosted.record, self._identity.name
+            logger.warning(
+                "another host has the channel", extra={"event": "channel_moved", "channel": record_here.name}
             )
+            return self._drop(record_here.channel_id, refusals.not_here(host, record_here.channel_id))
         else:
             hosted.epoch = 0  # `find` refuses it: the next bind asks the directory
         return []
 
     def fence(self) -> None:
-        """End all waits and streams, because the lease has ended. The callers must look for the channels elsewhere."""
+        """End all waits and streams, because the lease has ended. Callers look for the channels at other hosts."""
         self.end_all(refusals.fenced(self._identity.name))
 
     def close(self) -> None:
@@ -268,7 +269,7 @@ class ChannelStore:
                 self.recordings.deleted(held.record)
             raise
         if record.host_id != self._identity.host_id and is_given_away(held):
-            raise elsewhere(held) or refusals.moved(record.name, record.host_id)
+            raise redirect_error(held) or refusals.moved(record.name, record.host_id)
         if self._identity.host_id in record.copy_host_ids:
             return await self.copies.on_bound(record)
         if record.host_id != self._identity.host_id:

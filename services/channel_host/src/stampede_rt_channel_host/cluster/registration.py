@@ -274,7 +274,9 @@ class Registration:
             )
         self._epoch.note_registered()
         await self._note_cluster(response)
-        await self._on_registered(response)  # before the grant, so that the host serves no channel that went elsewhere
+        await self._on_registered(
+            response
+        )  # before the grant, so that the host serves no channel that another host owns
         self._grant(sent, response.lease_ttl_nanos)
         self._note_registered(len(response.channels))
 

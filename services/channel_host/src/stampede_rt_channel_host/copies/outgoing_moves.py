@@ -109,7 +109,7 @@ class OutgoingMove:
     @property
     def is_committed(self) -> bool:
         """Whether this host knows that the destination is the owner."""
-        return self._moving.elsewhere is not None
+        return self._moving.redirect_error is not None
 
     @property
     def permit(self) -> bytes:
@@ -225,7 +225,7 @@ class OutgoingMove:
     async def _is_no_longer_needed(self) -> bool:
         """Ask the directory, and act on the answer. True: this host has dropped the items, or is a replica now."""
         channel_id, name = self._hosted.record.channel_id, self._hosted.record.name
-        error: StampedeError = self._moving.elsewhere or refusals.moved(name, self._host_id)
+        error: StampedeError = self._moving.redirect_error or refusals.moved(name, self._host_id)
         try:
             directory = self._moves.directory
             kept = (

@@ -142,7 +142,7 @@ class GroupStore:
         return refusals.not_here(self._identity.name, channel_id)
 
     def fence(self) -> None:
-        """End all waits and streams, because the lease has ended. Readers look for the channels elsewhere, or wait."""
+        """End all waits and streams, because the lease has ended. Readers then ask other hosts, or wait."""
         self.end_all(refusals.fenced(self._identity.name))
 
     def end_all(self, error: StampedeError) -> None:

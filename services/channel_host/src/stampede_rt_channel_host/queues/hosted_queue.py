@@ -297,7 +297,7 @@ class HostedQueue(ReplicatedQueue):
         self._deadlines.disarm(self)
         self._charge.set(0)
         if self.moving is not None:
-            self.moving.elsewhere = error
+            self.moving.redirect_error = error
             self.moving.over.set()
         if self.replication is not None:
             self.replication.close()

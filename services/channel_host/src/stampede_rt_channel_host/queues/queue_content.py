@@ -36,7 +36,7 @@ class KeptQueue(NamedTuple):
 
 
 class QueueMove:
-    """A move of a queue to another host. `elsewhere`: the error that sends callers there, as soon as the move is over.
+    """A move of a queue to another host. `redirect_error`: the error that sends callers there after the move.
 
     `kept`: the copy that stays here if the queue moves; None: the queue has no replicas, or has not been handed over.
     """
@@ -44,7 +44,7 @@ class QueueMove:
     def __init__(self) -> None:
         self.is_held = self.is_exporting = False
         self.kept: KeptQueue | None = None
-        self.elsewhere: StampedeError | None = None
+        self.redirect_error: StampedeError | None = None
         self.over = asyncio.Event()
 
     def free(self) -> None:
@@ -63,5 +63,5 @@ class QueueMove:
                 await self.over.wait()
         except TimeoutError:
             raise Overloaded(f"queue {queue} is moving to another host, which takes too long; try again") from None
-        if self.elsewhere is not None:
-            raise self.elsewhere
+        if self.redirect_error is not None:
+            raise self.redirect_error

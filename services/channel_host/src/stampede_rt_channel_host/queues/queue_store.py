@@ -148,7 +148,9 @@ class QueueStore:
         if record is not None:
             self.adopt(record)
         elif is_complete:
-            logger.warning("queue went elsewhere", extra={"event": "queue_moved", "queue": display_name(hosted.record)})
+            logger.warning(
+                "another host has the queue", extra={"event": "queue_moved", "queue": display_name(hosted.record)}
+            )
             error = refusals.not_here(self._identity.name, hosted.record.queue_id)
             left += self._drop(hosted.record.queue_id, error)
         else:
@@ -191,7 +193,7 @@ class QueueStore:
             self.changed(change.queue, removed=change.removed)
 
     def fence(self) -> None:
-        """End all streams, because the lease has ended. Takers and producers must look for the queues elsewhere."""
+        """End all streams, because the lease has ended. Takers and producers look for the queues at other hosts."""
         self.end_all(refusals.fenced(self._identity.name))
 
     def close(self) -> None:
@@ -266,7 +268,7 @@ class QueueStore:
     def _knows(self, queue_id: bytes, epoch: int | None) -> bool:
         """Whether the store can answer without the directory.
 
-        The store needs no directory for an epoch below the known one either: it refuses the request in any case.
+        For an epoch below the known one the store needs no directory, too, because it refuses the request.
         """
         hosted = self._queues.get(queue_id)
         return hosted is not None and hosted.epoch > 0 and (epoch or 0) <= hosted.epoch

@@ -160,11 +160,12 @@ def _check_callable(address: str, members: Mapping[str, str]) -> None:
     """Raises ValueError if members on other machines could not call the newcomer, or the newcomer could not
     call them.
     """
-    elsewhere = [f"{name} at {target}" for name, target in members.items() if not is_loopback(target)]
-    if elsewhere and is_loopback(address):
+    on_other_machines = [f"{name} at {target}" for name, target in members.items() if not is_loopback(target)]
+    if on_other_machines and is_loopback(address):
         raise ValueError(
-            f"{address} can be called only from its own machine, and the members are elsewhere "
-            f"({', '.join(elsewhere)}); give --listen or --advertise the address at which they reach this supernode"
+            f"{address} can be called only from its own machine, and other members are on "
+            f"other machines ({', '.join(on_other_machines)}); give --listen or --advertise the address at which they "
+            "reach this supernode"
         )
     here = [f"{name} at {target}" for name, target in members.items() if is_loopback(target)]
     if here and not is_loopback(address):

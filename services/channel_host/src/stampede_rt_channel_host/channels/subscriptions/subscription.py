@@ -127,9 +127,9 @@ class Subscription(ChangeObserver):
             return
         self._movable_at_s = asyncio.get_running_loop().time() + (STAY_SECONDS if opening.stay else 0)
         if hosted.fed is not None and not opening.stay:
-            elsewhere = hosted.fed.less_loaded(hosted.record.name, len(hosted.subscriptions))
-            if elsewhere is not None:
-                raise elsewhere
+            redirect_error = hosted.fed.less_loaded(hosted.record.name, len(hosted.subscriptions))
+            if redirect_error is not None:
+                raise redirect_error
 
     @property
     def may_move(self) -> bool:

@@ -37,7 +37,7 @@ class RandomSource(Protocol):
 class ProposalFailure(enum.Enum):
     """Why a command has no result."""
 
-    # The command is certainly not in the log, or was cut off the log before any member applied it.
+    # The command is certainly not in the log, or another leader removed it before any member applied it.
     NOT_TAKEN = enum.auto()
     # The command may be in the log.
     UNKNOWN = enum.auto()
@@ -46,8 +46,8 @@ class ProposalFailure(enum.Enum):
 # Gets the result of a command, or why there is none.
 ProposalDone = Callable[[bytes | ProposalFailure], None]
 
-# The library's FAIL_REASON numbers. The library did not take a command in five cases: the library's queue was full, no
-# leader was known, another entry replaced the command's entry, the asked member did not lead, or the state does not
+# The library's FAIL_REASON numbers. The library did not take a command in five cases: its queue was full, no leader was
+# known, another entry replaced the command's entry, the member that got the command did not lead, or the state does not
 # accept the command yet. The outcome is unknown after a change of the leader, or if the library says so.
 _SUCCESS = 0
 _REASON_DENIED = 6
@@ -150,7 +150,7 @@ class LibraryNode:
         """Become the leader, and append an empty entry of this term."""
         self._SyncObj__onBecomeLeader()
 
-    def put_off_election(self) -> None:
+    def postpone_election(self) -> None:
         """Set the election deadline to a new, random timeout from now."""
         self.election_deadline = self.clock() + self._SyncObj__generateRaftTimeout()
 
@@ -185,7 +185,7 @@ class LibraryNode:
             for _, callback in waiting.pop(index):
                 callback(None, _REASON_UNKNOWN)
 
-    def put_off_heartbeat(self) -> None:
+    def postpone_heartbeat(self) -> None:
         """Set the next heartbeat to one period from now."""
         self._SyncObj__newAppendEntriesTime = self.clock() + self.conf.appendEntriesPeriod
 

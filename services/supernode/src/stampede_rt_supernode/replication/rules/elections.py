@@ -136,7 +136,7 @@ class RaftRules(FollowerRole, LeaderRole):
         if self.voted_for not in (None, node.id) or self.disputed_by:
             return
         self.set_term(self.term, node.id)
-        self.put_off_election()
+        self.postpone_election()
         self.transport.send(node, VoteReply(term=message.term))
 
     def _on_vote(self, node: MemberNode, message: VoteReply) -> None:
@@ -177,7 +177,7 @@ class PreVoteElections(RaftRules):
         if not self.is_voter() or self.must_not_lead():
             # A node that is not yet a voter, or was removed, must get no votes. A node with a diverged state, or with
             # a store that another member refuses, must not lead.
-            self.put_off_election()
+            self.postpone_election()
             self._lose_leader()
             return
         if not self.other_voters:
@@ -186,7 +186,7 @@ class PreVoteElections(RaftRules):
         self._lose_leader()
         if self._pre_vote_won_term == term:
             return
-        self.put_off_election()
+        self.postpone_election()
         self._pre_vote = (term, set())
         last_term, last_index = self.log_end()
         request = VoteRequest(term=term, last_log_index=last_index, last_log_term=last_term, pre_vote=True)

@@ -46,7 +46,7 @@ class FollowerRole(Membership):
             self.set_term(term, None)
         self.set_role(FOLLOWER)
         self.last_leader_contact = self.clock()
-        self.put_off_election()
+        self.postpone_election()
 
     def _on_entries(self, node: MemberNode, message: AppendEntries) -> None:
         first = self.log[0]

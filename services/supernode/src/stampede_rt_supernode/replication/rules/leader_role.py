@@ -53,7 +53,7 @@ class LeaderRole(Membership):
         for the time of a heartbeat. This rule sends a limited number of entries and pieces, and the next heartbeat
         continues.
         """
-        self.put_off_heartbeat()
+        self.postpone_heartbeat()
         connected = [node.id for node in self.other_voters if node in self.connected]
         self.poll.ask(self.clock(), self.state_machine.digest(), connected)
         for node in self.sent_to():
@@ -78,7 +78,7 @@ class LeaderRole(Membership):
         if successor is not None:
             self.transport.send(successor, TimeoutNow(term=self.term))
         self.become_follower(self.term)
-        self.put_off_election()
+        self.postpone_election()
 
     def _send_snapshot(self, node: MemberNode) -> bool:
         """Send the next pieces of a snapshot. Returns True if the last piece is among them.

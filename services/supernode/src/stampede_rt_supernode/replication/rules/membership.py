@@ -66,7 +66,7 @@ class Membership(NodeState):
             # This node is the only voter, so its first tick makes it the leader.
             self.election_deadline = float("-inf")
         else:
-            self.put_off_election()
+            self.postpone_election()
 
     def is_voter(self) -> bool:
         """Whether this node is a member by its own log.
