@@ -1,4 +1,4 @@
-"""Repeats the newest runs of one channel in shared memory (decision 0168)."""
+"""Copies the newest runs of one channel to shared memory (decision 0168)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ChannelRing:
     def __init__(
         self, channel: ChannelCore, memory: RingMemory, fit: RingFit, clock: Callable[[], ClockReading]
     ) -> None:
-        """No run of `newest_run_bytes` is longer than `fit` allows."""
+        """The caller must check first that `newest_run_bytes` is at most what `fit` allows."""
         self.fit = fit
         self.memory = memory
         self.readers = 0
@@ -59,7 +59,7 @@ class ChannelRing:
     def follow(self) -> bool:
         """Write the newly accepted items and the present facts, and wake the readers.
 
-        Returns False if a run is too long for this ring: close it. The next ring may be larger.
+        Returns False if a run is too long for this ring. The caller must then close it. The next ring may be larger.
         """
         for part in self._channel.accepted_from(self._next_seq):
             if not self._append(part):

@@ -196,11 +196,9 @@ class ChannelStore:
         if record is not None and not (record.policy.is_recorded and not hosted.has_same_items(record)):
             self.adopt(record)
         elif is_complete:
-            record_here, host = hosted.record, self._identity.name
-            logger.warning(
-                "another host has the channel", extra={"event": "channel_moved", "channel": record_here.name}
-            )
-            return self._drop(record_here.channel_id, refusals.not_here(host, record_here.channel_id))
+            own, host = hosted.record, self._identity.name
+            logger.warning("another host has the channel", extra={"event": "channel_moved", "channel": own.name})
+            return self._drop(own.channel_id, refusals.not_here(host, own.channel_id))
         else:
             hosted.epoch = 0  # `find` refuses it: the next bind asks the directory
         return []

@@ -71,7 +71,7 @@ def test_every_kind_of_message_is_decoded_as_it_was_encoded(message: Message) ->
     assert decode_message(pb.RaftMessage.FromString(wire)) == message
 
 
-def test_every_kind_of_message_is_shown() -> None:
+def test_the_examples_contain_every_kind_of_message() -> None:
     assert {type(message) for message in EVERY_KIND} == set(get_args(Message))
 
 
@@ -121,7 +121,7 @@ def test_a_snapshot_is_decoded_as_it_was_encoded() -> None:
     )
 
 
-def test_a_snapshot_from_before_members_could_change_has_no_configuration() -> None:
+def test_a_snapshot_of_a_release_without_membership_changes_has_no_configuration() -> None:
     old = pb.RaftSnapshot(
         previous=encode_entry(Entry(b"\x00", 4, 1)), last=encode_entry(Entry(b"\x00", 5, 1)), member_ids=["a"]
     )
