@@ -25,7 +25,7 @@ class OfferOutcome:
 
 def put_run(channel: OracleChannel, offer: Offer, clock: int) -> OfferOutcome:
     """Put the items of an offer one after the other."""
-    channel.age(clock)  # items that are too old by now do not set the time of new items, not even the newest one
+    channel.age(clock)  # an item that is too old by now, even the newest one, does not set the time of new items
     stamp = max(
         [channel.now(clock), *channel.collected_times, *([] if channel.advanced_to is None else [channel.advanced_to])]
     )

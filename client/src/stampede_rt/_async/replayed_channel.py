@@ -62,13 +62,13 @@ class ReplayedChannel(Reader):
                 await self._clock.reach(instant)
                 return items
             query = replace(query, interval=fixed(query.interval, items.interval))
-            following = self._wake_at(items, instant)
-            if following is None and deadline == MAX_INSTANT:
+            next_instant = self._wake_at(items, instant)
+            if next_instant is None and deadline == MAX_INSTANT:
                 raise DeadlineExceeded(f"channel {self.name!r}: the replay has ended, and the read would wait for ever")
-            if following is None:
+            if next_instant is None:
                 await self._clock.reach(min(deadline, self.end))
                 return items
-            instant = min(following, deadline)
+            instant = min(next_instant, deadline)
 
     def _wake_at(self, items: Items, instant: int) -> int | None:
         """Return the next instant at which the answer may change; None if the answer stays the same up to the end."""
@@ -78,7 +78,7 @@ class ReplayedChannel(Reader):
         return min((one for one in found if instant < one <= self.end), default=None)
 
     async def read_waiting(self, query: ReadQuery) -> Items:
-        """Return the answer, which may wait for the clock. Raises DeadlineExceeded if the replay ends before."""
+        """Return the answer. May wait for the clock. Raises DeadlineExceeded if the replay ends before the answer."""
         return await self._read(query)
 
     async def read_as_of(self, query: ReadQuery, as_of: int) -> Items:

@@ -29,7 +29,7 @@ _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 class RestartPauses:
-    """How long to wait before the next start of a process. Each pause is twice as long as the pause before."""
+    """The pauses before the next start of a process. Each pause is twice as long as the one before it."""
 
     def __init__(self) -> None:
         self._next_s = PAUSE_SECONDS_MIN
@@ -106,7 +106,7 @@ class Supervisor:
         return status, was_ready
 
     async def _start(self, number: int) -> Process:
-        # With -P Python does not import modules of the user's present folder instead of ours.
+        # -P: Python must not import modules of the user's present folder instead of ours.
         watched = [sys.executable, "-P", "-m", "stampede_rt_runtime.parent_watch", "stampede_rt_channel_host"]
         process = self._running[number] = await asyncio.create_subprocess_exec(
             *watched,

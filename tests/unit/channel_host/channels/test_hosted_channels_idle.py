@@ -55,8 +55,9 @@ async def used_bytes() -> int:
 
 
 def test_an_idle_channel_with_one_item_takes_less_than_six_kilobytes() -> None:
-    """This runs in a separate process, because tests with failed constructors of channels spoil Python's tables of
-    names.
+    """This test runs in a separate process, because other tests let constructors of channels fail.
+
+    Then Python keeps one table of names for each channel, and not one for all channels.
     """
     measured = subprocess.run([sys.executable, "-m", __name__], capture_output=True, text=True, check=True, timeout=60)
     assert int(measured.stdout) / CHANNELS < BYTES_MAX
