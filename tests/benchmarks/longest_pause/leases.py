@@ -85,4 +85,4 @@ def queue(number: int, epoch: int = 1) -> RecordedQueue:
 
 async def idle(rig: Rig) -> None:
     """Wait until all begun work is done."""
-    await until(lambda: not rig.host.store.scheduler._begun)
+    await until(lambda: not rig.host.store.scheduler._tasks)

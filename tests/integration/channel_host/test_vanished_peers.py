@@ -170,7 +170,7 @@ def sends_more_than_the_host_takes(route: TcpRoute, number: int) -> None:
 def awaits_an_answer(route: TcpRoute, number: int) -> None:
     async def wait() -> None:
         connected = await socket_connecting_async._tcp_connected(route, route.host, number)
-        call = await socket_async.SocketCall.begun(connected.socket, method_of(HOLD), opening(HOLD), connected.tls)
+        call = await socket_async.SocketCall.open(connected.socket, method_of(HOLD), opening(HOLD), connected.tls)
         await anext(call)
 
     asyncio.run(wait())
@@ -180,7 +180,7 @@ def awaits_room_at_the_host(route: TcpRoute, number: int) -> None:
     async def send() -> None:
         connected = await socket_connecting_async._tcp_connected(route, route.host, number)
         opened = opening(READ_LATER)
-        call = await socket_async.SocketCall.begun(connected.socket, method_of(READ_LATER), opened, connected.tls)
+        call = await socket_async.SocketCall.open(connected.socket, method_of(READ_LATER), opened, connected.tls)
         while True:
             await call.write(bytes(2**17))
 

@@ -209,7 +209,7 @@ async def test_a_registration_looks_at_a_bounded_number_of_channels_in_one_piece
             store.adopt(recorded_channel(late))  # the directory has named this channel since the registration
     assert max(before - after for before, after in pairwise(left)) <= CHANNELS_COMPARED_PER_PIECE
     assert {hosted.record.name for hosted in store.all()} == {"late", *(f"c/{number}" for number in range(10))}
-    assert len(store.scheduler._begun) <= 8
+    assert len(store.scheduler._tasks) <= 8
 
 
 async def test_a_lost_lease_ends_a_bounded_number_of_channels_in_one_piece_and_lists_no_other_channels(
@@ -228,7 +228,7 @@ async def test_a_lost_lease_ends_a_bounded_number_of_channels_in_one_piece_and_l
     store.fence()
     assert len(ended) == CHANNELS_ENDED_PER_PIECE
     async with asyncio.timeout(45):
-        while store.scheduler._begun:
+        while store.scheduler._tasks:
             await rig.gate.Ping(gate_pb.GatekeeperServicePingRequest())
     assert len({*ended}) == len(ended) == 4 * CHANNELS_ENDED_PER_PIECE
 

@@ -53,7 +53,7 @@ class ChannelRecording:
         self._end_seq: int | None = None
         self._ending = False
         self._done = Signal()
-        self.begun = Signal()  # is set when the recording of the channel has begun, or has failed
+        self.started = Signal()  # is set when the recording of the channel has begun, or has failed
         self.tallies: list[ChannelTally] = []
         self.problem = ""  # why nothing of the channel could be recorded
         self._background = BackgroundTask(self._run, f"recording of channel {self.name!r}")
@@ -68,7 +68,7 @@ class ChannelRecording:
         except Exception as defect:  # noqa: BLE001  # otherwise nobody would learn of the defect
             await self._fail(StampedeError(f"a defect: {type(defect).__name__}: {defect}"))
         finally:
-            self.begun.set()
+            self.started.set()
             self._done.set()
 
     async def _record_all(self) -> None:
@@ -107,7 +107,7 @@ class ChannelRecording:
         tally = ChannelTally(self.name, stream.incarnation, stream.opened_seq)
         self.tallies.append(tally)
         await self._sink.write(tally, RecordedBatch(gaps=looked), self._metadata)
-        self.begun.set()
+        self.started.set()
         while (batch := await stream.next_batch()) is not None:
             await self._write(tally, batch, stream.read_to)
             if batch.next_live_seq is not None:
@@ -229,7 +229,7 @@ class ChannelRecording:
 
         Each step waits at most `drain_s` seconds: for the last seq that the host has accepted, and for the items.
         """
-        await self.begun.wait(drain_s)
+        await self.started.wait(drain_s)
         accepted, advance, unknown = await self._accepted(drain_s)
         self._ending, stream = True, self._stream
         if stream is None or stream.opened_seq is None:

@@ -105,7 +105,7 @@ class Listener(BackgroundStart, BoundToProcess):
         self.cancel()
         await self.join(END_TIMEOUT_S)
 
-    async def _begun(self) -> None:
+    async def _wait_for_start(self) -> None:
         await self._holds.wait(None)
         if self.error is not None:
             raise self.error

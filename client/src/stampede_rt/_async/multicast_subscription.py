@@ -46,14 +46,14 @@ class MulticastSubscription(Subscription):
     order."""
 
     def __init__(
-        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: StreamReconnector
+        self, session: Session, state: ChannelState, opening: channel_pb.SubscribeOpen, reconnecting: StreamReconnector
     ) -> None:
-        if begun.mode != channel_pb.SUBSCRIBE_MODE_ALL or begun.without_payloads or begun.HasField("group_id"):
+        if opening.mode != channel_pb.SUBSCRIBE_MODE_ALL or opening.without_payloads or opening.HasField("group_id"):
             raise InvalidArgument(
                 'via="multicast" brings all items with their payloads, and without a group; leave `mode` and '
                 "`payloads` out, or leave `via` out"
             )
-        super().__init__(session, state, begun, reconnecting)
+        super().__init__(session, state, opening, reconnecting)
         self._offer = channel_pb.MulticastOffer()
         self._socket: GroupSocket | None = None
         self._receiving: MulticastReceiver | None = None
@@ -73,7 +73,7 @@ class MulticastSubscription(Subscription):
         return replace(now, **{name: getattr(now, name) + getattr(self._before, name) for name in COUNTS})
 
     async def _advance(self) -> None:
-        if self._stream is not None and not self._begun.multicast and monotonic_s() >= self._not_before_s:
+        if self._stream is not None and not self._opening.multicast and monotonic_s() >= self._not_before_s:
             self._reopen()  # try multicast again
         await self._open()
         receiving, socket = self._receiving, self._socket
@@ -87,7 +87,7 @@ class MulticastSubscription(Subscription):
             await self._listen_in(receiving, socket)
 
     async def _open_stream(self, binding: Binding) -> None:
-        self._begun.multicast = monotonic_s() >= self._not_before_s
+        self._opening.multicast = monotonic_s() >= self._not_before_s
         self._offer = channel_pb.MulticastOffer()
         await super()._open_stream(binding)
         if self._offer.stream_id:

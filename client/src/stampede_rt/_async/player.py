@@ -70,7 +70,7 @@ class Player(BackgroundStart, BoundToProcess):
         return f"<Player of {self._source.path!r}{f', {state}' if state else ''}>"
 
     async def __aenter__(self) -> Player:
-        await self._begun()
+        await self._wait_for_start()
         return self
 
     async def __aexit__(
@@ -123,7 +123,7 @@ class Player(BackgroundStart, BoundToProcess):
         self.stop()
         await self._ended.wait(1.0)
 
-    async def _begun(self) -> None:
+    async def _wait_for_start(self) -> None:
         await self._holds.wait(None)
         if self.error is not None:
             raise self.error

@@ -136,18 +136,18 @@ class PutStreams:
 class _PutUnderWay:
     """The context of one put."""
 
-    __slots__ = ("_arguments", "_begun", "_streams")
+    __slots__ = ("_arguments", "_stream_and_put", "_streams")
 
     def __init__(self, streams: PutStreams, *arguments: Any) -> None:
         """`arguments`: the arguments of `PutStreams.begin`."""
         self._streams, self._arguments = streams, arguments
 
     def __enter__(self) -> PutExchange:
-        self._begun = self._streams.begin(*self._arguments)
-        return self._begun[1].exchange
+        self._stream_and_put = self._streams.begin(*self._arguments)
+        return self._stream_and_put[1].exchange
 
     def __exit__(self, *_error: object) -> None:
-        self._streams.end(*self._begun)
+        self._streams.end(*self._stream_and_put)
 
 
 def _close(streams: list[PutStream | None]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt._async.channel_state import ChannelState
-from stampede_rt._async.copies import copy_for_gets, may_serve_elsewhere, refused
+from stampede_rt._async.copies import copy_for_gets, may_succeed_at_owner, note_refusal
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import StampedeError, VersionMismatch
@@ -89,9 +89,9 @@ async def _read_once(session: Session, state: ChannelState, query: ReadQuery, vi
             try:
                 return await read_at(copy, wait_s + COPY_TIMEOUT_S)
             except StampedeError as error:
-                if not may_serve_elsewhere(error):
+                if not may_succeed_at_owner(error):
                     raise
-                refused(session, state, error)
+                note_refusal(session, state, error)
     return await session.perform(state, read_at, began_s + wait_s + CALL_TIMEOUT_S - monotonic_s())
 
 

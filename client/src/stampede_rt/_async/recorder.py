@@ -82,7 +82,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         return f"<Recorder of {', '.join(self._globs)}{f', {state}' if state else ''}>"
 
     async def __aenter__(self) -> Recorder:
-        await self._begun()
+        await self._wait_for_start()
         return self
 
     async def __aexit__(
@@ -137,7 +137,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         self.hurry(1.0)
         await self._ended.wait(3.0)
 
-    async def _begun(self) -> None:
+    async def _wait_for_start(self) -> None:
         await self._has_begun.wait(None)
         if self.error is not None:
             raise self.error
@@ -167,7 +167,7 @@ class Recorder(BackgroundStart, BoundToProcess):
             watch = await self._watch(glob, later=False)
             BackgroundTask(partial(self._follow, glob, watch), f"watch for the recording of {glob!r}")
         for one in list(self._channels.values()):
-            await one.begun.wait(BEGIN_S)
+            await one.started.wait(BEGIN_S)
         if self._sink.error is not None:
             raise self._sink.error
 

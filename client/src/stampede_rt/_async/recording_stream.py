@@ -49,9 +49,9 @@ class RecordingStream(Subscription):
     """
 
     def __init__(
-        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: StreamReconnector
+        self, session: Session, state: ChannelState, opening: channel_pb.SubscribeOpen, reconnecting: StreamReconnector
     ) -> None:
-        super().__init__(session, state, begun, reconnecting)
+        super().__init__(session, state, opening, reconnecting)
         self._window = SteadyWindow(WINDOW_BYTES)
         self._batch = RecordedBatch()
         self._reported_advance: int | None = None
@@ -63,10 +63,10 @@ class RecordingStream(Subscription):
         cls, session: Session, state: ChannelState, start: Bound | None, reconnect_name: str, *, held: bool
     ) -> RecordingStream:
         """Make the subscription: the held items from `start` on (None: none), and all later ones."""
-        begun = channel_pb.SubscribeOpen(mode=channel_pb.SUBSCRIBE_MODE_ALL, stale_ok=True)
+        opening = channel_pb.SubscribeOpen(mode=channel_pb.SUBSCRIBE_MODE_ALL, stale_ok=True)
         if start is not None:
-            begun.start.CopyFrom(bound_to_message(start))
-        return cls(session, state, begun, StreamReconnector(session, reconnect_name, None, held=held))
+            opening.start.CopyFrom(bound_to_message(start))
+        return cls(session, state, opening, StreamReconnector(session, reconnect_name, None, held=held))
 
     @property
     def read_to(self) -> int:

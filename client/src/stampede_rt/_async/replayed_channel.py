@@ -48,13 +48,13 @@ class ReplayedChannel(Reader):
         return False  # shared memory and the host of this process know only the present
 
     async def _read(self, query: ReadQuery) -> Items:
-        wait, begun = query.wait, self._clock.now
+        wait, start = query.wait, self._clock.now
         query = replace(query, max_staleness_nanos=None, least_seq=None, within_memory=False)
         if query.as_of is not None:
             return await self.read_as_of(query, query.as_of)
         query = replace(query, wait=NO_WAIT)
-        deadline = MAX_INSTANT if wait.seconds is None else begun + wait.nanos
-        instant = begun
+        deadline = MAX_INSTANT if wait.seconds is None else start + wait.nanos
+        instant = start
         while True:
             items = await self.read_as_of(query, instant)
             is_over = items.complete or (items and not query.complete) or items.reason not in _MAY_COME

@@ -108,7 +108,7 @@ class Sampler(BackgroundStart, BoundToProcess):
         self.cancel()
         await self.join(END_TIMEOUT_S)
 
-    async def _begun(self) -> None:
+    async def _wait_for_start(self) -> None:
         return
 
     async def _run(self) -> None:

@@ -54,12 +54,12 @@ class Subscription(BoundToProcess):
     """
 
     def __init__(
-        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: StreamReconnector
+        self, session: Session, state: ChannelState, opening: channel_pb.SubscribeOpen, reconnecting: StreamReconnector
     ) -> None:
         self._session = session
         self._reconnecting = reconnecting
         self._state = state
-        self._begun = begun  # the first request of the next stream
+        self._opening = opening  # the first request of the next stream
         self._stream: BidiStream[SubscribeAnswer] | None = None
         self._responses: Any = None
         self._decoder: ItemDecoder | None = None
@@ -68,7 +68,7 @@ class Subscription(BoundToProcess):
         self._for_batch = False  # whether the present step returns a batch
         self._steps = StepLock()  # callers that step at the same time take turns
         self._step_task = StepTask()
-        newest_only = begun.mode == channel_pb.SUBSCRIBE_MODE_NEWEST
+        newest_only = opening.mode == channel_pb.SUBSCRIBE_MODE_NEWEST
         self._window = CreditWindow(ONE_ITEM) if newest_only else CreditWindow()
         self._cursor: channel_pb.SubscriptionCursor | None = None  # where the next stream begins after a break
         # The items that came after the cursor. After a break the next stream sends these items again.
@@ -102,11 +102,11 @@ class Subscription(BoundToProcess):
         stale_ok: bool = True,
     ) -> Subscription:
         """Check the arguments and make the subscription. The blocking client also opens it. Raises InvalidArgument."""
-        begun = beginning(start, mode, after)
-        begun.without_payloads, begun.stale_ok = not payloads, stale_ok
+        opening = beginning(start, mode, after)
+        opening.without_payloads, opening.stale_ok = not payloads, stale_ok
         if group_id is not None:
-            begun.group_id = group_id
-        self = cls(session, state, begun, reconnecting)
+            opening.group_id = group_id
+        self = cls(session, state, opening, reconnecting)
         begin_if_blocking(self._open)
         return self
 
@@ -194,12 +194,12 @@ class Subscription(BoundToProcess):
         cursor, stream = self._cursor, self._stream
         if stream is None or cursor is None or monotonic_s() < self._no_ring_before_s:
             return
-        if self._ready or self._begun.HasField("group_id") or self._begun.without_payloads:
+        if self._ready or self._opening.HasField("group_id") or self._opening.without_payloads:
             return
         mapping = await self._session.rings.find(self._state)
         if mapping is None:
             return
-        newest_only = self._begun.mode == channel_pb.SUBSCRIBE_MODE_NEWEST
+        newest_only = self._opening.mode == channel_pb.SUBSCRIBE_MODE_NEWEST
         follower = RingFollower(self._state, mapping, cursor, self._session.rings.waits, newest_only=newest_only)
         if follower.fits():
             self._follower, self._stream, self._skipped_before = follower, None, self.skipped
@@ -262,14 +262,14 @@ class Subscription(BoundToProcess):
 
     async def _open_at(self, owner: Binding, _: float) -> None:
         target, self._sent_to = self._sent_to, ""
-        await open_at_owner_or_copy(self._session, self._state, owner, target, self._begun, self._open_stream)
+        await open_at_owner_or_copy(self._session, self._state, owner, target, self._opening, self._open_stream)
 
     async def _open_stream(self, binding: Binding) -> None:
-        self._begun.channel_id, self._begun.epoch = binding.subject_id, binding.epoch
+        self._opening.channel_id, self._opening.epoch = binding.subject_id, binding.epoch
         endpoint = self._session.endpoints.to(binding.target)
         stream: BidiStream[SubscribeAnswer] = endpoint.open_read_bidi(endpoint.subscribe)
         try:
-            await stream.send(channel_pb.SubscribeRequest(open=self._begun))
+            await stream.send(channel_pb.SubscribeRequest(open=self._opening))
             responses = stream.__aiter__()
             first, runs = await responses.__anext__()
         except BaseException:
@@ -280,7 +280,7 @@ class Subscription(BoundToProcess):
             stream.cancel()
         self._window.begin()
         self._ready_bytes = 0
-        self._decoder = self._state.decoder(first.opened.incarnation, payloads=not self._begun.without_payloads)
+        self._decoder = self._state.decoder(first.opened.incarnation, payloads=not self._opening.without_payloads)
         self._take(first, runs)
 
     async def _grant(self) -> None:
@@ -319,7 +319,7 @@ class Subscription(BoundToProcess):
         self._stream = None
         self._skipped_before = self.skipped
         if self._cursor is not None:
-            self._begun.cursor.CopyFrom(self._cursor)
+            self._opening.cursor.CopyFrom(self._cursor)
 
     def _take(self, response: channel_pb.SubscribeResponse, runs: Sequence[LongRun]) -> None:
         """Take a response. `runs`: the runs of a long response, which are not in `response`."""
@@ -345,7 +345,7 @@ class Subscription(BoundToProcess):
 
     def _unseen(self, runs: list[Sequence[Item]]) -> Sequence[Sequence[Item]]:
         """Return the runs without the items that came before."""
-        if not self._begun.HasField("group_id"):
+        if not self._opening.HasField("group_id"):
             return runs  # without a group, each response with items has a cursor
         unseen = self._since_cursor.unseen(runs)
         self._window.drop(sum(map(cost_of, runs)) - cost_of(unseen))

@@ -17,14 +17,15 @@ from stampede_rt.v1 import gatekeeper_service_pb2
 BIND_TIMEOUT_S = 6.0  # a host makes the caller wait 5 s for a new copy
 GET_TIMEOUT_S = 1.0  # for one request, while the client looks for a copy for a get
 FOUND_S = 10.0  # after this time the client asks the owner again, so that its gets use all copies in turn
-REFUSED_S = 0.25  # for this time no get asks a copy that was too old
-LOST_S = 2.0  # for this time no get asks a copy that could not be reached, or asks for copies of a channel without any
+REFUSED_S = 0.25  # for this time gets go to the owner, after a copy was too old
+# For this time gets go to the owner, after a copy could not be reached, or the owner has named no copy.
+LOST_S = 2.0
 
 
 def copy_for_gets(session: Session, state: ChannelState) -> Binding | None:
     """Return a copy of the channel; None if there is none to use at this moment.
 
-    Blocks for three times GET_TIMEOUT_S at most. Raises the errors that no other host can cure.
+    Blocks for three times GET_TIMEOUT_S at most. Raises the errors that the owner would raise, too.
     """
     is_known, binding = session.copies.find(state.info.channel_id, monotonic_s())
     if is_known:
@@ -34,20 +35,20 @@ def copy_for_gets(session: Session, state: ChannelState) -> Binding | None:
         target = _copy_of(session, state, owner)
         binding = bound_at(session, state, target, owner.epoch, GET_TIMEOUT_S) if target else None
     except StampedeError as error:
-        if not may_serve_elsewhere(error):
+        if not may_succeed_at_owner(error):
             raise
         binding = None
     session.copies.keep(state.info.channel_id, binding, monotonic_s() + (LOST_S if binding is None else FOUND_S))
     return binding
 
 
-def refused(session: Session, state: ChannelState, error: StampedeError) -> None:
+def note_refusal(session: Session, state: ChannelState, error: StampedeError) -> None:
     """Note that the copy did not serve a get, so that the next gets go to the owner for a moment."""
     rest_s = REFUSED_S if isinstance(error, StaleBinding) else LOST_S
     session.copies.keep(state.info.channel_id, None, monotonic_s() + rest_s)
 
 
-def may_serve_elsewhere(error: StampedeError) -> bool:
+def may_succeed_at_owner(error: StampedeError) -> bool:
     """Whether the owner may serve a request to which a copy has answered `error`."""
     return error.retryable or isinstance(error, DeadlineExceeded)
 
@@ -97,12 +98,12 @@ def open_at_owner_or_copy(
     state: ChannelState,
     owner: Binding,
     target: str,
-    begun: channel_pb.SubscribeOpen,
+    opening: channel_pb.SubscribeOpen,
     open_stream: Callable[[Binding], None],
 ) -> None:
     """Open a subscription at the owner, or at the copy to which the owner sends the reader.
 
-    `target`: the gatekeeper of the copy, if the owner has named it before. If the copy cannot serve the reader, `begun`
+    `target`: the gatekeeper of the copy, if the owner has named it before. If the copy cannot serve the reader, `opening`
     asks the owner to serve it.
     """
     if not target:
@@ -116,10 +117,10 @@ def open_at_owner_or_copy(
     try:
         open_stream(bound_at(session, state, target, owner.epoch))
     except StampedeError as error:
-        if not may_serve_elsewhere(error):
+        if not may_succeed_at_owner(error):
             raise
-        begun.stay = True
+        opening.stay = True
         try:
             open_stream(owner)
         finally:
-            begun.stay = False
+            opening.stay = False

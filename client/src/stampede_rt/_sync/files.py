@@ -84,7 +84,7 @@ class Files(Moves):
         writer = FileWriter(path, compression=compression, overwrite=overwrite)
         for_s = None if for_nanos is None else for_nanos / 1e9
         recorder = Recorder(self._session, self, globs, writer, begin, for_s)
-        begin_if_blocking(recorder._begun)
+        begin_if_blocking(recorder._wait_for_start)
         return recorder
 
     def replay_file(
@@ -170,5 +170,5 @@ class Files(Moves):
             shift=parse_shift(shift),
         )
         player = Player(self._session, opened(), request)
-        begin_if_blocking(player._begun)
+        begin_if_blocking(player._wait_for_start)
         return player

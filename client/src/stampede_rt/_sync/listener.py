@@ -106,7 +106,7 @@ class Listener(BackgroundStart, BoundToProcess):
         self.cancel()
         self.join(END_TIMEOUT_S)
 
-    def _begun(self) -> None:
+    def _wait_for_start(self) -> None:
         self._holds.wait(None)
         if self.error is not None:
             raise self.error

@@ -71,7 +71,7 @@ class Player(BackgroundStart, BoundToProcess):
         return f"<Player of {self._source.path!r}{f', {state}' if state else ''}>"
 
     def __enter__(self) -> Player:
-        self._begun()
+        self._wait_for_start()
         return self
 
     def __exit__(
@@ -124,7 +124,7 @@ class Player(BackgroundStart, BoundToProcess):
         self.stop()
         self._ended.wait(1.0)
 
-    def _begun(self) -> None:
+    def _wait_for_start(self) -> None:
         self._holds.wait(None)
         if self.error is not None:
             raise self.error

@@ -83,7 +83,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         return f"<Recorder of {', '.join(self._globs)}{f', {state}' if state else ''}>"
 
     def __enter__(self) -> Recorder:
-        self._begun()
+        self._wait_for_start()
         return self
 
     def __exit__(
@@ -138,7 +138,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         self.hurry(1.0)
         self._ended.wait(3.0)
 
-    def _begun(self) -> None:
+    def _wait_for_start(self) -> None:
         self._has_begun.wait(None)
         if self.error is not None:
             raise self.error
@@ -168,7 +168,7 @@ class Recorder(BackgroundStart, BoundToProcess):
             watch = self._watch(glob, later=False)
             BackgroundTask(partial(self._follow, glob, watch), f"watch for the recording of {glob!r}")
         for one in list(self._channels.values()):
-            one.begun.wait(BEGIN_S)
+            one.started.wait(BEGIN_S)
         if self._sink.error is not None:
             raise self._sink.error
 

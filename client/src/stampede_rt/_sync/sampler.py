@@ -109,7 +109,7 @@ class Sampler(BackgroundStart, BoundToProcess):
         self.cancel()
         self.join(END_TIMEOUT_S)
 
-    def _begun(self) -> None:
+    def _wait_for_start(self) -> None:
         return
 
     def _run(self) -> None:

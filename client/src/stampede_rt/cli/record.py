@@ -62,7 +62,7 @@ def run_record(arguments: argparse.Namespace) -> int:
     with connected(arguments) as rt:
         if arguments.on is not None:
             return _EventRecordings(rt, arguments).run()
-        recorder = _begun(rt, arguments, Path(arguments.file), _begin_of(arguments.since, NOW))
+        recorder = _begin_recording(rt, arguments, Path(arguments.file), _begin_of(arguments.since, NOW))
         interruption.ends(lambda: recorder.hurry(STOP_DRAIN_S), STOP_S)
         with recorder:
             _print_start(recorder, arguments)
@@ -71,7 +71,7 @@ def run_record(arguments: argparse.Namespace) -> int:
     return _ended(summary, arguments)
 
 
-def _begun(rt: Connection, arguments: argparse.Namespace, path: Path, begin: Bound | None) -> Recorder:
+def _begin_recording(rt: Connection, arguments: argparse.Namespace, path: Path, begin: Bound | None) -> Recorder:
     return rt._record_from(
         begin,
         arguments.channels,
@@ -239,7 +239,7 @@ class _EventRecordings:
                 self._miss(f"event #{seq} has no file: {PARALLEL_RECORDINGS_MAX} recordings are under way")
                 return
             try:
-                recorder = _begun(self._rt, self._arguments, self._path_of(seq), begin)
+                recorder = _begin_recording(self._rt, self._arguments, self._path_of(seq), begin)
             except StampedeError as error:
                 self._miss(f"event #{seq} has no file: {error}")
                 return

@@ -298,11 +298,11 @@ def from_any_thread(operation: Callable[..., Awaitable[None]]) -> Callable[..., 
 class BackgroundStart:
     """A handle that starts in the background. `await` on it waits for the start."""
 
-    async def _begun(self) -> None:
+    async def _wait_for_start(self) -> None:
         raise NotImplementedError
 
     async def _await(self) -> Self:
-        await self._begun()
+        await self._wait_for_start()
         return self
 
     def __await__(self) -> Generator[Any, None, Self]:

@@ -175,7 +175,7 @@ class ServerEndpoint(Stubs):
         if connected is None:
             return self._begin(method)
         opening = opening_of(method.name, self._metadata(), self.route.ticket if connected.is_local else b"")
-        return await SocketCall.begun(connected.socket, method, opening, connected.tls)
+        return await SocketCall.open(connected.socket, method, opening, connected.tls)
 
     async def _ask_for_sockets(self) -> Sequence[gatekeeper_pb.DataEndpoint]:
         request = gatekeeper_pb.ListDataEndpointsRequest(machine=this_machine())

@@ -57,7 +57,7 @@ class SocketCall(asyncio.BufferedProtocol):
         self._watch: asyncio.TimerHandle | None = None
 
     @classmethod
-    async def begun(
+    async def open(
         cls, connected: socket.socket, method: BidiMethod, opening: bytes, tls: TlsLayer | None = None
     ) -> SocketCall:
         """Return a stream over a new connection."""

@@ -124,9 +124,9 @@ class FrameReader:
         Write the bytes there, and tell `filled` how many. `feed` must not be called until the frame is complete.
         """
         if not self._received_bytes:
-            begun, self._partial = self._partial, self._buffer_for(self._wanted_bytes)
-            self._received_bytes = len(begun)
-            self._partial[: len(begun)] = begun
+            received, self._partial = self._partial, self._buffer_for(self._wanted_bytes)
+            self._received_bytes = len(received)
+            self._partial[: len(received)] = received
         return memoryview(self._partial)[self._received_bytes : self._wanted_bytes]
 
     def _buffer_for(self, frame_bytes: int) -> bytearray:

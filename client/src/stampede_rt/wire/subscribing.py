@@ -23,9 +23,9 @@ def beginning(start: Bound | None, mode: SubscribeMode, after: Item | None) -> c
         )
     if after is not None and not isinstance(after, Item):
         raise InvalidArgument(f"after is {after!r}; give the last Item received, or use start for a time")
-    begun = channel_pb.SubscribeOpen(mode=_MODES[mode])
+    opening = channel_pb.SubscribeOpen(mode=_MODES[mode])
     if start is not None:
-        begun.start.CopyFrom(bound_to_message(start))
+        opening.start.CopyFrom(bound_to_message(start))
     if after is not None:
-        begun.after.CopyFrom(position_of(after))
-    return begun
+        opening.after.CopyFrom(position_of(after))
+    return opening

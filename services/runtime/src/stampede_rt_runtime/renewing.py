@@ -113,9 +113,9 @@ class RenewingChannel(grpc.aio.Channel):
             connection = self._current()
             if connection is not bound_to:
                 bound_to, bound = connection, bind(connection.channel)
-            begun = bound(*args, **kwargs)
+            grpc_call = bound(*args, **kwargs)
             connection.calls += 1
-            begun.add_done_callback(lambda _: self._ended(connection))
-            return begun
+            grpc_call.add_done_callback(lambda _: self._ended(connection))
+            return grpc_call
 
         return call

@@ -29,7 +29,7 @@ async def opened() -> AsyncIterator[tuple[SocketCall, FarEnd]]:
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
     near.setblocking(False)
     with far:
-        call = await SocketCall.begun(near, RAW, OPENING)
+        call = await SocketCall.open(near, RAW, OPENING)
         end = FarEnd(far)
         assert end.frame() == (FrameKind.OPENING, OPENING)
         yield call, end

@@ -58,7 +58,7 @@ async def test_a_stream_on_asyncio_reads_each_full_response_into_the_same_memory
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
     with far:
         near.setblocking(False)
-        call = await AsyncSocketCall.begun(near, VIEWS, OPENING)
+        call = await AsyncSocketCall.open(near, VIEWS, OPENING)
         responses: AsyncIterator[memoryview] = aiter(streams_async.ServerStream(call, "a host"))
         sender, buffers = sending(far), buffers_of(call)
         for _ in range(RESPONSES):

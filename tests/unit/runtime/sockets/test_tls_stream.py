@@ -59,7 +59,7 @@ async def test_the_client_on_asyncio_exchanges_messages_of_all_lengths(port: Ope
         route, number = route_to(one)
         connected = await socket_connecting_async._tcp_connected(route, route.host, number)
         opening = opening_of(ECHO, (), b"")
-        call = await socket_async.SocketCall.begun(connected.socket, ECHOES, opening, connected.tls)
+        call = await socket_async.SocketCall.open(connected.socket, ECHOES, opening, connected.tls)
         for message in MESSAGES:
             await call.write(message)
         assert [await anext(call) for _ in MESSAGES] == MESSAGES

@@ -78,9 +78,9 @@ class HostedChannel:
         begin: Callable[[Pieces[None]], None] = run_to_end,
         limits: TimeLimits | None = None,
         deliveries: SharedDeliveries | None = None,
-        begun: NewCopy | OwnedCore | None = None,
+        initial: NewCopy | OwnedCore | None = None,
     ) -> None:
-        """Set up the channel of `record`. `begun`: the copy that begins, or the items with which the owner continues.
+        """Set up the channel of `record`. `initial`: the new copy, or the items with which the owner continues.
 
         The channel calls `on_touched` at every change. `may_serve` says whether the host has its lease. `begin` does
         long work for which no caller waits (`PieceScheduler.begin`). `limits` bounds the waits of all gets of the host,
@@ -89,16 +89,16 @@ class HostedChannel:
         """
         self.record = record
         self.epoch: int = record.epoch
-        self.copy: CopyState | None = begun.state if isinstance(begun, NewCopy) else None
+        self.copy: CopyState | None = initial.state if isinstance(initial, NewCopy) else None
         # `core` takes puts, consumption and advances; readers see `channel`. Without replicas they are the same.
-        self.core = new_core(record, now(), begun)
+        self.core = new_core(record, now(), initial)
         if self.copy is None and kind_of(record.policy) is not ReplicationKind.NONE:
-            self.replication = replication_of(self.core, now, self._announce, record, begun)
+            self.replication = replication_of(self.core, now, self._announce, record, initial)
         self.channel = self.core if self.replication is None else self.replication.shown
         self._begin, self._limits, self._charge = begin, limits, memory.charge_for(record.created_by)
         self.puts = ChannelPuts(self.core, self._charge, now, self._accepted, self._touched, may_serve)
-        if isinstance(begun, OwnedCore):
-            self.puts.retries, self.counted_before = begun.retries, begun.counted_before
+        if isinstance(initial, OwnedCore):
+            self.puts.retries, self.counted_before = initial.retries, initial.counted_before
         self.subscriptions = Observers(begin)
         self.match_streams = Observers(begin)  # streams of matches for the items of this channel
         # Observers for groups: one for all groups that have the channel, and one for the blocked gets of each group.

@@ -50,15 +50,15 @@ class HostedCopies:
         hosted.copy.check(hosted.record.name, hosted.channel.next_seq, demand)
         return hosted
 
-    def begin(self, record: RecordedChannel, begun: NewCopy) -> HostedChannel:
+    def begin(self, record: RecordedChannel, initial: NewCopy) -> HostedChannel:
         """Make an empty copy of the channel. Drops a former copy; the readers of the former copy get MOVED.
 
         Raises Overloaded if the host has too many channels.
         """
-        on_dropped, begun.state.on_dropped = begun.state.on_dropped, _nothing  # the feed stays the same
+        on_dropped, initial.state.on_dropped = initial.state.on_dropped, _nothing  # the feed stays the same
         self._forget(record.channel_id, gone(record.name))
-        begun.state.on_dropped = on_dropped
-        return self._add(record, begun)
+        initial.state.on_dropped = on_dropped
+        return self._add(record, initial)
 
     def inherit(self, copy: HostedChannel, record: RecordedChannel) -> HostedChannel | None:
         """Make a copy the owner, as `record` of the directory says. Returns the owner; None if the copy cannot become

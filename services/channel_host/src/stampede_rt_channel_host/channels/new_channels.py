@@ -65,13 +65,13 @@ def core_of_replica(copy: FedChannel, held: RecordedChannel, record: RecordedCha
 
 def replication_of(
     core: ChannelCore, now: Callable[[], int], on_shown: Callable[[int], None], record: RecordedChannel,
-    begun: NewCopy | OwnedCore | None,
+    initial: NewCopy | OwnedCore | None,
 ) -> Replication:  # fmt: skip
     """The replicas of a channel that begins at its owner."""
-    is_replicated = isinstance(begun, OwnedCore) and begun.is_replicated
+    is_replicated = isinstance(initial, OwnedCore) and initial.is_replicated
     replication = Replication(core, now, on_shown, epoch=record.epoch, is_replicated=is_replicated)
-    if isinstance(begun, OwnedCore):
-        replication.diverged_host_ids.update(begun.diverged_host_ids)
+    if isinstance(initial, OwnedCore):
+        replication.diverged_host_ids.update(initial.diverged_host_ids)
     return replication
 
 

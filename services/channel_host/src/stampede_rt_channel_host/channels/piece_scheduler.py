@@ -23,7 +23,7 @@ class PieceScheduler:
     def __init__(self) -> None:
         self._turn = asyncio.Lock()
         # kept here, because the loop keeps only weak references to its tasks
-        self._begun: set[asyncio.Task[None]] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
 
     async def do(self, pieces: Pieces[Result]) -> Result:
         """Perform the work, and return its result. Performs the first piece without a wait; most work has only one."""
@@ -35,8 +35,8 @@ class PieceScheduler:
         found = first_of(pieces)
         if isinstance(found, UnfinishedWork):
             task = asyncio.create_task(self._finish(found.rest, CallerWork(unlimited())), name="long work")
-            self._begun.add(task)
-            task.add_done_callback(self._begun.discard)
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
 
     async def finish(self, pieces: Pieces[Result]) -> Result:
         """Perform the remaining pieces, each when the caller has its turn, and return the result.

@@ -316,7 +316,7 @@ class ChannelStore:
         self.scheduler.begin(held.replaced(error))
         return self._add(record, core)
 
-    def _add(self, record: RecordedChannel, begun: NewCopy | OwnedCore | None = None) -> HostedChannel:
+    def _add(self, record: RecordedChannel, initial: NewCopy | OwnedCore | None = None) -> HostedChannel:
         self._channels.check_room(record.created_by)
         hosted = HostedChannel(
             record,
@@ -327,7 +327,7 @@ class ChannelStore:
             self.scheduler.begin,
             self.limits,
             self.deliveries,
-            begun,
+            initial,
         )
         hosted.registration = self.registrations
         self._channels.add(hosted)

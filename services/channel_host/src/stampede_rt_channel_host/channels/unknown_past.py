@@ -35,8 +35,8 @@ class UnknownPast:
         """
         self.is_fresh = channel.next_seq == 1
         self._channel, self._first_seq, self._stop = channel, start_of(epoch), found.stop
-        self._begun = channel.lost_before or 0
-        self._since = self._begun
+        self._lost_before = channel.lost_before or 0
+        self._since = self._lost_before
         self._newest: int | None = None  # the latest time of the known items on the disk
         self._is_listed = False
         if self.is_fresh:
@@ -132,7 +132,7 @@ class UnknownPast:
         """Two instants. Items of the former owners may be lost at or after the first one, and before the second one."""
         stop, since = self._stop, lost_since(former)
         if stop is None:
-            return since, self._begun
+            return since, self._lost_before
         end_seq = max((one.end_seq for one in former), default=1)
         lost_from, lost_before = loss_after(stop, since, end_seq)
         if lost_from is None and self._newest is not None:  # a stop of this host, which did not know the former items

@@ -76,9 +76,9 @@ class IncomingMoves:
         """
         if record.host_id == self._identity.host_id:
             return MovedChannel(await self._store.bind(record.channel_id, record.epoch), 0)
-        return await asyncio.shield(self._moves.get(record.channel_id) or self._begun(record, source, is_of_drain))
+        return await asyncio.shield(self._moves.get(record.channel_id) or self._begin_move(record, source, is_of_drain))
 
-    def _begun(self, record: RecordedChannel, source: FeedSource, is_of_drain: bool) -> asyncio.Task[MovedChannel]:
+    def _begin_move(self, record: RecordedChannel, source: FeedSource, is_of_drain: bool) -> asyncio.Task[MovedChannel]:
         if self._is_closing:
             raise refusals.SHUTTING_DOWN
         if not source.target:

@@ -65,10 +65,10 @@ class QueueArrivals:
         """
         if record.host_id == self._identity.host_id:
             return MovedQueue(await self._queues.use(record.queue_id, record.epoch), 0)
-        move = self._moves.get(record.queue_id) or self._begun(record, target)
+        move = self._moves.get(record.queue_id) or self._begin_move(record, target)
         return await asyncio.shield(move)
 
-    def _begun(self, record: RecordedQueue, target: str | None) -> asyncio.Task[MovedQueue]:
+    def _begin_move(self, record: RecordedQueue, target: str | None) -> asyncio.Task[MovedQueue]:
         if self._is_closing:
             raise refusals.SHUTTING_DOWN
         if target is None:

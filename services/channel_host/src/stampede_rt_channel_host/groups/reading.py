@@ -112,8 +112,8 @@ class GroupReads:
         self._check_served(hosted)
         if reads_archive(params, hosted, query, group.horizon(params.at), self._groups.channels.now()):
             return await self._get_recorded(group, hosted, params.at, query, deadline_s)
-        begun = VisibleChannel(hosted.channel).begin(query, group.horizon(params.at), self._groups.channels.now())
-        return await self._get(group, hosted, PendingGroupGet(begun, params.at), deadline_s)
+        pending = VisibleChannel(hosted.channel).begin(query, group.horizon(params.at), self._groups.channels.now())
+        return await self._get(group, hosted, PendingGroupGet(pending, params.at), deadline_s)
 
     async def _read_past(
         self, params: GroupReadParams, hosted: HostedChannel, query: Query, check: Callable[[str], None]

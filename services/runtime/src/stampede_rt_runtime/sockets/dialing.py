@@ -95,17 +95,17 @@ class SocketChannel(AnnotatedChannel):
         bidi = BidiMethod(method, request_serializer, response_deserializer, over_grpc)
 
         def begin(*, metadata: Metadata | None = None) -> HostStream:
-            return HostStream(self._begun(bidi, metadata or ()), self._log_transport)
+            return HostStream(self._open_stream(bidi, metadata or ()), self._log_transport)
 
         return begin
 
-    async def _begun(self, method: BidiMethod, metadata: Metadata) -> Any:
+    async def _open_stream(self, method: BidiMethod, metadata: Metadata) -> Any:
         route, connected = await self._connected(metadata)
         if connected is None:
             return method(metadata=metadata or None)
         self._used = Transport.SOCKET if connected.is_local else Transport.TCP
         opening = opening_of(method.name, metadata, route.ticket if connected.is_local else b"")
-        call = await SocketCall.begun(connected.socket, method, opening, connected.tls)
+        call = await SocketCall.open(connected.socket, method, opening, connected.tls)
         await self.close()
         return call
 

@@ -29,7 +29,7 @@ class AckWriter:
         self._acks: list[pb.PutAck] = []
         self._held = HeldAcks(self._on_due, spawn)
         self._is_writing = self._is_closed = False
-        self._begun: StartedCoroutine | None = None  # a begun write; the task awaits the rest of it
+        self._started_write: StartedCoroutine | None = None  # has not ended; the task awaits its rest
         self._wakeup = asyncio.Event()  # there are acks to write, or no more acks come
         self._room = asyncio.Event()  # a write has taken the acks
         self._task: asyncio.Task[None] | None = spawn(self._run())
@@ -83,8 +83,8 @@ class AckWriter:
         """Write nothing more, and drop everything that refers back to this object. Idempotent."""
         if self._task is not None:
             self._task.cancel()
-        if self._begun is not None:
-            self._begun.close()
+        if self._started_write is not None:
+            self._started_write.close()
         self._held.close()
         self._task = None
 
@@ -105,20 +105,20 @@ class AckWriter:
         """
         if in_this_turn and not self._is_writing:
             self._work.spend_write()
-            begun = StartedCoroutine(self._context.write(self._encode(self._take())))
-            if begun.is_done:
+            write = StartedCoroutine(self._context.write(self._encode(self._take())))
+            if write.is_done:
                 self.wake()
             else:
-                self._begun, self._is_writing = begun, True
-        if not in_this_turn or self._begun is not None or self._is_closed:
+                self._started_write, self._is_writing = write, True
+        if not in_this_turn or self._started_write is not None or self._is_closed:
             self._wakeup.set()
 
     async def _run(self) -> None:
-        while not (self._is_closed and not self._acks and not self._held and self._begun is None):
-            if (begun := self._begun) is not None:
-                self._begun = None
+        while not (self._is_closed and not self._acks and not self._held and self._started_write is None):
+            if (write := self._started_write) is not None:
+                self._started_write = None
                 try:
-                    await begun
+                    await write
                 finally:
                     self._is_writing = False
             elif self._is_writing or not self._has_due:

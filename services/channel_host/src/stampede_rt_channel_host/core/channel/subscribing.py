@@ -167,17 +167,17 @@ def resume_all(held: Holdings, saved: SavedCursor, losses: LostPlaces = ()) -> P
     end = losses[0].next_seq if losses else held.next_seq  # newer items have the same seqs as lost ones
     first, live = min(saved.next_seq, end), min(saved.live_seq, end)
     low = saved.low if first < live else None
-    begun = live
+    live_from = live
     gone = (held.newest_collected, held.newest_consumed)
     # retention collects items in the order of time
     if low is None or any(time is not None and time >= low[0] for time in gone):
-        begun = first
+        live_from = first
     next_seq = held.next_seq
-    live_ranges = [(begun, next_seq)] if begun < next_seq else []
+    live_ranges = [(live_from, next_seq)] if live_from < next_seq else []
     if low is None:
         return AllCursor(iter(live_ranges), next_seq, low, live, losses)
     ranges = yield from _seq_ranges(held, low)
-    return AllCursor(chain(ranges.between(first, begun), live_ranges), next_seq, low, live, losses)
+    return AllCursor(chain(ranges.between(first, live_from), live_ranges), next_seq, low, live, losses)
 
 
 class _Ranges:

@@ -84,7 +84,7 @@ class Matcher:
         self.has_more = False
         self._looks_left = 0
         # The item at which the last `take` used up its looks, and the partners already found for this item.
-        self._begun: tuple[ItemKey, dict[bytes, NearestItem | None]] | None = None
+        self._unfinished_search: tuple[ItemKey, dict[bytes, NearestItem | None]] | None = None
 
     @property
     def position(self) -> Position:
@@ -110,7 +110,7 @@ class Matcher:
     def set_tracks(self, tracks: Mapping[bytes, Track]) -> None:
         """Replace the tracks of the members, because members came, left, or moved to another host."""
         self._tracks = dict(tracks)
-        self._begun = None
+        self._unfinished_search = None
 
     def take(
         self, has_passed: Callable[[bytes, int], bool], now: int, items_max: int, credit_bytes: int = CREDIT_UNLIMITED,
@@ -164,20 +164,20 @@ class Matcher:
 
         If archived items are missing, raises ItemsNotLoaded, or without `may_raise` returns None.
         """
-        found = self._begun[1] if self._begun is not None and self._begun[0] == key else {}
-        self._begun = None
+        unfinished, self._unfinished_search = self._unfinished_search, None
+        found = unfinished[1] if unfinished is not None and unfinished[0] == key else {}
         for member, track in self._tracks.items():
             if member in found:
                 continue
             if self._looks_left <= 0:
-                self._begun = key, found
+                self._unfinished_search = key, found
                 return None
             try:
                 found[member] = self._found_in(member, track, key, has_passed, now)
             except PartnerUndecided:
                 return None
             except ItemsNotLoaded:
-                self._begun = key, found
+                self._unfinished_search = key, found
                 self._forget_before(key[0])
                 if may_raise:
                     raise

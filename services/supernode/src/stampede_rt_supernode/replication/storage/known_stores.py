@@ -59,9 +59,9 @@ class KnownStores:
         if had_store and path.exists():
             facts = _read(path.read_bytes(), path)
             return cls(facts["own"], facts["known"], path, facts.get("refused", ""))
-        begun = cls(secrets.token_hex(ID_BYTES), {}, path)
-        begun._write()
-        return begun
+        known = cls(secrets.token_hex(ID_BYTES), {}, path)
+        known._write()
+        return known
 
     def admits(self, member_id: str, store_id: str) -> bool:
         """Whether a member may come with this store: the member is new, or came with the same store before.
