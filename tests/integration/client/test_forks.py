@@ -1,4 +1,4 @@
-"""Forked children: every entry point refuses an inherited connection immediately. A connection of their own works."""
+"""Forked children: every entry point refuses an inherited connection immediately. A new connection works."""
 
 from __future__ import annotations
 

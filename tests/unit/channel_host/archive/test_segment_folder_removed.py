@@ -41,7 +41,7 @@ def test_a_write_fails_if_somebody_has_removed_the_open_file_and_the_next_one_be
     files.close(None)
 
 
-def test_writes_fail_and_no_read_says_lost_while_the_folder_of_the_archive_is_away(tmp_path: Path) -> None:
+def test_writes_fail_and_no_read_says_lost_while_the_folder_of_the_archive_is_missing(tmp_path: Path) -> None:
     folder = tmp_path / "channels"
     files, before = opened(folder / "one")
     folder.rename(tmp_path / "elsewhere")

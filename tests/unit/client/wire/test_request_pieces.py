@@ -34,7 +34,7 @@ def test_a_request_that_fits_in_one_message_is_sent_unchanged(size: int) -> None
 
 
 @pytest.mark.parametrize("size", [MESSAGE_BYTES_MAX + 1, 3 * MESSAGE_BYTES_MAX, 2**24 + 17])
-def test_the_pieces_of_a_large_request_join_to_it_and_each_fits_in_a_message(size: int) -> None:
+def test_the_joined_pieces_of_a_large_request_are_the_request_and_each_fits_in_a_message(size: int) -> None:
     request = bytes(range(256)) * (size // 256) + b"x" * (size % 256)
     messages = list(messages_of(request))
     assert max(map(len, messages)) <= MESSAGE_BYTES_MAX

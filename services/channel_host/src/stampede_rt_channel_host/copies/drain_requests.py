@@ -23,18 +23,18 @@ class DrainRequests:
         """`channel`: the connection to the host at `target`."""
         self._target = target
         self._channel = channel
-        self._answers: dict[bytes, asyncio.Future[None]] = {}  # by channel: the requests without an answer
+        self._answers: dict[bytes, asyncio.Future[None]] = {}  # by channel: its request's answer, which has not come
         self._new: dict[bytes, None] = {}  # the channels that no message names yet
         self._wakeup = asyncio.Event()
         self._stream: asyncio.Task[None] | None = None
-        self._is_served = True
+        self._is_supported = True  # whether the host knows the method, as far as this object knows
 
     async def take(self, channel_id: bytes, seconds: float) -> bool:
         """Have the host take a channel over. False: the host is of an older release, and does not know this request.
 
         Raises the error of the move, DeadlineExceeded after `seconds`, and Unavailable if the stream breaks.
         """
-        if not self._is_served:
+        if not self._is_supported:
             return False
         answer = self._answers[channel_id] = asyncio.get_running_loop().create_future()
         self._new[channel_id] = None
@@ -47,13 +47,13 @@ class DrainRequests:
         except TimeoutError:
             raise DeadlineExceeded(f"{self._target} did not answer in {seconds:g} s") from None
         except StampedeError:
-            if self._is_served:
+            if self._is_supported:
                 raise
         finally:
             if self._answers.get(channel_id) is answer:
                 del self._answers[channel_id]
                 self._new.pop(channel_id, None)  # the caller may ask another host next
-        return self._is_served
+        return self._is_supported
 
     async def _run(self) -> None:
         """Ask, and deliver the outcomes, until the stream breaks. Then all requests without an answer fail."""
@@ -66,10 +66,10 @@ class DrainRequests:
         writing = asyncio.create_task(self._write(call))
         try:
             while isinstance(response := await call.read(), pb.MoveEachHereResponse):
-                self._deal(response)
+                self._deliver(response)
         except grpc.RpcError as error:
             failure = from_rpc_error(error, self._target)
-            self._is_served = error.code() is not grpc.StatusCode.UNIMPLEMENTED
+            self._is_supported = error.code() is not grpc.StatusCode.UNIMPLEMENTED
         except StampedeError as error:
             failure = error
         finally:
@@ -88,7 +88,7 @@ class DrainRequests:
                     del self._new[channel_id]
                 await call.write(pb.MoveEachHereRequest(channel_ids=new))
 
-    def _deal(self, response: pb.MoveEachHereResponse) -> None:
+    def _deliver(self, response: pb.MoveEachHereResponse) -> None:
         for outcome in response.outcomes:
             answer = self._answers.pop(outcome.channel_id, None)
             if answer is None or answer.done():

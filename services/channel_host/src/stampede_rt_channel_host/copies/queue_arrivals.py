@@ -1,4 +1,4 @@
-"""The new owner's side of a move of a queue or mailbox, which drives it (paper, section 3.5: queues migrate)."""
+"""Moves queues and mailboxes to this host, which becomes their owner (paper, section 3.5: queues migrate)."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ async def left(path: Path, store: FakeStore, *, moved: int = 3, local: int = 2) 
 
 @pytest.mark.parametrize("epoch", [1, 2])
 @pytest.mark.asyncio
-async def test_a_host_continues_its_seqs_and_reads_its_own_files_while_the_store_is_away(
+async def test_a_host_continues_its_seqs_and_reads_its_own_files_while_the_store_is_unreachable(
     tmp_path: Path, epoch: int
 ) -> None:
     store = FakeStore()
@@ -83,7 +83,7 @@ async def test_memory_gets_only_the_items_on_disk_that_are_later_than_all_items_
 
 
 @pytest.mark.asyncio
-async def test_a_new_channel_can_be_recorded_while_the_store_is_away(tmp_path: Path) -> None:
+async def test_a_new_channel_can_be_recorded_while_the_store_is_unreachable(tmp_path: Path) -> None:
     store = FakeStore()
     store.failure = "away"
     async with host(tmp_path, store) as one:

@@ -152,9 +152,7 @@ async def test_the_key_can_change_within_a_long_message(monkeypatch: pytest.Monk
 async def test_a_reader_after_a_defect_begins_another_multicast(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """In an earlier version, the host offered the dead stream to each later reader, and each heard nothing for 3.5
-    s.
-    """
+    """In an earlier version, the host offered the dead stream to later readers. They got nothing for 3.5 s."""
     rig = Rig()
     async with rig.reader() as first:
         one = rig.multicasts.find(rig.hosted)

@@ -99,7 +99,7 @@ def test_below_the_feature_level_of_archives_the_directory_ignores_archives() ->
     assert log.directory.tables.hosts[id_of(1)].load == HostLoad(has_archive=True)
 
 
-def test_the_directory_names_the_place_of_an_archive_also_while_its_host_is_away() -> None:
+def test_the_directory_names_the_place_of_an_archive_also_while_its_host_is_unreachable() -> None:
     log = log_at(ARCHIVE_LEVEL)
     log.apply(replace(with_archive(1), archive_place="/data/my archive"))
     opened(log, "recorded", archive_nanos=HOUR)
