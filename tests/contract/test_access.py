@@ -168,7 +168,9 @@ async def then(handle: Awaitable[Any], method: str, *args: Any, **named: Any) ->
 
 
 @pytest.mark.parametrize("case", CASES, ids=" ".join)
-async def test_each_verb_is_denied_without_a_rule_and_done_with_it(scene: Scene, case: tuple[str, str, str]) -> None:
+async def test_each_verb_is_denied_without_a_rule_and_succeeds_with_it(
+    scene: Scene, case: tuple[str, str, str]
+) -> None:
     verb, kind, thing = case
     name = scene.name(thing)
     if kind != "channel":
@@ -192,15 +194,15 @@ async def test_each_verb_is_denied_without_a_rule_and_done_with_it(scene: Scene,
 # -- open streams --------------------------------------------------------------------------------------------------
 
 
-async def begun(scene: Scene, opening: Any) -> Awaitable[Any]:
-    """Return an awaitable of the next value of a stream, once the stream is open."""
+async def next_value(opening: Any) -> Awaitable[Any]:
+    """Open a stream. Returns an awaitable of its next value."""
     stream = await opening if inspect.isawaitable(opening) else opening
     await stream.__aenter__()
     return asyncio.ensure_future(anext(aiter(stream)))
 
 
 async def subscribing(scene: Scene) -> Awaitable[Any]:
-    return await begun(scene, (await scene.channel()).subscribe())
+    return await next_value((await scene.channel()).subscribe())
 
 
 async def waiting_get(scene: Scene) -> Awaitable[Any]:
@@ -233,11 +235,11 @@ async def taking(scene: Scene) -> Awaitable[Any]:
 
 
 async def following_cuts(scene: Scene) -> Awaitable[Any]:
-    return await begun(scene, (await scene.group()).subscribe())
+    return await next_value((await scene.group()).subscribe())
 
 
 async def matching(scene: Scene) -> Awaitable[Any]:
-    return await begun(scene, (await scene.group()).match(await scene.channel(), tolerance="1s"))
+    return await next_value((await scene.group()).match(await scene.channel(), tolerance="1s"))
 
 
 STREAMS: dict[str, tuple[str, str, str, Callable[[Scene], Awaitable[Awaitable[Any]]]]] = {

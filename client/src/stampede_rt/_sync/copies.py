@@ -103,8 +103,8 @@ def open_at_owner_or_copy(
 ) -> None:
     """Open a subscription at the owner, or at the copy to which the owner sends the reader.
 
-    `target`: the gatekeeper of the copy, if the owner has named it before. If the copy cannot serve the reader, `opening`
-    asks the owner to serve it.
+    `target`: the gatekeeper of the copy, if the owner has named it before. If the copy cannot serve the reader, the
+    reader stays at the owner (`opening.stay`).
     """
     if not target:
         try:

@@ -30,8 +30,8 @@ class GroupDirectoryServiceStub(object):
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
     groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
-    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, 750 of one caller; or the
-    caller's quota of groups is used up.
+    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, or in 750
+    groups of the caller; or the caller's quota of groups is used up.
     """
 
     def __init__(self, channel):
@@ -72,8 +72,8 @@ class GroupDirectoryServiceServicer(object):
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
     groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
-    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, 750 of one caller; or the
-    caller's quota of groups is used up.
+    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, or in 750
+    groups of the caller; or the caller's quota of groups is used up.
     """
 
     def OpenGroup(self, request, context):
@@ -158,8 +158,8 @@ class GroupDirectoryService(object):
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
     groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
-    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, 750 of one caller; or the
-    caller's quota of groups is used up.
+    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, or in 750
+    groups of the caller; or the caller's quota of groups is used up.
     """
 
     @staticmethod

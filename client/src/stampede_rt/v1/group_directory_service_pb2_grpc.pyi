@@ -31,8 +31,8 @@ class GroupDirectoryServiceStub:
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
     groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
-    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, 750 of one caller; or the
-    caller's quota of groups is used up.
+    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, or in 750
+    groups of the caller; or the caller's quota of groups is used up.
     """
 
     @_typing.overload
@@ -65,8 +65,8 @@ class GroupDirectoryServiceAsyncStub(GroupDirectoryServiceStub):
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
     groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
-    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, 750 of one caller; or the
-    caller's quota of groups is used up.
+    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, or in 750
+    groups of the caller; or the caller's quota of groups is used up.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -95,8 +95,8 @@ class GroupDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
     groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
-    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, 750 of one caller; or the
-    caller's quota of groups is used up.
+    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, or in 750
+    groups of the caller; or the caller's quota of groups is used up.
     """
 
     @_abc_1.abstractmethod

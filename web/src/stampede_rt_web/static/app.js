@@ -13,7 +13,7 @@ const WINDOWS_SECONDS = [2, 10, 30, 120, 600, 3600, 21_600, 86_400];
 const BEFORE_ALL = -(2n ** 63n); // an instant before all items
 const FUTURE_SHARE = 0.04; // the part of the window after now, in live mode
 
-const by = (id) => document.getElementById(id);
+const byId = (id) => document.getElementById(id);
 const state = {
   overview: null, findings: null, tracks: Object.create(null), rows: new Map(), cards: new Map(), shown: new Set(), touched: false,
   selected: null, seconds: 10, chosen: null, ahead: 0n, troubles: new Map(),
@@ -28,9 +28,9 @@ function view() {
   return { start, length, chosen: state.chosen };
 }
 
-function visible() {
+function visibleChannels() {
   const channels = state.overview?.channels ?? [];
-  const glob = by("filter").value.trim();
+  const glob = byId("filter").value.trim();
   const pattern = glob && globPattern(/[*?]/.test(glob) ? glob : `*${glob}*`);
   return channels.filter((one) => !pattern || pattern.test(one.name)).slice(0, ROWS_MAX);
 }
@@ -39,7 +39,7 @@ function choose(instant) {
   if (instant !== null && state.frozen === undefined) state.frozen = view().start;
   if (instant === null) state.frozen = undefined;
   state.chosen = instant;
-  by("live").setAttribute("aria-pressed", String(instant === null));
+  byId("live").setAttribute("aria-pressed", String(instant === null));
   if (instant !== null) {
     const { start, length } = view();
     const margin = BigInt(Math.round(length * 0.05));
@@ -49,18 +49,18 @@ function choose(instant) {
   wakeTracks();
 }
 
-function trouble(kind, error) {
+function showTrouble(kind, error) {
   if (error) state.troubles.set(kind, error.message);
   else state.troubles.delete(kind);
   const [first] = state.troubles.values();
-  by("trouble").hidden = !first;
-  by("trouble").textContent = escaped(first ?? "");
+  byId("trouble").hidden = !first;
+  byId("trouble").textContent = escaped(first ?? "");
 }
 
 // ---- rows ----
 
 function syncRows() {
-  const channels = visible();
+  const channels = visibleChannels();
   const names = new Set(channels.map((one) => one.name));
   for (const [name, row] of state.rows) {
     if (!names.has(name)) {
@@ -71,12 +71,12 @@ function syncRows() {
   for (const channel of channels) {
     const row = state.rows.get(channel.name) ?? newRow(channel.name);
     fillRow(row, channel);
-    by("rows").append(row.element);
+    byId("rows").append(row.element);
   }
   if (!state.touched) state.shown = new Set(channels.slice(0, SHOWN_FIRST).map((one) => one.name));
   if (!names.has(state.selected)) select(channels[0]?.name ?? null);
   const total = state.overview.channels_total;
-  by("legend").textContent = total
+  byId("legend").textContent = total
     ? `${channels.length} of ${total} channels. Ticks are items, bars their spans; pale items have left memory. A violet line: the archive has them. Red marks: late, refused or lost items.`
     : "No channel yet. `stampede put cam/left hello` makes one.";
   syncCards();
@@ -89,7 +89,7 @@ function newRow(name) {
   const row = { title, facts, canvas };
   row.element = element("div", { class: "row", role: "row", onclick: () => select(name), ondblclick: () => toggle(name) },
     element("div", { role: "rowheader" }, title, facts), canvas);
-  scrubs(canvas);
+  addScrubbing(canvas);
   canvas.addEventListener("mousemove", (event) => { canvas.title = markAt(name, event.offsetX / canvas.clientWidth); });
   state.rows.set(name, row);
   return row;
@@ -143,7 +143,7 @@ function toggle(name) {
   wakeItems();
 }
 
-function scrubs(canvas) {
+function addScrubbing(canvas) {
   const pick = (event) => {
     const box = canvas.getBoundingClientRect();
     const { start, length } = view();
@@ -166,7 +166,7 @@ function syncCards() {
   for (const name of names) {
     if (!state.cards.has(name)) state.cards.set(name, new Card(name, () => toggle(name)));
     const card = state.cards.get(name);
-    if (card.element.parentElement !== by("items")) by("items").append(card.element);
+    if (card.element.parentElement !== byId("items")) byId("items").append(card.element);
   }
 }
 
@@ -175,8 +175,8 @@ function syncCards() {
 async function readOverview() {
   const overview = await ask("overview");
   state.overview = overview;
-  by("cluster").textContent = `cluster ${overview.cluster_id.slice(-8)}`;
-  const groups = by("group");
+  byId("cluster").textContent = `cluster ${overview.cluster_id.slice(-8)}`;
+  const groups = byId("group");
   const names = overview.groups.map((one) => one.name);
   if (names.join("\n") !== [...groups.options].slice(1).map((one) => one.value).join("\n")) {
     const kept = groups.value;
@@ -184,7 +184,7 @@ async function readOverview() {
     groups.value = names.includes(kept) ? kept : "";
   }
   syncRows();
-  fillState(by("state"), overview, state.findings);
+  fillState(byId("state"), overview, state.findings);
 }
 
 async function readTracks() {
@@ -192,7 +192,7 @@ async function readTracks() {
   if (!names.length) return;
   const { start, length } = view();
   const sent = performance.now();
-  const width = Math.max(64, Math.min(2048, Math.round(by("axis").clientWidth)));
+  const width = Math.max(64, Math.min(2048, Math.round(byId("axis").clientWidth)));
   const answer = await ask("timeline", { channel: names, from: start, to: start + BigInt(Math.round(length)), width });
   const middle = BigInt(Math.round(performance.timeOrigin + (sent + performance.now()) / 2)) * 1_000_000n;
   state.ahead = BigInt(answer.now) - middle;
@@ -205,12 +205,12 @@ async function readItems() {
   const names = [...state.cards.keys()];
   if (!names.length) return;
   const at = state.chosen === null ? "newest" : state.chosen;
-  const answer = await ask("at", { channel: names, at, group: by("group").value });
+  const answer = await ask("at", { channel: names, at, group: byId("group").value });
   for (const one of answer.items) state.cards.get(one.channel)?.fill(one);
 }
 
 async function stepItem(direction, from = state.chosen ?? now()) {
-  const answer = await ask("step", { channel: state.selected, at: from, direction, group: by("group").value });
+  const answer = await ask("step", { channel: state.selected, at: from, direction, group: byId("group").value });
   if (answer.time !== null) choose(BigInt(answer.time));
 }
 
@@ -218,7 +218,7 @@ async function readFindings() {
   state.findings = (await ask("doctor")).findings;
 }
 
-const report = (kind) => (error) => trouble(kind, error);
+const report = (kind) => (error) => showTrouble(kind, error);
 const wakeOverview = repeat(1000, readOverview, report("overview"));
 const wakeTracks = repeat(250, readTracks, report("tracks"));
 const wakeItems = repeat(250, readItems, report("items"));
@@ -232,15 +232,15 @@ function paint(time) {
   if (time - drawn < 30) return;
   drawn = time;
   const seen = view();
-  drawAxis(by("axis"), seen);
-  const group = state.overview?.groups.find((one) => one.name === by("group").value);
+  drawAxis(byId("axis"), seen);
+  const group = state.overview?.groups.find((one) => one.name === byId("group").value);
   const members = new Set(group?.members.map((one) => one.name));
   for (const [name, row] of state.rows) {
     const channel = state.overview?.channels.find((one) => one.name === name);
     const hiddenFrom = members.has(name) ? (group.cut === null ? seen.start : BigInt(group.cut)) : null;
     drawTrack(row.canvas, state.tracks[name], channel, seen, hiddenFrom);
   }
-  by("instant").textContent = state.chosen === null ? clockText(now(), 1) : instantText(state.chosen, 6);
+  byId("instant").textContent = state.chosen === null ? clockText(now(), 1) : instantText(state.chosen, 6);
 }
 requestAnimationFrame(paint);
 
@@ -249,7 +249,7 @@ requestAnimationFrame(paint);
 function setSeconds(seconds) {
   const middle = state.chosen;
   state.seconds = seconds;
-  by("window").value = String(seconds);
+  byId("window").value = String(seconds);
   if (middle !== null) state.frozen = middle - BigInt(Math.round((seconds * 1e9) / 2));
   wakeTracks();
 }
@@ -278,7 +278,7 @@ const keys = {
   Enter: () => state.selected && toggle(state.selected),
   "+": () => zoom(-1),
   "-": () => zoom(1),
-  "?": () => by("keys").showModal(),
+  "?": () => byId("keys").showModal(),
 };
 
 function nudge(part) {
@@ -287,7 +287,7 @@ function nudge(part) {
 
 // A field takes all keys, and a button the keys that press it.
 function isForPage(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey || by("keys").open) return false;
+  if (event.ctrlKey || event.metaKey || event.altKey || byId("keys").open) return false;
   const name = event.target.tagName;
   return name !== "INPUT" && name !== "SELECT" && !(name === "BUTTON" && /^( |Enter)$/.test(event.key));
 }
@@ -298,11 +298,11 @@ document.addEventListener("keydown", (event) => {
     keys[event.key](event);
   }
 });
-by("live").addEventListener("click", () => choose(state.chosen === null ? now() : null));
-by("window").addEventListener("change", (event) => setSeconds(Number(event.target.value)));
-by("filter").addEventListener("input", () => { if (state.overview) syncRows(); wakeTracks(); });
-by("group").addEventListener("change", () => wakeItems());
-by("help").addEventListener("click", () => by("keys").showModal());
+byId("live").addEventListener("click", () => choose(state.chosen === null ? now() : null));
+byId("window").addEventListener("change", (event) => setSeconds(Number(event.target.value)));
+byId("filter").addEventListener("input", () => { if (state.overview) syncRows(); wakeTracks(); });
+byId("group").addEventListener("change", () => wakeItems());
+byId("help").addEventListener("click", () => byId("keys").showModal());
 
 const THEME = "stampede-theme";
 function setTheme(theme) {
@@ -310,7 +310,7 @@ function setTheme(theme) {
   readColours();
   for (const card of state.cards.values()) card.recolour();
 }
-by("theme").addEventListener("click", () => {
+byId("theme").addEventListener("click", () => {
   const dark = document.documentElement.dataset.theme ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   const theme = dark === "dark" ? "light" : "dark";
   localStorage.setItem(THEME, theme);
@@ -318,4 +318,4 @@ by("theme").addEventListener("click", () => {
 });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => setTheme(null));
 setTheme(localStorage.getItem(THEME));
-scrubs(by("axis"));
+addScrubbing(byId("axis"));
