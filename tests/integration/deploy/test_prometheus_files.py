@@ -1,4 +1,4 @@
-"""The files in deploy/prometheus: sound, tested by Prometheus itself, and about metrics that exist."""
+"""Prometheus accepts the files in deploy/prometheus, and these files name only metrics that exist."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ Meddle = Callable[[bytes], None]
 class Follower:
     """One channel's part of cut events. The cursor is its state between two steps: a cut, a seq, an incarnation.
 
-    `hears_again`: the first step after a resumption may report a loss that was reported before. `uncounted`: the
+    `repeats_loss`: the first step after a resumption may report a loss that was reported before. `uncounted`: the
     items that had left the channel before the resumption, so that no step can count them.
     """
 
@@ -39,7 +39,7 @@ class Follower:
     core: CutFollower
     oracle: OracleFollower
     cursor: tuple[int | None, int, int]
-    hears_again: bool = False
+    repeats_loss: bool = False
     uncounted: set[int] = field(default_factory=set)
 
 
@@ -176,7 +176,7 @@ class Listeners:
         lost = one.oracle.end_step(cut, new, late)
         _check_loss(one, step.loss, lost, pair)
         one.cursor = cut, one.core.next_seq, pair.incarnation
-        one.hears_again, one.uncounted = False, set()
+        one.repeats_loss, one.uncounted = False, set()
         assert one.core.cut == cut
 
     def match(self, tolerance: int, lateness: int, *, unique: bool) -> None:
@@ -239,7 +239,7 @@ class Listeners:
                 continue
             cut, next_seq, incarnation = one.cursor
             one.core = CutFollower(pair.core, cut, self.world.clock, next_seq=next_seq, incarnation=incarnation)
-            one.hears_again |= has_lost_from(pair, cut)
+            one.repeats_loss |= has_lost_from(pair, cut)
             if incarnation == pair.incarnation:
                 one.uncounted |= {seq for seq in one.oracle.owed if seq < next_seq and seq not in held}
 
@@ -255,7 +255,7 @@ class Listeners:
                 cut, next_seq, incarnation = cursor
                 core = CutFollower(pair.core, cut, self.world.clock, next_seq=next_seq, incarnation=incarnation)
                 oracle = OracleFollower.begin(pair.oracle, cut, 0)
-                events.followers[channel_id] = Follower(channel_id, core, oracle, cursor, hears_again=True)
+                events.followers[channel_id] = Follower(channel_id, core, oracle, cursor, repeats_loss=True)
 
     def groups_began_anew(self, groups: Sequence[int]) -> None:
         """End all readers of these groups with an error, and begin them again."""
@@ -268,10 +268,10 @@ def _has_come_to(reached: int | None, cut: int) -> bool:
 
 def _check_loss(one: Follower, loss: Loss | None, lost: set[int], pair: LivingPair) -> None:
     """Check the number, the times and the seqs of lost items that were due."""
-    assert (loss is not None) == (bool(lost) or one.hears_again)
+    assert (loss is not None) == (bool(lost) or one.repeats_loss)
     if loss is None:
         return
-    assert loss.is_exact != one.hears_again
+    assert loss.is_exact != one.repeats_loss
     assert loss.items == len(lost - one.uncounted)
     assert loss.reason == ("COLLECTED" if one.cursor[2] == pair.incarnation else "LOST")
     assert all(pair.oracle.log[seq].time < loss.before for seq in lost)

@@ -24,7 +24,7 @@ BEFORE_ALL = (-(2**64), 0)
 class Subscriber:
     """Subscriptions to one channel through one group, in both modes.
 
-    `hears_again`: the first step after a resumption may report a loss that was reported before.
+    `repeats_loss`: the first step after a resumption may report a loss that was reported before.
     """
 
     group: int
@@ -34,8 +34,8 @@ class Subscriber:
     newest: VisibleNewestCursor
     of_newest: OracleFollower
     last: tuple[int, int]
-    hears_again: bool
-    newest_hears_again: bool
+    repeats_loss: bool
+    newest_repeats_loss: bool
     meant: int = 0
     last_given: Item | None = None
 
@@ -234,9 +234,9 @@ class Readers:
         late = [item for item in items if oracle.cut is not None and item.time < oracle.cut]
         assert items[: len(late)] == late
         lost = oracle.end_step(horizon.cut, items[len(late) :], late)
-        assert [gap.items for gap in gaps] == ([max(1, len(lost))] if lost or one.hears_again else [])
+        assert [gap.items for gap in gaps] == ([max(1, len(lost))] if lost or one.repeats_loss else [])
         assert all(gap.first_seq <= seq <= gap.last_seq for gap in gaps for seq in lost)
-        one.hears_again = False
+        one.repeats_loss = False
         one.last_given = items[-1] if items else one.last_given
         assert one.every.lowest_owed_seq(clock) == min([*oracle.owed, len(pair.oracle.log) + 1])
 
@@ -255,8 +255,8 @@ class Readers:
             one.of_newest.owe()
             visible = one.of_newest.owed & one.of_newest.visible(horizon.cut)
             lost = one.of_newest.pass_over(horizon.cut) - visible
-            one.meant += len(visible) + (max(1, len(lost)) if lost or one.newest_hears_again else 0)
-            one.newest_hears_again = False
+            one.meant += len(visible) + (max(1, len(lost)) if lost or one.newest_repeats_loss else 0)
+            one.newest_repeats_loss = False
         assert one.newest.skipped == max(0, one.meant - one.newest.delivered)
 
     def member_left(self, group: int, channel_id: bytes) -> None:

@@ -71,7 +71,7 @@ def run_detector(detector: str, *, package_path: Path | None, seeds: int = SEEDS
     last = lines[-1] if lines else ""
     if simulated and done.returncode == 0:
         found, _, why = last.partition(" ")
-        return True, f"seed {int(found) - 1}, the {found}. of {seeds}: {why}"
+        return True, f"seed {int(found) - 1}, after {found} of {seeds} seeds: {why}"
     if not simulated and done.returncode == TESTS_FAILED:
         return True, next((line.split("::")[-1] for line in lines if line.startswith("FAILED")), last)
     if done.returncode not in (0, 1) or "Traceback" in done.stderr:

@@ -46,7 +46,7 @@ async def test_a_few_callers_continue_in_each_turn_in_the_order_of_arrival() -> 
     gate, turns, order = TurnGate(), TurnCounter(), list[int]()
 
     async def pass_through(number: int) -> None:
-        if not gate.admits(ONE):
+        if not gate.try_admit(ONE):
             await gate.turn(ONE)
         turns.note()
         order.append(number)
@@ -62,11 +62,11 @@ async def test_a_few_callers_continue_in_each_turn_in_the_order_of_arrival() -> 
 
 async def test_many_waiting_streams_of_one_caller_do_not_delay_a_stream_of_another_one() -> None:
     gate, turns = TurnGate(), TurnCounter()
-    crowd = [asyncio.ensure_future(gate.turn(ONE)) for _ in range(STREAMS) if not gate.admits(ONE)]
+    crowd = [asyncio.ensure_future(gate.turn(ONE)) for _ in range(STREAMS) if not gate.try_admit(ONE)]
     assert len(crowd) == STREAMS - STREAMS_PER_TURN
     for _ in range(3):  # one request after the other
         began = turns.number
-        if not gate.admits(OTHER):
+        if not gate.try_admit(OTHER):
             await gate.turn(OTHER)
         assert turns.number - began <= 2
         await asyncio.sleep(0)
@@ -77,7 +77,7 @@ async def test_many_waiting_streams_of_one_caller_do_not_delay_a_stream_of_anoth
 async def test_a_single_caller_does_not_wait() -> None:
     gate = TurnGate()
     for _ in range(3):
-        assert gate.admits(ONE)
+        assert gate.try_admit(ONE)
         await asyncio.sleep(0)
 
 
@@ -85,7 +85,7 @@ async def test_a_cancelled_caller_uses_up_no_turn() -> None:
     gate = TurnGate()
 
     async def enter() -> None:
-        if not gate.admits(ONE):
+        if not gate.try_admit(ONE):
             await gate.turn(ONE)
 
     callers = [asyncio.create_task(enter()) for _ in range(20 * STREAMS_PER_TURN)]
@@ -95,7 +95,7 @@ async def test_a_cancelled_caller_uses_up_no_turn() -> None:
     for _ in range(5):
         await asyncio.sleep(0)
     assert all(caller.done() for caller in callers)
-    assert gate.admits(ONE)
+    assert gate.try_admit(ONE)
 
 
 class Stream:

@@ -43,8 +43,8 @@ class TurnGate:
         self._lines: OrderedDict[Account, deque[asyncio.Future[None]]] = OrderedDict()
         self._is_counting = False
 
-    def admits(self, caller: Account) -> bool:
-        """Whether a stream of the caller may run in this turn. If not, it must await `turn`."""
+    def try_admit(self, caller: Account) -> bool:
+        """Admit a stream of the caller to this turn, if possible. If not, returns False, and the stream awaits `turn`."""
         if not self._left or caller in self._lines:
             return False
         self._left -= 1
@@ -129,7 +129,7 @@ class PacedContext:
         """The next message, or EOF. Returns when the message is there and the gate admits the stream."""
         message = await self._context.read()
         self._work.received(message)
-        if not self._reads.admits(self._caller):
+        if not self._reads.try_admit(self._caller):
             await self._reads.turn(self._caller)
         return message
 
@@ -139,7 +139,7 @@ class PacedContext:
             self._has_headers = True
             await send_headers(self._context)
         await self._context.write(message)
-        if not self._writes.admits(self._caller):
+        if not self._writes.try_admit(self._caller):
             await self._writes.turn(self._caller)
 
     @property
@@ -213,7 +213,7 @@ class PacingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
             try:
                 await asyncio.wait({serving})
             except asyncio.CancelledError:  # the caller has gone, maybe with many streams: they end a few at a time
-                if not self._ends.admits(caller):
+                if not self._ends.try_admit(caller):
                     # a second cancellation may come here; without `serving.cancel` the stream would stay for ever
                     with contextlib.suppress(asyncio.CancelledError):
                         await self._ends.turn(caller)

@@ -93,7 +93,7 @@ def _with_one_request(
                 f"no whole request of {method} came within {REQUEST_SECONDS_MAX:g} s; send it when the call begins"
             ) from None
         account = current_account()
-        if not gate.admits(account):
+        if not gate.try_admit(account):
             await gate.turn(account)
         if raw is grpc.aio.EOF:
             raise InvalidArgument(f"{method} was called without a request; send one")

@@ -32,7 +32,7 @@ def composed(source: ByteSource) -> str:
 
 
 def _each(*parsers: Callable[[str], Any]) -> Callable[[ByteSource], None]:
-    """One of the parsers, which the input chooses."""
+    """Return a function that calls one of the parsers. The input chooses the parser."""
 
     def parse(source: ByteSource) -> None:
         source.choice(parsers)(composed(source))
