@@ -73,7 +73,7 @@ class OracleConsumers:
         self.taken = [one for one in self.taken if one not in former] + [place]
         return place
 
-    def carry(self, clock: int) -> None:
+    def move(self, clock: int) -> None:
         """Move the places to another owner.
 
         The new owner learns only the order in which leases have ended, not when.

@@ -218,7 +218,7 @@ class ChannelPair:
         assert all(len(one.consumed) <= held for one in places), "reports are bounded by the held items"
         self.core.restore_consumers(places, self.clock)
         if self.oracle.consumers is not None:
-            self.oracle.consumers.carry(self.clock)
+            self.oracle.consumers.move(self.clock)
 
     def read(self, query: Query) -> None:
         reader = OracleReader(self.oracle, self.clock)

@@ -161,7 +161,7 @@ class Scenario:
         core, self.window = copy.channel.as_owner(clock)
         self.pair.move_to(core)
         if self.pair.oracle.consumers is not None:
-            self.pair.oracle.consumers.carry(clock)
+            self.pair.oracle.consumers.move(clock)
         self.copies = [self._demoted(former, window), FedCopy(self.pair, window=self.window)]
         self.moves += 1
 

@@ -56,7 +56,7 @@ def refused(answer: Future[list[pb.PutAck]]) -> bool:
     return all(not ack.HasField("first_seq") and ack.HasField("error") for ack in acks)
 
 
-def test_a_host_that_is_continued_after_its_lease_acknowledges_nothing_under_its_old_epoch(
+def test_a_host_that_is_resumed_after_its_lease_acknowledges_nothing_under_its_old_epoch(
     cluster: LocalCluster,
 ) -> None:
     with st.connect(cluster.address) as rt, st.connect(cluster.address) as other, ThreadPoolExecutor(32) as pool:

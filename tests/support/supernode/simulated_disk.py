@@ -58,7 +58,7 @@ class Disk:
 
 
 class DiskStore:
-    """A Store over a Disk, with the meaning of SqliteStore. `write` returns when a commit begins, and when its sync
+    """A Store over a Disk, with the behaviour of SqliteStore. `write` returns when a commit begins, and when its sync
     ends.
     """
 

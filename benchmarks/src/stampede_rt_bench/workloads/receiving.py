@@ -61,7 +61,7 @@ class TimingReceiver(CountingReceiver):
             self.latencies_nanos.append(now - SENT.unpack_from(payload)[0])
 
     def take_block(self, items: int, payload: Block) -> None:
-        """Take one item of a limit."""
+        """Take one item in a measurement of the limits of the machine."""
         self.take(0, 0, bytes(payload))
 
 
@@ -84,13 +84,13 @@ class AnswerReceiver(CountingReceiver):
 
 
 class OperationTimer:
-    """Counts the turns of one operation, and notes how long each turn took, for at most LATENCIES_MAX turns."""
+    """Counts the repetitions of one operation, and notes their durations, at most LATENCIES_MAX."""
 
     def __init__(self, progress: RunCounters, answers: AnswerReceiver, items: int) -> None:
         self._progress, self._answers, self._items = progress, answers, items
         self.durations_nanos = array("Q")
 
-    def turns(self, value: T) -> Iterator[T]:
+    def repeat(self, value: T) -> Iterator[T]:
         """Yield `value` again and again, until the run has ended.
 
         An operation lasts until the client asks for the next value. Raises ValueError if an operation has not read

@@ -72,11 +72,11 @@ def operate(assignment: Assignment, number: int, client: Client) -> array[int]:
         client.publish(iter([[payload] * workload.items]))
     progress.set_ready(number)
     if workload.kind == "put":
-        client.put(operations.turns(payload))
+        client.put(operations.repeat(payload))
     elif workload.kind == "newest":
-        client.newest(operations.turns(1), answers)
+        client.newest(operations.repeat(1), answers)
     else:
-        client.interval(operations.turns(workload.items), answers)
+        client.interval(operations.repeat(workload.items), answers)
     return operations.durations_nanos
 
 

@@ -44,7 +44,7 @@ class TurnGate:
         self._is_counting = False
 
     def try_admit(self, caller: Account) -> bool:
-        """Admit a stream of the caller to this turn, if possible. If not, returns False, and the stream awaits `turn`."""
+        """Admit a stream of the caller to this turn. Returns False if it is full: then the stream awaits `turn`."""
         if not self._left or caller in self._lines:
             return False
         self._left -= 1

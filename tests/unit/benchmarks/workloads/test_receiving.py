@@ -39,7 +39,7 @@ def test_the_way_of_an_item_counts_only_while_the_run_is_measured(progress: RunC
 
 def test_an_operation_that_reads_too_few_items_is_refused(progress: RunCounters) -> None:
     answers = AnswerReceiver(progress, 0, 64, NEVER)
-    turns = OperationTimer(progress, answers, items=2).turns(2)
+    turns = OperationTimer(progress, answers, items=2).repeat(2)
     next(turns)
     answers.take(1, 2, bytes(64))
     with pytest.raises(ValueError, match="1 items came in 1 gets of 2"):
@@ -49,7 +49,7 @@ def test_an_operation_that_reads_too_few_items_is_refused(progress: RunCounters)
 def test_operations_are_counted_and_end_with_the_run(progress: RunCounters) -> None:
     operations = OperationTimer(progress, AnswerReceiver(progress, 0, 64, NEVER), items=0)
     progress.measure(True)
-    turns = operations.turns(b"x")
+    turns = operations.repeat(b"x")
     for _ in range(3):
         next(turns)
     progress.end()
