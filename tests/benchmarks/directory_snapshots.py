@@ -175,15 +175,15 @@ def snapshots(folder: Path, channels: int) -> list[Row]:
     one.close()
     gc.disable()
     began, cpu = time.perf_counter(), time.process_time()
-    again = LoneReplica(folder / "one", proposed=one.proposed)
+    restarted = LoneReplica(folder / "one", proposed=one.proposed)
     rows = [("start of a log: store read, directory decoded", _took(began, cpu))]
     gc.freeze()  # in a supernode its event loop does the rest; this benchmark has no event loop
-    again.step_until(lambda: again.replica.status().is_leader)
-    rows.append(_taken(again, "first snapshot after the start"))
-    again.open_channels(CHANGED)
-    rows.append(_taken(again, f"a snapshot {CHANGED:,} channels later"))
-    again.close()
-    return [*rows, _received(folder / "two", again)]
+    restarted.step_until(lambda: restarted.replica.status().is_leader)
+    rows.append(_taken(restarted, "first snapshot after the start"))
+    restarted.open_channels(CHANGED)
+    rows.append(_taken(restarted, f"a snapshot {CHANGED:,} channels later"))
+    restarted.close()
+    return [*rows, _received(folder / "two", restarted)]
 
 
 def _taken(one: LoneReplica, name: str) -> Row:

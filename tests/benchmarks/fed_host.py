@@ -35,14 +35,14 @@ NO_GROUP = "-"
 class FedRates:
     """The work of this process meanwhile: items put, CPU, messages sent to other hosts, and the median lag of the cut.
 
-    `behind_ms` is None without a group, and if the host had no cut of the group.
+    `cut_lag_ms` is None without a group, and if the host had no cut of the group.
     """
 
     items: int
     cpu_s: float
     wall_s: float
     messages: int
-    behind_ms: float | None
+    cut_lag_ms: float | None
 
 
 class FedHost(ChannelHost):
@@ -97,7 +97,7 @@ async def _feed(host: ChannelHost, period_s: float, seconds: float, group_id: by
         cpu_s=time.process_time() - cpu,
         wall_s=time.monotonic() - began,
         messages=Messages.sent - sent,
-        behind_ms=statistics.median(lags_ms) if lags_ms else None,
+        cut_lag_ms=statistics.median(lags_ms) if lags_ms else None,
     )
 
 

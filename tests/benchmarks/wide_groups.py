@@ -27,7 +27,7 @@ HOSTS = (1, 2, 3, 4, 6)
 WARM_SECONDS = 1.0
 PATIENCE_SECONDS = 10.0
 GROUP = "wide"
-COLUMNS = ("hosts", "pairs", "items/s", "CPU us/item, alone", "a group adds", "messages/s", "cut behind, ms")
+COLUMNS = ("hosts", "pairs", "items/s", "CPU us/item", "a group adds", "messages/s", "lag of the cut, ms")
 
 
 class FedHosts:
@@ -47,7 +47,7 @@ class FedHosts:
 
 @contextmanager
 def fed_hosts(count: int, *flags: str) -> Iterator[FedHosts]:
-    """Yield `count` hosts that are ready. They have ended after the block."""
+    """Yield `count` hosts that are ready. At the end of the block it ends them."""
     with ExitStack() as ends:
         processes = []
         for number in range(1, count + 1):
@@ -85,7 +85,7 @@ class Cost:
     items_per_second: float
     cpu_us_per_item: float
     messages_per_second: float
-    behind_ms: float
+    cut_lag_ms: float
 
     @classmethod
     def of(cls, feds: Sequence[FedRates]) -> Cost:
@@ -95,7 +95,7 @@ class Cost:
             items_per_second=items / wall_s,
             cpu_us_per_item=sum(fed.cpu_s for fed in feds) / items * 1e6,
             messages_per_second=sum(fed.messages for fed in feds) / wall_s,
-            behind_ms=max(fed.behind_ms or 0.0 for fed in feds),
+            cut_lag_ms=max(fed.cut_lag_ms or 0.0 for fed in feds),
         )
 
 
@@ -108,7 +108,7 @@ def measure(hosts: int, seconds: float, warm_seconds: float = WARM_SECONDS) -> t
                 rt.channel(f"c{number:02}", max_items=1000, host=f"h{number % hosts + 1}") for number in range(CHANNELS)
             ]
             for channel in channels:
-                channel.put(b"the host has to know it")
+                channel.put(b"so that the host hosts the channel")
             fed.feed(warm_seconds)
             alone = Cost.of(fed.feed(seconds))
             group = rt.group(GROUP, channels, reference="oldest")
@@ -116,19 +116,19 @@ def measure(hosts: int, seconds: float, warm_seconds: float = WARM_SECONDS) -> t
                 group[channel].newest(timeout=PATIENCE_SECONDS)  # so that every host has the group and its cut
             fed.feed(warm_seconds, group)
             feds = fed.feed(seconds, group)
-    if any(one.behind_ms is None for one in feds):
+    if any(one.cut_lag_ms is None for one in feds):
         raise RuntimeError(f"not all of {hosts} hosts had a cut of the group")
     return alone, Cost.of(feds)
 
 
 def table(hosts: Sequence[int], seconds: float, runs: int) -> Table:
     """A row for each number of hosts."""
-    made = Table(COLUMNS)
+    found = Table(COLUMNS)
     for count in hosts:
         print(f"{count} hosts ...", file=sys.stderr, flush=True)
         costs = [measure(count, seconds) for _ in range(runs)]
         alone, grouped = ([cost[place] for cost in costs] for place in (0, 1))
-        made.rows.append(
+        found.rows.append(
             [
                 str(count),
                 str(count * (count - 1) // 2),
@@ -136,11 +136,11 @@ def table(hosts: Sequence[int], seconds: float, runs: int) -> Table:
                 spread(Spread.of([one.cpu_us_per_item for one in alone]), 1),
                 spread(Spread.of([more.cpu_us_per_item - less.cpu_us_per_item for less, more in costs]), 1),
                 spread(Spread.of([one.messages_per_second for one in grouped]), 0),
-                spread(Spread.of([one.behind_ms for one in grouped]), 1),
+                spread(Spread.of([one.cut_lag_ms for one in grouped]), 1),
             ]
         )
-    made.notes = [f"{runs} runs of {seconds:g} s; medians (least to most); CPU and messages of all hosts together."]
-    return made
+    found.notes = [f"{runs} runs of {seconds:g} s; medians (least to most); CPU and messages of all hosts together."]
+    return found
 
 
 def main() -> None:

@@ -100,9 +100,9 @@ async def test_held_items_come_first_when_a_start_is_given(surface: Surface) -> 
     await channel.put(b"new")
     assert [item.payload_length_bytes for item in await called.until(2)] == [4, 3]
     handle.cancel()
-    again = CallRecorder()
-    resumed = await channel.on_item(again, after=first)
-    assert [item.payload for item in await again.until(1)] == [b"new"]
+    later_calls = CallRecorder()
+    resumed = await channel.on_item(later_calls, after=first)
+    assert [item.payload for item in await later_calls.until(1)] == [b"new"]
     resumed.cancel()
     assert await joined(handle)
     assert await joined(resumed)

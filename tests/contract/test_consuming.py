@@ -90,9 +90,9 @@ async def test_consuming_an_item_again_changes_nothing(team: Team) -> None:
 
 async def test_all_handles_of_a_connection_are_one_consumer(team: Team) -> None:
     ann, _, _ = await team.open(consumers=1)
-    again = await team._surfaces[0].channel(ann.name)
+    reopened = await team._surfaces[0].channel(ann.name)
     items = await put_three(ann)
-    assert [await ann.consume(items[0]), await again.consume(items[0])] == [1, 0]
+    assert [await ann.consume(items[0]), await reopened.consume(items[0])] == [1, 0]
 
 
 async def test_a_consumer_above_the_limit_is_refused_until_another_one_leaves(team: Team) -> None:

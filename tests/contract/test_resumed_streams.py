@@ -153,7 +153,7 @@ async def test_resumed_matches_and_cut_events_continue_at_their_position(surface
             if number:
                 taken += [matched.time for matched in await take(matches, 1)]
                 seen += [item.time for cut in await take(cuts, 1) for item in cut[left.name]]
-                cuts._hang_up()
+                cuts._cancel_streams()
         assert taken == [base + 10 * number * MS for number in range(5)]
         assert seen == taken
         assert (matches.dropped, matches.unmatched, matches.losses) == (0, 0, 0)

@@ -301,9 +301,9 @@ class ChannelPair:
             self.may_count_more.add(subscription)
         newest_cursor, newest = self.newest_subscriptions[place]
         if newest in self.skipped_before:
-            again = self.core.subscribe_newest(self.clock, saved=newest_cursor.saved(INCARNATION))
+            resumed = self.core.subscribe_newest(self.clock, saved=newest_cursor.saved(INCARNATION))
             self.skipped_before[newest] += newest_cursor.skipped
-            self.newest_subscriptions[place] = again, newest
+            self.newest_subscriptions[place] = resumed, newest
 
     def deliver(self, limit_bytes: int) -> None:
         """Let every subscription take its next part."""

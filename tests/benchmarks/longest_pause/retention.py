@@ -44,7 +44,7 @@ async def smaller_limit(rig: Rig, items: int) -> tuple[str, Work]:
 
 
 async def replacement(rig: Rig, items: int) -> tuple[str, Work]:
-    """The number of objects stays the same until the channel gets more items."""
+    """The channel keeps the same number of items. So only the other objects start a garbage collection."""
     _, hosted = await opened(rig, max_items=items)
     in_order(hosted, rig, items)
 

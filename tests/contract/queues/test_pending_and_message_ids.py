@@ -53,9 +53,9 @@ async def test_a_second_put_of_a_message_id_is_acknowledged_and_not_stored(rig: 
     queue = await rig.queue()
     other = await rig.queue(queue.name)
     first = await queue.put(b"charge 5", message_id="order-1")
-    again = await other.put(b"charge 5", message_id="order-1")
-    assert (first.duplicate, again.duplicate) == (False, True)
-    assert (again.seq, again.incarnation) == (first.seq, first.incarnation)
+    repeated = await other.put(b"charge 5", message_id="order-1")
+    assert (first.duplicate, repeated.duplicate) == (False, True)
+    assert (repeated.seq, repeated.incarnation) == (first.seq, first.incarnation)
     assert not (await queue.put(b"charge 5", message_id="Order-1")).duplicate
     assert not (await queue.put(b"charge 5")).duplicate
     await (await queue.get(timeout=10)).ack()
@@ -85,8 +85,8 @@ async def test_a_value_that_is_no_message_id_is_refused(rig: Rig, message_id: ob
 async def test_a_mailbox_knows_message_ids_and_lists_pending_messages(rig: Rig) -> None:
     peer = await rig.connect(name=f"peer{next(numbers)}")
     first = await rig.rt.send(peer.name, b"x", message_id="one")
-    again = await rig.rt.send(peer.name, b"x", message_id="one")
-    assert (again.seq, again.duplicate) == (first.seq, True)
+    repeated = await rig.rt.send(peer.name, b"x", message_id="one")
+    assert (repeated.seq, repeated.duplicate) == (first.seq, True)
     mailbox = peer.mailbox
     message = await mailbox.get(timeout=10)
     (pending,) = await mailbox.pending()

@@ -15,8 +15,8 @@ async def test_a_nacked_message_is_delivered_again_before_later_messages(rig: Ri
     for payload in (b"1", b"2"):
         await queue.put(payload)
     await (await queue.get(timeout=10)).nack()
-    again = await queue.get(timeout=10)
-    assert (again.payload, again.deliveries) == (b"1", 2)
+    redelivered = await queue.get(timeout=10)
+    assert (redelivered.payload, redelivered.deliveries) == (b"1", 2)
 
 
 async def test_a_nack_with_a_delay_does_not_delay_other_messages(rig: Rig) -> None:
@@ -39,12 +39,12 @@ async def test_a_message_goes_to_the_next_taker_when_its_lease_ends(rig: Rig) ->
     await queue.put(b"x")
     late = await queue.get(timeout=10)
     await lease_from_now_on(queue, "60s")
-    again = await queue.get(timeout=10)
-    assert again.deliveries == 2
+    redelivered = await queue.get(timeout=10)
+    assert redelivered.deliveries == 2
     assert late.lease_left < 10  # the lease counts from the arrival of the message
     with pytest.raises(st.LeaseExpired, match=queue.name):
         await late.ack()
-    await again.ack()
+    await redelivered.ack()
     assert adds_up(await queue.stats()).leases_expired == 1
 
 

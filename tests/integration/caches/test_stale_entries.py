@@ -165,8 +165,8 @@ async def test_both_clients_find_a_channel_that_was_deleted_and_made_again(clien
         channel = await client.channel(host="h1")
         client.trace.clear()
         await (await other.channel(channel.name)).delete()
-        again = await other.channel(channel.name, host="h2")
-        assert (await channel.put(b"1")).incarnation == (await again.newest()).incarnation
+        other_channel = await other.channel(channel.name, host="h2")
+        assert (await channel.put(b"1")).incarnation == (await other_channel.newest()).incarnation
         client.check("the channel was deleted and made again")
         await has(channel, b"1")
 

@@ -164,8 +164,8 @@ async def test_too_many_bytes_in_one_request_are_refused(rig: Rig) -> None:
 async def test_a_retried_put_gets_its_first_answer_and_is_stored_once(rig: Rig) -> None:
     channel = await rig.open()
     (first,) = await channel.put(run_of(b"x", b"y", number=5), producer_id=77)
-    (again,) = await channel.put(run_of(b"x", b"y", number=5), producer_id=77)
-    assert again == first
+    (repeated,) = await channel.put(run_of(b"x", b"y", number=5), producer_id=77)
+    assert repeated == first
     assert (await channel.status()).counters.accepted == 2
     (other,) = await channel.put(run_of(b"x", b"y", number=5), producer_id=78)
     assert other.first_seq == 3
@@ -264,8 +264,8 @@ async def test_a_retried_put_is_recognised_while_others_wait_for_room(rig: Rig) 
         pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"y", number=2)])
     )
     await channel.until(lambda status: status.waiting_puts == 1)
-    (again,) = await channel.put(run_of(b"x", wait_nanos=0), producer_id=77)
-    assert again == first
+    (repeated,) = await channel.put(run_of(b"x", wait_nanos=0), producer_id=77)
+    assert repeated == first
     assert (await channel.status()).counters.rejected_full == 0
     waiting.cancel()
 
@@ -283,10 +283,10 @@ async def test_a_retry_of_a_partly_accepted_run_continues_at_its_position(rig: R
     await channel.until(lambda status: status.waiting_puts == 0)
     await make_room(rig, channel)
     (other,) = await channel.put(run_of(b"z"))
-    (again,) = await channel.put(run_of(b"x", b"y"), producer_id=77)
-    assert (again.first_seq, other.first_seq, list(again.rejections)) == (1, 2, [])
-    assert [(one.index, one.first_seq) for one in again.later_parts] == [(1, 3)]
-    assert (await channel.put(run_of(b"x", b"y"), producer_id=77)) == [again]
+    (repeated,) = await channel.put(run_of(b"x", b"y"), producer_id=77)
+    assert (repeated.first_seq, other.first_seq, list(repeated.rejections)) == (1, 2, [])
+    assert [(one.index, one.first_seq) for one in repeated.later_parts] == [(1, 3)]
+    assert (await channel.put(run_of(b"x", b"y"), producer_id=77)) == [repeated]
     assert (await channel.status()).counters.accepted == 3
 
 
@@ -302,8 +302,8 @@ async def test_a_retry_of_a_partly_accepted_run_continues_after_a_lost_lease(rig
     assert ack.error.reason == error_pb2.ERROR_REASON_NOT_HERE, "the whole run is to be sent again"
     waiting.cancel()
     await make_room(rig, channel)
-    (again,) = await channel.put(run_of(b"x", b"y", b"z"), producer_id=77)
-    assert (again.first_seq, list(again.rejections), again.items) == (1, [], 3)
+    (repeated,) = await channel.put(run_of(b"x", b"y", b"z"), producer_id=77)
+    assert (repeated.first_seq, list(repeated.rejections), repeated.items) == (1, [], 3)
     assert (await channel.status()).counters.accepted == 3
 
 

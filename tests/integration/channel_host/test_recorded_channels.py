@@ -135,8 +135,8 @@ def test_a_host_that_restarts_after_a_clean_stop_has_lost_nothing(cluster: Local
     assert [int(item.payload) for item in seen] == list(range(ITEMS))
     assert [item.seq for item in seen] == list(range(1, ITEMS + 1))
     assert {item.incarnation for item in seen} == {channel.info.incarnation}
-    with channel.subscribe(after=seen[2]) as again:
-        assert next(again).payload == b"3"
+    with channel.subscribe(after=seen[2]) as resumed:
+        assert next(resumed).payload == b"3"
     with pytest.raises(st.TooOld, match="an advance has promised"):
         channel.put(b"late", time=began)
     check_reads(channel, began)

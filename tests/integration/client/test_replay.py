@@ -118,8 +118,8 @@ def test_a_group_matches_the_same_items_in_the_original_and_in_the_replay(rt: st
         for channel in (left, right):
             channel.advance(base + 2_500 * MS)
     wait_until(lambda: len(original) == 60)
-    again = [rt.channel(f"replay/stereo/{side}", max_age="60s") for side in ("left", "right")]
-    replayed = matches_of(rt, again[0], again[1], "replayed")
+    copies = [rt.channel(f"replay/stereo/{side}", max_age="60s") for side in ("left", "right")]
+    replayed = matches_of(rt, copies[0], copies[1], "replayed")
     summary = rt.replay_file(path, shift="now", speed=20.0).wait()
     assert summary is not None
     assert summary.complete

@@ -81,8 +81,8 @@ def test_pending_messages_are_listed(stampede: Run, cluster: LocalCluster) -> No
     assert stampede("queue", "pending", "cli/pending")[0] == "no message of cli/pending is leased\n"
     with st.connect(cluster.address, name="cli-taker") as rt:
         rt.queue("cli/pending").get(timeout=10)
-        heads, row = stampede("queue", "pending", "cli/pending")[0].splitlines()
-        assert heads.split() == ["SEQ", "TAKER", "TAKER", "ID", "DELIVERIES", "LEASED", "EXPIRES"]
+        header, row = stampede("queue", "pending", "cli/pending")[0].splitlines()
+        assert header.split() == ["SEQ", "TAKER", "TAKER", "ID", "DELIVERIES", "LEASED", "EXPIRES"]
         assert row.split()[:2] == ["1", "cli-taker"]
         (found,) = json.loads(stampede("queue", "pending", "cli/pending", "-o", "json")[0])
         assert (found["seq"], found["taker"], found["deliveries"]) == (1, "cli-taker", 1)
@@ -118,10 +118,10 @@ def test_queues_are_listed_with_their_policy_and_counters(stampede: Run) -> None
     stated = ("--lease", "10s", "--max-items", "9", "--max-deliveries", "3", "--dead-letter", "cli/list/failed")
     stampede("queue", "put", "cli/list/jobs", "x", *stated)
     table, _ = stampede("queue", "ls", "cli/list/*", "-l")
-    heads, failed, jobs = table.splitlines()
+    header, failed, jobs = table.splitlines()
     assert "  lease 30 s  " in failed
     counters = ["HELD", "LEASED", "ACCEPTED", "CONSUMED"]
-    assert re.split("  +", heads) == ["QUEUE", "HOST", "POLICY", "EPOCH", "CREATED BY", *counters]
+    assert re.split("  +", header) == ["QUEUE", "HOST", "POLICY", "EPOCH", "CREATED BY", *counters]
     assert failed.split()[:2] == ["cli/list/failed", "h1"]
     assert "9 items, lease 10 s, 3 deliveries, dead letters to cli/list/failed" in jobs
     rows = json.loads(stampede("queue", "ls", "cli/list/*", "-o", "json")[0])
@@ -154,9 +154,9 @@ def test_a_peer_takes_a_message_that_was_sent_to_it(stampede: Run, cluster: Loca
         assert message is not None
         assert message.payload == b"go"
         table, _ = stampede("peers", "cli/*")
-        heads, robot = table.splitlines()
+        header, robot = table.splitlines()
         columns = ["PEER", "ALIVE", "SINCE", "MAILBOX", "HOST", "ZONE", "VERSION", "OWNER", "CLOCK OFFSET"]
-        assert re.split("  +", heads) == columns
+        assert re.split("  +", header) == columns
         assert robot.split()[:2] == ["cli/robot", "yes"]
         assert " +/- " in robot
         (row,) = json.loads(stampede("peers", "cli/*", "-o", "json")[0])

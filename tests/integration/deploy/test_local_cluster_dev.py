@@ -153,10 +153,10 @@ def test_the_screen_shows_the_faults_of_archives_that_hosts_log_during_the_start
 
 
 def test_each_object_store_has_a_directory_of_its_own(home: Path) -> None:
-    one, other, again = (
+    one, other, repeated = (
         DevSettings(archive=f"s3://{bucket}/a", archive_folder=home).directory for bucket in ("one", "other", "one")
     )
-    assert one == again != other
+    assert one == repeated != other
     assert one is not None
     assert other is not None
     assert one.parent == other.parent == home

@@ -50,5 +50,5 @@ def test_two_networks_have_names_and_addresses_of_their_own() -> None:
     with NamespaceNetwork(1) as one, NamespaceNetwork(1) as other:
         assert one.address != other.address
         assert one.namespaces[0].name != other.namespaces[0].name
-    with NamespaceNetwork(1) as again:
-        assert again.address == one.address, "the former networks left nothing behind"
+    with NamespaceNetwork(1) as second:
+        assert second.address == one.address, "the former networks left nothing behind"

@@ -366,7 +366,7 @@ async def test_a_host_that_closes_while_its_puts_run_keeps_all_that_it_acknowled
         await pause()
     await rt.aclose()
     await asyncio.wait(putters, timeout=LIMIT_S)
-    async with aio.host(cluster.address, archive=folder, drain="0s") as again:
-        found = await (await again.channel("emb-rec/closes", create=False)).get(st.OLDEST, st.NEWEST)
+    async with aio.host(cluster.address, archive=folder, drain="0s") as restarted:
+        found = await (await restarted.channel("emb-rec/closes", create=False)).get(st.OLDEST, st.NEWEST)
         assert set(acknowledged) <= set(seqs_of(found))
         assert found.reason is None

@@ -81,8 +81,8 @@ def test_a_killed_peer_that_returns_with_its_proof_keeps_its_mailbox(cluster: Lo
             rt.send("phoenix", b"while it was alive")
         with pytest.raises(st.PeerExists):
             st.connect(cluster.address, name="phoenix")
-        with st.connect(cluster.address, name="phoenix", proof="0123456789abcdef") as again:
-            message = again.mailbox.get(timeout=10)
+        with st.connect(cluster.address, name="phoenix", proof="0123456789abcdef") as reconnected:
+            message = reconnected.mailbox.get(timeout=10)
             assert message is not None
             assert message.payload == b"while it was alive"
 
@@ -148,8 +148,8 @@ def test_a_peer_whose_lease_has_ended_registers_again(cluster: LocalCluster) -> 
         with rt.watch_peers("sleeper") as changes:
             while "sleeper" not in names(rt):
                 assert next(changes).kind in ("added", "updated")
-        again = rt.peer("sleeper")
-        assert (again.peer_id, again.boot_incarnation) == (first.peer_id, first.boot_incarnation)
+        reconnected = rt.peer("sleeper")
+        assert (reconnected.peer_id, reconnected.boot_incarnation) == (first.peer_id, first.boot_incarnation)
         rt.send("sleeper", b"good morning")
         message = rt.mailbox.get(timeout=10)
         assert message is not None

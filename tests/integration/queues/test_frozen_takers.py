@@ -74,9 +74,9 @@ def test_a_hung_taker_holds_one_message_for_one_lease_and_is_served_again_when_i
             queue.put(b"first")
             queue.configure(lease="60s")  # this lease is for later deliveries
             until(queue, lambda stats: stats.policy.lease_nanos == 60 * 10**9)
-            again = queue.get(timeout=20)
-            assert again
-            assert (again.payload, again.deliveries) == (b"first", 2)
+            redelivered = queue.get(timeout=20)
+            assert redelivered
+            assert (redelivered.payload, redelivered.deliveries) == (b"first", 2)
             assert queue.stats().waiting_gets == 0
             for number in range(5):
                 queue.put(b"%d" % number)

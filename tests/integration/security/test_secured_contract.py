@@ -18,7 +18,7 @@ from tests.contract.test_access import (
     Scene,
     prepared,
     test_an_open_stream_ends_when_the_rule_that_allows_it_is_removed,
-    test_each_verb_is_denied_without_a_rule_and_done_with_it,
+    test_each_verb_is_denied_without_a_rule_and_succeeds_with_it,
 )
 from tests.contract.test_puts import (
     test_a_producer_keeps_order_and_loses_nothing,

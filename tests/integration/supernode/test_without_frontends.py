@@ -57,9 +57,9 @@ def test_clients_reach_new_channels_hosts_and_supernodes_without_front_ends(
 
     # The owner is cached; the channel is deleted and made anew elsewhere, so the cache is stale. The client asks anew.
     other.delete()
-    again = rt.channel("bound/after", max_age="1h", host="h1")
-    again.put(b"elsewhere")
-    assert [item.payload for item in again.get(st.OLDEST, st.NEWEST)] == [b"elsewhere"]
+    moved_channel = rt.channel("bound/after", max_age="1h", host="h1")
+    moved_channel.put(b"elsewhere")
+    assert [item.payload for item in moved_channel.get(st.OLDEST, st.NEWEST)] == [b"elsewhere"]
 
     # End the supernode that the client asks first, too: the next one by distance takes over.
     for supernode in cluster.supernodes[:1]:

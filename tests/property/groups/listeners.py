@@ -257,7 +257,7 @@ class Listeners:
                 oracle = OracleFollower.begin(pair.oracle, cut, 0)
                 events.followers[channel_id] = Follower(channel_id, core, oracle, cursor, repeats_loss=True)
 
-    def groups_began_anew(self, groups: Sequence[int]) -> None:
+    def end_readers_of_groups(self, groups: Sequence[int]) -> None:
         """End all readers of these groups with an error, and begin them again."""
         self.events = [one for one in self.events if one.group not in groups]
 

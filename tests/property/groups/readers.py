@@ -42,7 +42,7 @@ class Subscriber:
 
 @dataclass
 class Readers:
-    """Blocked gets and subscriptions. `channels_gone` and similar methods end the ones that cannot go on."""
+    """Blocked gets and subscriptions. The methods `end_readers_of_...` end the readers that cannot continue."""
 
     world: World
     gets: list[tuple[int, bytes, PendingGet]] = field(default_factory=list)
@@ -50,6 +50,7 @@ class Readers:
     seen: dict[int, int] = field(default_factory=dict)  # the highest cut of each group that a reader has seen
 
     def view(self, group: int, channel_id: bytes) -> tuple[VisibleChannel, Horizon, LivingPair]:
+        """The channel as the group shows it, the horizon of its host, and the channel itself."""
         pair = self.world.pair(channel_id)
         OracleReader(pair.oracle, self.world.clock)  # applies the present time to the channel
         return VisibleChannel(pair.core), self.world.host_of(channel_id).horizon(group), pair
@@ -99,9 +100,10 @@ class Readers:
 
         Each get must end when its answer is due, and may wake only for a change that can release it.
         """
-        self.gets = [one for one in self.gets if not self._is_released(*one)]
+        self.gets = [one for one in self.gets if not self._check_get(*one)]
 
-    def _is_released(self, group: int, channel_id: bytes, pending: PendingGet) -> bool:
+    def _check_get(self, group: int, channel_id: bytes, pending: PendingGet) -> bool:
+        """Poll a get, and check its answer. Returns whether the get has ended."""
         view, horizon, pair = self.view(group, channel_id)
         clock, within = self.world.clock, pending.interval
         reader = OracleView(pair.oracle, clock, horizon.cut)
@@ -162,8 +164,8 @@ class Readers:
             every = VisibleAllCursor(core, horizon, clock, start=start, start_exclusive=exclusive, after=after)
             newest = VisibleNewestCursor(core, horizon, clock, start=start, start_exclusive=exclusive, after=after)
         oracles = [OracleFollower.begin(channel, begin, None if after is None else after.seq) for _ in range(2)]
-        again = after is not None and has_lost_from(pair, begin)
-        made = Subscriber(group, channel_id, every, oracles[0], newest, oracles[1], last, again, again)
+        repeats_loss = after is not None and has_lost_from(pair, begin)
+        made = Subscriber(group, channel_id, every, oracles[0], newest, oracles[1], last, repeats_loss, repeats_loss)
         self.subscribers.append(made)
         return made
 
@@ -259,15 +261,15 @@ class Readers:
             one.newest_repeats_loss = False
         assert one.newest.skipped == max(0, one.meant - one.newest.delivered)
 
-    def member_left(self, group: int, channel_id: bytes) -> None:
+    def end_readers_of_member(self, group: int, channel_id: bytes) -> None:
         """End the readers of the channel through this group, because the channel left the group."""
         self._end(lambda a_group, a_channel: (a_group, a_channel) == (group, channel_id))
 
-    def channels_gone(self, channel_ids: Sequence[bytes]) -> None:
+    def end_readers_of_channels(self, channel_ids: Sequence[bytes]) -> None:
         """End the readers of channels that moved or were lost, and begin them again."""
         self._end(lambda _, a_channel: a_channel in channel_ids)
 
-    def groups_began_anew(self, groups: Sequence[int]) -> None:
+    def end_readers_of_groups(self, groups: Sequence[int]) -> None:
         """End the readers of these groups with an error, and begin them again."""
         self._end(lambda group, _: group in groups)
         self.seen = {group: cut for group, cut in self.seen.items() if group not in groups}

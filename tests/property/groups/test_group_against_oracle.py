@@ -194,14 +194,14 @@ def change_member(rng: RandomSource, scenario: Scenario) -> None:
     if scenario.world.change_member(group, channel_id, joins=joins):
         scenario.listeners.member_changed(group, channel_id, joins=joins)
         if not joins:
-            scenario.readers.member_left(group, channel_id)
+            scenario.readers.end_readers_of_member(group, channel_id)
 
 
 def migrate(rng: RandomSource, scenario: Scenario) -> None:
     channel_id = rng.pick(CHANNELS)
     if scenario.world.migrate(channel_id, rng.below(len(scenario.world.hosts)), is_received=bool(rng.below(2))):
         scenario.listeners.channel_moved(channel_id)
-        scenario.readers.channels_gone([channel_id])
+        scenario.readers.end_readers_of_channels([channel_id])
 
 
 def lose(rng: RandomSource, scenario: Scenario) -> None:
@@ -215,9 +215,9 @@ def lose(rng: RandomSource, scenario: Scenario) -> None:
     lost = world.lose(host, successor)
     anew = [group for group, one in enumerate(world.definitions) if one.incarnation != incarnations[group]]
     scenario.listeners.channels_lost(host, lost, successor)
-    scenario.readers.channels_gone(lost)
+    scenario.readers.end_readers_of_channels(lost)
     for one in (scenario.listeners, scenario.readers):
-        one.groups_began_anew(anew)
+        one.end_readers_of_groups(anew)
 
 
 def bring_back(rng: RandomSource, scenario: Scenario) -> None:

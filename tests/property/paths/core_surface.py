@@ -192,7 +192,7 @@ class CoreSurface:
         self._owners[id(run)] = handle.owner
         return handle.owner.put(run)
 
-    def hang_up(self, run: Run) -> None:
+    def break_stream(self, run: Run) -> None:
         self._owners[id(run)].withdraw(run)
 
     def consume(self, handle: CoreHandle, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> tuple[int, int]:

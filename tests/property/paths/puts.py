@@ -58,12 +58,12 @@ class PathPuts(PathReads):
         offer = Offer(times=None, durations=None, lengths=lengths)
         self._send(Run(offer, payloads, former.producer_id, former.first_number))
 
-    def hang_up(self, entry: OracleRun) -> None:
+    def break_stream(self, entry: OracleRun) -> None:
         """Break the stream of a waiting run.
 
         Its accepted items stay, and the host knows them when the run is repeated.
         """
-        self.surface.hang_up(entry.run)
+        self.surface.break_stream(entry.run)
         self.line.remove(entry)
         self._remember(entry)
         self.until(lambda stats: bool(stats.waiting_puts <= len(self.line)))

@@ -97,14 +97,14 @@ def put_again(rng: RandomSource, pair: PathPair) -> None:
         pair.put_again(former)
 
 
-def hang_up(rng: RandomSource, pair: PathPair) -> None:
+def break_stream(rng: RandomSource, pair: PathPair) -> None:
     """Break a producer's stream while its run waits. Most producers then repeat the run."""
     entries = [entry for entry in pair.line if entry.run.first_number]
     if not entries:
         return
     entry = rng.pick(entries)
     if sum(one.run is entry.run for one in pair.line) == 1:
-        pair.hang_up(entry)
+        pair.break_stream(entry)
         if rng.below(3) and may_wait(pair):
             pair.put_again(entry.run)
 
@@ -198,7 +198,7 @@ Step = Callable[[RandomSource, PathPair], None]
 STEPS: tuple[Step, ...] = (
     rest, put, get, put_run, tick, get, begin, put, subscribe, put, advance, configure, pages, named_reads, put_run,
     begin, put, tick, step_clock, refused_interval, put_again, consume, around_now, put_run, forget,
-    hang_up, put_in_order, read_near_the_newest, put_in_order, read_near_the_newest,
+    break_stream, put_in_order, read_near_the_newest, put_in_order, read_near_the_newest,
 )  # fmt: skip
 
 

@@ -45,7 +45,7 @@ class Surface(Protocol):
     def put_run(self, handle: Any, run: Run) -> Any:
         """Put a run as any producer would. Returns its Ack; AwaitedSurface returns a coroutine for it."""
 
-    def hang_up(self, run: Run) -> None:
+    def break_stream(self, run: Run) -> None:
         """Break the stream of a waiting run."""
 
     def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> Any:
@@ -82,7 +82,7 @@ class BlockingSurface:
             _forget(self._puts, run, call)
         return ack_of(ack)
 
-    def hang_up(self, run: Run) -> None:
+    def break_stream(self, run: Run) -> None:
         self._puts[id(run)].cancel()
 
     def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> tuple[int, int]:
@@ -152,7 +152,7 @@ class AwaitedSurface:
             _forget(self._puts, run, call)
         return ack_of(ack)
 
-    def hang_up(self, run: Run) -> None:
+    def break_stream(self, run: Run) -> None:
         self._puts[id(run)].cancel()
 
     async def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> tuple[int, int]:

@@ -49,7 +49,7 @@ class Mover:
     def dies_at(self, step: str) -> None:
         self.plan.write_text(f"{step}|{self.process.pid}|{int(signal.SIGKILL)}")
 
-    def again(self) -> None:
+    def kill_and_start(self) -> None:
         self.process.kill()  # waits for the end of the former run
         self.process.start()
 
@@ -121,7 +121,7 @@ def killed_at(mover: Mover, put: Put, step: str) -> None:
         return not mover.plan.exists()
 
     wait_until(is_dead, f"the host is at the step {step!r}")
-    mover.again()
+    mover.kill_and_start()
 
 
 def settled(mover: Mover, put: Put) -> None:
@@ -166,7 +166,7 @@ def test_a_kill_while_a_host_opens_an_archive_loses_and_duplicates_nothing(
     put.some(ITEMS)
     settled(mover, put)
     put.some(ITEMS)
-    mover.again()
+    mover.kill_and_start()
     mover.process.wait_ready(READY_S)
     killed_at(mover, put, step)
     mover.process.wait_ready(READY_S)

@@ -44,7 +44,7 @@ def other(cluster: LocalCluster, server: S3Server, mover: Mover, tmp_path: Path)
     yield made
     print("--- host other", *made.process.last_lines, sep="\n")
     made.process.kill()
-    mover.again()
+    mover.kill_and_start()
     mover.process.wait_ready(READY_S)
 
 
@@ -75,7 +75,7 @@ def test_a_kill_during_a_stop_loses_and_doubles_nothing_at_the_same_host(
     put = Put(rt.channel(f"stopping/{[*STOPPING].index(step)}", max_items=8, archive="7d"))
     put.some(ITEMS)
     stop_and_die(mover, step)
-    mover.again()
+    mover.kill_and_start()
     mover.process.wait_ready(READY_S)
     put.check()
     put.some(ITEMS)
@@ -120,7 +120,7 @@ def test_a_kill_of_the_next_owner_while_it_takes_over_after_a_clean_stop_loses_n
         return other.process.ended
 
     wait_until(is_dead, f"the next owner is at the step {step!r}")
-    other.again()
+    other.kill_and_start()
     other.process.wait_ready(READY_S)
     put.channel = taken_over(rt, name, other)
     put.some(ITEMS)
@@ -140,7 +140,7 @@ def test_the_object_of_an_earlier_stop_does_not_count_after_a_crash(
     put.some(ITEMS)
     other.process.pause()  # so that the channel stays at the first host
     mover.process.stop()
-    mover.again()
+    mover.kill_and_start()
     mover.process.wait_ready(READY_S)
     mover.dies_at("deletes objects")
     put.channel = rt.channel("earlier")
@@ -174,6 +174,6 @@ def test_files_that_a_stop_has_left_reach_the_store_although_another_host_has_th
     assert mover.files(put.channel)
     put.channel = taken_over(rt, "behind", other)
     assert put.channel.get(put.began, st.NOW).reason == "LOST"
-    mover.again()
+    mover.kill_and_start()
     mover.process.wait_ready(READY_S)
     settled(mover, put)

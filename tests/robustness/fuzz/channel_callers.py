@@ -19,7 +19,7 @@ def payload_of(calling: CallingClient, who: str, number: int) -> bytes:
     return f"{who} {number} ".encode() + bytes(calling.rng.choice(SIZES))
 
 
-async def puts(calling: CallingClient, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
+async def put_items(calling: CallingClient, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
     """Put items one after the other."""
     number = 0
     while not over.is_set():
@@ -29,7 +29,7 @@ async def puts(calling: CallingClient, channel: Any, ledger: Ledger, who: str, o
         (ledger.open if outcome in (INTERRUPTED, FAILED) else ledger.accepted).add(payload)
 
 
-async def produces(calling: CallingClient, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
+async def put_by_producer(calling: CallingClient, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
     """Put without waiting for acks, and flush now and then. At the end the host has all items of the producer."""
     producer = channel.producer()
     handed: set[bytes] = set()
@@ -47,7 +47,7 @@ async def produces(calling: CallingClient, channel: Any, ledger: Ledger, who: st
     ledger.accepted |= handed
 
 
-async def reads(calling: CallingClient, channel: Any, over: asyncio.Event) -> None:
+async def read(calling: CallingClient, channel: Any, over: asyncio.Event) -> None:
     """Reads of all kinds."""
     while not over.is_set():
         kind = calling.rng.randrange(4)
@@ -62,7 +62,7 @@ async def reads(calling: CallingClient, channel: Any, over: asyncio.Event) -> No
         await calling.outcome(f"read {kind}", call, 1)
 
 
-async def subscribes(calling: CallingClient, channel: Any) -> list[st.Item]:
+async def subscribe(calling: CallingClient, channel: Any) -> list[st.Item]:
     """Get all items up to LAST, one by one or in batches. Some steps are cancelled."""
     subscription = await subscribed(calling, channel)
     batches = subscription.batches()

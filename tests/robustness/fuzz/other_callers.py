@@ -15,7 +15,7 @@ LEASE = "1s"
 NO_MESSAGE = (None, FAILED, INTERRUPTED)
 
 
-async def enqueues(calling: CallingClient, queue: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
+async def enqueue(calling: CallingClient, queue: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
     """Put messages one after the other."""
     number = 0
     while not over.is_set():
@@ -54,17 +54,17 @@ class Takers:
         if kind < 0.1:
             return
         if kind < 0.2:
-            await calling.outcome("nack", settled(calling, message.nack))
+            await calling.outcome("nack", settles_in_time(calling, message.nack))
             return
-        outcome = await calling.outcome("ack", settled(calling, message.ack))
+        outcome = await calling.outcome("ack", settles_in_time(calling, message.ack))
         if outcome in (FAILED, INTERRUPTED):
             self.unsure.add(message.payload)
         elif outcome:
             self.acknowledged[message.payload] += 1
 
 
-async def settled(calling: CallingClient, settle: Any) -> bool:
-    """Whether the message was settled before its lease ended."""
+async def settles_in_time(calling: CallingClient, settle: Any) -> bool:
+    """Settle a message. Returns whether this succeeded before the lease of the message ended."""
     try:
         await calling.plain(settle)
     except st.LeaseExpired:
@@ -72,7 +72,7 @@ async def settled(calling: CallingClient, settle: Any) -> bool:
     return True
 
 
-async def reads_groups(calling: CallingClient, group: Any, over: asyncio.Event) -> None:
+async def read_group(calling: CallingClient, group: Any, over: asyncio.Event) -> None:
     """Read the group at one cut, again and again."""
     while not over.is_set():
         call = group.newest if calling.rng.random() < 0.5 else group.get
@@ -80,27 +80,27 @@ async def reads_groups(calling: CallingClient, group: Any, over: asyncio.Event) 
         await calling.outcome("read of a group", calling.plain(call, *arguments, payloads=False), 1)
 
 
-async def matches(calling: CallingClient, group: Any, per: Any, over: asyncio.Event) -> None:
+async def follow_matches(calling: CallingClient, group: Any, per: Any, over: asyncio.Event) -> None:
     """Follow the matches. Check that each item has at most one."""
-    made = await opened(calling, group.match, per, "1s", partial=True)
-    seen = await stepped(calling, made, over)
+    stream = await opened(calling, group.match, per, "1s", partial=True)
+    seen = await results_of(calling, stream, over)
     seqs = [(match[per].incarnation, match[per].seq) for match in seen]
     assert len(set(seqs)) == len(seqs), "a match came twice"
 
 
-async def cuts(calling: CallingClient, group: Any, over: asyncio.Event) -> None:
-    """Follow the cut events. Check that their times ascend, and that they bring each item at most once."""
-    made = await opened(calling, group.subscribe, "100ms")
-    events = await stepped(calling, made, over)
+async def follow_cuts(calling: CallingClient, group: Any, over: asyncio.Event) -> None:
+    """Follow the cut events. Check that their times ascend, and that they have each item at most once."""
+    stream = await opened(calling, group.subscribe, "100ms")
+    events = await results_of(calling, stream, over)
     times = [cut.time for cut in events]
     assert times == sorted(set(times)), "cuts do not ascend"
-    brought = [
+    delivered = [
         (channel.name, item.incarnation, item.seq)
         for cut in events
         for channel in cut
         for item in (*cut[channel], *cut.late[channel])
     ]
-    assert len(set(brought)) == len(brought), f"{len(brought)} entries, {len(set(brought))} of them distinct"
+    assert len(set(delivered)) == len(delivered), f"{len(delivered)} entries, {len(set(delivered))} of them distinct"
 
 
 async def opened(calling: CallingClient, make: Any, *arguments: Any, **named: Any) -> Any:
@@ -109,17 +109,17 @@ async def opened(calling: CallingClient, make: Any, *arguments: Any, **named: An
     The blocking client waits in this call until the stream is open. The asyncio client waits for this later.
     """
     while True:
-        made = await calling.outcome("subscribe to a group", calling.plain(make, *arguments, **named))
-        if made not in (FAILED, INTERRUPTED):
-            return made
+        stream = await calling.outcome("subscribe to a group", calling.plain(make, *arguments, **named))
+        if stream not in (FAILED, INTERRUPTED):
+            return stream
 
 
-async def stepped(calling: CallingClient, made: Any, over: asyncio.Event) -> list[Any]:
-    """The results of an iterator until its end. Closes the iterator when `over` is set."""
+async def results_of(calling: CallingClient, stream: Any, over: asyncio.Event) -> list[Any]:
+    """The results of a stream until its end. Closes the stream when `over` is set."""
     seen: list[Any] = []
-    ending = asyncio.ensure_future(_close_when(over, made))
+    ending = asyncio.ensure_future(_close_when(over, stream))
     while True:
-        result = await calling.outcome("step", calling.step(made), endless=True)
+        result = await calling.outcome("step", calling.step(stream), endless=True)
         if result is ENDED:
             await ending
             return seen
@@ -127,6 +127,6 @@ async def stepped(calling: CallingClient, made: Any, over: asyncio.Event) -> lis
             seen.append(result)
 
 
-async def _close_when(over: asyncio.Event, made: Any) -> None:
+async def _close_when(over: asyncio.Event, stream: Any) -> None:
     await over.wait()
-    made.close()
+    stream.close()

@@ -87,20 +87,20 @@ class Scenario:
         group = await calling.plain(rt.group, name, [a, b])
         ledgers = {one: Ledger() for one in (a, b, queue)}
         takers = other_callers.Takers()
-        subscribing = asyncio.ensure_future(channel_callers.subscribes(self._calling("subscriber"), a))
+        subscribing = asyncio.ensure_future(channel_callers.subscribe(self._calling("subscriber"), a))
         await self._while_cut(
             {
-                "p1": lambda calling: channel_callers.puts(calling, a, ledgers[a], "p1", self._over),
-                "p2": lambda calling: channel_callers.puts(calling, a, ledgers[a], "p2", self._over),
-                "p3": lambda calling: channel_callers.puts(calling, b, ledgers[b], "p3", self._over),
-                "producer": lambda calling: channel_callers.produces(calling, a, ledgers[a], "m", self._over),
-                "reader": lambda calling: channel_callers.reads(calling, a, self._over),
-                "enqueuer": lambda calling: other_callers.enqueues(calling, queue, ledgers[queue], "q", self._over),
+                "p1": lambda calling: channel_callers.put_items(calling, a, ledgers[a], "p1", self._over),
+                "p2": lambda calling: channel_callers.put_items(calling, a, ledgers[a], "p2", self._over),
+                "p3": lambda calling: channel_callers.put_items(calling, b, ledgers[b], "p3", self._over),
+                "producer": lambda calling: channel_callers.put_by_producer(calling, a, ledgers[a], "m", self._over),
+                "reader": lambda calling: channel_callers.read(calling, a, self._over),
+                "enqueuer": lambda calling: other_callers.enqueue(calling, queue, ledgers[queue], "q", self._over),
                 "taker": lambda calling: takers.take(calling, queue, self._over),
                 "eager": lambda calling: takers.take(calling, eager, self._over),
-                "group": lambda calling: other_callers.reads_groups(calling, group, self._over),
-                "matches": lambda calling: other_callers.matches(calling, group, a, self._over),
-                "cuts": lambda calling: other_callers.cuts(calling, group, self._over),
+                "group": lambda calling: other_callers.read_group(calling, group, self._over),
+                "matches": lambda calling: other_callers.follow_matches(calling, group, a, self._over),
+                "cuts": lambda calling: other_callers.follow_cuts(calling, group, self._over),
                 "guest": self._comes_and_goes,
             }
         )

@@ -148,9 +148,9 @@ def _lost_with_hosts(history: Sequence[Operation]) -> list[tuple[int, int, dict[
     known = [*_known(history).items()]
     found = []
     for at, (incarnation, items) in enumerate(known[:-1]):
-        again = {item for _, later in known[at + 1 :] for item in later}
+        later_items = {item for _, later in known[at + 1 :] for item in later}
         found.append(
-            (incarnation, known[at + 1][0], {item: since for item, since in items.items() if item not in again})
+            (incarnation, known[at + 1][0], {item: since for item, since in items.items() if item not in later_items})
         )
     return found
 

@@ -67,8 +67,8 @@ async def test_an_answer_from_before_a_registration_is_not_served() -> None:
     late = await directory.requests.get()
     run_to_end(store.registering([], is_complete=True))  # the lease had ended, and the channel went elsewhere meanwhile
     late.set_result(record(ME, 1))
-    again = await asyncio.wait_for(directory.requests.get(), 5)
-    again.set_result(record(OTHER, 2, incarnation=8))
+    second_request = await asyncio.wait_for(directory.requests.get(), 5)
+    second_request.set_result(record(OTHER, 2, incarnation=8))
     with pytest.raises(StaleBinding):
         await binding
     with pytest.raises(StaleBinding):
@@ -86,8 +86,8 @@ async def test_a_change_whose_answer_is_older_than_a_registration_does_not_bring
     late = await directory.requests.get()
     run_to_end(store.registering([], is_complete=True))
     late.set_result(record(ME, 1))
-    again = await asyncio.wait_for(directory.requests.get(), 5)
-    again.set_result(record(OTHER, 2, incarnation=8))
+    second_request = await asyncio.wait_for(directory.requests.get(), 5)
+    second_request.set_result(record(OTHER, 2, incarnation=8))
     with pytest.raises(StaleBinding):
         await change
     with pytest.raises(StaleBinding):

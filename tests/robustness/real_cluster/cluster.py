@@ -244,7 +244,7 @@ class Cluster:
 
     async def close(self) -> None:
         """End all processes."""
-        await asyncio.gather(*(one.hang_up() for one in [*self.supernodes, *self._former]))
+        await asyncio.gather(*(one.close_connections() for one in [*self.supernodes, *self._former]))
         await asyncio.gather(*(one.close() for one in self.processes()))
 
 

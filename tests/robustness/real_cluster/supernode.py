@@ -127,7 +127,7 @@ class Supernode(PlacedProcess):
             with closing(sqlite3.connect(Path(copy, DATABASE_NAME))) as store:
                 return int(store.execute("SELECT min(log_index) FROM entry").fetchone()[0])
 
-    async def hang_up(self) -> None:
+    async def close_connections(self) -> None:
         """Close the callers' connections. Calls under way are cancelled."""
         for channel in self._channels.values():
             await channel.close()

@@ -219,10 +219,10 @@ class SimMember:
             self._plan(0.0)
             return
         roster, before = replica.roster, replica.status()
-        again = replica.step()
+        has_more_work = replica.step()
         self._hangs_since, self._busy_until, self._waited = self.world.now, self.now, 0.0
         self._judge(replica, roster, before)
-        self._plan(0.0 if again else replica.pause_seconds())
+        self._plan(0.0 if has_more_work else replica.pause_seconds())
 
     def _judge(self, replica: RaftReplica, roster: MemberRoster, before: ReplicationStatus) -> None:
         """Check the commits and beliefs of the member after this step against the rules of Raft."""

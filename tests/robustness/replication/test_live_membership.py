@@ -154,11 +154,11 @@ async def test_a_newcomer_that_is_stuck_delays_no_removal_and_another_newcomer_r
             await under_way
         # the leader has given up this newcomer before, so now another newcomer replaces it without delay
         monkeypatch.setattr(member_changes, "REPLACED_AFTER_SECONDS", 3600.0)
-        again = asyncio.create_task(leader.add_member(stuck.member, timeout=60.0))
+        repeated = asyncio.create_task(leader.add_member(stuck.member, timeout=60.0))
         await until(lambda: stuck.member.member_id in leader._replica.roster.peers)  # type: ignore[attr-defined]
         await let_in(leader, await cluster.volunteer())
         with pytest.raises(ChangeUnderWay):
-            await again
+            await repeated
 
 
 async def let_in(leader: ReplicatedLog, newcomer: LiveMember) -> None:

@@ -123,8 +123,8 @@ class World:
         if self.random_source.random() < self.fault_rates.reordered:
             arrival += self.random_source.random() * self.fault_rates.reordered_seconds
             if not isinstance(message, ForwardedCommand) and self.random_source.random() < 0.5:
-                again = self.now + self.random_source.random() * self.fault_rates.late_seconds_max
-                self.at(again, lambda: self._arrive(sender, to, generation, data))
+                repeated_at = self.now + self.random_source.random() * self.fault_rates.late_seconds_max
+                self.at(repeated_at, lambda: self._arrive(sender, to, generation, data))
         else:
             arrival = wire.last_arrival = max(arrival, wire.last_arrival)
         self.at(arrival, lambda: self._arrive(sender, to, generation, data))

@@ -54,7 +54,7 @@ def xdf_file(
     samples: Sequence[tuple[float, Sequence[float]]],
     markers: Sequence[tuple[float, str]],
     names: Sequence[str] = ("EEG", "Marks"),
-    again: tuple[float, Sequence[float]] | None = None,
+    third_stream: tuple[float, Sequence[float]] | None = None,
 ) -> Path:
     """An XDF file with a stream of numbers and a stream of markers.
 
@@ -64,8 +64,12 @@ def xdf_file(
         1: (names[0], "double64", [(stamp, struct.pack(f"<{len(row)}d", *row)) for stamp, row in samples]),
         2: (names[1], "string", [(stamp, _varlen(text.encode()) + text.encode()) for stamp, text in markers]),
     }
-    if again is not None:  # a third stream, with the name of the second one
-        streams[3] = (names[1], "double64", [(again[0], struct.pack(f"<{len(again[1])}d", *again[1]))])
+    if third_stream is not None:  # a third stream, with the name of the second one
+        streams[3] = (
+            names[1],
+            "double64",
+            [(third_stream[0], struct.pack(f"<{len(third_stream[1])}d", *third_stream[1]))],
+        )
     content = b"XDF:" + _chunk(1, b'<?xml version="1.0"?><info><version>1.0</version></info>')
     for number, (name, kind, rows) in streams.items():
         count = len(samples[0][1]) if kind == "double64" else 1

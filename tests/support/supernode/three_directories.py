@@ -33,8 +33,8 @@ class ThreeDirectories(RuleBasedStateMachine):
         command = Command(op_id=op_id, time_unix_nano=0, operation=operation, as_of_index=as_of_index)
         before = encode_snapshot(self.directory)
         result = self.directory.apply(self.index, command)
-        again = decode_command(encode_command(command))
-        assert encode_result(self.twin.apply(self.index, again)) == encode_result(result)
+        redecoded = decode_command(encode_command(command))
+        assert encode_result(self.twin.apply(self.index, redecoded)) == encode_result(result)
         assert encode_result(self.restored.apply(self.index, command)) == encode_result(result)
         if isinstance(result, RefusedOperation):
             assert self.without_index(before) == self.without_index(encode_snapshot(self.directory))

@@ -129,9 +129,9 @@ async def test_waiting_puts_are_refused_in_pieces_and_in_order_and_none_of_them_
     left = []
     for _ in hosted.ending(Unavailable("gone", reason="NOT_HERE")):
         left.append(len(hosted.puts))
-        again = hosted.puts.put(a_run(len(runs)), rig.now())  # repeats a run that still waits
-        assert again is not None
-        assert again.error.message == "gone"
+        repeated = hosted.puts.put(a_run(len(runs)), rig.now())  # repeats a run that still waits
+        assert repeated is not None
+        assert repeated.error.message == "gone"
         hosted.channel.configure(Policy(max_items=10**6, on_full="block", max_age_nanos=3600 * 10**9), rig.now())
         hosted.puts.changed(rig.now())  # there is room now, and no put waits for it
         assert [run.ack is not None for run in runs] == [True] * (len(runs) - left[-1]) + [False] * left[-1]

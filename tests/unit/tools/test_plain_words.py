@@ -88,7 +88,15 @@ def test_other_comments_pass(source: str) -> None:
 
 @pytest.mark.parametrize(
     "source",
-    ["told = 1", "self.said = 1", "self._asked = 1", "def f(heard): pass", "lambda told: told", "def _go_on(): ..."],
+    [
+        "told = 1",
+        "again = 1",
+        "self.said = 1",
+        "self._asked = 1",
+        "def f(heard): pass",
+        "lambda told: told",
+        "def _go_on(): ...",
+    ],
 )
 def test_a_name_without_a_meaning_is_found(source: str) -> None:
     (line,) = complaints("a.py", source)

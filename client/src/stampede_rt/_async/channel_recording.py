@@ -187,10 +187,10 @@ class ChannelRecording:
         return RecordingGap(channel=self.name, incarnation=incarnation, reason="LOST", detail=detail, **bounds)
 
     async def _write(self, tally: ChannelTally, batch: RecordedBatch, read_to: int) -> None:
-        again, again_to = self._repeated
-        if again is not None and batch.items:
-            batch.items = [one for one in batch.items if one.time != again or one.seq > again_to]
-            self._repeated = (again if read_to < again_to else None, again_to)
+        repeated_time, repeated_to = self._repeated
+        if repeated_time is not None and batch.items:
+            batch.items = [one for one in batch.items if one.time != repeated_time or one.seq > repeated_to]
+            self._repeated = (repeated_time if read_to < repeated_to else None, repeated_to)
         first, gaps = self._first, list(batch.gaps)
         if first is not None and (read_to >= first.seq or batch.items):
             self._first = None

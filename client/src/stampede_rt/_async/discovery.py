@@ -92,8 +92,8 @@ class Discovery:
     async def hosted_channels(self, host: str, name_glob: str = "*") -> dict[str, ChannelStats]:
         """Return the counters of each matching channel at the host named `host`, by the name of the channel.
 
-        One request fetches the counters of at most 1000 channels. Raises HostNotFound; Unavailable if the host cannot
-        be reached.
+        One request fetches the counters of at most 1000 channels. Raises HostNotFound if no
+        live host has this name, and Unavailable if the host cannot be reached.
         """
         request = directory_pb.ResolveHostRequest(name=host)
         found = host_info((await self._session.supernodes.call("ResolveHost", request, CALL_TIMEOUT_S)).host)

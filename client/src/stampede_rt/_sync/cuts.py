@@ -136,9 +136,9 @@ class CutSubscription(BoundToProcess):
             boundary = self._next_boundary(parts)
             self._ready = self._cut(boundary, parts)
         except StopIteration:  # the program called `close` meanwhile
-            self._hang_up()
+            self._cancel_streams()
         except StampedeError as error:
-            self._hang_up()
+            self._cancel_streams()
             if self._closed:
                 return
             self._group.session.check()
@@ -148,7 +148,7 @@ class CutSubscription(BoundToProcess):
             self._reconnecting.broke()
             self._group.forget_bindings()
         except BaseException:  # an interrupt; the next step reads the interrupted event from its beginning
-            self._hang_up()
+            self._cancel_streams()
             raise
 
     def close(self) -> None:
@@ -160,9 +160,9 @@ class CutSubscription(BoundToProcess):
         self._group.session.check_thread()
         self._closed = True
         self._reconnecting.stop()
-        self._hang_up()
+        self._cancel_streams()
 
-    def _hang_up(self) -> None:
+    def _cancel_streams(self) -> None:
         streams, self._streams, self._opening_streams = [*self._streams, *self._opening_streams], [], []
         for stream in streams:
             stream.conversation.cancel()
@@ -184,7 +184,7 @@ class CutSubscription(BoundToProcess):
             try:
                 self._open_each()
             except StampedeError as error:
-                self._hang_up()
+                self._cancel_streams()
                 if self._closed:
                     return
                 if not error.retryable or self._group.session.closed:
@@ -212,11 +212,11 @@ class CutSubscription(BoundToProcess):
         except StopIteration:
             raise Unavailable("a host ended the subscription while it began") from None
         except BaseException:
-            self._hang_up()
+            self._cancel_streams()
             raise
         self._streams, self._opening_streams = self._opening_streams, []
         if self._closed:  # the program called `close` during the opening
-            self._hang_up()
+            self._cancel_streams()
 
     def _check_members(self) -> None:
         """Raises Unavailable unless each member is on one stream. A member that moves may be on no stream, or on two.

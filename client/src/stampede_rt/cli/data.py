@@ -100,7 +100,9 @@ def _add_get(subparsers: Any) -> None:
 def _add_which(get: argparse.ArgumentParser) -> None:
     which = get.add_mutually_exclusive_group()
     which.add_argument("--last", metavar="DURATION", help='the items of the last DURATION, such as "30s"')
-    which.add_argument("--at", type=checked(parse_bound_text), metavar="TIME", help="the items that hold at this time")
+    which.add_argument(
+        "--at", type=checked(parse_bound_text), metavar="TIME", help="the items whose spans contain this time"
+    )
     which.add_argument(
         "--before", type=checked(parse_bound_text), metavar="TIME", help="the newest item before this time"
     )

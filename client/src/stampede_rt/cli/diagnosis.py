@@ -180,12 +180,12 @@ def _quorum(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     running, ready = [one for one in members if not one.failure], sum(one.ready and not one.failure for one in members)
     needed = len(members) // 2 + 1
     if ready >= needed:
-        again = (
+        advice = (
             f"start {down} again with its data folder. If the folder is lost, replace the supernode "
             "(runbook: replace one)"
         )
         kept = ", only in memory" if any(one.in_memory for one in running) else ""
-        yield CheckResult("quorum", "-", f"{ready} of {len(members)} serve{kept}", again if down else "")
+        yield CheckResult("quorum", "-", f"{ready} of {len(members)} serve{kept}", advice if down else "")
     elif len(running) >= needed:
         yield CheckResult(
             "quorum",

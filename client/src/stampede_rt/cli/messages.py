@@ -90,10 +90,10 @@ def _print_message(message: Message, arguments: argparse.Namespace) -> None:
         sys.stdout.buffer.write(message.payload)
         sys.stdout.flush()
     elif arguments.output == "table":
-        again = f" (delivery {message.deliveries})" if message.deliveries > 1 else ""
+        delivery = f" (delivery {message.deliveries})" if message.deliveries > 1 else ""
         attributes = attributes_text(message.attributes)
         shown = preview(message.payload, len(message.payload), message.content_type)
-        print(f"{instant_text(message.time)}  #{message.seq}{again}{attributes}  {shown}", flush=True)
+        print(f"{instant_text(message.time)}  #{message.seq}{delivery}{attributes}  {shown}", flush=True)
         if message.origin is not None:
             print(f"    {_origin_text(message.origin)}", flush=True)
     else:

@@ -66,5 +66,8 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--replicas", type=int, metavar="N", help="copies that can take over if the host is lost")
     parser.add_argument("--ack", choices=ACKS, help="when the host acknowledges a put")
     parser.add_argument(
-        "--min-replicas", type=int, metavar="N", help="with --ack replica, acknowledge no put with fewer in sync"
+        "--min-replicas",
+        type=int,
+        metavar="N",
+        help="with --ack replica, acknowledge puts only while N replicas are in sync",
     )

@@ -13,7 +13,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 MARK = b"SRM1"
-DATAGRAM_BYTES_MAX = 1400  # below the MTU of Ethernet, with room for the heads of IP, UDP and a tunnel
+DATAGRAM_BYTES_MAX = 1400  # below the MTU of Ethernet, with room for the headers of IP, UDP and a tunnel
 STREAM_ID_BYTES = 8
 KEY_BYTES = 32
 SIGNATURE_BYTES = 64

@@ -206,7 +206,7 @@ class SocketCall(asyncio.BufferedProtocol):
     def _reason(self) -> BaseException | None:
         """The reason of the end, to be raised; None for the regular end."""
         error = self._error
-        return error.again() if isinstance(error, SocketError) else error and asyncio.CancelledError()
+        return error.without_frames() if isinstance(error, SocketError) else error and asyncio.CancelledError()
 
     def _end(self, error: SocketError | asyncio.CancelledError | None) -> None:
         """Note the end of the stream; `error` is None if the host ended it regularly.

@@ -29,7 +29,7 @@ class SocketError(grpc.RpcError):  # type: ignore[misc, unused-ignore]
         """Return the text for people."""
         return self._details
 
-    def again(self) -> SocketError:
+    def without_frames(self) -> SocketError:
         """Return the same error without frames. A stream that keeps an error raises this copy.
 
         Otherwise the error would reference the frames of the stream's reader, and these frames would reference the

@@ -112,7 +112,7 @@ class SocketCall:
         while True:
             while not self._received:
                 if self._failure is not None:
-                    raise self._failure.again()
+                    raise self._failure.without_frames()
                 self._receive()
             kind, body = self._received.popleft()
             if kind == FrameKind.MESSAGE:
@@ -182,7 +182,7 @@ class SocketCall:
         except OSError:
             pass  # a read gives the reason: perhaps a status that came before the host closed the socket
         except SocketError as error:
-            self._failure = error.again()
+            self._failure = error.without_frames()
 
     def _send_rest(self, left: Buffers) -> None:
         """Send the rest, and receive meanwhile. Waits as long as the host sends signs of life."""

@@ -76,7 +76,7 @@ class ChannelMulticastStats:
     """How a host multicasts a channel at the moment. The counts begin with the first reader.
 
     `group`: the multicast group and port, "ADDRESS:PORT". `readers`: the open subscriptions with `via="multicast"`.
-    `datagrams`: the sent datagrams. `bytes`: their bytes, without the heads of UDP and IP. `repairs`: the requests of
+    `datagrams`: the sent datagrams. `bytes`: their bytes, without the headers of UDP and IP. `repairs`: the requests of
     readers for items that no datagram brought them.
     """
 

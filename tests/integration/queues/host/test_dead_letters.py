@@ -74,8 +74,8 @@ async def test_a_terminated_message_moves_to_the_dead_letter_queue_with_its_orig
         deliveries = await taker.deliveries(2)
         (result,) = await taker.settled(term(deliveries[1], "no image"))
         assert not result.HasField("error")
-        (again,) = await taker.settled(term(deliveries[1], "no image"))
-        assert again.error.reason == error_pb2.ERROR_REASON_LEASE_EXPIRED
+        (repeated,) = await taker.settled(term(deliveries[1], "no image"))
+        assert repeated.error.reason == error_pb2.ERROR_REASON_LEASE_EXPIRED
         (dead,) = await (await graveyard.take(credit=1).open()).deliveries(1)
         assert dead.payload == b"poison"
         assert dead.run.run.origin == item_pb2.DeadLetterOrigin(

@@ -57,8 +57,8 @@ async def test_a_retried_enqueue_is_recognised_after_a_broken_stream(rig: QueueR
     await call.write(queue.enqueue_request(run_of(b"a", b"b", number=1), producer_id=9))
     first = (await call.read()).acks[0]
     call.cancel()
-    (again,) = await queue.enqueue(run_of(b"a", b"b", number=1), producer_id=9)
-    assert (again.first_seq, again.stamped_unix_nano) == (first.first_seq, first.stamped_unix_nano)
+    (repeated,) = await queue.enqueue(run_of(b"a", b"b", number=1), producer_id=9)
+    assert (repeated.first_seq, repeated.stamped_unix_nano) == (first.first_seq, first.stamped_unix_nano)
     assert (await queue.status()).counters.accepted == 2
 
 
@@ -94,8 +94,8 @@ async def test_a_message_id_names_one_message_and_has_a_bound(rig: QueueRig) -> 
     queue = rig.open()
     assert (await queue.put(b"a", b"b", message_id="x")).error.reason == error_pb2.ERROR_REASON_MALFORMED_RUN
     assert (await queue.put(b"a", message_id="x" * 129)).error.reason == error_pb2.ERROR_REASON_MALFORMED_RUN
-    first, again = await queue.put(b"a", message_id="x" * 128), await queue.put(b"a", message_id="x" * 128)
-    assert (again.first_seq, again.duplicate, first.duplicate) == (first.first_seq, True, False)
+    first, repeated = await queue.put(b"a", message_id="x" * 128), await queue.put(b"a", message_id="x" * 128)
+    assert (repeated.first_seq, repeated.duplicate, first.duplicate) == (first.first_seq, True, False)
 
 
 async def test_a_producer_cannot_put_an_origin_into_a_run(rig: QueueRig) -> None:

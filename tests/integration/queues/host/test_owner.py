@@ -90,8 +90,8 @@ async def test_a_host_that_may_not_serve_ends_its_streams_and_keeps_the_messages
         assert acked.error.reason == error_pb2.ERROR_REASON_NOT_HERE
         directory.lease_ttl_nanos = 600 * S  # so long that even a busy machine keeps the next lease
         directory.refuse.clear()
-        again = await _taken_again(queue)
-        (result,) = await again.settled(ack(delivery))
+        next_taker = await _taken_again(queue)
+        (result,) = await next_taker.settled(ack(delivery))
         assert not result.HasField("error")
 
 
@@ -101,8 +101,8 @@ async def test_an_ack_of_a_former_incarnation_settles_no_delivery_of_the_next(ri
     (former,) = await (await queue.take(taker_id=5, credit=1).open()).deliveries(1)
     queue.record.epoch, queue.record.incarnation = 2, queue.record.incarnation + 1
     await queue.put(b"after")
-    again = await queue.take(taker_id=5, credit=1).open()
-    (delivery,) = await again.deliveries(1)
+    next_taker = await queue.take(taker_id=5, credit=1).open()
+    (delivery,) = await next_taker.deliveries(1)
     assert delivery.payload == b"after"
     (result,) = await queue.settle(ack(former), taker_id=5)
     assert result.error.reason == error_pb2.ERROR_REASON_LEASE_EXPIRED

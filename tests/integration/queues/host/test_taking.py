@@ -61,9 +61,9 @@ async def test_a_nacked_message_is_delivered_again_before_later_messages_and_cou
     (first,) = await taker.deliveries(1)
     await taker.settled(nack(first))
     await taker.send(credit=2)
-    again, second = await taker.deliveries(2)
-    assert [(again.payload, again.delivery), (second.payload, second.delivery)] == [(b"a", 2), (b"b", 1)]
-    assert again.delivery_id != first.delivery_id
+    redelivered, second = await taker.deliveries(2)
+    assert [(redelivered.payload, redelivered.delivery), (second.payload, second.delivery)] == [(b"a", 2), (b"b", 1)]
+    assert redelivered.delivery_id != first.delivery_id
 
 
 async def test_the_messages_of_a_killed_taker_are_delivered_again_when_its_lease_ends() -> None:
@@ -93,10 +93,10 @@ async def test_a_taker_with_a_new_stream_settles_by_id_and_may_repeat_an_ack(rig
     assert not (await queue.settle(ack(one), taker_id=7))[0].HasField("error")
     (others,) = await queue.settle(ack(one), taker_id=8)
     assert others.error.reason == error_pb2.ERROR_REASON_LEASE_EXPIRED
-    again = await queue.take(taker_id=7).open()
-    (extended,) = await again.settled(extend(two, 60 * S))
+    next_taker = await queue.take(taker_id=7).open()
+    (extended,) = await next_taker.settled(extend(two, 60 * S))
     assert extended.lease_nanos == 60 * S
-    (stale,) = await again.settled(ack(12345))
+    (stale,) = await next_taker.settled(ack(12345))
     assert stale.error.reason == error_pb2.ERROR_REASON_LEASE_EXPIRED
 
 

@@ -55,8 +55,8 @@ def raft_snapshot(source: ByteSource) -> None:
 
 def command(source: ByteSource) -> None:
     decoded = decode_command(drawn_request(source, command_pb.DirectoryCommand.DESCRIPTOR, KNOWN))
-    again = decode_command(encode_command(decoded))
-    assert repr(again) == repr(decoded)  # a comparison of values would fail for NaN
+    redecoded = decode_command(encode_command(decoded))
+    assert repr(redecoded) == repr(decoded)  # a comparison of values would fail for NaN
 
 
 def directory(source: ByteSource) -> None:

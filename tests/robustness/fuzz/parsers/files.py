@@ -107,9 +107,9 @@ def known_stores(source: ByteSource) -> None:
             _, _, facts = body.rstrip(b"\n").partition(b" ")
             body = b"%08x " % zlib.crc32(facts) + facts
         (place / KNOWN_STORES_NAME).write_bytes(body)
-        again = KnownStores.open(place, had_store=True)
-        again.admits("s2", "x")
-        again.note("s3", "cd" * 8, ["s1"])
+        reopened = KnownStores.open(place, had_store=True)
+        reopened.admits("s2", "x")
+        reopened.note("s3", "cd" * 8, ["s1"])
 
 
 def watermark(source: ByteSource) -> None:

@@ -82,8 +82,8 @@ def subscribe(source: ByteSource) -> None:
     requests.is_newest(opened)
     begun = requests.beginning_of(opened)
     if "saved" in begun:
-        again = requests.saved_of(requests.saved_to(begun["saved"]))
-        assert again == begun["saved"], "a host understands the cursor that it gave to a reader"
+        read_back = requests.saved_of(requests.saved_to(begun["saved"]))
+        assert read_back == begun["saved"], "a host understands the cursor that it gave to a reader"
 
 
 def enqueue(source: ByteSource) -> None:

@@ -220,9 +220,9 @@ def test_a_folder_belongs_to_one_host_and_one_process(tmp_path: Path) -> None:
     first.close()
     with pytest.raises(SettingsError, match="is the archive of host"):
         ArchiveFolder(tmp_path / "a").open(OTHER)
-    again = ArchiveFolder(tmp_path / "a")
-    again.open(HOST)
-    again.close()
+    reopened = ArchiveFolder(tmp_path / "a")
+    reopened.open(HOST)
+    reopened.close()
 
 
 def test_a_folder_that_cannot_be_made_is_named_with_its_reason(tmp_path: Path) -> None:

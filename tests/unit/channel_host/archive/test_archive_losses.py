@@ -135,8 +135,8 @@ def test_the_limits_count_again_once_the_file_after_the_damaged_one_has_gone(tmp
     segments = files.drop_outdated(NO_LIMITS._replace(bytes_max=1), CLOCK)
     assert span_of(segments).is_cut
     assert read(files, segments, 1, 12)[1] == "COLLECTED"
-    _, again = opened(tmp_path)
-    assert span_of(again).is_cut
+    _, reopened = opened(tmp_path)
+    assert span_of(reopened).is_cut
 
 
 @pytest.mark.parametrize("which", [0, 1, 2])

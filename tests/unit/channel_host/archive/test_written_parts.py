@@ -28,6 +28,6 @@ def test_items_that_the_archive_has_are_left_out() -> None:
 
 def test_the_parts_have_the_payloads_and_columns_of_their_items() -> None:
     _, middle = by_instants(ArchivedRun(1, JOINED, AcceptedRows((11, 14), (1, 2))))
-    again = run_of(bytes(middle.run.body))
-    assert ([*again.times], [*again.lengths], [*(again.durations or ())]) == ([2, 3, 4], [2, 1, 1], [5, -1, -1])
+    reread = run_of(bytes(middle.run.body))
+    assert ([*reread.times], [*reread.lengths], [*(reread.durations or ())]) == ([2, 3, 4], [2, 1, 1], [5, -1, -1])
     assert bytes(middle.run.body).count(b"bbcd") == 1

@@ -90,9 +90,9 @@ def test_joined_runs_have_the_same_items_and_columns(given_puts: list[Put]) -> N
     joined = joined_runs(runs)
     assert items_of(joined) == items_of(runs)
     for run in joined:
-        again = run_of(bytes(run.body))
-        assert (again.first_seq, [*again.times], [*again.lengths]) == (run.first_seq, [*run.times], [*run.lengths])
-        assert (again.durations and [*again.durations]) == (run.durations and [*run.durations])
+        reread = run_of(bytes(run.body))
+        assert (reread.first_seq, [*reread.times], [*reread.lengths]) == (run.first_seq, [*run.times], [*run.lengths])
+        assert (reread.durations and [*reread.durations]) == (run.durations and [*run.durations])
         if len(run) > 1:
             assert [*run.times] == sorted(run.times)
     for one, other in pairwise(joined):
@@ -115,7 +115,7 @@ def test_a_joined_run_is_no_longer_than_a_producers_run() -> None:
     assert [len(run) for run in joined] == [RUN_BYTES_MAX // ITEM_BYTES_MAX, 60 - RUN_BYTES_MAX // ITEM_BYTES_MAX]
 
 
-def test_slices_end_where_the_caller_says_and_count_the_stored_runs() -> None:
+def test_slices_end_at_the_ends_of_the_caller_and_count_the_stored_runs() -> None:
     runs = all_stored([Put(), Put(), Put(), Put(items=2), Put()])
     slices = [Slice(run, 0, len(run)) for run in runs]
     found = [(part.items, count) for part, count in joined_slices(slices, ends={(102, 3)})]

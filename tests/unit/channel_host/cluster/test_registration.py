@@ -90,9 +90,9 @@ async def test_a_host_names_the_cluster_of_its_first_registration_after_a_restar
         await first.registration.enter("localhost:1")
         async with keeping(first):
             await fake.called("RenewHostLease", times=1)
-        again = Host(fake.target, folder=tmp_path)
-        await again.registration.enter("localhost:1")
-        await again.supernodes.aclose()
+        restarted = Host(fake.target, folder=tmp_path)
+        await restarted.registration.enter("localhost:1")
+        await restarted.supernodes.aclose()
     assert fake.named_clusters == {"RegisterHost": ["", "c"], "RenewHostLease": ["c"] * fake.calls["RenewHostLease"]}
 
 

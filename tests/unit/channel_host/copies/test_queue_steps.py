@@ -119,9 +119,9 @@ def test_a_copy_knows_a_run_that_waits_for_room_with_its_first_messages() -> Non
     copies = copy.queue.journal()
     for step in journal.steps_from(1, 10**9) or ():
         copies.apply(step, copy.now)
-    again = copy.put(1, 1, 1, producer_id=7, first_number=1)
-    assert again.outcome is not None
-    assert [tuple(part) for part in again.outcome.parts] == [(0, 1, 3, 1000)]
+    repeated = copy.put(1, 1, 1, producer_id=7, first_number=1)
+    assert repeated.outcome is not None
+    assert [tuple(part) for part in repeated.outcome.parts] == [(0, 1, 3, 1000)]
 
 
 def test_a_whole_queue_arrives_before_the_steps_after_it() -> None:

@@ -52,9 +52,9 @@ def test_a_resumed_feed_has_only_the_records_since_and_a_repeated_one_changes_no
     for run in WindowFeed(window, None).take(1000):
         copy.adopt(run)
     window.record(1, 7, whole(7, 1, 7))
-    again = WindowFeed(window, 6).take(1000)
-    assert [run.first_number for run in again] == [6, 7]
-    for run in again:
+    next_runs = WindowFeed(window, 6).take(1000)
+    assert [run.first_number for run in next_runs] == [6, 7]
+    for run in next_runs:
         copy.adopt(run)
     assert kept(copy) == kept(window)
     assert copy.footprint_bytes == window.footprint_bytes

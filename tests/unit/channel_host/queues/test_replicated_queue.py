@@ -146,8 +146,8 @@ def test_a_refused_put_never_goes_ahead() -> None:
     assert second.outcome is not None
     assert second.outcome.refusals
     assert owner.sent() == ["step"], "the step counts the refusal"
-    again = owner.put(number=1)
-    assert again.outcome == first.outcome
+    repeated = owner.put(number=1)
+    assert repeated.outcome == first.outcome
     assert owner.sent() == []
     with pytest.raises(InvalidArgument):
         owner.put(3, 3, number=1)

@@ -42,7 +42,7 @@ def test_a_channel_has_no_message_ids_so_its_put_takes_none(capsys: pytest.Captu
 
 
 @pytest.mark.parametrize("ttl", ["0s", "-1h", "31d", "soon"])
-def test_the_error_for_an_impossible_time_to_live_names_it(ttl: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_error_for_an_impossible_ttl_names_the_argument(ttl: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         run(["token", "issue", "cam", f"--ttl={ttl}"])
     assert ended.value.code == 2

@@ -113,7 +113,7 @@ def test_the_journal_of_a_killed_recorder_is_not_left_out_in_silence(tmp_path: P
 def test_streams_of_xdf_with_confusing_names_are_all_there(tmp_path: Path) -> None:
     path = xdf_file(tmp_path / "a.xdf", [(1.0, (1.5,))], [(2.0, "blink")], ["EEG", "EEG"])
     assert [one.topic.name for one in items_of(source_of(path))] == ["EEG", "EEG-2"]
-    path = xdf_file(tmp_path / "b.xdf", [(1.0, (1.5,))], [(2.0, "blink")], ["EEG-3", "EEG"], again=(3.0, (7.5,)))
+    path = xdf_file(tmp_path / "b.xdf", [(1.0, (1.5,))], [(2.0, "blink")], ["EEG-3", "EEG"], third_stream=(3.0, (7.5,)))
     assert [one.topic.name for one in items_of(source_of(path))] == ["EEG-3", "EEG", "EEG-3-3"]
 
 

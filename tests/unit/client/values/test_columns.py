@@ -184,9 +184,9 @@ def test_an_empty_answer_has_empty_columns() -> None:
 
 def test_an_answer_can_be_pickled() -> None:
     items = answer(columns([decoded([(10, 5, b"x"), (20, -1, b"y")], 3)]))
-    again = pickle.loads(pickle.dumps(items))
-    assert [*again] == [*items]
-    assert again.times.tolist() == [10, 20]
+    unpickled = pickle.loads(pickle.dumps(items))
+    assert [*unpickled] == [*items]
+    assert unpickled.times.tolist() == [10, 20]
 
 
 def test_late_items_do_not_end_the_spans_of_later_items() -> None:

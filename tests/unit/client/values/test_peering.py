@@ -16,8 +16,8 @@ from stampede_rt.wire.queues import queue_policy_from_spec, queue_policy_to_spec
 
 
 def test_the_same_proof_gives_the_same_peer_id() -> None:
-    first, again = (PeerIdentity.parse("planner", "0123456789abcdef", os.urandom(48)) for _ in range(2))
-    assert first == again
+    first, second = (PeerIdentity.parse("planner", "0123456789abcdef", os.urandom(48)) for _ in range(2))
+    assert first == second
     assert (len(first.peer_id), len(first.proof)) == (16, 32)
     assert PeerIdentity.parse("planner", "another proof, as long", b"") != first
     assert PeerIdentity.parse("viewer", "0123456789abcdef", b"") != first

@@ -199,10 +199,10 @@ async def test_a_stream_ends_when_its_credential_is_revoked_or_has_expired() -> 
         assert "client cam has ended; call again" in str(await ended(calls[1]))
         server.access.set_state(replace(known, version=2, revoked_serials=frozenset({"a1"})))
         assert "the token a1 of client cam was revoked" in str(await ended(calls[0]))
-        again = channel.stream_stream(READ)(
+        second_call = channel.stream_stream(READ)(
             timeout=20, metadata=(("authorization", f"Bearer {make_token(key, claims)}"),)
         )
-        assert "was revoked" in str(await ended(again))
+        assert "was revoked" in str(await ended(second_call))
 
 
 @asynccontextmanager

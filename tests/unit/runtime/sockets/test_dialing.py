@@ -62,12 +62,12 @@ class Gatekeeper(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
 class Rig:
     """A connection to a host. `at_socket`: the methods at its socket, and `over_grpc`: the same over gRPC.
 
-    `known`: the answers of the host to this connection and to others. `again` opens another connection.
+    `known`: the answers of the host to this connection and to others. `dial_again` opens another connection.
     """
 
     address: str
     known: KnownEndpoints
-    again: Callable[[], AbstractAsyncContextManager[grpc.aio.Channel]]
+    dial_again: Callable[[], AbstractAsyncContextManager[grpc.aio.Channel]]
 
     def __init__(self, channel: grpc.aio.Channel, one: Port, gatekeeper: Gatekeeper) -> None:
         self.channel, self.at_socket, self.over_grpc = channel, one.streams, gatekeeper.streams
@@ -100,9 +100,9 @@ def rig(port: Open, request: pytest.FixtureRequest) -> Opened:
             server = await stack.enter_async_context(serving(gatekeeper.add_to, secret=secret, tls=own))
             reader = TlsReader(certificates().issue(Role.OPERATOR, "tests")) if is_secured else None
             known = KnownEndpoints(lambda: 0.0)
-            again = partial(dial, server.address, secret=secret, tls=reader, transport=transport, known=known)
-            made = Rig(await stack.enter_async_context(again()), one, gatekeeper)
-            made.known, made.again, made.address = known, again, server.address
+            dial_again = partial(dial, server.address, secret=secret, tls=reader, transport=transport, known=known)
+            made = Rig(await stack.enter_async_context(dial_again()), one, gatekeeper)
+            made.known, made.dial_again, made.address = known, dial_again, server.address
             yield made
 
     return opened
@@ -181,7 +181,7 @@ async def test_a_stream_that_is_cancelled_while_it_opens_leaves_no_socket(rig: O
 
 
 async def test_connections_at_the_same_time_ask_the_host_for_its_sockets_once(rig: Opened) -> None:
-    async with rig() as opened, opened.again() as other:
+    async with rig() as opened, opened.dial_again() as other:
         await echo(opened.begin(ECHO))
         await echo(other.stream_stream(ECHO)())  # type: ignore[call-arg]
         assert (opened.gatekeeper.calls, opened.sockets) == (1, 2)

@@ -24,10 +24,10 @@ def test_a_repeated_operation_gets_the_same_answer_even_if_it_has_other_random_i
     log = Log()
     log.apply(register(1))
     first = log.apply(open_channel("cam"), op_id=id_of(1))
-    again = log.apply(open_channel("cam"), op_id=id_of(1))
-    assert isinstance(again, ChannelOpened)
-    assert again == first
-    assert again.created
+    repeated = log.apply(open_channel("cam"), op_id=id_of(1))
+    assert isinstance(repeated, ChannelOpened)
+    assert repeated == first
+    assert repeated.created
 
 
 def test_a_repeated_deletion_does_not_delete_a_new_channel_of_the_same_name() -> None:
@@ -137,8 +137,8 @@ def test_a_command_whose_answer_was_dropped_is_not_performed_again() -> None:
                 as_of = log.directory.applied_index if number == taken_in_after else as_of
                 if number < applied_after:
                     log.mark_time()
-            again = log.apply(open_channel("cam/1"), op_id=request_id(1), as_of_index=as_of)
-            assert again == opened or isinstance(again, RefusedOperation), (applied_after, taken_in_after)
+            repeated = log.apply(open_channel("cam/1"), op_id=request_id(1), as_of_index=as_of)
+            assert repeated == opened or isinstance(repeated, RefusedOperation), (applied_after, taken_in_after)
             assert "cam/1" not in log.directory.tables.channel_ids
 
 
@@ -169,8 +169,8 @@ def test_a_snapshot_keeps_the_time_marks() -> None:
     log.apply(register(1))
     done(log, 1)
     log.mark_time()
-    again = decode_snapshot(encode_snapshot(log.directory)).kept_answers
-    assert (again.marks, list(again)) == (log.directory.kept_answers.marks, list(log.directory.kept_answers))
+    restored = decode_snapshot(encode_snapshot(log.directory)).kept_answers
+    assert (restored.marks, list(restored)) == (log.directory.kept_answers.marks, list(log.directory.kept_answers))
 
 
 def test_one_caller_cannot_use_up_the_room_for_kept_answers(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,8 +71,8 @@ def test_a_leader_refuses_to_renew_a_lease_whose_end_is_proposed_and_repeats_the
 
 def test_a_new_registration_gets_a_lease_of_its_own(table: LeaseTable) -> None:
     pass_time(table, 0, TTL)
-    again = host(1, registered_index=9)
-    assert table.renew(again, TTL)
+    reregistered = host(1, registered_index=9)
+    assert table.renew(reregistered, TTL)
     assert table.due(TTL + 1) == [(b"\x02", 1, 1)]
 
 
@@ -188,14 +188,14 @@ def test_very_many_leases_are_looked_at_and_ended_a_part_at_a_time(monkeypatch: 
 
 
 def test_a_holder_that_has_registered_again_keeps_its_lease(table: LeaseTable) -> None:
-    again = host(1, registered_index=9)
-    assert table.renew(again, TTL)
-    table.note_gone(again.host_id, 8)
+    reregistered = host(1, registered_index=9)
+    assert table.renew(reregistered, TTL)
+    table.note_gone(reregistered.host_id, 8)
     table.note(host(1), TTL)
     assert table.due(2 * TTL - 1) == []  # all other leases got a full TTL, because the leader had not looked
-    assert (again.host_id, 1, 9) in pass_time(table, 2 * TTL - 1, 4 * TTL)
-    table.note_gone(again.host_id, 8)
-    assert not table.renew(again, 4 * TTL), "the leader has proposed the lease's end"
+    assert (reregistered.host_id, 1, 9) in pass_time(table, 2 * TTL - 1, 4 * TTL)
+    table.note_gone(reregistered.host_id, 8)
+    assert not table.renew(reregistered, 4 * TTL), "the leader has proposed the lease's end"
 
 
 def test_a_leader_that_resigns_frees_its_leases_in_pieces() -> None:

@@ -64,10 +64,10 @@ class LeaseMachine(RuleBasedStateMachine):
             if ending not in self.endings:
                 self.endings.append(ending)
 
-    @rule(delay=delays, again=st.sampled_from([False, False, True]))
-    def register(self, delay: int, again: bool = True) -> None:
+    @rule(delay=delays, also_live=st.sampled_from([False, False, True]))
+    def register(self, delay: int, also_live: bool = True) -> None:
         """A registration that was sent a while ago takes effect."""
-        if self.live() and not again:
+        if self.live() and not also_live:
             return
         self.log.apply(register(1))
         self.acknowledged(self.now - delay * SECOND)

@@ -96,8 +96,8 @@ async def test_a_supernode_that_is_no_member_cannot_be_asked_for_a_snapshot(tmp_
 async def test_a_folder_in_use_is_not_prepared_again_and_a_lost_disk_is_noticed(tmp_path: Path) -> None:
     [port] = free_ports(1)
     founder = await prepared("init", "a", port, tmp_path)
-    again = ("init", "--data-dir", str(tmp_path / "a"), "--listen", f"127.0.0.1:{port}")
-    code, printed = await command(*again)
+    second_init = ("init", "--data-dir", str(tmp_path / "a"), "--listen", f"127.0.0.1:{port}")
+    code, printed = await command(*second_init)
     assert (code, "belongs to a supernode already" in printed) == (1, True)
     try:
         await founder.start()

@@ -31,7 +31,7 @@ async def test_a_member_of_another_authority_is_logged_once_with_the_reason(
         with caplog.at_level(logging.WARNING):
             await probe.round()
             await probe.round()
-        await probe._hang_up([server.address])
+        await probe._close_channels([server.address])
     assert probe.finding("s2") == ProbeResult(False, None)
     (message,) = [record.getMessage() for record in caplog.records if "member s2" in record.getMessage()]
     assert message.startswith("no certificates in common with member s2: the certificate of localhost:")

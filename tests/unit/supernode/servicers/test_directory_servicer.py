@@ -175,10 +175,10 @@ async def test_hosts_are_listed_and_resolved_by_name_and_id(node: Node) -> None:
 
 async def test_registering_answers_with_ttl_cluster_and_the_channels_held_for_the_host(node: Node) -> None:
     await node.open("cam", host_name="one")
-    again = await node.register(1, name="one", boot=2)
-    assert again.lease_ttl_nanos == TTL_NANOS
-    assert again.cluster_id
-    assert [(channel.name, channel.epoch) for channel in again.channels] == [("cam", 2)]
+    reregistered = await node.register(1, name="one", boot=2)
+    assert reregistered.lease_ttl_nanos == TTL_NANOS
+    assert reregistered.cluster_id
+    assert [(channel.name, channel.epoch) for channel in reregistered.channels] == [("cam", 2)]
 
 
 async def test_a_host_that_leaves_frees_its_channels_immediately(node: Node) -> None:

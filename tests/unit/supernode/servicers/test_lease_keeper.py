@@ -36,8 +36,8 @@ async def test_a_host_whose_lease_ended_keeps_its_channels_until_a_caller_opens_
     opened = await node.open("cam")
     await node.pass_seconds(6)
     assert not (await node.host(1)).alive
-    again = await node.register(1)
-    assert again.channels[0] == opened.channel
+    reregistered = await node.register(1)
+    assert reregistered.channels[0] == opened.channel
     await node.pass_seconds(4)
     assert (await node.renew(1)).tenure == 1
 

@@ -204,8 +204,8 @@ async def test_a_snapshot_begins_with_its_facts_and_has_the_backup_on_request(ri
     await node.register(1)
     [facts] = [one async for one in stub.TakeSnapshot(pb.TakeSnapshotRequest(), timeout=10)]
     assert (facts.supernode_id, facts.log_index, len(facts.sha256)) == ("s1", node.log.index, 32)
-    again, *parts = [one async for one in stub.TakeSnapshot(pb.TakeSnapshotRequest(include_data=True), timeout=10)]
-    assert again == facts
+    repeated, *parts = [one async for one in stub.TakeSnapshot(pb.TakeSnapshotRequest(include_data=True), timeout=10)]
+    assert repeated == facts
     assert sum(len(part.data) for part in parts) == facts.size_bytes
 
 

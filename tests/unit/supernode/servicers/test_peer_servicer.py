@@ -226,11 +226,11 @@ async def test_a_watch_of_peers_has_every_change_and_continues_where_another_one
         (added, id_of(8)),
         (removed, id_of(7)),
     ]
-    again = node.peers.WatchPeers(pb.WatchPeersRequest(after_index=begin))
-    assert await _changes(again, 3) == seen
+    resumed = node.peers.WatchPeers(pb.WatchPeersRequest(after_index=begin))
+    assert await _changes(resumed, 3) == seen
     named = node.peers.WatchPeers(pb.WatchPeersRequest(name_glob="p*", after_index=begin))
     assert [change.peer.name for change in await _changes(named, 2)] == ["planner", "planner"]
-    for one in (watch, again, named):
+    for one in (watch, resumed, named):
         one.cancel()
 
 

@@ -184,13 +184,13 @@ class SegmentReads:
                 content = read_at(at, size)
             if is_whole(block.head, content):
                 return content
-            again = self.place.read_again(segment.number, at, size) if waits else None
+            reread = self.place.read_again(segment.number, at, size) if waits else None
         except FileNotFoundError:
             if not (waits and self.has(segment.number)):
                 raise
-            again = None
-        if again is not None and is_whole(block.head, again):
-            return again
+            reread = None
+        if reread is not None and is_whole(block.head, reread):
+            return reread
         self.damaged_blocks += 1
         return None
 

@@ -84,7 +84,7 @@ class ChannelServicer:
     @errors_as_status
     async def advance(self, request: pb.AdvanceRequest, context: Context) -> pb.AdvanceResponse:
         """ChannelService.Advance."""
-        await undecided(self._store, request.channel_id, request.epoch)
+        await wait_until_decided(self._store, request.channel_id, request.epoch)
         hosted = self._store.find(request.channel_id, request.epoch)
         check_access(AccessVerb.ADVANCE, AccessKind.CHANNEL, hosted.record.name)
         if hosted.recording is not None:
@@ -94,7 +94,7 @@ class ChannelServicer:
     @errors_as_status
     async def consume(self, request: pb.ConsumeRequest, context: Context) -> pb.ConsumeResponse:
         """ChannelService.Consume."""
-        await undecided(self._store, request.channel_id, request.epoch)
+        await wait_until_decided(self._store, request.channel_id, request.epoch)
         hosted = self._store.find(request.channel_id, request.epoch)
         check = partial(check_access, AccessVerb.CONSUME, AccessKind.CHANNEL, hosted.record.name)
         with self._store.consumers.using(request.channel_id, request.consumer_id, "consumer", check):
@@ -119,8 +119,8 @@ class ChannelServicer:
         return pb.GetChannelStatusResponse(status=status, users=users)
 
 
-async def undecided(store: ChannelStore, channel_id: bytes, epoch: int) -> None:
-    """Wait while the channel moves and its changes are held. Raises the errors of `find`, and Overloaded after 5 s."""
+async def wait_until_decided(store: ChannelStore, channel_id: bytes, epoch: int) -> None:
+    """While a move holds the changes of the channel, wait. Raises the errors of `find`, and Overloaded after 5 s."""
     hosted = store.find(channel_id, epoch)
     if hosted.moving is not None:
         await hosted.moving.decided()

@@ -109,7 +109,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         return [pb.DataEndpoint(transport=one, target=self.local_target, ticket=ticket) for one in transports]
 
     async def _wait_for_move(self, channel_id: bytes) -> None:
-        """Wait while the channel moves and its changes are held. Raises Overloaded after 5 s."""
+        """While a move holds the changes of the channel, wait. Raises Overloaded after 5 s."""
         hosted = self._store.known(channel_id)
         if hosted is not None and hosted.moving is not None:
             await hosted.moving.decided()

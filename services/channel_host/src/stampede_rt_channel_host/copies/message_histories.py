@@ -15,7 +15,7 @@ _CONTINUED = 0  # in place of a seq: the entry belongs to the message of the pre
 
 
 def entries_of(items: Iterable[ItemState]) -> Iterator[pb.HandedMessage]:
-    """The entries of messages: one for each, and further ones if it has many copies.
+    """The entries of messages. Each message has one entry, and further entries if it has many copies.
 
     A message may have as many leases as the queue has takers, and would then be too long for one part.
     """

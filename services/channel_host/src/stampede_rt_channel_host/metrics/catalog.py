@@ -50,7 +50,9 @@ MULTICAST_READERS = gauge(
     "stampede_multicast_readers", "Open subscriptions whose readers may take the items from datagrams."
 )
 MULTICAST_DATAGRAMS = counter("stampede_multicast_datagrams_total", "Multicast datagrams sent.")
-MULTICAST_BYTES = counter("stampede_multicast_bytes_total", "Bytes of the sent datagrams, without heads of UDP and IP.")
+MULTICAST_BYTES = counter(
+    "stampede_multicast_bytes_total", "Bytes of the sent datagrams, without the headers of UDP and IP."
+)
 MULTICAST_UNSENT = counter("stampede_multicast_unsent_total", "Datagrams that the machine did not take.")
 MULTICAST_REPAIRS = counter(
     "stampede_multicast_repairs_total", "Requests of readers for items that no datagram brought them."

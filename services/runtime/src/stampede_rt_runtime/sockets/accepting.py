@@ -26,17 +26,17 @@ class Acceptor:
         """`take` gets each connection, and owns it."""
         self._listening, self._take = listening, take
         self._loop = asyncio.get_running_loop()
-        self._again: asyncio.TimerHandle | None = None
+        self._restart: asyncio.TimerHandle | None = None
 
     def start(self) -> None:
         """Accept from now on."""
-        self._again = None
+        self._restart = None
         self._loop.add_reader(self._listening, self._accept_some)
 
     def close(self) -> None:
         """Accept nothing more, and close the listening socket. Idempotent."""
-        if self._again is not None:
-            self._again.cancel()
+        if self._restart is not None:
+            self._restart.cancel()
         if self._listening.fileno() >= 0:
             self._loop.remove_reader(self._listening)
             self._listening.close()
@@ -60,4 +60,4 @@ class Acceptor:
 
     def _pause(self, seconds: float) -> None:
         self._loop.remove_reader(self._listening)
-        self._again = self._loop.call_later(seconds, self.start)
+        self._restart = self._loop.call_later(seconds, self.start)

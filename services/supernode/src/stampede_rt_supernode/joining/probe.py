@@ -77,13 +77,13 @@ class Probe:
                 await self.round()
                 await asyncio.sleep(PERIOD_SECONDS)
         finally:
-            await self._hang_up(list(self._channels))
+            await self._close_channels(list(self._channels))
 
     async def round(self) -> None:
         """Probe each other member once."""
         status = self._log.status()
         others = [member for member in status.members if member.member_id != status.self_id]
-        await self._hang_up([one for one in self._channels if one not in {m.address for m in others}])
+        await self._close_channels([one for one in self._channels if one not in {m.address for m in others}])
         findings = await asyncio.gather(*(self._ask(member) for member in others))
         self._findings = {member.member_id: found for member, found in zip(others, findings, strict=True)}
 
@@ -120,6 +120,6 @@ class Probe:
                 extra={"event": "member_certificate_refused"},
             )
 
-    async def _hang_up(self, addresses: Sequence[str]) -> None:
+    async def _close_channels(self, addresses: Sequence[str]) -> None:
         for address in addresses:
             await self._channels.pop(address).close()

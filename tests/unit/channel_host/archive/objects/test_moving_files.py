@@ -50,10 +50,10 @@ async def test_a_segment_that_left_the_archive_while_it_moved_does_not_come_back
     await store.create(packed.name, packed.content)
     files.drop_outdated(ArchiveLimits(None, files.segments[-1].length), 0)
     assert found_by(files) == [9, 10, 11, 12]
-    again = host(tmp_path, "a", store, 2)  # the process was killed and starts again
-    assert found_by(again) == [9, 10, 11, 12]
-    assert again.stored.outdated == [packed.name]
-    write_closed(again, 13)
+    reopened = host(tmp_path, "a", store, 2)  # the process was killed and starts again
+    assert found_by(reopened) == [9, 10, 11, 12]
+    assert reopened.stored.outdated == [packed.name]
+    write_closed(reopened, 13)
     assert found_by(host(tmp_path, "a", store, 3)) == [*range(9, 17)]
 
 
@@ -153,8 +153,8 @@ async def test_limits_remove_only_objects_of_the_channel(tmp_path: Path) -> None
     files.look(10**18, 10**18, ArchiveLimits(10, None))
     assert len(files.stored.outdated) == 2
     assert found_by(files) == [9, 10, 11, 12]
-    again = files.find_again(files.stored.find(1), 13)  # the objects are still there
-    assert seqs(files, again) == [9, 10, 11, 12]
+    reopened = files.find_again(files.stored.find(1), 13)  # the objects are still there
+    assert seqs(files, reopened) == [9, 10, 11, 12]
     store.delete(files.stored.outdated)
     assert len(store.objects) == len(foreign) + 1
     assert {name: store.objects[name] for name in foreign} == foreign

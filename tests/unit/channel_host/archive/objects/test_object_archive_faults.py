@@ -42,12 +42,12 @@ async def test_a_step_of_the_clock_loses_no_item_and_leaves_no_file_open(tmp_pat
         assert one.local() == []
         await moved(one, 2)
         assert one.read() == [1, 2, 3, 4, 5]
-    async with host(tmp_path, store) as again:
-        again.clock = DAY // 2  # the clock of the next process shows yet another time
-        await again.serve(2)
-        assert again.read() == [1, 2, 3, 4, 5]
-        await moved(again, 1)
-        assert again.read() == [1, 2, 3, 4, 5, 6]
+    async with host(tmp_path, store) as restarted:
+        restarted.clock = DAY // 2  # the clock of the next process shows yet another time
+        await restarted.serve(2)
+        assert restarted.read() == [1, 2, 3, 4, 5]
+        await moved(restarted, 1)
+        assert restarted.read() == [1, 2, 3, 4, 5, 6]
 
 
 @pytest.mark.asyncio
@@ -63,16 +63,16 @@ async def test_after_a_change_of_the_store_files_move_to_the_new_store_and_the_o
         former.failure = "away for ever"
         await one.write(2)
     new.failure = "away, too"
-    async with host(tmp_path, new) as again:
+    async with host(tmp_path, new) as restarted:
         with pytest.raises(Unavailable, match="away, too"):
-            await open_archive(again.archive, record(2))
+            await open_archive(restarted.archive, record(2))
         new.failure = ""
-        await again.serve(2)
-        assert again.read() == [3, 4]
-        again.archive.start()
-        await until(lambda: again.local() == [])
-        await again.write()
-        assert again.read() == [3, 4, 5]
+        await restarted.serve(2)
+        assert restarted.read() == [3, 4]
+        restarted.archive.start()
+        await until(lambda: restarted.local() == [])
+        await restarted.write()
+        assert restarted.read() == [3, 4, 5]
     assert [name.rpartition(".")[2] for name in sorted(new.objects)] == ["segment", "segment", "stopped"]
 
 

@@ -205,9 +205,9 @@ async def test_the_list_on_the_disk_follows_the_epoch_of_the_channel(tmp_path: P
     assert not await one.mover.move_all()
     one.archive.folder.close()  # the host is killed
     store.failure = "away"
-    async with host(tmp_path, store) as again:
-        await again.serve(3)
-        assert again.channel.next_seq == 2
+    async with host(tmp_path, store) as restarted:
+        await restarted.serve(3)
+        assert restarted.channel.next_seq == 2
 
 
 def test_a_host_without_a_list_decides_while_the_call_of_a_client_still_waits() -> None:

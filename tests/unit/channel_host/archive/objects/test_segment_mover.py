@@ -137,9 +137,9 @@ async def test_the_files_of_a_channel_that_moved_away_are_uploaded_immediately_o
         assert await one.mover.move_all() == "away"
     store.failure = ""
     assert len(one.local()) == 1
-    async with host(tmp_path, store) as again:
-        again.archive.start()
-        await until(lambda: again.local() == [])
+    async with host(tmp_path, store) as restarted:
+        restarted.archive.start()
+        await until(lambda: restarted.local() == [])
         assert len(store.objects) == 1
 
 
@@ -214,8 +214,8 @@ async def test_deleting_a_channel_removes_its_files_and_objects_and_nothing_else
         one.archive.delete(CHANNEL)
         assert await one.mover.move_all() == "away"
     store.failure = ""
-    async with host(tmp_path, store) as again:
-        assert not await again.mover.move_all()
+    async with host(tmp_path, store) as restarted:
+        assert not await restarted.mover.move_all()
     assert store.objects == foreign
     assert [*(tmp_path / "channels").iterdir()] == []
 
@@ -282,15 +282,15 @@ async def test_the_files_of_a_channel_that_stopped_cleanly_move_before_it_is_ser
         store.failure = "away"
     store.failure = ""
     assert len(one.local()) == 1
-    async with host(tmp_path, store) as again:
-        again.archive.start()
-        await until(lambda: again.local() == [])
+    async with host(tmp_path, store) as restarted:
+        restarted.archive.start()
+        await until(lambda: restarted.local() == [])
         assert len(store.objects) == 1
-        files, found = await again.archive.open(record(1))
+        files, found = await restarted.archive.open(record(1))
         assert found.stop is not None
         assert found.stop.incarnation == 1
         assert sum(one.items for one in found.segments) == 3
-        again.archive.give_up(files)
+        restarted.archive.give_up(files)
 
 
 @pytest.mark.asyncio

@@ -192,10 +192,10 @@ async def test_readers_learn_that_the_host_no_longer_serves_the_channel() -> Non
         found = await rig.group.parts(opener, 1)
         while found[-1].kind is not MessageKind.END:
             found = await rig.group.parts(opener, len(found) + 1)
-        async with rig.reader() as again:  # the host serves the channel again, before the first reader has left
+        async with rig.reader() as second_reader:  # the host serves the channel again, before the first reader has left
             rig.group.sent.clear()
             rig.put(b"two")
-            assert (await rig.group.parts(again, 1))[0].first_seq == 2
+            assert (await rig.group.parts(second_reader, 1))[0].first_seq == 2
 
 
 async def test_the_end_is_sent_although_the_streams_of_all_readers_end_with_the_channel() -> None:

@@ -39,7 +39,7 @@ async def test_the_error_of_a_put_repeated_while_the_disk_fails_says_that_the_ch
         set_up_archive(rig.host.store.recordings, folder, None, rig.accounts, rig.now)
         channel = await rig.open(spec=policy_to_spec(parse_policy(max_items=10, archive="1h")))
         first = await put(channel, number=1)
-        again, other = await put(channel, number=1), await put(channel, number=2)
-        assert (first.first_seq, again.first_seq, other.HasField("first_seq")) == (1, 1, False)
-        assert (again.error.metadata["seq"], "seq" in other.error.metadata) == ("1", False)
+        repeated, other = await put(channel, number=1), await put(channel, number=2)
+        assert (first.first_seq, repeated.first_seq, other.HasField("first_seq")) == (1, 1, False)
+        assert (repeated.error.metadata["seq"], "seq" in other.error.metadata) == ("1", False)
         assert (await channel.get()).payloads == [b"x"]

@@ -11,7 +11,7 @@ from stampede_rt_channel_host.core.channel import pieces, seq_set
 from stampede_rt_channel_host.core.channel.consumer_places import LEASE_NANOS
 from stampede_rt_channel_host.core.channel.consumption import CONSUMERS_CHECKED_MAX, RANGES_PER_LOOK_MAX, Consumers
 from stampede_rt_channel_host.core.channel.item_blocks import BLOCK_ITEMS
-from stampede_rt_channel_host.core.channel.retention import AFTER_READS_NANOS, BACKLOG_ENTRIES_MAX, SLICES_CONSUMED_MAX
+from stampede_rt_channel_host.core.channel.retention import BACKLOG_ENTRIES_MAX, READS_RETRY_NANOS, SLICES_CONSUMED_MAX
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, put
 from tests.support.channel_host.large_channels import (
     ITEMS,
@@ -254,7 +254,7 @@ def test_a_late_item_after_much_was_consumed_during_a_long_read_frees_a_bounded_
         channel.consume(1, range(first, min(first + 4096, ITEMS)), CLOCK)
         while channel.collect(CLOCK):
             pass
-    assert channel.next_deadline(CLOCK) == CLOCK + AFTER_READS_NANOS
+    assert channel.next_deadline(CLOCK) == CLOCK + READS_RETRY_NANOS
     collected = channel.counters(CLOCK).collected["consumption"]
     looked.slices, before = 0, channel.freed_entries
     assert put(channel, CLOCK + 1).run is not None
@@ -264,7 +264,7 @@ def test_a_late_item_after_much_was_consumed_during_a_long_read_frees_a_bounded_
     for read in reads:
         assert sum(part.items for part in pieces.run_to_end(read).slices) == ITEMS
     channel.consume(1, [channel.next_seq - 1], CLOCK)
-    later = CLOCK + AFTER_READS_NANOS
+    later = CLOCK + READS_RETRY_NANOS
     while channel.next_deadline(later) == later:
         channel.collect(later)
     assert channel.counters(later).held == 1, "the newest item stays, because no consumer has consumed it"

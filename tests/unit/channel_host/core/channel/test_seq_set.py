@@ -35,8 +35,8 @@ def test_ranges_never_touch_and_seqs_in_order_from_1_need_no_range(ranges: list[
         seqs.add(first, first + items)
     bounds = [seqs.below, *(bound for one in seqs.ranges for bound in one)]
     assert bounds == sorted(set(bounds))
-    again = SeqSet(seqs.below, seqs.ranges)
-    assert (again.size, again.ranges) == (seqs.size, seqs.ranges)
+    restored = SeqSet(seqs.below, seqs.ranges)
+    assert (restored.size, restored.ranges) == (seqs.size, seqs.ranges)
     in_order = SeqSet()
     for seq in range(1, 100):
         in_order.add(seq, seq + 1)

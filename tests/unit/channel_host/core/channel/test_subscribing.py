@@ -152,9 +152,9 @@ def test_a_resumed_cursor_skips_the_items_before_its_start() -> None:
     saved = cursor.saved(3)
     assert (saved.next_seq, saved.low, saved.live_seq) == (3, (10, 0), 6)
     put(channel, 6)
-    again = channel.subscribe_all(CLOCK, saved=saved)
-    assert seqs_of([one.slice for one in channel.since(again, CLOCK, ALL).slices]) == [3, 5, 6]
-    assert again.saved(3) == SavedCursor(incarnation=3, next_seq=7)
+    resumed = channel.subscribe_all(CLOCK, saved=saved)
+    assert seqs_of([one.slice for one in channel.since(resumed, CLOCK, ALL).slices]) == [3, 5, 6]
+    assert resumed.saved(3) == SavedCursor(incarnation=3, next_seq=7)
 
 
 def test_items_that_are_collected_before_a_cursor_continues_are_reported() -> None:
@@ -164,8 +164,8 @@ def test_items_that_are_collected_before_a_cursor_continues_are_reported() -> No
     channel.since(cursor, CLOCK, 1)
     saved = cursor.saved(3)
     put(channel, 40, 50, 60)
-    again = channel.subscribe_all(CLOCK, saved=saved)
-    delivery = channel.since(again, CLOCK, ALL)
+    resumed = channel.subscribe_all(CLOCK, saved=saved)
+    delivery = channel.since(resumed, CLOCK, ALL)
     assert delivery.gap is not None
     assert (delivery.gap.first_seq, delivery.gap.last_seq) == (2, 2)
     assert seqs_of([one.slice for one in delivery.slices]) == [3, 4, 5, 6]
@@ -176,14 +176,14 @@ def test_a_resumed_newest_subscription_counts_each_skipped_item_once() -> None:
     put(channel, 10, 20)
     cursor = channel.subscribe_newest(CLOCK)
     saved = cursor.saved(3)  # the reader took nothing yet, and the present items are not new
-    again = channel.subscribe_newest(CLOCK, saved=saved)
-    assert channel.latest(again, CLOCK) is None
+    resumed = channel.subscribe_newest(CLOCK, saved=saved)
+    assert channel.latest(resumed, CLOCK) is None
     put(channel, 15, 30)
-    taken = channel.latest(again, CLOCK)
+    taken = channel.latest(resumed, CLOCK)
     assert taken is not None
-    assert (times_of([taken.slice]), again.skipped) == ([30], 1)
+    assert (times_of([taken.slice]), resumed.skipped) == ([30], 1)
     put(channel, 25)
-    last = channel.subscribe_newest(CLOCK, saved=again.saved(3))
+    last = channel.subscribe_newest(CLOCK, saved=resumed.saved(3))
     assert channel.latest(last, CLOCK) is None
     assert last.skipped == 1
 

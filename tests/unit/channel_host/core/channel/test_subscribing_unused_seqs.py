@@ -57,8 +57,8 @@ def test_a_copy_counts_only_seqs_of_items_as_missed(collected: int, missed: int)
     copy = copy_of(source)
     assert (copy.next_seq, copy.missed, source.missed) == (start_of(2) + 4, missed, 0)
     assert copy.counters(CLOCK).held == 7 - collected
-    again = copy_of(FedChannel.of_owner(owner(collected), RetryWindow(), CLOCK))
-    assert (again.next_seq, again.missed) == (copy.next_seq, missed)
+    second_copy = copy_of(FedChannel.of_owner(owner(collected), RetryWindow(), CLOCK))
+    assert (second_copy.next_seq, second_copy.missed) == (copy.next_seq, missed)
 
 
 def batches(channel: ChannelCore) -> list[SubscriptionBatch]:

@@ -222,16 +222,16 @@ def test_a_retry_of_a_partly_accepted_run_continues_at_its_position() -> None:
     core.queue.withdraw(run, core.now)
     assert core.counted("accepted", "rejected_full") == (1, 0)
     core.now += 5
-    again = core.put(1, 1, 1, producer_id=5, first_number=1)
+    repeated = core.put(1, 1, 1, producer_id=5, first_number=1)
     core.taker(1, credit=3)
     core.dispatched()
     core.ack(1, 1)
     core.dispatched()
     core.ack(1, 2)
-    assert core.queue.take_finished() == [again]
-    assert again.outcome is not None
-    assert [tuple(part) for part in again.outcome.parts] == [(0, 1, 3, 1000)], "the seqs follow, under one stamp"
-    assert not again.outcome.refusals
+    assert core.queue.take_finished() == [repeated]
+    assert repeated.outcome is not None
+    assert [tuple(part) for part in repeated.outcome.parts] == [(0, 1, 3, 1000)], "the seqs follow, under one stamp"
+    assert not repeated.outcome.refusals
     assert core.counted("accepted") == (3,)
 
 
@@ -240,14 +240,14 @@ def test_the_ack_of_a_continued_run_does_not_name_the_seqs_of_a_run_in_between()
     run = core.put(1, 1, producer_id=5, first_number=1)
     core.queue.withdraw(run, core.now)
     other = core.put(1)
-    again = core.put(1, 1, producer_id=5, first_number=1)
+    repeated = core.put(1, 1, producer_id=5, first_number=1)
     core.taker(1, credit=3)
     for delivery_id in (1, 2):
         core.dispatched()
         core.ack(1, delivery_id)
-    assert core.queue.take_finished() == [other, again]
-    assert again.outcome is not None
-    assert [tuple(part) for part in again.outcome.parts] == [(0, 1, 1, 1000), (1, 3, 1, 1000)]
+    assert core.queue.take_finished() == [other, repeated]
+    assert repeated.outcome is not None
+    assert [tuple(part) for part in repeated.outcome.parts] == [(0, 1, 1, 1000), (1, 3, 1, 1000)]
 
 
 def test_a_waiting_run_of_a_moving_queue_is_accepted_when_it_is_sent_again() -> None:
@@ -260,9 +260,9 @@ def test_a_waiting_run_of_a_moving_queue_is_accepted_when_it_is_sent_again() -> 
     state = core.queue.export(core.now)
     core.queue = QueueCore.restore(core.queue.limits, state, core.now, incarnation=1)
     core.queue.configure(QueueLimits(max_items=2), core.now)
-    again = core.put(1, 1, producer_id=5, first_number=1)
-    assert again.outcome is not None
-    assert [tuple(part) for part in again.outcome.parts] == [(0, 1, 2, 1000)]
+    repeated = core.put(1, 1, producer_id=5, first_number=1)
+    assert repeated.outcome is not None
+    assert [tuple(part) for part in repeated.outcome.parts] == [(0, 1, 2, 1000)]
 
 
 def test_the_rest_of_a_partly_accepted_run_is_refused_when_its_queue_is_dropped() -> None:
@@ -486,9 +486,9 @@ def test_a_moved_queue_continues_with_its_state() -> None:
     assert [one.owner for one in core.queue.export(core.now).producers] == ["ann"], "the state has the callers, too"
     assert core.counted("accepted", "held", "leased", "delivered", "given_back") == (3, 3, 1, 3, 1)
     assert core.ack(1, 1) == core.ack(2, 3) == [""]
-    again = core.put(1, 2, 3, producer_id=5, first_number=1)
-    assert again.outcome is not None
-    assert again.outcome.first_seq == 1, "the queue recognised the run"
+    repeated = core.put(1, 2, 3, producer_id=5, first_number=1)
+    assert repeated.outcome is not None
+    assert repeated.outcome.first_seq == 1, "the queue recognised the run"
     core.taker(3, credit=5)
     assert core.dispatched() == {3: [3]}
     core.now += 30

@@ -133,8 +133,8 @@ def test_many_calls_refuse_waiting_runs_in_order_and_accept_none_of_them() -> No
         assert len(refused) % ENDED_PER_CALL_MAX == 0
         if more:
             core.queue.configure(QueueLimits(max_items=10_000), core.now)  # there is room now, and no put waits for it
-            again = core.put(1, producer_id=5, first_number=len(waiting) + 1)  # repeats a run that still waits
-            assert again.error is not None
+            repeated = core.put(1, producer_id=5, first_number=len(waiting) + 1)  # repeats a run that still waits
+            assert repeated.error is not None
     assert refused == waiting
     assert all(run.error is not None for run in waiting)
     assert core.counted("held") == (1,)

@@ -97,9 +97,9 @@ def test_a_restored_cluster_keeps_its_rules_and_signs_with_a_key_of_its_own() ->
     log = Log()
     log.apply(AddAccessRule(rule=PUT))
     log.apply(CreateTokenKey(new_token_key=b"1" * 32))
-    again = begin_tenure(9)
-    assert isinstance(again, BeginTenure)
-    log.apply(replace(again, founded_anew=True, new_cluster_id="other"))
+    repeated = begin_tenure(9)
+    assert isinstance(repeated, BeginTenure)
+    log.apply(replace(repeated, founded_anew=True, new_cluster_id="other"))
     assert log.directory.access.token_key == b""
     assert log.directory.access.rules.rules == (PUT,)
 
@@ -114,11 +114,11 @@ def test_below_the_feature_level_of_rules_the_directory_stores_neither_rules_nor
     assert results[3].peer.owner is None
     applied(replica, 5, RaiseFeatureLevel(feature_level=2))
     assert isinstance(applied(replica, 6, AddAccessRule(rule=PUT)), AccessRuleAdded)
-    again = applied(replica, 7, replace(owned_peer("other"), peer_id=id_of(8), new_mailbox_id=id_of(9)))
-    assert isinstance(again, PeerRegistered)
-    assert again.peer.owner == "cam"
-    assert again.mailbox is not None
-    assert (again.mailbox.mailbox_owner, again.mailbox.mailbox_peer_name) == ("cam", "other")
+    repeated = applied(replica, 7, replace(owned_peer("other"), peer_id=id_of(8), new_mailbox_id=id_of(9)))
+    assert isinstance(repeated, PeerRegistered)
+    assert repeated.peer.owner == "cam"
+    assert repeated.mailbox is not None
+    assert (repeated.mailbox.mailbox_owner, repeated.mailbox.mailbox_peer_name) == ("cam", "other")
 
 
 def applied(replica: DirectoryReplica, index: int, operation: Operation) -> Result:

@@ -41,9 +41,9 @@ def test_a_new_channel_is_placed_on_the_live_host_with_the_fewest_channels_and_t
 
 def test_opening_again_gives_the_same_channel_and_does_not_create(log: Log) -> None:
     first = opened(log, "cam/left", max_age_nanos=10)
-    again = opened(log, "cam/left", incarnation=5)
-    assert (first.created, again.created) == (True, False)
-    assert again.channel == first.channel
+    repeated = opened(log, "cam/left", incarnation=5)
+    assert (first.created, repeated.created) == (True, False)
+    assert repeated.channel == first.channel
     assert (first.channel.epoch, first.channel.incarnation, first.channel.policy_version) == (1, 77, 1)
 
 
@@ -220,9 +220,9 @@ def test_an_update_under_another_epoch_is_refused(log: Log) -> None:
 def test_the_name_of_a_deleted_channel_can_be_used_again(log: Log) -> None:
     first = opened(log, "cam/left").channel
     assert isinstance(log.apply(delete(first.channel_id)), ChannelDeleted)
-    again = log.apply(delete(first.channel_id))
-    assert isinstance(again, RefusedOperation)
-    assert again.reason == "CHANNEL_NOT_FOUND"
+    repeated = log.apply(delete(first.channel_id))
+    assert isinstance(repeated, RefusedOperation)
+    assert repeated.reason == "CHANNEL_NOT_FOUND"
     second = opened(log, "cam/left", max_items=3)
     assert second.created
     assert second.channel.channel_id != first.channel_id

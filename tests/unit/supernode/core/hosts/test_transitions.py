@@ -67,8 +67,8 @@ def test_a_registration_with_the_same_boot_id_does_not_change_the_channels(log: 
     first = registered(log, register(1, name="one"))
     channel = channel_at(log, "one", "cam")
     log.apply(expire(1, registered_index=first.registered_index))
-    again = registered(log, register(1, name="one"))
-    assert again.alive
+    repeated = registered(log, register(1, name="one"))
+    assert repeated.alive
     assert now(log, channel) == channel
 
 
@@ -117,14 +117,14 @@ def test_the_first_leader_sets_the_cluster_id_and_only_the_first_leader_after_a_
 
 def test_an_expiry_counts_only_for_its_boot_registration_and_tenure(log: Log) -> None:
     first = registered(log, register(1, boot=1))
-    again = registered(log, register(1, boot=1))
+    repeated = registered(log, register(1, boot=1))
     late = expire(1, registered_index=first.registered_index)
-    stranger = expire(1, boot=9, registered_index=again.registered_index)
-    deposed = expire(1, registered_index=again.registered_index, tenure=2)
+    stranger = expire(1, boot=9, registered_index=repeated.registered_index)
+    deposed = expire(1, registered_index=repeated.registered_index, tenure=2)
     for operation in (late, stranger, deposed, expire(7, registered_index=1)):
         assert log.apply(operation) == HostExpired(expired=False)
     assert log.directory.tables.hosts[id_of(1)].alive
-    assert log.apply(expire(1, registered_index=again.registered_index)) == HostExpired(expired=True)
+    assert log.apply(expire(1, registered_index=repeated.registered_index)) == HostExpired(expired=True)
     assert not log.directory.tables.hosts[id_of(1)].alive
 
 

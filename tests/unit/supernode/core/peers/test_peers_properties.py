@@ -87,12 +87,12 @@ class PeerMachine(ThreeDirectories):
     def change_queue(self, data: st.DataObject) -> None:
         self.apply(data.draw(queue_operations(self.directory, self.fresh_id())), self.fresh_id())
 
-    @rule(data=st.data(), again=st.sampled_from([False, False, True]))
-    def register_peer(self, data: st.DataObject, again: bool) -> None:
+    @rule(data=st.data(), is_repeated=st.sampled_from([False, False, True]))
+    def register_peer(self, data: st.DataObject, is_repeated: bool) -> None:
         operation, op_id = data.draw(registrations(self.directory, self.fresh_id())), self.fresh_id()
         result = self.apply(operation, op_id)
         self.live_peers.register(operation, result)
-        if again and isinstance(result, PeerRegistered):
+        if is_repeated and isinstance(result, PeerRegistered):
             assert self.apply(operation, op_id) == result, "a repeated request is answered and not performed"
 
     @rule(data=st.data())

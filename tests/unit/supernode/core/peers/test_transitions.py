@@ -179,8 +179,8 @@ def test_the_mailbox_of_a_peer_is_deleted_when_its_lease_ends_and_a_record_is_ke
     assert queues(log) == []
     assert (peer(log, 7).alive, peer(log, 7).mailbox_queue_id) == (False, None)
     assert not enter(log, 8, "planner").mailbox_kept
-    again = enter(log, 7, "driver", boot=2)
-    assert again.peer.alive, "after the end of the lease no proof is needed"
+    repeated = enter(log, 7, "driver", boot=2)
+    assert repeated.peer.alive, "after the end of the lease no proof is needed"
 
 
 def test_a_stale_expiry_of_a_lease_changes_nothing(log: Log) -> None:

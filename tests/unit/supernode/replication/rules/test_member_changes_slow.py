@@ -72,10 +72,10 @@ def test_a_new_member_that_was_refused_as_too_slow_makes_room_for_another(
     [refused] = leader.add(OTHER)
     assert "slow is joining" in str(refused), "the newcomer makes progress, and has time left"
     leader.let_pass(JOIN_SECONDS_MAX, progress_of=SLOW)
-    again = leader.add(SLOW)
+    second_add = leader.add(SLOW)
     leader.let_pass(3, progress_of=SLOW)
     assert not leader.add(OTHER)
-    [outcome] = again
+    [outcome] = second_add
     assert "other joins instead of slow at slow:1, which did not catch up with the log at its last try" in str(outcome)
     [refused] = leader.add(THIRD)
     assert "other is joining" in str(refused), "the other newcomer has the whole time"

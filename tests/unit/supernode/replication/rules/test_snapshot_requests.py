@@ -149,10 +149,10 @@ def test_a_single_replica_makes_long_pauses_only_while_no_call_waits() -> None:
         answers = len(alone.outcomes)
         ask()
         while True:
-            again = alone.replica.step()
+            has_more_work = alone.replica.step()
             if len(alone.outcomes) > answers:
                 break
-            assert again or alone.replica.pause_seconds() == timing.tick_seconds
+            assert has_more_work or alone.replica.pause_seconds() == timing.tick_seconds
             alone.now += timing.tick_seconds
 
 
@@ -199,10 +199,10 @@ def test_a_kill_at_any_commit_of_a_snapshot_loses_nothing_acknowledged(
             store.close()
         held = reopened(folder)
         assert held.snapshot is not None
-        again = LoneMember(SqliteStore(folder, cluster_id="c", member_id="m", create=False))
-        again.step_until(lambda again=again: len(again.machine.entries) == 13)  # type: ignore[misc]
-        assert [text for _, text in again.machine.entries] == [b"text %d" % number for number in range(13)]
-        again.replica.close()
+        restarted = LoneMember(SqliteStore(folder, cluster_id="c", member_id="m", create=False))
+        restarted.step_until(lambda restarted=restarted: len(restarted.machine.entries) == 13)  # type: ignore[misc]
+        assert [text for _, text in restarted.machine.entries] == [b"text %d" % number for number in range(13)]
+        restarted.replica.close()
         if survived:
             break
     assert survived

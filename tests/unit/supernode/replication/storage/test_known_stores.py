@@ -15,9 +15,13 @@ def test_a_member_is_admitted_only_with_its_first_store_even_after_a_restart(tmp
     assert first.admits("b", "one")
     first.note("b", "one", "abc")
     first.note("b", "two", "abc")
-    again = KnownStores.open(tmp_path, had_store=True)
-    assert again.own == first.own
-    assert (again.admits("b", "one"), again.admits("b", "two"), again.admits("c", "two")) == (True, False, True)
+    reopened = KnownStores.open(tmp_path, had_store=True)
+    assert reopened.own == first.own
+    assert (reopened.admits("b", "one"), reopened.admits("b", "two"), reopened.admits("c", "two")) == (
+        True,
+        False,
+        True,
+    )
 
 
 def test_a_member_that_never_had_a_store_may_call_without_one_or_with_a_first_one(tmp_path: Path) -> None:
@@ -68,6 +72,6 @@ def test_invented_member_ids_displace_no_member_and_are_bounded(tmp_path: Path) 
         stores.note(name, f"store of {name}", "abc")
     for number in range(300):
         stores.note(f"invented{number}", "any", "abc")
-    again = KnownStores.open(tmp_path, had_store=True)
-    assert [again.admits(name, "another") for name in "bc"] == [False, False]
+    reopened = KnownStores.open(tmp_path, had_store=True)
+    assert [reopened.admits(name, "another") for name in "bc"] == [False, False]
     assert len((tmp_path / FILE_NAME).read_bytes()) < 2000

@@ -73,9 +73,9 @@ def test_a_crash_keeps_only_the_synced_entries(reopen: Reopen) -> None:
     assert log.sync()
     log.append(b"\x00lost", 4, 4)
     log.set_term(5, "c")
-    again = RaftLog(reopen())
-    assert [entry.log_index for entry in again[:]] == [1, 2, 3]
-    assert (again.term, again.voted_for, again.commit_index) == (4, "b", 2)
+    reopened = RaftLog(reopen())
+    assert [entry.log_index for entry in reopened[:]] == [1, 2, 3]
+    assert (reopened.term, reopened.voted_for, reopened.commit_index) == (4, "b", 2)
 
 
 def test_a_change_of_only_the_commit_index_is_not_written(reopen: Reopen) -> None:
@@ -132,8 +132,8 @@ def test_a_snapshot_in_pieces_is_valid_from_its_last_piece_on(reopen: Reopen, mo
         assert (log[0].log_index, log.snapshot) == (2, StoredSnapshot.of(3, b"older"))
     log.adopt_snapshot(arriving, log[3], log[4], NOBODY)
     log.sync()
-    again = RaftLog(reopen())
-    assert (again[0].log_index, again.snapshot) == (5, arriving)
+    reopened = RaftLog(reopen())
+    assert (reopened[0].log_index, reopened.snapshot) == (5, arriving)
 
 
 def test_pieces_of_a_killed_process_do_not_disturb_the_next_snapshot(
@@ -144,9 +144,9 @@ def test_pieces_of_a_killed_process_do_not_disturb_the_next_snapshot(
     for piece in StoredSnapshot.of(6, b"much longer").pieces():
         log.write_piece(piece)
     log.sync()
-    again = RaftLog(reopen())
-    adopt(again, StoredSnapshot.of(6, b"state"), again[4], again[5])
-    again.sync()
+    reopened = RaftLog(reopen())
+    adopt(reopened, StoredSnapshot.of(6, b"state"), reopened[4], reopened[5])
+    reopened.sync()
     assert RaftLog(reopen()).snapshot == StoredSnapshot.of(6, b"state")
 
 

@@ -34,14 +34,14 @@ class ArchiveBacklog:
         self.at_risk, self.lost_times = 0, None
         self.lost = max(0, self.lost - named) if end_seq < self._held.next_seq else 0
 
-    def taken(self, end_seq: int, again: int) -> None:
-        """Note that a write has taken the items below `end_seq`, among them `again` items that memory has lost."""
+    def taken(self, end_seq: int, lost: int) -> None:
+        """Note that a write has taken the items below `end_seq`, among them `lost` items that memory has lost."""
         self._taken_to = end_seq
-        self.at_risk = min(again, self.lost)
+        self.at_risk = min(lost, self.lost)
         self.lost -= self.at_risk
 
     def write_failed(self) -> None:
-        """Note that the write has failed that had taken items."""
+        """Note the failure of the write that had taken items."""
         self._taken_to = self.archived_to
         self.lost, self.at_risk = self.lost + self.at_risk, 0
 

@@ -31,8 +31,8 @@ ROUND_NANOS = 200_000_000  # the feed sends the places again at most five times 
 class FedPlaces(NamedTuple):
     """A part of the consumer places.
 
-    `begins`: the places of earlier parts are outdated. `ends`: these are the last ones. If a place has the consumer id
-    of the last place before it, its ranges continue.
+    `begins`: this is the first part of a round, and replaces the places of earlier rounds. `ends`: it is the last part.
+    If a place has the consumer id of the last place before it, its ranges continue.
     """
 
     begins: bool
@@ -98,8 +98,8 @@ class OwnerFactsFeed:
 
     def _take_put(self, now: int) -> OwnerPart | None:
         """The part if one accepted run is the only change; otherwise None."""
-        growth, odd = counts = self._counts_now()
-        is_only = self._sent_counts is not None and self._sent_counts[1] == odd
+        growth, others = counts = self._counts_now()
+        is_only = self._sent_counts is not None and self._sent_counts[1] == others
         if not is_only or self._round is not None or self._places_now() != self._sent:
             return None
         run = self._window.take_put()
@@ -111,15 +111,15 @@ class OwnerFactsFeed:
     def pass_put(self, item: NewItem) -> bool:
         """Note that the copy gets the run, which the source is about to store, in another way.
 
-        Returns False, and notes nothing, if the copy lacks other facts, or would not find out all facts from the run.
+        Returns False, and notes nothing, if the copy lacks other facts, or cannot compute all facts from the run.
         """
         has_all = self._round is None and self._places_now() == self._sent
-        growth, odd = counts = self._counts_now()
+        growth, others = counts = self._counts_now()
         if not (self._takes_puts and has_all and counts == self._sent_counts):
             return False
         if not self._window.pass_put(item.producer_id, item.owner, item.judged_at):
             return False
-        self._sent_counts = GrowingCounts(growth.accepted + item.items, growth.accepted_bytes + item.length), odd
+        self._sent_counts = GrowingCounts(growth.accepted + item.items, growth.accepted_bytes + item.length), others
         return True
 
     def _counts_now(self) -> tuple[GrowingCounts, OtherCounts | Counters]:

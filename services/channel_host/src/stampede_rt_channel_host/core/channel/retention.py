@@ -20,8 +20,8 @@ from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.oldest_items import before
 from stampede_rt_channel_host.core.channel.retention_steps import (
-    AFTER_READS_NANOS,
     BACKLOG_ENTRIES_MAX,
+    READS_RETRY_NANOS,
     SLICES_AGED_MAX,
     SLICES_CONSUMED_MAX,
 )
@@ -32,15 +32,15 @@ class Retention:
     """Applies limits to holdings. `consumers` is None if the limits have no consumer places."""
 
     __slots__ = (
-        "_consumed_to", "_earlier", "_has_more_consumed", "_has_more_to_age", "_held", "_look_after_reads",
-        "_owed_check_goes_on", "consumers", "limits", "unarchived",
+        "_consumed_to", "_earlier", "_has_more_consumed", "_has_more_to_age", "_held", "_owed_check_goes_on",
+        "_retry_after_reads", "consumers", "limits", "unarchived",
     )  # fmt: skip
 
     def __init__(self, limits: ChannelLimits, held: Holdings) -> None:
         self._held = held
         self._has_more_to_age = self._owed_check_goes_on = self._has_more_consumed = False
-        # While consumption waits for long reads: when it looks again.
-        self._look_after_reads: int | None = None
+        # While consumption waits for long reads: the time when it checks them again.
+        self._retry_after_reads: int | None = None
         # A key, and `PlaceTable.arrivals` when the key was noted. All consumers with a place at that moment have
         # consumed the items of the key's bucket that lie below the key.
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
@@ -62,7 +62,7 @@ class Retention:
             self.consumers = None
             self._held.report_gone_to(None)
             self._has_more_to_age = self._owed_check_goes_on = self._has_more_consumed = False
-            self._look_after_reads = None
+            self._retry_after_reads = None
         elif self.consumers is None:
             self.consumers = Consumers(places)
             self._consumed_to = FIRST_KEY, 0
@@ -215,7 +215,7 @@ class Retention:
         """
         held, age = self._held, self._age_of_oldest()
         following = None if held.oldest is None else held.next_time(held.oldest)
-        instants = [self._look_after_reads, self._lease_end()]
+        instants = [self._retry_after_reads, self._lease_end()]
         kept = low_of(self.unarchived)
         # The oldest item cannot leave by age before the archive has it.
         waits = kept is not None and held.oldest is not None and kept[0] <= held.oldest
@@ -239,13 +239,13 @@ class Retention:
         item is the same, however many are collected together. If all leases have ended, collects all items except the
         newest bucket, because a new consumer begins with the newest item. Respects BACKLOG_ENTRIES_MAX.
         """
-        self._has_more_consumed, self._look_after_reads = False, None
+        self._has_more_consumed, self._retry_after_reads = False, None
         consumers, held = self.consumers, self._held
         if consumers is None or self.limits.consumers is None or consumers.table.untaken or held.newest is None:
             return False
         if held.has_outdated(BACKLOG_ENTRIES_MAX):
             self._has_more_consumed = held.has_backlog_of(1)
-            self._look_after_reads = None if self._has_more_consumed else clock + AFTER_READS_NANOS
+            self._retry_after_reads = None if self._has_more_consumed else clock + READS_RETRY_NANOS
             return False
         count = consumers.done_with if consumers.table.live else before(held.newest)
         bounded = BoundedCount(SLICES_CONSUMED_MAX, count, consumers)

@@ -3,11 +3,11 @@
 SLICES_CONSUMED_MAX = 64
 """The most slices that one call collects by consumption, so that a consumer that catches up delays no other caller."""
 BACKLOG_ENTRIES_MAX = 512
-"""With this number of entries of outdated items, or more, consumption collects nothing: a late item may have to free
-all of them, and to copy them for the reads that still show them.
+"""While outdated items still have this number of entries or more, consumption collects nothing. Otherwise a late item
+might have to free too many entries in one call, and to copy them for the reads that still show them.
 """
-AFTER_READS_NANOS = 100 * 10**6
-"""If long reads keep these entries, consumption looks again after this time."""
+READS_RETRY_NANOS = 100 * 10**6
+"""While long reads keep BACKLOG_ENTRIES_MAX entries, consumption checks them again after this time."""
 SLICES_AGED_MAX = 256
 """The most slices that one call checks for items that a consumer has still to consume. Only `max_age_unconsumed` needs
 this check.

@@ -98,8 +98,8 @@ def check_policy(channel: str, policy: Policy) -> None:
 
 
 def _check_replicas(channel: str, policy: Policy) -> None:
-    replicas, waits = policy.replicas or 0, policy.ack == "replica"
-    if waits and not replicas:
+    replicas, waits_for_replicas = policy.replicas or 0, policy.ack == "replica"
+    if waits_for_replicas and not replicas:
         text = 'ack="replica" waits for replicas, and the channel has none; state replicas of 1 or more with it'
         raise _invalid(channel, "ack", text)
     if replicas and policy.is_recorded:
@@ -108,7 +108,7 @@ def _check_replicas(channel: str, policy: Policy) -> None:
             "archive_bytes"
         )
         raise _invalid(channel, "replicas", text)
-    if waits and policy.min_replicas is not None and policy.min_replicas > replicas:
+    if waits_for_replicas and policy.min_replicas is not None and policy.min_replicas > replicas:
         text = f"min_replicas is {policy.min_replicas}, and replicas is {replicas}; state {replicas} or less"
         raise _invalid(channel, "min_replicas", text)
 
@@ -160,17 +160,17 @@ def agree(channel: str, held: Policy, requested: Policy) -> Policy:
 
 def _contradiction(channel: str, field: str, before: object, in_effect: object, value: object) -> ChannelExists:
     name = field.removesuffix("_nanos")
-    held = _shown(field, in_effect)
+    held = _as_written(field, in_effect)
     change = "" if field == FIXED else ", or change it for everybody with configure()"
     was = f"{name} {held}" if before is not None else f"{name} left out (in effect: {held})"
     return ChannelExists(
-        f"channel {channel} exists with {was}, and the request states {name} {_shown(field, value)}; leave {name} out "
-        f"to take the channel as it is{change}",
+        f"channel {channel} exists with {was}, and the request states {name} {_as_written(field, value)}; leave {name} "
+        f"out to take the channel as it is{change}",
         metadata={"channel": channel, "field": field, "held": str(in_effect), "asked": str(value)},
     )
 
 
-def _shown(field: str, value: object) -> str:
+def _as_written(field: str, value: object) -> str:
     """A value in the form in which callers write it."""
     if value is None:
         return "no limit"

@@ -57,14 +57,14 @@ def check_queue_spec(queue: str, spec: QueueSpec) -> None:
 
 def check_replicas(queue: str, spec: QueueSpec) -> None:
     """Raises InvalidArgument unless the replicas of the whole policy `spec` agree with its ack."""
-    replicas, waits = spec.replicas or 0, spec.ack == "replica"
-    if waits and not replicas:
+    replicas, waits_for_replicas = spec.replicas or 0, spec.ack == "replica"
+    if waits_for_replicas and not replicas:
         text = 'ack="replica" waits for replicas, and the queue has none; state replicas of 1 or more with it'
         raise _invalid(queue, "ack", text)
-    if replicas and not waits:
+    if replicas and not waits_for_replicas:
         text = 'a replica takes over without a loss only if puts wait for it; state ack="replica" with replicas'
         raise _invalid(queue, "replicas", text)
-    if waits and spec.min_replicas is not None and spec.min_replicas > replicas:
+    if waits_for_replicas and spec.min_replicas is not None and spec.min_replicas > replicas:
         text = f"min_replicas is {spec.min_replicas}, and replicas is {replicas}; state {replicas} or less"
         raise _invalid(queue, "min_replicas", text)
 
@@ -98,7 +98,7 @@ def agree(queue: str, held: QueueSpec, requested: QueueSpec) -> QueueSpec:
     Raises QUEUE_EXISTS, which names the field in conflict.
 
     The caller may only repeat a field that was stated before, or leave it out. While no limit (LIMITS) was stated, the
-    queue takes over each field of `requested` that was never stated. Later `requested` must have the value in
+    queue takes over each field of `requested` that was never stated. Later, `requested` must have the value in
     effect, because another value would affect other producers and takers.
     """
     provisional = all(getattr(held, name) is None for name in LIMITS)
@@ -114,17 +114,17 @@ def agree(queue: str, held: QueueSpec, requested: QueueSpec) -> QueueSpec:
 
 def _contradiction(queue: str, field: str, before: object, in_effect: object, value: object) -> StampedeError:
     name = field.removesuffix("_nanos")
-    held = _shown(field, in_effect)
+    held = _as_written(field, in_effect)
     was = f"{name} {held}" if before is not None else f"{name} left out (in effect: {held})"
     return error_for(
         "QUEUE_EXISTS",
-        f"queue {queue} exists with {was}, and the request states {name} {_shown(field, value)}; leave {name} out to "
-        "take the queue as it is, or change it for everybody with UpdateQueue",
-        {"queue": queue, "field": field, "held": held, "asked": _shown(field, value)},
+        f"queue {queue} exists with {was}, and the request states {name} {_as_written(field, value)}; leave {name} "
+        "out to take the queue as it is, or change it for everybody with UpdateQueue",
+        {"queue": queue, "field": field, "held": held, "asked": _as_written(field, value)},
     )
 
 
-def _shown(field: str, value: object) -> str:
+def _as_written(field: str, value: object) -> str:
     """A value in the form in which callers write it."""
     if value is None:
         return "none"

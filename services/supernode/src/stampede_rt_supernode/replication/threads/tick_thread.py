@@ -105,9 +105,9 @@ class TickThread:
                 # cleared before the step, so that an arrival during the step causes the next one immediately
                 self._work.clear()
                 self._step_began = time.monotonic()
-                again = replica.step()
+                has_more_work = replica.step()
                 self._step_began = None
-                if not again:
+                if not has_more_work:
                     self._work.wait(replica.pause_seconds())
             replica.close()
         except BaseException as error:  # noqa: BLE001 - whatever it is, to continue would be worse
