@@ -1,4 +1,4 @@
-"""Reads from shared memory while processes are stopped, and of groups and proxies, with real processes."""
+"""Reads from shared memory, with real processes: while a reader or a host is stopped, through a group, from a proxy."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_a_stopped_reader_delays_no_other_caller_and_continues_at_its_position(
             assert max(0, dropped_max - 3) <= dropped <= dropped_max
 
 
-def test_readers_of_a_stopped_host_learn_of_the_loss_and_never_trust_it_again(cluster: LocalCluster) -> None:
+def test_readers_of_a_stopped_host_learn_of_the_loss_and_read_its_memory_no_more(cluster: LocalCluster) -> None:
     """The readers read the host's memory while its lease lasts. Then another host has the channel."""
     with st.connect(cluster.address, transport="shared") as rt, ThreadPoolExecutor() as pool:
         channel = rt.channel("stopped/host", max_age="600s", host="h1")

@@ -72,7 +72,7 @@ class RecordedChannel:
         return await self.answer(Interval(Bound(None, start), Bound(None, end)), newest_first=newest_first)
 
     async def answer(self, interval: Interval, *, newest_first: bool = False) -> tuple[list[int], Reason | None]:
-        """Like `read`."""
+        """Like `read`, for an interval."""
         query = Query(interval=interval, match=Match.START, newest_first=newest_first)
         if self.recording.reaches(query, CLOCK):
             read = await self.recording.read(query, None, PieceScheduler(), lambda: CLOCK)
@@ -115,9 +115,9 @@ async def recorded_channel(
 
 
 async def put_during_a_write(one: RecordedChannel, monkeypatch: pytest.MonkeyPatch, later_runs: int = 2) -> SlowDisk:
-    """Put two runs, and `later_runs` more while the write of these two waits for the returned disk.
+    """Put two runs, and wait until their write has reached the disk. Then put `later_runs` more.
 
-    Memory holds only the last four items.
+    Memory holds only the last four items. Returns the disk, on which the write waits.
     """
     disk = SlowDisk(monkeypatch)
     one.put(2)

@@ -37,7 +37,7 @@ def run(first_seq: int, length: int, *, durations: bool = False) -> ItemColumns:
 
 
 def runs_of(lengths: Sequence[int], first_seq: int = 1) -> list[Sequence[Item]]:
-    """Runs of columns, and each third one as a list of items, as after a filter."""
+    """Runs of columns. Every third run is a list of items, like the result of a filter."""
     runs = list[Sequence[Item]]()
     for number, length in enumerate(lengths):
         one = run(first_seq, length)
@@ -147,9 +147,9 @@ def test_items_that_come_again_are_not_new() -> None:
     assert [item.seq for item in seen.unseen([run(2, 3)])] == [4]
 
 
-def test_items_behind_a_cursor_are_seen_although_the_cursor_came_after_them() -> None:
-    """The stream after a break may have a cursor in the middle of the items of the former stream. In an earlier version
-    the items behind that cursor came twice.
+def test_after_a_cursor_only_items_that_cannot_come_again_are_forgotten() -> None:
+    """After a break, the first cursor of the new stream may lie before items that the reader has got from the former
+    stream. In an earlier version the reader got these items twice.
     """
     seen = SeenSeqs()
     seen.unseen([run(1, 5)])  # with the times 10 to 50

@@ -161,7 +161,7 @@ class ProcessKilled(BaseException):
 
 
 class KillableStore(SqliteStore):
-    """Is killed before or after one of its commits."""
+    """A store whose process is killed before or after one of its commits."""
 
     commits_left = 10**9
     dies_after = False
