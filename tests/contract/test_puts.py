@@ -15,7 +15,8 @@ SECOND = 1_000 * MS
 LONG_S = 60
 
 
-async def adds_up(channel: object) -> st.ChannelStats:
+async def consistent_stats(channel: object) -> st.ChannelStats:
+    """The counters of the channel. Fails unless each accepted item is held or was collected."""
     stats = await channel.stats()
     assert stats.accepted == stats.held + sum(stats.collected.values())
     return stats
@@ -43,12 +44,12 @@ async def test_a_put_earlier_than_an_advance_is_too_old(surface: Surface) -> Non
     assert await channel.advance(time - 5) == time
 
 
-async def test_a_put_behind_the_window_is_too_old(surface: Surface) -> None:
+async def test_a_put_before_the_window_is_too_old(surface: Surface) -> None:
     channel = await surface.channel(max_age="1s")
     await channel.put(b"newest", time=st.now() - 30 * SECOND)
     with pytest.raises(st.TooOld):
         await channel.put(b"x", time=st.now() - 60 * SECOND)
-    assert (await adds_up(channel)).rejected["too_old"] == 1
+    assert (await consistent_stats(channel)).rejected["too_old"] == 1
 
 
 async def test_the_error_of_a_put_far_in_the_future_names_the_clock_offset(surface: Surface) -> None:
@@ -56,7 +57,7 @@ async def test_the_error_of_a_put_far_in_the_future_names_the_clock_offset(surfa
     with pytest.raises(st.InFuture) as caught:
         await channel.put(b"x", time=st.now() + 60 * SECOND)
     assert 30 * SECOND < int(caught.value.metadata["offset_nanos"]) <= 60 * SECOND
-    assert (await adds_up(channel)).rejected["in_future"] == 1
+    assert (await consistent_stats(channel)).rejected["in_future"] == 1
 
 
 async def test_max_items_drops_the_oldest(surface: Surface) -> None:
@@ -64,7 +65,7 @@ async def test_max_items_drops_the_oldest(surface: Surface) -> None:
     for number in range(5):
         await channel.put(bytes([number]))
     assert [item.payload for item in await channel.get(st.OLDEST, st.NEWEST)] == [b"\2", b"\3", b"\4"]
-    stats = await adds_up(channel)
+    stats = await consistent_stats(channel)
     assert (stats.accepted, stats.held, stats.collected["count"]) == (5, 3, 2)
 
 
@@ -72,7 +73,7 @@ async def test_max_bytes_drops_the_oldest(surface: Surface) -> None:
     channel = await surface.channel(max_bytes=3 * (1000 + 64))
     for _ in range(5):
         await channel.put(bytes(1000))
-    stats = await adds_up(channel)
+    stats = await consistent_stats(channel)
     assert (stats.held, stats.collected["bytes"], stats.held_bytes) == (3, 2, 3000)
 
 
@@ -80,7 +81,7 @@ async def test_an_item_larger_than_max_bytes_is_refused(surface: Surface) -> Non
     channel = await surface.channel(max_bytes=1000)
     with pytest.raises(st.ItemTooLarge, match="at most 936"):
         await channel.put(bytes(2000))
-    assert (await adds_up(channel)).rejected["too_large"] == 1
+    assert (await consistent_stats(channel)).rejected["too_large"] == 1
 
 
 async def test_a_full_channel_that_rejects_refuses_a_put(surface: Surface) -> None:
@@ -88,7 +89,7 @@ async def test_a_full_channel_that_rejects_refuses_a_put(surface: Surface) -> No
     await channel.put(b"first")
     with pytest.raises(st.ChannelFull):
         await channel.put(b"second")
-    assert (await adds_up(channel)).rejected["full"] == 1
+    assert (await consistent_stats(channel)).rejected["full"] == 1
 
 
 async def test_a_put_on_a_full_channel_waits_until_the_oldest_item_is_old_enough(surface: Surface) -> None:
@@ -97,7 +98,7 @@ async def test_a_put_on_a_full_channel_waits_until_the_oldest_item_is_old_enough
     second = await channel.put(b"second", timeout=10)
     assert second.time - first.time >= 100 * MS
     assert [item.payload for item in await channel.get(st.OLDEST, st.NEWEST)] == [b"second"]
-    assert (await adds_up(channel)).collected["age"] == 1
+    assert (await consistent_stats(channel)).collected["age"] == 1
 
 
 async def test_a_put_with_no_time_to_wait_is_refused_by_a_full_channel_immediately(surface: Surface) -> None:
@@ -105,7 +106,7 @@ async def test_a_put_with_no_time_to_wait_is_refused_by_a_full_channel_immediate
     await channel.put(b"first")
     with pytest.raises(st.ChannelFull):
         await channel.put(b"second", timeout=0)
-    assert (await adds_up(channel)).held == 1
+    assert (await consistent_stats(channel)).held == 1
 
 
 async def test_a_put_waits_until_an_item_from_the_future_is_old_enough(surface: Surface) -> None:
@@ -133,7 +134,7 @@ async def test_max_age_keeps_the_newest_bucket_of_a_quiet_stream(surface: Surfac
     items = await channel.get(st.NOW + "1s", st.NOW + "2s", match="start", timeout=0.15)
     assert not items  # only to let time pass
     assert [item.payload for item in await channel.get(st.OLDEST, st.NEWEST)] == [b"new"]
-    assert (await adds_up(channel)).collected["age"] == 1
+    assert (await consistent_stats(channel)).collected["age"] == 1
 
 
 async def test_a_producer_keeps_order_and_loses_nothing(surface: Surface) -> None:

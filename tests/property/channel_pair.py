@@ -115,12 +115,10 @@ class ChannelPair:
     waiting: list[Offer] = field(default_factory=list)
     all_subscriptions: list[tuple[AllCursor, OracleSubscription]] = field(default_factory=list)
     newest_subscriptions: list[tuple[NewestCursor, OracleNewest]] = field(default_factory=list)
-    skipped_before: dict[OracleNewest, int] = field(
-        default_factory=dict
-    )  # items that the cursors before a resumption skipped
-    may_count_more: set[OracleSubscription] = field(
-        default_factory=set
-    )  # the gaps of these subscriptions may count items that `start` excluded
+    # Items that the cursors before a resumption skipped.
+    skipped_before: dict[OracleNewest, int] = field(default_factory=dict)
+    # The gaps of these subscriptions may count items that `start` excluded.
+    may_count_more: set[OracleSubscription] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.core = ChannelCore(self.policy, incarnation=INCARNATION, name="pair", lost_before=self.lost_before)

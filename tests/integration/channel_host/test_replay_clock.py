@@ -274,10 +274,11 @@ def test_replayed_matches_begin_with_earlier_items_and_continue(rt: st.Connectio
     how: dict[str, Any] = {"tolerance": "15ms", "unique": unique, "start": pair.began + 20 * MS, "partial": True}
     with pair.group.match(pair.left, **how) as matches:
         live = [[item.payload for item in one.values()] for one in islice(matches, 4)]
+    # Items that come after the start of the match, with earlier times.
     for start, too_early in (
         (pair.end, 0),
         (pair.start, 2),
-    ):  # items that come after the start of the match, with earlier times
+    ):
         with rt.replay(start, speed=0) as replay, replay.group(pair.group.name).match(pair.left, **how) as matches:
             found = [[item.payload for item in one.values()] for one in matches]
             assert (matches.unmatched, matches.dropped, matches.reason, matches.losses) == (0, too_early, None, 0)

@@ -252,9 +252,8 @@ async def test_an_impossible_subscription_is_refused(rig: Rig, fields: dict[str,
 async def test_an_advance_is_reported_immediately_though_there_is_no_item_to_send(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        subscription, "PROGRESS_SECONDS", 1000.0
-    )  # the host sends no message only because time has passed
+    # The host sends no message only because time has passed.
+    monkeypatch.setattr(subscription, "PROGRESS_SECONDS", 1000.0)
     channel = await rig.open("advancing")
     reader = await Reader.of(channel)
     t = rig.now()

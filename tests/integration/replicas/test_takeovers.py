@@ -143,9 +143,8 @@ async def _queue_went_on(things: ClusterHandles, incarnation: int) -> None:
     letter = await things.dead.get(timeout=30)
     assert (letter.payload, letter.origin.queue, letter.origin.ended) == (b"poison", "jobs", "given_back")
     await letter.ack()
-    stats = await until(
-        things.jobs, lambda stats: stats.dead_lettered == 1
-    )  # `jobs` counts the letter only after the dead-letter queue has stored it
+    # `jobs` counts the letter only after the dead-letter queue has stored it.
+    stats = await until(things.jobs, lambda stats: stats.dead_lettered == 1)
     assert (things.jobs.incarnation, stats.held) == (incarnation, 0)
     assert (await things.dead.stats()).held == 0
 

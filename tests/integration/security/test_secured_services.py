@@ -178,9 +178,8 @@ def test_a_replica_of_a_queue_is_fed_only_by_the_owner_that_the_certificate_name
         assert error.startswith("PERMISSION_DENIED: client cam may not call MigrationService/FeedQueue")
         error = ask(address, cluster.tls_files("h9", Role.HOST), feed)
         assert error.startswith("PERMISSION_DENIED: host h9 of cluster local cannot act as host h1: its certificate")
-        error = ask(
-            address, cluster.tls_files("h1", Role.HOST), feed
-        )  # the certificate is right, but no replica is here
+        # The certificate is right, but no replica is here.
+        error = ask(address, cluster.tls_files("h1", Role.HOST), feed)
         assert error.startswith("FAILED_PRECONDITION: ")
         first.owner_host_id = b"short"
         assert ask(address, cluster.tls_files("h9", Role.HOST), feed).startswith("INVALID_ARGUMENT: ")

@@ -203,10 +203,11 @@ class Listeners:
                 OracleReader(pair.oracle, clock)
             for own in one.followed.values():
                 own.observe(clock)
+            # A reader keeps the keys of the items that it got.
             kept, c.oracle.held = (
                 c.oracle.held,
                 list(c.oracle.log.values()),
-            )  # a reader keeps the keys of the items that it got
+            )
             taken = one.core.take(one.has_passed, clock, 1000)
             wanted = one.oracle.take(1000 if one.oracle.last is None else len(taken))
             assert not one.oracle.is_overdue

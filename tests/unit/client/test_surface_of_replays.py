@@ -40,6 +40,7 @@ PAIRS = [
 ]
 SPECIAL = {"__getitem__", "__iter__", "__len__", "__next__", "__enter__", "__exit__", "__aenter__", "__aexit__"}
 OTHER_NAMES = {"begin": "it makes the subscription"}  # names without an underscore that only the client uses
+# Attributes of instances, which the tests of the handles use.
 ATTRIBUTES = {
     "skipped",
     "dropped",
@@ -47,7 +48,7 @@ ATTRIBUTES = {
     "unmatched",
     "multicast",
     "reconnects",
-}  # attributes of instances, which the tests of the handles use
+}
 
 
 def surface(kind: type) -> Iterator[tuple[str, list[str]]]:

@@ -62,9 +62,8 @@ def play(
     With a `network` of MACHINES namespaces every host and consumer has its own namespace.
     """
     context = multiprocessing.get_context("spawn")
-    namespaces: Sequence[NetworkNamespace | None] = (
-        [None, None] if network is None else network.namespaces[2:MACHINES]
-    )  # hosts come first
+    # Hosts come first.
+    namespaces: Sequence[NetworkNamespace | None] = [None, None] if network is None else network.namespaces[2:MACHINES]
     with running(hosts=2, network=network) as address, st.connect(address) as rt, ExitStack() as pools:
         channels = [
             rt.channel(name, max_age="60s", host=host.name)

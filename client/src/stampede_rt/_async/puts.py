@@ -92,9 +92,8 @@ class Puts:
                 if part is left:
                     raise
             except (Full, NotArchived):
-                if (
-                    part is left or monotonic_s() - asked_s < renew_s / 2
-                ):  # the host refused the put early: no put of this channel waits for room, or the disk fails
+                # The host refused the put early: no put of this channel waits for room, or the disk fails.
+                if part is left or monotonic_s() - asked_s < renew_s / 2:
                     raise
             renew_s = RENEW_S
 

@@ -53,9 +53,8 @@ class Taker:
         self._settler = Settler(session, locator, self._taker_id)
         self._mutex = Mutex()  # guards everything below
         self._waiting: deque[WaitingTake] = deque()
-        self._ready = PrefetchBuffer(
-            self._settler, self._give_back, f"{state.kind} {state.name!r}"
-        )  # at most `prefetch` messages
+        # At most `prefetch` messages.
+        self._ready = PrefetchBuffer(self._settler, self._give_back, f"{state.kind} {state.name!r}")
         self._stream: BidiStream[queue_pb.TakeResponse] | None = None
         self._credit = 0  # how many messages the host may still send
         self._draining = False  # whether the taker has asked the host to end the stream

@@ -93,9 +93,8 @@ class ArchivedMember:
         page = self.read_as_of(query, as_of)
         self._note(page)
         self._after = page[-1] if page else None
-        self.loaded_to = (
-            page[-1].time - 1 if page.more else MAX_INSTANT
-        )  # the next page may have more of the last bucket
+        # The next page may have more of the last bucket.
+        self.loaded_to = page[-1].time - 1 if page.more else MAX_INSTANT
         return list(zip(page.times, page.seqs, strict=True))
 
     def has_passed(self, instant: int, lateness_nanos: int) -> bool:

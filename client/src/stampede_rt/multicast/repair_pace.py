@@ -31,7 +31,7 @@ class RepairPace:
 
     def __init__(self, now_s: float) -> None:
         self.repairs = 0
-        self._heard_s = now_s
+        self._last_received_s = now_s
         self._looked_s: float | None = None
         self._missing_since_s: float | None = None
         self._vain = 0
@@ -45,12 +45,12 @@ class RepairPace:
         and this time does not count as silence of the host.
         """
         if self._looked_s is not None:
-            self._heard_s += max(0.0, now_s - self._looked_s - BEAT_S_MAX)
+            self._last_received_s += max(0.0, now_s - self._looked_s - BEAT_S_MAX)
         self._looked_s = now_s
 
     def note_message(self, now_s: float) -> None:
         """Note a message of the host."""
-        self._heard_s = now_s
+        self._last_received_s = now_s
 
     def got_items(self) -> None:
         """Note that items came by multicast, in time."""
@@ -79,13 +79,13 @@ class RepairPace:
         """Return the next step, and for RepairStep.WAIT the longest wait in seconds."""
         if self._has_ended:
             return RepairStep.REOPEN, 0.0
-        if now_s - self._heard_s > SILENT_S or self._vain > VAIN_REPAIRS_MAX:
+        if now_s - self._last_received_s > SILENT_S or self._vain > VAIN_REPAIRS_MAX:
             return RepairStep.LEAVE, 0.0
         if self._must_ask:
             return RepairStep.REPAIR, 0.0
         if not is_missing:
             self._missing_since_s = None
-            return RepairStep.WAIT, self._heard_s + SILENT_S - now_s + 0.01
+            return RepairStep.WAIT, self._last_received_s + SILENT_S - now_s + 0.01
         if self._missing_since_s is None:
             self._missing_since_s = now_s
         left_s = self._missing_since_s + REORDERED_S - now_s

@@ -53,7 +53,7 @@ class SocketCall(asyncio.BufferedProtocol):
         self._room: asyncio.Future[None] | None = None
         self._done: list[Callable[[Any], object]] = []
         self._loop = asyncio.get_running_loop()
-        self._heard_s = self._loop.time()
+        self._last_received_s = self._loop.time()
         self._watch: asyncio.TimerHandle | None = None
 
     @classmethod
@@ -85,7 +85,7 @@ class SocketCall(asyncio.BufferedProtocol):
 
     def buffer_updated(self, nbytes: int) -> None:
         """Take the received frames. While the program reads no messages, further messages wait at the host."""
-        self._heard_s = self._loop.time()
+        self._last_received_s = self._loop.time()
         try:
             frames = self._frames.take(self._buffer, nbytes) if self._tls is None else self._opened(self._tls, nbytes)
         except (InvalidArgument, SSLError) as error:
@@ -182,7 +182,7 @@ class SocketCall(asyncio.BufferedProtocol):
         _, body = self._received.popleft()
         self._unread_bytes -= len(body)
         if self._is_paused and self._unread_bytes <= UNREAD_BYTES_MAX and not self._is_over:
-            self._is_paused, self._heard_s = False, self._loop.time()
+            self._is_paused, self._last_received_s = False, self._loop.time()
             self._transport.resume_reading()
         return self._decoded(body)
 
@@ -228,7 +228,7 @@ class SocketCall(asyncio.BufferedProtocol):
 
     def _listen(self) -> None:
         """End the stream if the host has given no sign of life for too long."""
-        silence_s = 0.0 if self._is_paused else self._loop.time() - self._heard_s
+        silence_s = 0.0 if self._is_paused else self._loop.time() - self._last_received_s
         if silence_s >= SILENCE_S_MAX:
             self._end(silent(SILENCE_S_MAX))
         else:

@@ -39,7 +39,7 @@ __all__ = ["unlimited_time"]
 
 
 @asynccontextmanager
-async def begun_copy(one: Fed) -> AsyncIterator[tuple[CopyFeed, Any, list[tuple[int, int]]]]:
+async def copy_with_first_item(one: Fed) -> AsyncIterator[tuple[CopyFeed, Any, list[tuple[int, int]]]]:
     """Yield a replica that has the first item of `one`, its stream, and its answers.
 
     Each answer has the place that it reports, and the next seq of the replica at that moment.
@@ -74,11 +74,11 @@ async def test_an_item_goes_to_the_replica_before_the_owner_stores_it(monkeypatc
         written_before: list[int] = []
         store = Holdings.store
 
-        def noted(held: Holdings, *arguments: Any) -> None:
+        def note_and_store(held: Holdings, *arguments: Any) -> None:
             written_before.append(len(items_in(one.feed.written())))
             store(held, *arguments)
 
-        monkeypatch.setattr(Holdings, "store", noted)
+        monkeypatch.setattr(Holdings, "store", note_and_store)
         for count in (1, 2):
             written_before.clear()
             [item] = items_in(one.put())
@@ -108,7 +108,7 @@ async def test_the_replica_loses_collected_items_with_the_next_item_or_sign_of_l
 
 
 async def test_a_replica_answers_an_item_before_it_stores_it() -> None:
-    async with fed(takes_items=True) as one, begun_copy(one) as (copied, call, sent):
+    async with fed(takes_items=True) as one, copy_with_first_item(one) as (copied, call, sent):
         held: Any = copied._held()
         for seq in (2, 3):
             [item] = items_in(one.put())
@@ -123,7 +123,7 @@ async def test_a_replica_answers_an_item_before_it_stores_it() -> None:
 
 
 async def test_a_replica_refuses_an_item_without_a_producer() -> None:
-    async with fed(takes_items=True) as one, begun_copy(one) as (copied, call, sent):
+    async with fed(takes_items=True) as one, copy_with_first_item(one) as (copied, call, sent):
         [fed_item] = items_in(one.put())
         count = len(sent)
         with pytest.raises(InvalidArgument, match="an item without a producer"):
@@ -137,11 +137,11 @@ async def test_a_run_goes_to_the_replica_before_the_owner_stores_it(monkeypatch:
         written_before: list[int] = []
         store = Holdings.store
 
-        def noted(held: Holdings, *arguments: Any) -> None:
+        def note_and_store(held: Holdings, *arguments: Any) -> None:
             written_before.append(len(items_in(one.feed.written())))
             store(held, *arguments)
 
-        monkeypatch.setattr(Holdings, "store", noted)
+        monkeypatch.setattr(Holdings, "store", note_and_store)
         [item] = items_in(one.put(b"a", b"bc", b""))
         assert (item.item.seq, item.item.end_seq, item.item.length) == (2, 5, 3)
         assert (one.hosted.core.next_seq, written_before[0]) == (5, 1)
@@ -151,7 +151,7 @@ async def test_a_run_goes_to_the_replica_before_the_owner_stores_it(monkeypatch:
 
 
 async def test_a_replica_answers_a_run_before_it_stores_it() -> None:
-    async with fed(takes_items=True, takes_runs=True) as one, begun_copy(one) as (copied, call, sent):
+    async with fed(takes_items=True, takes_runs=True) as one, copy_with_first_item(one) as (copied, call, sent):
         held: Any = copied._held()
         for offsets in ((), (5, 3, 4)):  # without times, and with times after the newest item
             seq, newest, granted = one.hosted.core.next_seq, one.hosted.core.newest, copied._granted
@@ -163,17 +163,20 @@ async def test_a_replica_answers_a_run_before_it_stores_it() -> None:
             assert sent[-1] == (seq + 3, seq), "the answer comes before the storing"
             assert held.channel.next_seq == seq + 3
             assert copied._granted - granted == 3 + 3 * ITEM_OVERHEAD_BYTES
-        mine, its = held.channel.counters(0), one.hosted.core.counters(0)
-        assert (mine.accepted, mine.accepted_bytes) == (its.accepted, its.accepted_bytes)
+        copied_counts, owner_counts = held.channel.counters(0), one.hosted.core.counters(0)
+        assert (copied_counts.accepted, copied_counts.accepted_bytes) == (
+            owner_counts.accepted,
+            owner_counts.accepted_bytes,
+        )
         for first_number in (2, 5):
-            here = held.channel.owner_facts.window.find(7, first_number, 3, 0)
-            there = one.hosted.puts.retries.find(7, first_number, 3, 0)
-            assert here[:-1] == there[:-1], "only the clocks differ"
+            at_copy = held.channel.owner_facts.window.find(7, first_number, 3, 0)
+            at_owner = one.hosted.puts.retries.find(7, first_number, 3, 0)
+            assert at_copy[:-1] == at_owner[:-1], "only the clocks differ"
 
 
 @pytest.mark.parametrize("field", ["seq", "items", "length"])
 async def test_a_replica_refuses_a_run_that_disagrees_with_its_items(field: str) -> None:
-    async with fed(takes_items=True, takes_runs=True) as one, begun_copy(one) as (copied, call, sent):
+    async with fed(takes_items=True, takes_runs=True) as one, copy_with_first_item(one) as (copied, call, sent):
         [fed_item] = items_in(one.put(b"a", b"bc"))
         count = len(sent)
         wrong = fed_item.item._replace(**{field: getattr(fed_item.item, field) + 1})
@@ -182,7 +185,7 @@ async def test_a_replica_refuses_a_run_that_disagrees_with_its_items(field: str)
         assert len(sent) == count
 
 
-async def test_the_runs_that_come_while_the_replica_lacks_one_go_out_together() -> None:
+async def test_while_the_replica_lacks_a_run_the_owner_collects_the_next_runs_and_sends_them_together() -> None:
     async with fed(takes_items=True, takes_runs=True) as one:
         begin(one)
         assert len(items_in(one.put(b"a", b"b"))) == 1
@@ -196,7 +199,7 @@ async def test_the_runs_that_come_while_the_replica_lacks_one_go_out_together() 
 
 
 @pytest.mark.parametrize("transport", ["grpc", "socket"])
-async def test_the_owner_tells_its_replica_and_readers_of_all_runs_of_a_request_together(
+async def test_the_replica_and_the_readers_learn_of_all_runs_of_a_request_together(
     monkeypatch: pytest.MonkeyPatch, transport: str
 ) -> None:
     async with fed(takes_items=True, takes_runs=True) as one:
@@ -206,11 +209,11 @@ async def test_the_owner_tells_its_replica_and_readers_of_all_runs_of_a_request_
         next_seqs: list[int] = []
         accepted = replication.accepted
 
-        def noted(now: int) -> None:
+        def note_and_accept(now: int) -> None:
             next_seqs.append(one.hosted.core.next_seq)
             accepted(now)
 
-        monkeypatch.setattr(replication, "accepted", noted)
+        monkeypatch.setattr(replication, "accepted", note_and_accept)
         count = len(one.feed.written())
         runs = [run_of(b"a", b"b", number=2), run_of(b"c", b"d", number=4), run_of(b"e", b"f", number=6)]
         request = channel_pb.PutRequest(
@@ -277,7 +280,7 @@ async def test_a_replica_that_has_got_an_item_which_the_owner_could_not_store_be
         await pauses()
 
 
-async def test_a_replica_begins_anew_again_if_its_feed_breaks_before_it_has_done_so(
+async def test_if_the_feed_breaks_before_a_replica_has_begun_anew_the_next_feed_begins_anew(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """In an earlier version, the owner had then forgotten that the replica must begin anew.
@@ -304,9 +307,8 @@ async def test_a_replica_begins_anew_again_if_its_feed_breaks_before_it_has_done
             feed = await held_stream(sockets, "/stampede_rt.v1.ReplicaService/Feed")
             feed.send(pb.FeedRequest(open=opening, credit_bytes=2**20, sent_nanos=1).SerializeToString())
             await pauses()
-            for (
-                change
-            ) in replication.changes():  # the directory notes that the replica is out of sync, or in sync again
+            # The directory notes that the replica is out of sync, or in sync again.
+            for change in replication.changes():
                 replication.confirm(change)
             [opened, *_] = parts_in(await feed.until_written(1))
             assert opened.fields.opened.begins_anew

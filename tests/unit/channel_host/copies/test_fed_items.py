@@ -15,9 +15,8 @@ from stampede_rt_channel_host.copies.fed_responses import read_response
 from stampede_rt_channel_host.core.channel import FedItem, NewFloor, NewItem
 
 instants, counts = strategies.integers(-(2**63), 2**63 - 1), strategies.integers(1, 2**64 - 1)
-bodies = strategies.builds(
-    bytes, strategies.sampled_from([13, 200, 100_000])
-)  # a stored run has at least a length and a seq
+# A stored run has at least a length and a seq.
+bodies = strategies.builds(bytes, strategies.sampled_from([13, 200, 100_000]))
 items = strategies.builds(NewItem, counts, strategies.just(0) | counts, counts, instants, instants,
                     strategies.integers(0, 2**32 - 1), strategies.booleans(), instants, bodies, strategies.just(""),
                     strategies.sampled_from([1, 2, 256, 2**32 - 1]))  # fmt: skip

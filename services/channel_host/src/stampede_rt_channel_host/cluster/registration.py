@@ -182,9 +182,8 @@ class Registration:
         try:
             await self._supernodes.call("DeregisterHost", request, LEAVE_SECONDS_MAX)
         except StampedeError as error:
-            level = (
-                logging.WARNING if self._lease.ttl_nanos else logging.DEBUG
-            )  # a host that never entered has nothing to leave
+            # A host that never entered has nothing to leave.
+            level = logging.WARNING if self._lease.ttl_nanos else logging.DEBUG
             logger.log(
                 level,
                 "left without deregistering",
@@ -274,9 +273,8 @@ class Registration:
             )
         self._epoch.note_registered()
         await self._note_cluster(response)
-        await self._on_registered(
-            response
-        )  # before the grant, so that the host serves no channel that another host owns
+        # Before the grant, so that the host serves no channel that another host owns.
+        await self._on_registered(response)
         self._grant(sent, response.lease_ttl_nanos)
         self._note_registered(len(response.channels))
 

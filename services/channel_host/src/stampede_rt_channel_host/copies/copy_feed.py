@@ -69,7 +69,7 @@ class CopyFeed:
         self._sent_nanos = 0  # the copy's clock in the last request
         self._reported_seq = 0  # the last request has said that this host holds all items before this seq
         self._wakeup = asyncio.Event()
-        self._heard_s = 0.0  # when the last message of the source came
+        self._last_received_s = 0.0  # when the last message of the source came
         self._owes_request = False  # after this message of the source, a request is due immediately
         self._turn = asyncio.Lock()  # taken while a request is written
         self._may_grant_s = 0.0  # the time at which the copy may grant more, because of `bytes_per_second`
@@ -93,7 +93,8 @@ class CopyFeed:
         try:
             async with asyncio.timeout(BROKEN_AFTER_SECONDS):
                 await call.write(self._request(self._opening(source)))
-            self._heard_s = asyncio.get_running_loop().time()  # not earlier: the connection may have taken seconds
+            # Not earlier: the connection may have taken seconds.
+            self._last_received_s = asyncio.get_running_loop().time()
             async with asyncio.TaskGroup() as sides:
                 writing = sides.create_task(self._write_all(call.write))
                 await self._read_all(call, source)
@@ -155,7 +156,7 @@ class CopyFeed:
             with suppress(TimeoutError):
                 async with asyncio.timeout(min(self._period_s, wait_s) if wait_s > 0 else self._period_s):
                     await self._wakeup.wait()
-            if asyncio.get_running_loop().time() - self._heard_s > BROKEN_AFTER_SECONDS:
+            if asyncio.get_running_loop().time() - self._last_received_s > BROKEN_AFTER_SECONDS:
                 raise TimeoutError
             async with asyncio.timeout(BROKEN_AFTER_SECONDS), self._turn:
                 await write(self._next_request())
@@ -173,7 +174,7 @@ class CopyFeed:
     async def _read_all(self, call: Any, source: FeedSource) -> None:
         loop = asyncio.get_running_loop()
         while isinstance(response := await call.read(), FedResponse | FedItem):
-            self._heard_s = loop.time()
+            self._last_received_s = loop.time()
             await self._take(response)
             if isinstance(response, FedResponse) and response.fields.move_over:
                 return
@@ -192,7 +193,7 @@ class CopyFeed:
             return self._take_item_in_same_turn(call, response)
         if response.fields.HasField("opened") or len(response.runs) > RUNS_PER_TURN or self._turn.locked():
             return False
-        self._heard_s = asyncio.get_running_loop().time()
+        self._last_received_s = asyncio.get_running_loop().time()
         self._follow(response.fields)
         state, write = response.fields.state, call.write_now
         is_new = self._owner_facts and self._state.caught_up and state.next_seq != self._reported_seq
@@ -208,7 +209,7 @@ class CopyFeed:
         write = None if self._turn.locked() else call.write_now
         if write is None or not self._state.caught_up or self._granted >= self._grant_bytes:
             return False
-        self._heard_s = asyncio.get_running_loop().time()
+        self._last_received_s = asyncio.get_running_loop().time()
         self._store_item(fed, partial(write, encode_answer(fed.item.end_seq)) if self._owner_facts else None)
         return True
 

@@ -53,7 +53,7 @@ class FeedStream:
         self._wakeup = asyncio.Event()
         self._credit = Credit(self._wakeup.set)
         self._writer = FeedWriter(context, self._credit)
-        self._heard_s = time.monotonic()  # when this host got the last request
+        self._last_received_s = time.monotonic()  # when this host got the last request
         self._held_next_seq = 0  # the copy has reported the items before this seq
         self._send_in_this_turn: Callable[[], bool] | None = None  # while the feed waits for a change, and has no move
         self._is_scheduled = False  # whether the event loop sends the next part to a proxy in its next turn
@@ -237,7 +237,7 @@ class FeedStream:
             self._replication.receive_report(self._host_id, self, min(next_seq, self._feed.next_seq))
 
     def _take(self, request: pb.FeedRequest, hosted: HostedChannel, copy: FedCopy) -> None:
-        self._responses.heard_nanos, self._heard_s = request.sent_nanos, time.monotonic()
+        self._responses.heard_nanos, self._last_received_s = request.sent_nanos, time.monotonic()
         self._credit.grant(request.credit_bytes)
         copy.report(request.subscriptions, ready=request.ready)
         if self._move is not None and self._move.step(request):
@@ -299,7 +299,7 @@ class FeedStream:
 
     def _check_destination(self, hosted: HostedChannel) -> None:
         """End the feed of a move whose destination is silent, so that the channel can move to another host."""
-        if self._move is not None and time.monotonic() - self._heard_s > SILENT_SECONDS_MAX:
+        if self._move is not None and time.monotonic() - self._last_received_s > SILENT_SECONDS_MAX:
             raise Unavailable(
                 f"the host that takes over channel {hosted.record.name} was silent for {SILENT_SECONDS_MAX:g} s; move "
                 "the channel again"

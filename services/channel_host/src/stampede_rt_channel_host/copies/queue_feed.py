@@ -49,10 +49,10 @@ class QueueFeedStream:
         self._target = target
         self._wakeup = asyncio.Event()
         self._sent_record = b""
-        self._held_step = 0  # the replica has reported the steps before this one
-        self._heard_s = 0.0  # loop time of the last answer of the replica
+        self._held_step = 0  # the replica has reported that it has all steps before this one
+        self._last_received_s = 0.0  # the loop time of the last answer of the replica
         self._waiting_call: HostStream | None = None  # while the feed waits for a step
-        self._failure: Exception | None = None  # an error outside of the feed's tasks, which ends the feed
+        self._failure: Exception | None = None  # an error of a call from outside of the feed's tasks; it ends the feed
         self._ahead: SentAhead | None = None  # if the replica takes puts before the queue stores them
         self.next_step = replication.journal.next_step
 
@@ -110,9 +110,9 @@ class QueueFeedStream:
                 await self._begin(call, place)
                 await self._send_steps(call)
         except BaseExceptionGroup as group:
-            raise self._plain(first_failure(group)) from group
+            raise self._as_stampede_error(first_failure(group)) from group
         except (grpc.RpcError, asyncio.InvalidStateError, TimeoutError, DecodeError) as error:
-            raise self._plain(error) from error
+            raise self._as_stampede_error(error) from error
         finally:
             self._replication.discard(self._host_id, self)
             call.cancel()
@@ -168,26 +168,30 @@ class QueueFeedStream:
             return False
         if not place.next_step or place.incarnation != hosted.queue.incarnation:
             return False
+        # A copy of a former owner continues only if that owner was the last one before this owner, and if the copy has
+        # no steps that the former owner made after this owner had taken over.
         since = replication.since_epoch
-        is_later = place.owner_epoch + 1 < since or place.next_step > replication.start
-        if place.owner_epoch < since and is_later:
+        is_beyond = place.owner_epoch + 1 < since or place.next_step > replication.start
+        if place.owner_epoch < since and is_beyond:
             return False
         steps = replication.journal.steps_from(place.next_step, JOURNAL_BYTES_MAX)
         return steps is not None and (place.takes_changes or not any(one.has_changes for one in steps))
 
     async def _send_steps(self, call: Any) -> None:
         owes_sign = True  # after REQUEST_SECONDS without a step the owner owes the replica a sign of life
-        self._heard_s = asyncio.get_running_loop().time()
+        self._last_received_s = asyncio.get_running_loop().time()
         while True:  # until an error ends the stream, or the caller cancels it
             if self._failure is not None:
                 raise self._failure
-            if asyncio.get_running_loop().time() - self._heard_s > ANSWER_SECONDS_MAX:
+            if asyncio.get_running_loop().time() - self._last_received_s > ANSWER_SECONDS_MAX:
                 raise TimeoutError
             self._wakeup.clear()
             steps = self._replication.journal.steps_from(self.next_step, PART_BYTES)
             if steps is None:
                 name = display_name(self._hosted.record)
-                raise Overloaded(f"a replica of queue {name} cannot catch up: it lacks steps that are dropped")
+                raise Overloaded(
+                    f"a replica of queue {name} cannot catch up: it lacks steps that the owner has dropped"
+                )
             steps = steps[:STEPS_PER_REQUEST]
             parts = [part for step in steps for part in step_parts(step, self._now())]
             if sum(part.ByteSize() for part in parts) > PART_BYTES:  # the other host takes messages of 2 * PART_BYTES
@@ -197,19 +201,19 @@ class QueueFeedStream:
                 await self._write(call, self._request(parts=parts))
             if steps:
                 self.next_step = steps[-1].number + 1
-            owes_sign = not steps and await self._is_silent(call)
+            owes_sign = not steps and not await self._wait_for_step(call)
 
-    async def _is_silent(self, call: Any) -> bool:
-        """Wait for a step that is not sent immediately, for REQUEST_SECONDS at most. Returns whether none came."""
+    async def _wait_for_step(self, call: Any) -> bool:
+        """Wait for a step that `wake` does not send itself, for REQUEST_SECONDS at most. Returns whether one came."""
         self._waiting_call = call if isinstance(call, HostStream) else None
         try:
             async with asyncio.timeout(REQUEST_SECONDS):
                 await self._wakeup.wait()
         except TimeoutError:
-            return True
+            return False
         finally:
             self._waiting_call = None
-        return False
+        return True
 
     def _send_now(self, call: HostStream) -> bool:
         """Send the new step if the replica has all earlier ones, and the transport takes it immediately."""
@@ -231,23 +235,23 @@ class QueueFeedStream:
 
     async def _read(self, call: Any) -> None:
         while True:  # until an error ends the stream, or the caller cancels it
-            self._take(self._next_step_of(await call.read()))  # `_send_steps` notices a silent replica
+            self._note_answer(self._next_step_of(await call.read()))  # `_send_steps` notices a silent replica
             if isinstance(call, HostStream):
                 call.answer_in_same_turn(self._take_in_same_turn)
 
     def _take_in_same_turn(self, response: object) -> bool:
         """Take an answer in the turn of the event loop in which it comes, because callers wait for it."""
-        self._take(self._next_step_of(response))
+        self._note_answer(self._next_step_of(response))
         return True
 
-    def _take(self, next_step: int) -> None:
-        self._heard_s = asyncio.get_running_loop().time()
+    def _note_answer(self, next_step: int) -> None:
+        self._last_received_s = asyncio.get_running_loop().time()
         if next_step:
             self._held_step = next_step
             self._replication.report(self._host_id, self, next_step)
 
-    def _plain(self, error: BaseException) -> BaseException:
-        """The product's error for a broken stream; any other error stays as it is."""
+    def _as_stampede_error(self, error: BaseException) -> BaseException:
+        """The StampedeError for the error of a broken stream; any other error unchanged."""
         if isinstance(error, grpc.RpcError):
             return from_rpc_error(error, self._target)
         if isinstance(error, DecodeError):

@@ -124,9 +124,8 @@ class QueueReplication(OwnedReplicas[QueueFeed]):
         """Note that the replica at the end of this feed has all steps before `next_place`."""
         if self._feeds.get(host_id) is feed:
             self.reports[host_id] = self._steady_nanos(), min(next_place, self.journal.next_step)
-            self.diverged_host_ids.discard(
-                host_id
-            )  # it has begun anew: the feed of a diverged replica does not continue
+            # A diverged replica that reports steps has begun anew: its feed does not continue.
+            self.diverged_host_ids.discard(host_id)
         super().report(host_id, feed, next_place)
 
     def release(self) -> None:

@@ -95,12 +95,13 @@ def test_an_event_has_fifteen_frames_for_each_text_item() -> None:
         if due is not None:
             follower.begin(due.cut)
             counts.append(len(times([one.slice for one in follower.take(clock, 10**6).slices])))
+    # A frame with the time of the text comes with the next event.
     assert counts == [
         14,
         15,
         15,
         15,
-    ]  # a frame with the time of the text comes with the next event
+    ]
 
 
 def put_at(into: ChannelCore, time: int, clock: int) -> None:

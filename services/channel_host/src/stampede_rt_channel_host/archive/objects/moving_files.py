@@ -97,9 +97,8 @@ class MovingFiles(SegmentFiles):
         self.stored.note_epoch(self._epoch)
         local = self._local()
         closed = local if self._file is None else local[:-1]
-        self.waiting = tuple(
-            one for one in closed if self.stored.file_of(one.number).exists()
-        )  # False: somebody removed the file
+        # False: somebody removed the file.
+        self.waiting = tuple(one for one in closed if self.stored.file_of(one.number).exists())
 
     def _local(self) -> tuple[Segment, ...]:
         """The segments in the folder. They are the last ones, because segments move in order."""

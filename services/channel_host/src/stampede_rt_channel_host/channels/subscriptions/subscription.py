@@ -112,9 +112,8 @@ class Subscription(ChangeObserver):
             else:
                 await files_came(self._hosted, opening, self._store.now())
                 cursor = await self._store.scheduler.do(open_cursor(self._hosted, opening, self._store.now()))
-                self._store.find_readable(
-                    opening.channel_id, opening.epoch, Freshness()
-                )  # the channel may have left the host meanwhile
+                # The channel may have left the host meanwhile.
+                self._store.find_readable(opening.channel_id, opening.epoch, Freshness())
                 with self._multicast.joined(self._store.multicasts, self._hosted, opening):
                     await self._serve(cursor, opening)
         finally:

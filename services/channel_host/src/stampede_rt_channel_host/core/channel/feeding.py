@@ -178,9 +178,8 @@ class ChannelFeed:
         """
         before = self.next_seq
         owner = None if self.owner is None else self.owner.take(now)
-        has_runs = (
-            self.owner is None or self.owner.is_caught_up
-        )  # the copy must know the runs of the items that it gets
+        # The copy must know the runs of the items that it gets.
+        has_runs = self.owner is None or self.owner.is_caught_up
         batch = self._source.since(self._cursor, now, limit_bytes if has_runs else 0)
         held = self._source.held
         collection: CollectionFacts | None = collection_of(held)

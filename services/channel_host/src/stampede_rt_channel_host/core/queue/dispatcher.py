@@ -119,9 +119,8 @@ class Dispatcher:
         self._queue_items = queue_items
         self._queue_leases = queue_leases
         self._line: OrderedDict[TakerState, None] = OrderedDict()
-        self._cursors: OrderedDict[int, TakerCursor] = (
-            OrderedDict()
-        )  # taker id -> cursor, the least recently used first
+        # Taker id -> cursor, the least recently used first.
+        self._cursors: OrderedDict[int, TakerCursor] = OrderedDict()
         self.batches: list[tuple[TakerState, Batch]] = []
         self.is_paused = self.has_more = False
         self._left = ITEMS_DISPATCHED_MAX  # how many messages this call of the queue may still give to takers

@@ -48,7 +48,8 @@ def check_update_queue(operation: UpdateQueue) -> None:
 def open_queue(tables: Tables, operation: OpenQueue) -> QueueOpened:
     """Get or create a queue.
 
-    A queue whose owner's lease has ended gets a new owner, epoch and incarnation. Its messages are lost.
+    A queue whose owner's lease has ended gets a new owner, epoch and incarnation. Its messages are lost. Raises
+    QUEUE_NOT_FOUND, QUEUE_EXISTS, InvalidName, InvalidArgument, Overloaded, or the errors of the choice of a host.
     """
     check_open_queue(operation)
     queue = tables.queues.named(operation.name)
@@ -147,7 +148,10 @@ def _bad_dead_letter(queue: str, what: str) -> InvalidArgument:
 
 
 def update_queue(tables: Tables, operation: UpdateQueue) -> QueueUpdated:
-    """Change the stated fields of a queue's policy. The other fields stay."""
+    """Change the stated fields of a queue's policy. The other fields stay.
+
+    Raises QUEUE_NOT_FOUND, StaleBinding, or InvalidArgument for an impossible policy.
+    """
     check_update_queue(operation)
     queue = queue_by_id(tables, operation.queue_id)
     check_queue_epoch(queue, operation.epoch)
