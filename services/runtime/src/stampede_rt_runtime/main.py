@@ -92,7 +92,7 @@ R = TypeVar("R")
 
 
 def run_loop(work: Awaitable[R]) -> R:
-    """Run `work` to its end on a new event loop, of uvloop if it is installed."""
+    """Run `work` to its end on a new event loop. If uvloop is installed, this is an event loop of uvloop."""
 
     async def whole() -> R:
         return await work

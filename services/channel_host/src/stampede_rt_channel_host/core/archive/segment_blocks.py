@@ -58,10 +58,12 @@ class SegmentBlocks(Sequence[PlacedBlock]):
         # at equal times the order of the file is the order of the seqs, and sorting keeps it
         self._by_low = array("I", sorted(range(len(lows)), key=lows.__getitem__))
         self._low_times = array("q", (lows[at] for at in self._by_low))
-        self._reach = array("q", accumulate((highs[at] for at in self._by_low), max))  # up to this block
+        # The greatest time of each block of `_by_low` and all blocks before it.
+        self._reach = array("q", accumulate((highs[at] for at in self._by_low), max))
         self._by_high = array("I", sorted(range(len(highs)), key=highs.__getitem__))
         self._high_times = array("q", (highs[at] for at in self._by_high))
-        self._least = array("q", accumulate((lows[at] for at in reversed(self._by_high)), min))  # from this block on
+        # The least time of each block of `_by_high` and all blocks after it.
+        self._least = array("q", accumulate((lows[at] for at in reversed(self._by_high)), min))
         self._least.reverse()
         self._accepted = array("q", accumulate(columns.accepted, max))
         pairs = zip(columns.end_seqs, columns.first_seqs[1:], strict=False)
@@ -155,9 +157,8 @@ class SegmentBlocks(Sequence[PlacedBlock]):
 
     @property
     def lost_before(self) -> int | None:
-        """The instant before which the former owner was lost with items, if a gap before all items says so.
-
-        A later gap may withdraw this, because the former owner had stopped cleanly after all.
+        """The instant before which the former owner was lost with items. None: no gap before all items records such a
+        loss, or a later gap records that there was none, because the host learned later of the clean stop.
         """
         places = self._columns.places
         first = (self[at].head for at in range(places[0] if places else len(self)))
