@@ -126,17 +126,17 @@ def complaints() -> list[str]:
         ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT, check=True, capture_output=True, text=True,
     ).stdout.splitlines()  # fmt: skip
-    there = [file for file in files if (ROOT / file).exists()]
-    pages = {file: (ROOT / file).read_text() for file in there if file.endswith(".md")}
+    existing = [file for file in files if (ROOT / file).exists()]
+    pages = {file: (ROOT / file).read_text() for file in existing if file.endswith(".md")}
     lines = [
         f"{page} names {name}, which does not exist; correct the name"
         for page in sorted(pages.keys() - REPORTS)
-        for name in unknown_names(pages[page], there)
+        for name in unknown_names(pages[page], existing)
     ]
     if len(pages[WAY].splitlines()) > WAY_LINES_MAX:
         lines.append(f"{WAY} has more than {WAY_LINES_MAX} lines; shorten it, because a newcomer reads all of it")
     page = pages[PICTURE_PAGE]
-    lines += [f"the map of {PICTURE_PAGE} lacks {folder}/; add a line" for folder in unmapped_folders(page, there)]
+    lines += [f"the map of {PICTURE_PAGE} lacks {folder}/; add a line" for folder in unmapped_folders(page, existing)]
     if with_layers(page, layers(_contracts())) != page:
         lines.append(f"the layers in {PICTURE_PAGE} differ from pyproject.toml; run: make stubs")
     lines += merge_complaints(pages)

@@ -59,17 +59,18 @@ def network() -> Iterator[NamespaceNetwork]:
         yield made
 
 
-def blocks_of(route: dict[str, list[int]], machines: list[Machine]) -> Iterator[tuple[Machine, str]]:
+def blocks_of(chapters: dict[str, list[int]], machines: list[Machine]) -> Iterator[tuple[Machine, str]]:
     """Every block of these chapters: its machine, and its text with the addresses of the namespaces."""
-    chapters = re.split(r"^## (.*)\n", PAGE.read_text(), flags=re.MULTILINE)
-    texts = dict(zip(chapters[1::2], chapters[2::2], strict=True))
-    for title, numbers in route.items():
+    split_page = re.split(r"^## (.*)\n", PAGE.read_text(), flags=re.MULTILINE)
+    texts = dict(zip(split_page[1::2], split_page[2::2], strict=True))
+    for title, numbers in chapters.items():
         for number, text in zip(numbers, re.split(f"(?={SECOND})", texts[title]), strict=True):
             for block in re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
-                yield machines[number], here(block, machines)
+                yield machines[number], with_addresses(block, machines)
 
 
-def here(block: str, machines: list[Machine]) -> str:
+def with_addresses(block: str, machines: list[Machine]) -> str:
+    """The block with the addresses of the namespaces, and with `cp` in place of `scp`."""
     if "scp " in block:
         block = re.sub(r"'?10\.0\.0\.11:([^\s']+)'?", rf"{machines[0].home}/\1", block.replace("scp ", "cp "))
     for number, machine in enumerate(machines):
@@ -86,17 +87,17 @@ def machines(network: NamespaceNetwork, tmp_path: Path) -> list[Machine]:
 
 
 @pytest.mark.parametrize(
-    ("route", "sentence"),
+    ("chapters", "sentence"),
     [(WITH_SECRET, "hello from the second machine"), (WITH_CERTIFICATES, "client-laptop.pem")],
     ids=["secret", "certificates"],
 )
 def test_the_recipe_for_two_machines_works_as_it_stands(
-    route: dict[str, list[int]], sentence: str, machines: list[Machine], monkeypatch: pytest.MonkeyPatch
+    chapters: dict[str, list[int]], sentence: str, machines: list[Machine], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     services: list[ServiceProcess] = []
     printed = ""
     try:
-        for machine, block in blocks_of(route, machines):
+        for machine, block in blocks_of(chapters, machines):
             words = shlex.split(block.replace("\\\n", "").replace("certs/", f"{machine.home}/certs/"))
             if words[0] == "stampede" and words[1] in MODULES:
                 services.append(start(machine, words, monkeypatch))
@@ -130,7 +131,7 @@ def start(machine: Machine, words: list[str], monkeypatch: pytest.MonkeyPatch) -
         (("--listen", "localhost:0", "--allow-insecure-anywhere"), "which only its own machine can call, and"),
     ],
 )
-def test_a_host_that_others_cannot_call_or_only_without_certificates_does_not_register(
+def test_a_host_whose_address_others_cannot_call_or_must_not_call_without_certificates_does_not_register(
     network: NamespaceNetwork, words: tuple[str, ...], expected: str
 ) -> None:
     front, own = network.namespaces
@@ -143,19 +144,21 @@ def test_a_host_that_others_cannot_call_or_only_without_certificates_does_not_re
     assert expected.format(own=own.address) in host.last_lines[-1]
 
 
-def test_a_front_end_tells_callers_elsewhere_that_the_supernodes_cannot_be_called(network: NamespaceNetwork) -> None:
-    here, elsewhere = network.namespaces
-    supernode = ServiceProcess("s", MODULES["supernode"], ["--listen", "localhost:0"], namespace=here)
+def test_callers_at_another_machine_get_the_reason_why_they_cannot_call_the_supernodes(
+    network: NamespaceNetwork,
+) -> None:
+    own, other = network.namespaces
+    supernode = ServiceProcess("s", MODULES["supernode"], ["--listen", "localhost:0"], namespace=own)
     try:
         supernode.start()
         supernode.wait_ready(READY_SECONDS)
-        words = ["--listen", f"{here.address}:0", "--supernodes", supernode.address, "--allow-insecure-anywhere"]
-        frontend = ServiceProcess("f", MODULES["frontend"], words, namespace=here)
+        words = ["--listen", f"{own.address}:0", "--supernodes", supernode.address, "--allow-insecure-anywhere"]
+        frontend = ServiceProcess("f", MODULES["frontend"], words, namespace=own)
         frontend.start()
         frontend.wait_ready(READY_SECONDS)
         command = [sys.executable, "-m", "stampede_rt.cli", "ls", "--url", frontend.address]
-        done = subprocess.run(elsewhere.command(*command), capture_output=True, text=True, timeout=30)
-        frontend_side = subprocess.run(here.command(*command), capture_output=True, text=True, timeout=30)
+        done = subprocess.run(other.command(*command), capture_output=True, text=True, timeout=30)
+        frontend_side = subprocess.run(own.command(*command), capture_output=True, text=True, timeout=30)
         frontend.stop()
     finally:
         supernode.stop()

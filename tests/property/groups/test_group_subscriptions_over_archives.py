@@ -49,7 +49,7 @@ class World:
         return Horizon(self.cut, lambda: "no channel holds the cut back")
 
     def put_some(self) -> None:
-        """Some puts, in order or late; perhaps a later cut, and a write of the archive."""
+        """Put some items, in order or late. Perhaps write to the archive, and advance the cut."""
         for _ in range(self.draw.randrange(1, 12)):
             self.now += self.draw.choice([0, 0, 1, 1, 2, 3])
             time = max(0, self.now - self.draw.choice([0, 0, 0, 0, 1, 2, 5]))
@@ -117,8 +117,8 @@ def test_a_group_subscription_counts_the_items_that_the_limits_of_the_archive_re
     assert found + place.dropped == now
 
 
-def test_a_group_subscription_tells_that_the_archive_lacks_a_late_item() -> None:
-    """In an earlier version it told only of lacks after the last cut, and left this item out without a gap."""
+def test_a_group_subscription_counts_a_late_item_that_the_archive_lacks_as_dropped() -> None:
+    """In an earlier version it counted only missing items after the last cut, and left this item out without a gap."""
     small = ArchivedChannel(Policy(max_items=2), runs_per_block=1, blocks_per_segment=1)
 
     def put(*times: int) -> None:

@@ -135,7 +135,7 @@ class MulticastSubscription(Subscription):
         if self._session.closed:  # a step must read the stream again: this raises the error
             self._reopen()
             return
-        receiving.pace.looks(now_s)
+        receiving.pace.note_look(now_s)
         if items := receiving.take(socket.poll(), now_s):
             self._add(items, receiving)
             sleep(0)  # if datagrams come faster than the program takes them, other tasks have turns, too

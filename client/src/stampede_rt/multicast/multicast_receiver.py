@@ -50,7 +50,7 @@ class MulticastReceiver:
         self.take_datagrams(datagrams, now_s)
         items = self.merge.take()
         if items:
-            self.pace.got_items()
+            self.pace.note_items()
             self._assembler.forget_before(self.merge.next_seq)
         return items
 
@@ -73,7 +73,7 @@ class MulticastReceiver:
     def _reject(self, rejected: RejectReason, now_s: float) -> None:
         self._counts[rejected.value] += 1
         if rejected is RejectReason.OTHER_KEY:
-            self.pace.ask_for_key(now_s)
+            self.pace.note_other_key(now_s)
 
     def _take_part(self, part: MessagePart, now_s: float) -> None:
         self._counts["datagrams"] += 1
@@ -105,5 +105,5 @@ class MulticastReceiver:
         self._last_beat = beat
         self.merge.announce(message.first_seq)
         if message.kind is MessageKind.END:
-            self.pace.ended()
+            self.pace.note_end()
         return True

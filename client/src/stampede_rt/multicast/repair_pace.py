@@ -9,9 +9,9 @@ BEAT_S_MAX = 1.0  # a host without new items sends a heartbeat at least this oft
 SILENT_S = 3.5 * BEAT_S_MAX  # after this time without a message, datagrams do not reach the reader any more
 # After this many repairs in a row without an item by multicast, the network or the reader counts as too slow for
 # multicast.
-VAIN_REPAIRS_MAX = 64
-# A reader asks for a new key at most once in this time, because anybody can send datagrams that name another key.
-KEY_ASKED_S = 1.0
+REPAIRS_WITHOUT_ITEM_MAX = 64
+# A reader requests a new key at most once in this time, because anybody can send datagrams that name another key.
+KEY_REQUEST_S = 1.0
 
 
 class RepairStep(Enum):
@@ -34,11 +34,11 @@ class RepairPace:
         self._last_received_s = now_s
         self._looked_s: float | None = None
         self._missing_since_s: float | None = None
-        self._vain = 0
-        self._key_asked_s = now_s - KEY_ASKED_S
-        self._must_ask = self._has_ended = False
+        self._repairs_without_item = 0
+        self._key_requested_s = now_s - KEY_REQUEST_S
+        self._needs_key = self._has_ended = False
 
-    def looks(self, now_s: float) -> None:
+    def note_look(self, now_s: float) -> None:
         """Note that the reader looks for datagrams.
 
         A waiting reader looks at least every BEAT_S_MAX. If it does not look for a longer time, the program has paused,
@@ -52,36 +52,37 @@ class RepairPace:
         """Note a message of the host."""
         self._last_received_s = now_s
 
-    def got_items(self) -> None:
+    def note_items(self) -> None:
         """Note that items came by multicast, in time."""
-        self._vain = 0
+        self._repairs_without_item = 0
 
-    def ended(self) -> None:
+    def note_end(self) -> None:
         """Note that the host sends no further datagrams.
 
-        Only a new stream gives the reason, or the channel's new host.
+        The datagrams do not give the reason. A reader that opens a stream again gets the reason, or the channel's new
+        host.
         """
         self._has_ended = True
 
-    def ask_for_key(self, now_s: float) -> None:
-        """Note a datagram that names another key."""
-        if now_s - self._key_asked_s >= KEY_ASKED_S:
-            self._key_asked_s, self._must_ask = now_s, True
+    def note_other_key(self, now_s: float) -> None:
+        """Note a datagram that names another key. The next step then requests this key."""
+        if now_s - self._key_requested_s >= KEY_REQUEST_S:
+            self._key_requested_s, self._needs_key = now_s, True
 
     def note_request(self) -> None:
-        """Note that the reader has note_request the host, and has its answer."""
+        """Note that the reader has sent a request to the host, and has the answer."""
         self.repairs += 1
-        if not self._must_ask:  # a request for a key says nothing about the network
-            self._vain += 1
-        self._missing_since_s, self._must_ask = None, False
+        if not self._needs_key:  # a request for a key says nothing about the network
+            self._repairs_without_item += 1
+        self._missing_since_s, self._needs_key = None, False
 
     def next_step(self, now_s: float, *, is_missing: bool) -> tuple[RepairStep, float]:
         """Return the next step, and for RepairStep.WAIT the longest wait in seconds."""
         if self._has_ended:
             return RepairStep.REOPEN, 0.0
-        if now_s - self._last_received_s > SILENT_S or self._vain > VAIN_REPAIRS_MAX:
+        if now_s - self._last_received_s > SILENT_S or self._repairs_without_item > REPAIRS_WITHOUT_ITEM_MAX:
             return RepairStep.LEAVE, 0.0
-        if self._must_ask:
+        if self._needs_key:
             return RepairStep.REPAIR, 0.0
         if not is_missing:
             self._missing_since_s = None

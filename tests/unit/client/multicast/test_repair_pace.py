@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from stampede_rt.multicast.repair_pace import (
     BEAT_S_MAX,
-    KEY_ASKED_S,
+    KEY_REQUEST_S,
     REORDERED_S,
+    REPAIRS_WITHOUT_ITEM_MAX,
     SILENT_S,
-    VAIN_REPAIRS_MAX,
     RepairPace,
     RepairStep,
 )
@@ -41,37 +41,37 @@ def test_a_reader_leaves_multicast_after_a_silence_and_each_message_ends_the_sil
 
 def test_a_reader_that_gets_all_items_by_repairs_leaves_multicast() -> None:
     pace = RepairPace(0.0)
-    for _ in range(VAIN_REPAIRS_MAX):
+    for _ in range(REPAIRS_WITHOUT_ITEM_MAX):
         pace.note_request()
     assert pace.next_step(0.0, is_missing=False)[0] is RepairStep.WAIT
     pace.note_request()
     assert pace.next_step(0.0, is_missing=False)[0] is RepairStep.LEAVE
-    pace.got_items()
+    pace.note_items()
     assert pace.next_step(0.0, is_missing=False)[0] is RepairStep.WAIT
 
 
 def test_a_reader_opens_another_stream_immediately_after_the_end_of_the_datagrams() -> None:
     pace = RepairPace(0.0)
-    pace.ended()
+    pace.note_end()
     assert pace.next_step(0.0, is_missing=True)[0] is RepairStep.REOPEN
 
 
 def test_datagrams_with_another_key_make_a_reader_ask_once_a_second() -> None:
     pace = RepairPace(0.0)
-    pace.ask_for_key(0.0)
+    pace.note_other_key(0.0)
     assert pace.next_step(0.0, is_missing=False)[0] is RepairStep.REPAIR
     pace.note_request()
-    pace.ask_for_key(KEY_ASKED_S / 2)
-    assert pace.next_step(KEY_ASKED_S / 2, is_missing=False)[0] is RepairStep.WAIT
-    pace.ask_for_key(KEY_ASKED_S)
-    assert pace.next_step(KEY_ASKED_S, is_missing=False)[0] is RepairStep.REPAIR
+    pace.note_other_key(KEY_REQUEST_S / 2)
+    assert pace.next_step(KEY_REQUEST_S / 2, is_missing=False)[0] is RepairStep.WAIT
+    pace.note_other_key(KEY_REQUEST_S)
+    assert pace.next_step(KEY_REQUEST_S, is_missing=False)[0] is RepairStep.REPAIR
 
 
 def test_requests_for_a_key_do_not_make_a_reader_leave_multicast() -> None:
     pace = RepairPace(0.0)
-    for second in range(2 * VAIN_REPAIRS_MAX):
+    for second in range(2 * REPAIRS_WITHOUT_ITEM_MAX):
         pace.note_message(second)
-        pace.ask_for_key(second)
+        pace.note_other_key(second)
         assert pace.next_step(second, is_missing=False)[0] is RepairStep.REPAIR
         pace.note_request()
     assert pace.next_step(second, is_missing=False)[0] is RepairStep.WAIT
@@ -82,11 +82,11 @@ def test_a_paused_reader_does_not_mistake_its_pause_for_silence() -> None:
     came.
     """
     pace = RepairPace(0.0)
-    pace.looks(0.0)
+    pace.note_look(0.0)
     now_s = 10 * SILENT_S
-    pace.looks(now_s)
+    pace.note_look(now_s)
     assert pace.next_step(now_s, is_missing=False)[0] is RepairStep.WAIT
     while pace.next_step(now_s, is_missing=False)[0] is RepairStep.WAIT:  # the reader waits, and hears nothing
         now_s += BEAT_S_MAX
-        pace.looks(now_s)
+        pace.note_look(now_s)
     assert now_s - 10 * SILENT_S <= SILENT_S + BEAT_S_MAX
