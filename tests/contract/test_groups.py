@@ -238,14 +238,14 @@ async def test_cut_events_have_each_item_once_and_late_items_separately(surface:
 
 async def event_at(cuts: Any, time: int) -> dict[str, list[bytes]]:
     """Return all items of the events up to the cut at `time`, by channel; late items have the key "late"."""
-    brought: dict[str, list[bytes]] = {"late": []}
+    received: dict[str, list[bytes]] = {"late": []}
     while True:
         (cut,) = await take(cuts, 1)
         for channel in cut:
-            brought.setdefault(channel.name, []).extend(item.payload for item in cut[channel])
-            brought["late"] += [item.payload for item in cut.late[channel]]
+            received.setdefault(channel.name, []).extend(item.payload for item in cut[channel])
+            received["late"] += [item.payload for item in cut.late[channel]]
         if cut.time >= time:
-            return brought
+            return received
 
 
 async def test_a_match_pairs_the_nearest_items_and_names_members_without_one(surface: Surface) -> None:
@@ -341,10 +341,10 @@ async def test_a_cut_event_waits_for_items_that_are_no_later_than_its_lateness(s
         for time in (150, 300):
             for channel in (right, left):
                 await channel.put(b"%d" % time, time=base + time * MS)
-        brought = await event_at(cuts, base + 50 * MS)
-        assert brought[left.name][:2] == [b"0", b"20"]
-        assert brought[right.name][:2] == [b"0", b"30"]
-        assert brought["late"] == []
+        received = await event_at(cuts, base + 50 * MS)
+        assert received[left.name][:2] == [b"0", b"20"]
+        assert received[right.name][:2] == [b"0", b"30"]
+        assert received["late"] == []
 
 
 async def test_the_status_names_the_member_that_holds_the_cut_back(surface: Surface) -> None:

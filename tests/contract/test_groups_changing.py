@@ -52,15 +52,15 @@ async def test_cut_events_have_the_items_of_members_that_another_client_has_adde
     group, base = await surface.group(group_name(), [left]), st.now() - 20 * SECOND
     async with group.subscribe() as cuts:
         await (await other.group(group.name)).add(await other.channel(right.name))
-        brought = []
+        received = []
         for step in itertools.count():  # ends with the test's time limit
             await put_all([left, right], base + step * SECOND // 100)
             cut = (await take(cuts, 1))[0] if step else None
             if cut is not None and right.name in [channel.name for channel in cut]:
-                brought += [item.payload for item in cut[right.name]]
-            if brought:
+                received += [item.payload for item in cut[right.name]]
+            if received:
                 break
-    assert brought[0] == right.name.encode()
+    assert received[0] == right.name.encode()
 
 
 async def test_cut_events_have_the_items_of_a_member_that_another_process_has_moved(
@@ -73,15 +73,15 @@ async def test_cut_events_have_the_items_of_a_member_that_another_process_has_mo
         await other.move(member.name, (await surface.connection.hosts())[-1].name)
         await theirs.put(b"1", time=base + SECOND)
         await anext(witness)  # comes from the new host: the first one has ended its streams of this channel
-    brought = []
+    received = []
     async with group.subscribe() as cuts:
         await theirs.put(b"2", time=base + 2 * SECOND)
         while True:  # ends with the cut at the last item
             (cut,) = await take(cuts, 1)
-            brought += [item.payload for item in cut[member.name]]
+            received += [item.payload for item in cut[member.name]]
             if cut.time >= base + 2 * SECOND:
                 break
-    assert brought in ([b"1"], [b"0", b"1"])  # a host that has just met the group may begin at an earlier cut
+    assert received in ([b"1"], [b"0", b"1"])  # a host that has just met the group may begin at an earlier cut
 
 
 async def test_matches_follow_members_that_another_client_adds_and_removes(

@@ -181,7 +181,9 @@ class ArchivedChannel:
             self._find_late(step, limit_bytes)
         elif not step.is_read:
             view = self.view(step.query, Horizon(step.target, lambda: "the step"))
-            step.take_page(view.answer, continues=view.continues, lacks=view.lacks, kept_from=self.kept_from())
+            step.take_page(
+                view.answer, continues=view.continues, missing_items=view.missing_items, kept_from=self.kept_from()
+            )
         batch = step.batch(limit_bytes)
         if step.is_over and batch.is_empty:
             self.step = None

@@ -57,7 +57,9 @@ def decode(body: bytes) -> Run:
 
 
 class History:
-    """A recorded channel from its first item on. The order of use: `write`, `damage`, `open`, then `read` and `lacks`.
+    """A recorded channel from its first item on.
+
+    The order of use: `write`, `damage`, `open`, then `read` and `lost_ranges`.
 
     `items`: all accepted items, by their seqs.
     """
@@ -179,7 +181,7 @@ class History:
             run_to_end(one.take(self.files.load(segments, wanted, decode, lambda: None, past)))
         return one.answer()
 
-    def lacks(self, query: Query, as_of: int | None, answer: ReadAnswer) -> list[tuple[int, int]]:
+    def lost_ranges(self, query: Query, as_of: int | None, answer: ReadAnswer) -> list[tuple[int, int]]:
         """The items (time, seq) that the answer lacks. Checks that it has no others."""
         start, end = query.interval.start.offset, query.interval.end.offset
         known = {seq: one.time for seq, one in self.items.items() if as_of is None or one.accepted <= as_of}
@@ -211,8 +213,8 @@ def test_a_read_that_lacks_items_says_lost(seed: int, tmp_path: Path, monkeypatc
     for _ in range(READS):
         query, as_of = one.query()
         answer = one.read(query, as_of)
-        lacks = one.lacks(query, as_of, answer)
+        lost_ranges = one.lost_ranges(query, as_of, answer)
         # without the head of the first block the host does not know whether the limits have removed the first items
         reports_loss = answer.reason == "LOST" or (one.span.is_cut and answer.reason == "COLLECTED")
-        assert not lacks or reports_loss, (query, as_of, lacks, answer.reason, seed)
+        assert not lost_ranges or reports_loss, (query, as_of, lost_ranges, answer.reason, seed)
         assert not one.is_whole or answer.reason != "LOST", (query, as_of, answer.reason, seed)

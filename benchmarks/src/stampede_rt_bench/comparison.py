@@ -101,7 +101,7 @@ def _run(
 ) -> int:
     folder: Path = arguments.out
     folder.mkdir(parents=True, exist_ok=True)
-    report.lacks = {system.name: system.lacks for system in systems}
+    report.unsupported = {system.name: system.unsupported for system in systems}
 
     def done(results: Results, workload: Workload) -> None:
         print_progress(f"measured: {workload.title}")

@@ -44,5 +44,5 @@ def measured_without_haste(system: MeasuredSystem, workload: Workload) -> RunRes
 def test_every_system_does_every_kind_of_work_or_says_why_not() -> None:
     kinds = {workload.kind for workload in workloads()}
     for system in SYSTEMS.values():
-        assert set(system.lacks) < kinds
-        assert all(system.lacks.values())
+        assert set(system.unsupported) < kinds
+        assert all(system.unsupported.values())

@@ -134,8 +134,8 @@ async def _listed(scene: Scene, newcomer: Supernode | None, leaver: Supernode) -
                 listed = await one.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=2)
                 seen = {record.supernode_id for record in listed.supernodes}
             await asyncio.sleep(0.05)
-    came = f"{newcomer.name} came, " if newcomer is not None else ""
-    return f"{came}{leaver.name} went; all list {', '.join(sorted(wanted))}"
+    joined = f"{newcomer.name} joined, " if newcomer is not None else ""
+    return f"{joined}{leaver.name} left; all list {', '.join(sorted(wanted))}"
 
 
 @asynccontextmanager

@@ -61,7 +61,7 @@ def surface(kind: type) -> Iterator[tuple[str, list[str]]]:
             yield name, found
 
 
-def lacks(kind: str, live: type, replayed: type) -> list[str]:
+def missing_names(kind: str, live: type, replayed: type) -> list[str]:
     """The names and parameters that the replayed class lacks without a stated reason."""
     has, allowed = dict(surface(replayed)), NOT_REPLAYED.get(kind, {})
     found = []
@@ -80,7 +80,7 @@ def lacks(kind: str, live: type, replayed: type) -> list[str]:
 def test_a_replayed_handle_has_each_name_of_the_live_one_or_a_reason_for_its_absence(
     kind: str, live: type, replayed: type
 ) -> None:
-    assert lacks(kind, live, replayed) == []
+    assert missing_names(kind, live, replayed) == []
 
 
 @pytest.mark.parametrize("kind", ["Connection", "Channel", "Group"])
@@ -96,4 +96,4 @@ def test_a_method_that_a_replay_lacks_is_noticed() -> None:
     class Less(ReplayedGroup):
         newest = None  # type: ignore[assignment]
 
-    assert "newest(payloads)" in lacks("Group", Group, Less)
+    assert "newest(payloads)" in missing_names("Group", Group, Less)

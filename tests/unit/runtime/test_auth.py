@@ -106,8 +106,8 @@ def test_the_clients_secret_needs_one_of_the_cluster_and_differs_from_it(tmp_pat
 async def test_both_values_of_a_secret_open_the_port_while_it_is_replaced() -> None:
     both = Secret(text="right", path=Path("secret"), other="former")
     async with serving(register, secret=both) as server:
-        for brought in (RIGHT, Secret(text="former", path=Path("secret"))):
-            assert (await first_of_watch(server.address, brought)).status == health_pb2.HealthCheckResponse.SERVING
+        for secret in (RIGHT, Secret(text="former", path=Path("secret"))):
+            assert (await first_of_watch(server.address, secret)).status == health_pb2.HealthCheckResponse.SERVING
         with pytest.raises(grpc.aio.AioRpcError):
             await first_of_watch(server.address, WRONG)
 

@@ -70,12 +70,12 @@ async def test_single_requests_that_arrive_together_are_handled_a_few_in_each_tu
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """In an earlier version, one turn of the event loop took all requests. 32 requests of one caller took 4 ms."""
-    came, calls, turns = asyncio.Event(), 40, list[int]()
+    may_arrive, calls, turns = asyncio.Event(), 40, list[int]()
     gate, done = TurnGate(), 0
 
     class LateRequest:
         async def read(self) -> bytes:
-            await came.wait()
+            await may_arrive.wait()
             return b"request"
 
     async def answer(_request: bytes, _context: Any) -> bytes:
@@ -86,7 +86,7 @@ async def test_single_requests_that_arrive_together_are_handled_a_few_in_each_tu
     handler = reading_late(PING, grpc.unary_unary_rpc_method_handler(answer), gate)
     tasks = [asyncio.create_task(handler.stream_unary(None, LateRequest())) for _ in range(calls)]
     await asyncio.sleep(0)
-    came.set()
+    may_arrive.set()
     while done < calls:
         before = done
         await asyncio.sleep(0)

@@ -38,7 +38,7 @@ class BareGrpc:
     name: str = "bare gRPC"
 
     @property
-    def lacks(self) -> Mapping[str, str]:
+    def unsupported(self) -> Mapping[str, str]:
         """Return the kinds of workload that this system cannot run: frames, because it serves one reader only."""
         return {"frames": ONE_READER}
 

@@ -27,7 +27,7 @@ class RawSockets:
     family: Literal["unix", "tcp"]
 
     @property
-    def lacks(self) -> Mapping[str, str]:
+    def unsupported(self) -> Mapping[str, str]:
         """Return the kinds of workload that this system cannot run: frames, because it serves one reader only."""
         return {"frames": ONE_READER}
 

@@ -27,7 +27,7 @@ class EmbeddedStampedeRt:
     name: str = "Stampede RT, embedded host"
 
     @property
-    def lacks(self) -> Mapping[str, str]:
+    def unsupported(self) -> Mapping[str, str]:
         """Return the workloads that run by reference: the program of the host needs no other process for them."""
         return dict.fromkeys(("put", "newest", "interval"), OPERATES_BY_REFERENCE)
 

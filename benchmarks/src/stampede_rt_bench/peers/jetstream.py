@@ -25,7 +25,7 @@ class JetStream:
     name: str = "NATS JetStream"
 
     @property
-    def lacks(self) -> Mapping[str, str]:
+    def unsupported(self) -> Mapping[str, str]:
         """Return an empty mapping: the system can run every kind of workload."""
         return {}
 

@@ -23,7 +23,7 @@ class NatsCore:
     name: str = "NATS core"
 
     @property
-    def lacks(self) -> Mapping[str, str]:
+    def unsupported(self) -> Mapping[str, str]:
         """Return the kinds of workload that need stored items or acknowledgements."""
         return {"put": "it acknowledges nothing", "newest": KEEPS_NOTHING, "interval": KEEPS_NOTHING}
 

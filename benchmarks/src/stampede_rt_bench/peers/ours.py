@@ -27,7 +27,7 @@ class StampedeRt:
     transport: str = "grpc"
 
     @property
-    def lacks(self) -> Mapping[str, str]:
+    def unsupported(self) -> Mapping[str, str]:
         """Return an empty mapping: the system can run every kind of workload."""
         return {}
 

@@ -38,7 +38,7 @@ class RedisStreams:
         return {"tcp": "Redis", "unix": "Redis, Unix socket"}[self.family]
 
     @property
-    def lacks(self) -> Mapping[str, str]:
+    def unsupported(self) -> Mapping[str, str]:
         """Return an empty mapping: the system can run every kind of workload."""
         return {}
 

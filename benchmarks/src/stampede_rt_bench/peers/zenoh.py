@@ -45,7 +45,7 @@ class Zenoh:
         }[self.way]
 
     @property
-    def lacks(self) -> Mapping[str, str]:
+    def unsupported(self) -> Mapping[str, str]:
         """Return the workload that it cannot run: Zenoh acknowledges no put, and keeps items only with a router."""
         without = {"put": "it acknowledges no put"}
         return without if self.way == "router" else {**without, "newest": NO_SERVER, "interval": NO_SERVER}

@@ -81,7 +81,7 @@ def compare(
 
 
 def _can(system: MeasuredSystem, kind: Kind) -> bool:
-    return kind not in system.lacks
+    return kind not in system.unsupported
 
 
 def _measure(

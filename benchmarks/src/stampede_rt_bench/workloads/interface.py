@@ -84,7 +84,7 @@ class MeasuredSystem(Protocol):
         """The name of the system in tables."""
 
     @property
-    def lacks(self) -> Mapping[str, str]:
+    def unsupported(self) -> Mapping[str, str]:
         """The kinds of workload that the system cannot run (such as `put` or `frames`), each with the reason."""
 
     def unavailable_because(self) -> str | None:

@@ -37,7 +37,7 @@ class Report:
     seconds: float
     ours: str | None = None
     limits: Sequence[str] = ()
-    lacks: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    unsupported: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     tables: list[tuple[str, Table]] = field(default_factory=list)
 
     def table(self, results: Results, workload: Workload) -> Table:
@@ -50,7 +50,9 @@ class Report:
         table = Table(columns)
         for system in results.runs.get(workload, {}):
             table.rows.append(self._row(results, workload, system))
-        table.notes = [f"{name}: {why[workload.kind]}." for name, why in self.lacks.items() if workload.kind in why]
+        table.notes = [
+            f"{name}: {why[workload.kind]}." for name, why in self.unsupported.items() if workload.kind in why
+        ]
         return table
 
     def _row(self, results: Results, workload: Workload, system: str) -> list[str]:
@@ -133,7 +135,7 @@ class Report:
                 for workload, by_system in results.runs.items()
             ],
             "tables": {title: {"columns": table.columns, "rows": table.rows} for title, table in self.tables},
-            "lacks": {name: dict(why) for name, why in self.lacks.items()},
+            "lacks": {name: dict(why) for name, why in self.unsupported.items()},
             "absent": results.absent,
             "failures": results.failures,
         }

@@ -39,7 +39,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:
 def examine(url: str | None, member: str | None) -> tuple[list[CheckResult], Sequence[Inventory]]:
     """Examine every part of a cluster. Return the findings, and the channels, queues and peers that the parts listed.
 
-    `url` names the front-ends. `member` names the supernodes that it asks if no front-end answers. Each part has a few
+    `url` names the front-ends. `member` names the supernodes to ask if no front-end answers. Each part has a few
     seconds to answer. Raises PermissionDenied, InvalidArgument.
     """
     from stampede_rt._sync.endpoints import EndpointPool

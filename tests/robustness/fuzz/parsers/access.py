@@ -36,9 +36,9 @@ def client_token(source: ByteSource) -> None:
 
 def credential(source: ByteSource) -> None:
     """Check that no header without a secret admits its caller."""
-    brought = source.choice((None, hostile_values.blob(source), b"Bearer " + hostile_values.blob(source)))
-    caller = identify(AcceptedCredentials(secrets=("the secret of the cluster",)), brought, None)
-    raise AssertionError(f"{caller} was accepted with {brought!r}")
+    sent_credentials = source.choice((None, hostile_values.blob(source), b"Bearer " + hostile_values.blob(source)))
+    caller = identify(AcceptedCredentials(secrets=("the secret of the cluster",)), sent_credentials, None)
+    raise AssertionError(f"{caller} was accepted with {sent_credentials!r}")
 
 
 def rule(source: ByteSource) -> None:

@@ -41,7 +41,7 @@ def test_most_readers_is_the_largest_number_of_readers_with_a_small_median_loss(
 
 
 class Absent:
-    name, lacks = "Absent", {}
+    name, unsupported = "Absent", {}
 
     def unavailable_because(self) -> str:
         return "absent-server is not installed; apt-get install absent"
@@ -66,7 +66,7 @@ def test_an_absent_system_is_reported_and_the_others_are_measured() -> None:
 def test_a_report_gives_ratios_to_ours_and_to_the_limits(tmp_path: Path) -> None:
     by_system = {name: [measured(rate=rate)] for name, rate in (("ours", 50.0), ("peer", 25.0), ("bare", 100.0))}
     found = results({STREAM: by_system, frames(18_000, 8): {"ours": [measured()]}})
-    settings: Any = {"command": "c", "machine": {"cores": "2"}, "rounds": 1, "seconds": 1.0, "lacks": {}}
+    settings: Any = {"command": "c", "machine": {"cores": "2"}, "rounds": 1, "seconds": 1.0, "unsupported": {}}
     report = Report(name="r", title="T", ours="ours", limits=["bare"], **settings)
     report.write(found, tmp_path)
     text = (tmp_path / "r.md").read_text()

@@ -83,7 +83,7 @@ def read(
 
 
 def check(
-    files: SegmentFiles, segments: tuple[Segment, ...], lacks: set[int], last: int, *, knows_times: bool = False
+    files: SegmentFiles, segments: tuple[Segment, ...], lost_seqs: set[int], last: int, *, knows_times: bool = False
 ) -> None:
     """Check that each read that lacks some of the items says LOST.
 
@@ -95,8 +95,8 @@ def check(
             for newest_first in (False, True):
                 found, reason = read(files, segments, start, end, newest_first=newest_first)
                 wanted = {*range(start, end + 1)}
-                assert {*found} == wanted - lacks
-                expected_reason = "LOST" if wanted & lacks or not knows_times else None
+                assert {*found} == wanted - lost_seqs
+                expected_reason = "LOST" if wanted & lost_seqs or not knows_times else None
                 assert reason == expected_reason, (start, end, newest_first, reason)
 
 
@@ -144,8 +144,8 @@ def test_a_file_that_loses_all_its_blocks_after_the_start_is_a_loss(tmp_path: Pa
     paths = files_of(tmp_path, (1, 5), (5, 9), (9, 13))
     _, segments = opened(tmp_path)
     ruin(paths[which])
-    lacks = {*range(1 + 4 * which, 5 + 4 * which)}
-    check(SegmentFiles(tmp_path, {}), segments, lacks, 12, knows_times=True)
+    lost_seqs = {*range(1 + 4 * which, 5 + 4 * which)}
+    check(SegmentFiles(tmp_path, {}), segments, lost_seqs, 12, knows_times=True)
 
 
 def test_items_that_max_bytes_collected_before_all_archived_ones_are_a_loss(tmp_path: Path) -> None:

@@ -99,8 +99,8 @@ def check(host: RestartedChannel, last: int) -> None:
     for start in range(0, last + 1, 2):
         for end, newest_first in ((start + 1, False), (last, False), (last, True)):
             answer = host.read(start, end, newest_first=newest_first)
-            lacks = set(range(max(1, start), min(end, last) + 1)) - seqs(answer)
-            assert not lacks or answer.reason == "LOST", (start, end, lacks, answer.reason)
+            missing = set(range(max(1, start), min(end, last) + 1)) - seqs(answer)
+            assert not missing or answer.reason == "LOST", (start, end, missing, answer.reason)
 
 
 @pytest.mark.parametrize("restored_bytes", [1, 300, 2**20])

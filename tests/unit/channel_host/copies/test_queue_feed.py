@@ -87,7 +87,7 @@ def test_a_copy_continues_only_if_its_owner_has_all_steps_of_the_copy(
 
 
 @pytest.mark.parametrize(("has_changes", "takes_changes", "continues"), [(1, 1, 1), (1, 0, 0), (0, 0, 1)])
-async def test_a_replica_of_an_earlier_release_begins_anew_instead_of_steps_that_it_does_not_understand(
+async def test_a_replica_of_an_earlier_release_begins_anew_if_it_does_not_understand_the_steps(
     has_changes: bool, takes_changes: bool, continues: bool
 ) -> None:
     steps = [SimpleNamespace(has_changes=False), SimpleNamespace(has_changes=has_changes)]

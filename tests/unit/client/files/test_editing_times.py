@@ -40,10 +40,10 @@ def test_a_gap_of_damage_has_the_times_of_its_chunk(tmp_path: Path, finished: bo
     (counts,) = verify(tmp_path / "saved.mcap").summary.channels
     found = next(one for one in counts.gaps if one.last_seq == 6)
     assert (found.first_seq, found.start, found.end) == (4, START - MS, START + 5 * MS)
-    for at, lacks in ((-1, True), (4, True), (5, True), (8, False)):
+    for at, has_gap in ((-1, True), (4, True), (5, True), (8, False)):
         within = {"start": START + at * MS, "end": START + (at + 1) * MS}
         part = cut(tmp_path / "saved.mcap", tmp_path / "part.mcap", overwrite=True, **within)
-        assert any(one.last_seq == 6 for counts in part.channels for one in counts.gaps) is lacks
+        assert any(one.last_seq == 6 for counts in part.channels for one in counts.gaps) is has_gap
 
 
 def test_seqs_that_the_recorder_named_as_missing_do_not_hide_items_that_damage_took(tmp_path: Path) -> None:

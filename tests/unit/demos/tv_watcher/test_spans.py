@@ -27,7 +27,7 @@ def event(start: int, seconds: int) -> Span:
 def cut(*, behind: str = "", truncated: str = "", late: Item | None = None) -> Cut:
     """The event at six seconds, which brings the caption of second five."""
     channels = {stream.name: channel(stream) for stream in STREAMS}
-    brought = {
+    items_of = {
         name: Items(
             items,
             interval=None,
@@ -42,7 +42,7 @@ def cut(*, behind: str = "", truncated: str = "", late: Item | None = None) -> C
     members = list(channels.values())
     return Cut(
         time=6 * SECOND,
-        items=ByChannel(members, {channels[name].info.channel_id: items for name, items in brought.items()}),
+        items=ByChannel(members, {channels[name].info.channel_id: items for name, items in items_of.items()}),
         late=ByChannel(members, {channels["motion"].info.channel_id: [late] if late else []}),
         incomplete=[channels[behind]] if behind else [],
     )
@@ -58,8 +58,8 @@ def counts(span: Span) -> list[int]:
 
 
 def test_an_event_with_one_caption_is_one_span_up_to_the_cut():
-    brought = event(5 * SECOND, 1)
-    assert spans_of(brought, 6 * SECOND) == [(6 * SECOND, brought)]
+    found = event(5 * SECOND, 1)
+    assert spans_of(found, 6 * SECOND) == [(6 * SECOND, found)]
 
 
 def test_the_event_of_a_slow_reader_is_divided_at_its_captions():

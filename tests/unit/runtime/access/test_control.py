@@ -116,10 +116,10 @@ def waits(monkeypatch: pytest.MonkeyPatch) -> asyncio.Event:
     monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 20.0)
     event, wait_while = asyncio.Event(), AccessControl.wait_while
 
-    async def noted(self: AccessControl, lacks: Callable[[], bool], seconds_max: float) -> None:
-        if lacks():
+    async def noted(self: AccessControl, is_missing: Callable[[], bool], seconds_max: float) -> None:
+        if is_missing():
             event.set()
-        await wait_while(self, lacks, seconds_max)
+        await wait_while(self, is_missing, seconds_max)
 
     monkeypatch.setattr(AccessControl, "wait_while", noted)
     return event
@@ -192,8 +192,8 @@ async def test_a_stream_ends_when_its_credential_is_revoked_or_has_expired() -> 
         server.access.set_state(known)
         calls = []
         for one in (claims, brief):
-            brought = (("authorization", f"Bearer {make_token(key, one)}"),)
-            calls.append(channel.stream_stream(READ)(timeout=20, metadata=brought))
+            metadata = (("authorization", f"Bearer {make_token(key, one)}"),)
+            calls.append(channel.stream_stream(READ)(timeout=20, metadata=metadata))
         for call in calls:
             assert await answer_to(call, "x") == b"1"
         assert "client cam has ended; call again" in str(await ended(calls[1]))

@@ -26,7 +26,7 @@ HOST = CallerCertificate(Identity("lab", Role.HOST, "h1"))
 
 
 @pytest.mark.parametrize(
-    ("accepted", "brought", "certificate", "name", "roles"),
+    ("accepted", "sent", "certificate", "name", "roles"),
     [
         (OPEN, None, None, "@anyone", ALL_ROLES),
         (OPEN, b"Bearer whatever", None, "@anyone", ALL_ROLES),
@@ -43,17 +43,17 @@ HOST = CallerCertificate(Identity("lab", Role.HOST, "h1"))
 )
 def test_each_credential_gives_a_name_and_roles(
     accepted: AcceptedCredentials,
-    brought: bytes | None,
+    sent: bytes | None,
     certificate: CallerCertificate | None,
     name: str,
     roles: set[Role],
 ) -> None:
-    caller = identify(accepted, brought, certificate)
+    caller = identify(accepted, sent, certificate)
     assert (caller.name, caller.roles) == (name, roles)
 
 
 @pytest.mark.parametrize(
-    ("accepted", "brought", "certificate", "expected"),
+    ("accepted", "sent", "certificate", "expected"),
     [
         (ONE, None, None, "brought no secret"),
         (ONE, b"s", None, "a secret that differs"),
@@ -67,10 +67,10 @@ def test_each_credential_gives_a_name_and_roles(
     ],
 )
 def test_a_malformed_credential_is_refused_with_the_reason(
-    accepted: AcceptedCredentials, brought: bytes | None, certificate: CallerCertificate | None, expected: str
+    accepted: AcceptedCredentials, sent: bytes | None, certificate: CallerCertificate | None, expected: str
 ) -> None:
     with pytest.raises(PermissionDenied, match=expected):
-        identify(accepted, brought, certificate)
+        identify(accepted, sent, certificate)
 
 
 def test_a_token_is_valid_only_as_long_as_the_certificate_of_its_connection() -> None:

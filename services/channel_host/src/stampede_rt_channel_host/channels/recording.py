@@ -330,8 +330,8 @@ class Recording:
         if recorder.segments:
             return partial(self._archive.load, recorder.files, recorder.readable_segments)
         times = self._channel.backlog.lost_times
-        lacks = [] if times is None else [Hole(*times, recorder.lost_items)]
-        return partial(_nothing_but, ArchiveWindow(ChannelIndex(), None, None, None, lacks))
+        holes = [] if times is None else [Hole(*times, recorder.lost_items)]
+        return partial(_nothing_but, ArchiveWindow(ChannelIndex(), None, None, None, holes))
 
 
 async def _nothing_but(window: ArchiveWindow, _: WantedWindow) -> ArchiveWindow:

@@ -56,7 +56,7 @@ class KeptReplicas(ABC):
         self._replication = replication
         self._subject_id = subject_id
         self._listed_s = -LIST_SECONDS
-        self._lacks = True
+        self._lacks_replicas = True
         self._missing_s = MISSING_SECONDS
         self._has_reported = False
         self._work: dict[bytes, asyncio.Task[None]] = {}  # by the host of a replica
@@ -136,7 +136,7 @@ class KeptReplicas(ABC):
     async def _round(self) -> None:
         now_s = asyncio.get_running_loop().time()
         age_s = now_s - self._listed_s
-        if age_s >= (self._missing_s if self._lacks else LIST_SECONDS) or not self._replication.is_known:
+        if age_s >= (self._missing_s if self._lacks_replicas else LIST_SECONDS) or not self._replication.is_known:
             listed = await self._list()
             if listed.owner_host_id != self._host_id or listed.epoch != self.epoch:
                 return  # the store learns of the new owner from its next caller, or from its next registration
@@ -154,7 +154,7 @@ class KeptReplicas(ABC):
         in_sync = sum(state is ReplicaState.IN for state in self._replication.states().values())
         if in_sync == wanted:
             self._has_reported = False
-        self._lacks = in_sync != wanted or len(self._replication.states()) != wanted
+        self._lacks_replicas = in_sync != wanted or len(self._replication.states()) != wanted
 
     async def _list(self) -> ListedReplicas:
         listed = await self._directory.replicas_of(self._subject_id)

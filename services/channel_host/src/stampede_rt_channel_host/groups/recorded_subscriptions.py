@@ -54,7 +54,9 @@ class RecordedSteps:
         view = await recording.read_in_group(
             step.query, _at(step.target), None, self._channels.scheduler, self._channels.now, waits=False
         )
-        step.take_page(view.answer, continues=view.continues, lacks=view.lacks, kept_from=recording.kept_from)
+        step.take_page(
+            view.answer, continues=view.continues, missing_items=view.missing_items, kept_from=recording.kept_from
+        )
 
 
 async def resolved_start(hosted: HostedChannel, channels: ChannelStore, horizon: Horizon, start: Bound) -> Bound:

@@ -108,11 +108,11 @@ class AccessControl:
         """Whether this port has not received the keys of tokens yet. A new cluster has no keys for a moment."""
         return self._source is None and (self._state is None or not self._state.token_keys)
 
-    async def wait_while(self, lacks: Callable[[], bool], seconds_max: float) -> None:
-        """Wait for changes of the state until `lacks` returns False, for `seconds_max` at most."""
+    async def wait_while(self, is_missing: Callable[[], bool], seconds_max: float) -> None:
+        """Wait for changes of the state until `is_missing` returns False, for `seconds_max` at most."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(seconds_max):
-                while lacks():
+                while is_missing():
                     self._changed.clear()
                     await self._changed.wait()
 

@@ -91,7 +91,8 @@ class _OpenFile:
 class _Statistics(threading.local):
     @cached_property
     def file(self) -> _OpenFile:
-        return _OpenFile()  # at the first use: a process that was forked before it reads about itself
+        # The file is opened at the first use. So a forked process opens a file of its own, with its own statistics.
+        return _OpenFile()
 
 
 _statistics = _Statistics()
@@ -126,9 +127,9 @@ class CallerWork:
     async def turn(self) -> None:
         """Wait for the caller's turn."""
         assert self._loop_share is not None, "an account without turns never waits"
-        came: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._loop_share.enqueue(partial(_set_unless_done, came))
-        await came
+        turn_begins: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._loop_share.enqueue(partial(_set_unless_done, turn_begins))
+        await turn_begins
 
     def spend(self, nanos: int) -> None:
         """Count time that passes outside of the measured steps."""
@@ -188,7 +189,7 @@ class _ChargedCoroutine(Coroutine[Any, Any, Result]):
         try:
             return self._work.throw(*error)
         finally:
-            error = ()  # otherwise the error's traceback keeps this frame, and this frame the error
+            error = ()  # otherwise the error references this frame, and this frame references the error
             self._loop_share.spend(time.thread_time_ns() - began_at)
 
     def close(self) -> None:
@@ -205,7 +206,7 @@ class _ChargedCoroutine(Coroutine[Any, Any, Result]):
         return self.send(None)
 
 
-def _set_unless_done(came: asyncio.Future[None]) -> None:
+def _set_unless_done(turn_begins: asyncio.Future[None]) -> None:
     """Wake the waiting step, unless it was cancelled."""
-    if not came.done():
-        came.set_result(None)
+    if not turn_begins.done():
+        turn_begins.set_result(None)

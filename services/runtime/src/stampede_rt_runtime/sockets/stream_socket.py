@@ -259,7 +259,7 @@ class StreamSocket(asyncio.BufferedProtocol):
 
     def look(self, now_s: float) -> None:
         """Give a sign of life if nothing else was written since the last look. End a stream that makes no progress."""
-        if not self.is_opened or self.is_over or self._is_closing:  # before its handshake it has no transport
+        if not self.is_opened or self.is_over or self._is_closing:  # a stream has no transport before its handshake
             return
         if self._frame_since_s is not None and now_s - self._frame_since_s > FRAME_SECONDS_MAX:
             self._owner.failed(self, unfinished(FRAME_SECONDS_MAX, self._frames.unfinished_bytes))

@@ -138,11 +138,13 @@ def _gap(cursor: AllCursor, first: int, end: int, kept_from: int, ends: Sequence
     reason = REMOVED if first < kept_from else LACKED
     end = min(end, kept_from) if first < kept_from else end
     cursor.mark_done(end)
-    lacks = given_between(first, end)
-    if not lacks:  # an owner has begun here without the seqs of the former owners
+    missing_items = given_between(first, end)
+    if not missing_items:  # an owner has begun here without the seqs of the former owners
         return SubscriptionBatch(more=True)
-    cursor.dropped += lacks
-    return SubscriptionBatch(gap=Gap(first_seq=end - lacks, last_seq=end - 1, items=lacks, reason=reason), more=True)
+    cursor.dropped += missing_items
+    return SubscriptionBatch(
+        gap=Gap(first_seq=end - missing_items, last_seq=end - 1, items=missing_items, reason=reason), more=True
+    )
 
 
 def _belonging(piece: Slice, cursor: AllCursor) -> Slice | None:

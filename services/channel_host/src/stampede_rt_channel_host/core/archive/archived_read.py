@@ -103,7 +103,7 @@ class ArchivedRead:
     def __init__(self, moment: ChannelSnapshot, span: ArchiveSpan, query: Query, within: ResolvedInterval) -> None:
         self.continues = False
         self.within = within
-        self.lacks = 0  # how many items are missing from the answer because the archive lacks them
+        self.missing_items = 0  # how many items are missing from the answer because the archive lacks them
         self._moment, self._span, self._query, self._within = moment, span, query, within
         self._held, self._retention = moment.look(0)
         self._has_dropped = span.has_dropped(moment.lost_before, moment.lost_from)
@@ -260,7 +260,7 @@ class ArchivedRead:
         lacking = {one for one in self._holes if one.start <= last and one.end >= first}
         if not lacking:
             return _doubted({one for one in self._doubts if one.start <= last and one.end >= first})
-        self.lacks = count = sum(one.items for one in lacking)
+        self.missing_items = count = sum(one.items for one in lacking)
         start, end = min(one.start for one in lacking), max(one.end for one in lacking)
         if not count:
             return Reason(

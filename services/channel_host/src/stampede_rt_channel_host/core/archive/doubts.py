@@ -55,26 +55,26 @@ class _Search:
         for at, one in enumerate(self.segments):
             if one.number not in self.near and one.items:
                 if former is None or one.end_seq - former.end_seq != one.items:  # a quick test, for long archives
-                    lacks = self._lacks(former, one.end_seq, ends) - one.items
-                    if lacks > 0:
-                        yield self._doubt(at, former, self._end_after(at), lacks)
+                    missing_items = self._count_missing(former, one.end_seq, ends) - one.items
+                    if missing_items > 0:
+                        yield self._doubt(at, former, self._end_after(at), missing_items)
                 former, ends = one, []
                 continue
             blocks = self.blocks_of(one) if one.items else SegmentBlocks()
             first, last = blocks.items_at(0), blocks.items_at(-1)
             if first is not None and last is not None:  # otherwise no block can be read: all its items are missing
                 for earlier, later in ((former, first.head), *blocks.breaks()):
-                    lacks = self._lacks(earlier, later.first_seq, ends)
-                    if lacks:
+                    missing_items = self._count_missing(earlier, later.first_seq, ends)
+                    if missing_items:
                         end = max(later.low[0], self._latest(later.first_accepted))
-                        yield self._doubt(at, earlier, end, lacks)
+                        yield self._doubt(at, earlier, end, missing_items)
                 former, ends = last.head, []
             ends.append(one.end_seq)
-        lacks = self._lacks(former, self.segments[-1].end_seq, ends)
-        if lacks:
-            yield self._doubt(len(self.segments) - 1, former, self.last, lacks)
+        missing_items = self._count_missing(former, self.segments[-1].end_seq, ends)
+        if missing_items:
+            yield self._doubt(len(self.segments) - 1, former, self.last, missing_items)
 
-    def _lacks(self, former: BlockHead | Segment | None, end_seq: int, ends: Sequence[int]) -> int:
+    def _count_missing(self, former: BlockHead | Segment | None, end_seq: int, ends: Sequence[int]) -> int:
         """How many items are missing before this seq. `ends`: see `given_over`."""
         return given_over(self.segments[0].first_seq if former is None else former.end_seq, end_seq, ends)
 
@@ -91,14 +91,14 @@ class _Search:
         end = self.last if following is None else self._latest(following.last_accepted)
         return end if high is None else max(end, high[0])
 
-    def _doubt(self, at: int, former: BlockHead | Segment | None, end: int, lacks: int) -> Doubt:
+    def _doubt(self, at: int, former: BlockHead | Segment | None, end: int, missing_items: int) -> Doubt:
         """The doubt after the block or segment `former`, in the segment `at`."""
         if former is None or former.high is None:
-            return Doubt(MIN_INSTANT, end, lacks)
+            return Doubt(MIN_INSTANT, end, missing_items)
         if at not in self._by_size:
             self._by_size[at] = self._least_by_size(at)
         start = max(self._least_by_age(at, former.last_accepted), self._by_size[at])
-        return Doubt(min(start, end, former.high[0]), max(end, former.high[0]), lacks)
+        return Doubt(min(start, end, former.high[0]), max(end, former.high[0]), missing_items)
 
     def _least_by_age(self, at: int, accepted: int) -> int:
         """The least time of a doubt: the host accepts no item before the last bucket that had ended `max_age`

@@ -221,8 +221,8 @@ def nothing_left(
     """The answer if the archive, which has the `segments`, has dropped or lost all items that the host had accepted by
     `as_of`.
     """
-    lacks = _lacks_first(segments, past)
-    what, name = (f"lacks {lacks} of", "LOST") if lacks else ("has dropped", "COLLECTED")
+    lost_items = _count_missing_first(segments, past)
+    what, name = (f"lacks {lost_items} of", "LOST") if lost_items else ("has dropped", "COLLECTED")
     detail = f"the archive {what} the items that the host had accepted by {format_instant(as_of)}"
     return ReadAnswer(
         slices=(), next_time=None, interval=within, complete=False, truncated=True, more=False,
@@ -236,10 +236,10 @@ def is_nothing_left(segments: Sequence[Segment], past: PastArchive, *, has_dropp
     `has_dropped`: it has dropped items (`ArchiveSpan.has_dropped`).
     """
     has_items = any(one.items for one in past.segments)
-    return not has_items and (has_dropped or _lacks_first(segments, past) > 0)
+    return not has_items and (has_dropped or _count_missing_first(segments, past) > 0)
 
 
-def _lacks_first(segments: Sequence[Segment], past: PastArchive) -> int:
+def _count_missing_first(segments: Sequence[Segment], past: PastArchive) -> int:
     """How many items the archive lacks before the next items, if it has no item of that instant."""
     if not segments:
         return 0

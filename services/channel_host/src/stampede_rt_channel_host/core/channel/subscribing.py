@@ -309,9 +309,9 @@ def _next_batch(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_
         if low > owed[0]:
             if slices or gap is not None:
                 break
-            if lacks := given_between(owed[0], low):  # without `lacks` no item has these seqs
-                gap = _gap(limits, held, low - lacks, low - 1)
-                cursor.dropped += lacks
+            if missing_items := given_between(owed[0], low):  # otherwise no item has these seqs
+                gap = _gap(limits, held, low - missing_items, low - 1)
+                cursor.dropped += missing_items
             cursor.mark_done(low)
             continue
         for held_part in _contiguous(held, *owed):

@@ -90,14 +90,14 @@ class RecordedStep:
             self._late_end = max(self._late_end, part.end_seq)
         self.late = (end, self.late[1]) if end < self.late[1] else None
 
-    def take_page(self, answer: ReadAnswer, *, continues: bool, lacks: int, kept_from: int) -> None:
-        """Take a page. `continues`: another page follows. `lacks`: how many items of this page the archive lacks.
-        `kept_from`: neither the archive nor memory has an item with a lower seq.
+    def take_page(self, answer: ReadAnswer, *, continues: bool, missing_items: int, kept_from: int) -> None:
+        """Take a page. `continues`: another page follows. `missing_items`: the number of items of this page that the
+        archive lacks. `kept_from`: neither the archive nor memory has an item with a lower seq.
 
         If another page follows, and this page has items of several times, the step ends before the last of these times.
         So the reader gets a cursor before the next page.
         """
-        self._dropped += lacks
+        self._dropped += missing_items
         self.is_read = not continues
         if continues and answer.slices[-1].last_time > answer.slices[0].first_time:
             self.target, self.is_read = answer.slices[-1].last_time, True

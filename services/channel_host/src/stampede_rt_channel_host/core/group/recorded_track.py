@@ -160,7 +160,7 @@ class RecordedOwnTrack(RecordedTrack):
         super().__init__(channel, channel_id)
         self._kept_from = kept_from
         self._counted_to = 0  # the removed items with a lower seq are counted
-        self.lacked = 0
+        self.missing_items = 0
         self._page = ChannelIndex()
         self._begin, self._page_end = LAST_KEY, FIRST_KEY  # the page has all items between these keys
         self._last_time = FIRST_KEY[0]  # the time of the last bucket of the page
@@ -194,7 +194,7 @@ class RecordedOwnTrack(RecordedTrack):
         after = Position(low[0], low[1] - 1) if low[1] else None
         read = yield replace(_up_to(low[0], floor), after=after)
         answer, self._page = read.answer(), ChannelIndex()
-        self.lacked += read.lacks
+        self.missing_items += read.missing_items
         if low[1]:  # otherwise no item is decided yet
             self._count_removed(max(low[1], self._counted_to), self._kept_from(), answer.slices)
         runs = {part.run.first_seq: part.run for part in answer.slices if split_at(part, floor)[0].items}
@@ -211,7 +211,7 @@ class RecordedOwnTrack(RecordedTrack):
     def _count_removed(self, first: int, end: int, slices: Iterable[Slice]) -> None:
         """Count the seqs from `first` up to `end`, exclusive, that are not among the slices."""
         given = sum(max(0, min(one.end_seq, end) - max(one.first_seq, first)) for one in slices)
-        self.lacked += max(0, given_between(first, end) - given)
+        self.missing_items += max(0, given_between(first, end) - given)
         self._counted_to = max(self._counted_to, end)
 
 
@@ -255,6 +255,6 @@ class LateCounter:
         """
         new_parts = held.slices_by_seq(self.next_seq, next_seq)
         late = sum(split_at(part, self._low)[0].items for part in new_parts)
-        lacked, self._own.lacked = self._own.lacked, 0
+        missing_items, self._own.missing_items = self._own.missing_items, 0
         self._low, self.next_seq = low, next_seq
-        return late + lacked
+        return late + missing_items

@@ -101,8 +101,8 @@ class RecordedView:
 
     Order of use: the caller performs each read of `reads`, one after the other. Then `answer` is the answer, and
     `released_by` says at which cut a waiting read may get another answer. `within` is the resolved interval; None: a
-    meta-time has no instant yet. `continues` says whether the answer was cut off for its length. `lacks` is the number
-    of items that the archive lacks. The caller closes the moment.
+    meta-time has no instant yet. `continues` says whether the answer was cut off for its length. `missing_items` is the
+    number of items that the archive lacks. The caller closes the moment.
     """
 
     answer: ReadAnswer
@@ -110,7 +110,7 @@ class RecordedView:
     def __init__(self, moment: ChannelSnapshot, span: ArchiveSpan, query: Query, horizon: Horizon) -> None:
         self.horizon = horizon
         self.continues = self.hides = False
-        self.lacks = 0
+        self.missing_items = 0
         self.within: ResolvedInterval | None = None
         self.released_by: int | None = None
         """The cut at which the answer changes because of archived items; None: only items in memory can change the
@@ -135,7 +135,7 @@ class RecordedView:
         yield from self._look_for_hidden(within)
         read = _VisibleRead(self._moment, self._span, self._query, within, self)
         yield read
-        self.answer, self.continues, self.lacks = read.answer(), read.continues, read.lacks
+        self.answer, self.continues, self.missing_items = read.answer(), read.continues, read.missing_items
         if waits and not self.answer.complete:
             yield from self._look_for_release(within)
 

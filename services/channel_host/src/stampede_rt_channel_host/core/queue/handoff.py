@@ -36,7 +36,7 @@ class LeaseState(NamedTuple):
 class ItemState(NamedTuple):
     """A message with a history: it is leased, held back or leaving, or was delivered or acknowledged before.
 
-    `deliveries` has a number for each copy that was delivered and not acknowledged: the number of its deliveries. The
+    `deliveries` has an entry for each copy that was delivered and not acknowledged: how often it was delivered. The
     leased copies come first, in the order of `leases`. The queue holds the message back for `delay_nanos`.
     `is_leaving`: it waits for its move to the dead-letter queue. `last` is its last failed delivery. `acknowledged` has
     the ids of the takers that acknowledged a copy.
@@ -237,7 +237,7 @@ def _lease_state(lease: Lease, now: int) -> LeaseState:
 
 
 def enter(queue_items: QueueItems, queue_leases: QueueLeases, state: ItemState, now: int) -> None:
-    """Give a tracked message the history that another host knows, in place of its own. Or change its history."""
+    """Replace the history of a tracked message by `state` of another host. If `state` is a change, apply the change."""
     item = queue_items.tracked[state.seq]
     former = {one.delivery_id: queue_leases.leases.get(one.delivery_id) for one in state.leases}
     if state.ended is None:
@@ -251,7 +251,8 @@ def enter(queue_items: QueueItems, queue_leases: QueueLeases, state: ItemState, 
     queue_items.delays.disarm(item)
     for lease, number in zip(state.leases, state.deliveries, strict=False):
         taker = TakerState(lease.taker_id, name=lease.taker_name)
-        leased = former[lease.delivery_id]  # the deadlines distinguish leases by their ids, so one id is one object
+        # A lease that this host has keeps its object, because the deadlines must not have two leases with one id.
+        leased = former[lease.delivery_id]
         leased = leased or Lease(lease.delivery_id, item, number, taker, now - lease.leased_ago_nanos)
         queue_leases.enter(leased, now + lease.lease_nanos)
     if state.delay_nanos > 0:
