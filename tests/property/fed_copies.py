@@ -51,7 +51,7 @@ class FedCopy:
     last_at: int = 0
     begun_anew: int = 0
     takes: int = 0
-    got_alone: int = 0  # runs of `ChannelFeed.take_newest`
+    single_runs: int = 0  # the runs of `ChannelFeed.take_newest`
 
     def __post_init__(self) -> None:
         self.source = self._present_source()
@@ -66,8 +66,8 @@ class FedCopy:
         )
         self.channel.take_losses(self.pair.core.losses)
 
-    def cut(self) -> None:
-        """Break the stream of the feed."""
+    def break_stream(self) -> None:
+        """Close the feed, as if its stream had broken."""
         if self.feed is not None:
             self.feed.close()
         self.feed = None
@@ -76,7 +76,7 @@ class FedCopy:
         """Open a feed if there is none, and apply its next part. Returns whether anything came."""
         clock = self.pair.clock
         if self.source is not self._present_source():  # the source copy began again, so its channel is another object
-            self.cut()
+            self.break_stream()
             self.source = self._present_source()
         if self.feed is None:
             try:
@@ -101,7 +101,7 @@ class FedCopy:
         return self.last is not None
 
     def _take_newest(self, feed: ChannelFeed, limit_bytes: int) -> bool:
-        """Two times out of three, apply the last run if it is all that the copy lacks. Returns whether it did."""
+        """Two times out of three, apply the last run if the copy lacks nothing else. Returns whether it did."""
         self.takes += 1
         fed = feed.take_newest(limit_bytes) if self.takes % 3 else None
         if fed is None:
@@ -112,7 +112,7 @@ class FedCopy:
         self.channel.check_item(fed)
         self.channel.apply_item(fed, run_of_item(fed.item) if fed.item.items == 1 else run, self.pair.clock)
         self.last = None
-        self.got_alone += 1
+        self.single_runs += 1
         self.check_part()
         return True
 
@@ -206,6 +206,7 @@ class MovingSubscription:
         assert sorted(self.seen + self.missing) == [*range(1, self.saved.next_seq)]
 
 
-def refuses_behind(source: FedChannel, place: FedChannel, clock: int) -> None:
+def check_refusal(source: FedChannel, place: FedChannel, clock: int) -> None:
+    """Check that `source` refuses to feed a copy that has more items."""
     with pytest.raises(Unavailable):
         ChannelFeed(source, place.place, clock, follows=True)

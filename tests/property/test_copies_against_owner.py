@@ -1,4 +1,4 @@
-"""A copy that is fed through any cuts, repeats and reconnects equals its owner up to its lag.
+"""A copy that is fed with any breaks, repetitions and reconnections equals its owner up to its lag.
 
 The owner is the core of the channel's scenarios, which the oracle checks step by step. `STAMPEDE_PROPERTY_EXAMPLES`
 sets the number of scenarios.
@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Offer, SavedCursor, item_blocks, pieces
 from tests.property.channel_pair import INCARNATION, ChannelPair, facts
-from tests.property.fed_copies import FedCopy, MovingSubscription, held_by, refuses_behind
+from tests.property.fed_copies import FedCopy, MovingSubscription, check_refusal, held_by
 from tests.property.random_source import RandomSource
 from tests.property.test_channel_against_oracle import FIRST_CLOCK, SET_UPS, STEPS, a_query, consume
 
@@ -36,7 +36,7 @@ class Scenario:
         copy, limit_bytes = rng.pick(self.copies), rng.pick((0, 1, 150, 10**6))
         kind = rng.below(6)
         if kind == 0:
-            copy.cut()
+            copy.break_stream()
         elif kind == 1:
             copy.repeat()
         elif kind == 2:
@@ -83,18 +83,18 @@ def _timed(*times: int) -> Offer:
     return Offer(times=times, durations=None, lengths=[8] * len(times))
 
 
-def test_a_copy_that_lacks_only_the_last_run_gets_it_alone() -> None:
+def test_a_copy_that_lacks_only_the_last_run_gets_a_message_with_only_this_run() -> None:
     scenario = Scenario(Policy(max_items=4, max_future_nanos=8))
     copy, pair = scenario.copies[0], scenario.pair
-    alone = []
+    got_single_run = []
     for times in ((100,), (101,), (101, 103), (102,), (103,), (107, 106), (106,)):
         pair.put(_timed(*times))
-        before, copy.takes = copy.got_alone, 0
+        before, copy.takes = copy.single_runs, 0
         copy.catch_up()
-        alone.append(copy.got_alone > before)
+        got_single_run.append(copy.single_runs > before)
         assert held_by(copy.channel, FIRST_CLOCK) == held_by(pair.core, FIRST_CLOCK)
-    # not the first state, the first collection, and the run whose times descend
-    assert alone == [False, True, True, False, True, False, True]
+    # A copy gets its first state, the first collection, and a run with descending times in another form.
+    assert got_single_run == [False, True, True, False, True, False, True]
 
 
 def test_a_copy_gets_the_duration_of_an_item_whose_run_lost_its_other_items() -> None:
@@ -105,7 +105,7 @@ def test_a_copy_gets_the_duration_of_an_item_whose_run_lost_its_other_items() ->
     pair.put(Offer(times=(101, 102), durations=(3, 3), lengths=[8, 2000]))
     copy.takes = 0
     copy.catch_up()
-    assert copy.got_alone == 1
+    assert copy.single_runs == 1
     assert facts(held_by(copy.channel, FIRST_CLOCK)) == facts(held_by(pair.core, FIRST_CLOCK))
 
 
@@ -138,7 +138,7 @@ def test_a_copy_begins_anew_if_the_cut_floor_went_back_while_its_stream_was_brok
     copy, pair = scenario.copies[0], scenario.pair
     pair.put(_timed(100, 101, 102))
     copy.catch_up()
-    copy.cut()
+    copy.break_stream()
     pair.consume(1, [1, 2], 10**6)
     pair.put(_timed(99))
     copy.catch_up()
@@ -151,4 +151,4 @@ def test_a_copy_refuses_to_feed_a_copy_that_has_more_items() -> None:
     near, other = scenario.copies[:2]
     scenario.pair.put(_timed(100, 101))
     other.catch_up()
-    refuses_behind(near.channel, other.channel, FIRST_CLOCK)
+    check_refusal(near.channel, other.channel, FIRST_CLOCK)

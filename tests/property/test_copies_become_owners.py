@@ -76,7 +76,7 @@ class Scenario:
     def step(self, rng: RandomSource) -> None:
         copy, kind = rng.pick(self.copies), rng.below(8)
         if kind == 0:
-            copy.cut()
+            copy.break_stream()
         elif kind == 1:
             copy.repeat()
         elif kind == 2:
@@ -157,7 +157,7 @@ class Scenario:
             copy.take(10**6)
         former, window = self.pair.core, self.window
         for one in self.copies:
-            one.cut()
+            one.break_stream()
         core, self.window = copy.channel.as_owner(clock)
         self.pair.move_to(core)
         if self.pair.oracle.consumers is not None:

@@ -47,20 +47,20 @@ def ask(target: str, verb: str, channel_id: str, epoch: str) -> None:
         if verb == "follow":
             asyncio.run(follow(target, pb.SubscribeOpen(**about)))  # type: ignore[arg-type]
             return
-        begun = pb.SubscribeOpen(start=oldest, **about)  # type: ignore[arg-type]
+        opening = pb.SubscribeOpen(start=oldest, **about)  # type: ignore[arg-type]
         items = 0
-        for response in stub.Subscribe(iter((pb.SubscribeRequest(open=begun, credit_bytes=2**60),))):
+        for response in stub.Subscribe(iter((pb.SubscribeRequest(open=opening, credit_bytes=2**60),))):
             items += sum(len(one.run.payload_length_bytes) for one in response.runs)
             if items >= READ_ITEMS:
                 return
 
 
-async def follow(target: str, begun: pb.SubscribeOpen) -> None:
+async def follow(target: str, opening: pb.SubscribeOpen) -> None:
     """Many subscriptions, each of which takes a few items."""
 
     async def one(connection: grpc.aio.Channel) -> None:
         items = 0
-        call = ChannelServiceStub(connection).Subscribe(iter((pb.SubscribeRequest(open=begun, credit_bytes=2**60),)))
+        call = ChannelServiceStub(connection).Subscribe(iter((pb.SubscribeRequest(open=opening, credit_bytes=2**60),)))
         async for response in call:
             items += sum(len(one.run.payload_length_bytes) for one in response.runs)
             if items >= FOLLOWED_ITEMS:

@@ -91,9 +91,11 @@ async def test_a_match_waits_for_credit_for_all_of_its_items(host: Host, monkeyp
     monkeypatch.setattr(writing, "SIGN_OF_LIFE_SECONDS", 0.0)
     left, right, group = await a_pair(host)
     t = host.now() - S
-    begun = pb.SubscribeMatchesOpen(group_id=group.group_id, per_channel_id=left.channel_id, epoch=1, tolerance_nanos=3)
+    opening = pb.SubscribeMatchesOpen(
+        group_id=group.group_id, per_channel_id=left.channel_id, epoch=1, tolerance_nanos=3
+    )
     call: Any = host.groups.SubscribeMatches()
-    await call.write(pb.SubscribeMatchesRequest(open=begun))
+    await call.write(pb.SubscribeMatchesRequest(open=opening))
     async with asyncio.timeout(WAIT_SECONDS):
         assert (await call.read()).HasField("cursor")
         for number in range(10):

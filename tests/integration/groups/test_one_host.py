@@ -264,14 +264,14 @@ async def test_matches_pair_the_nearest_items(host: Host) -> None:
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("stereo", [left, right])
     await left.put(t + 10, t + 20)
-    begun = pb.SubscribeMatchesOpen(
+    opening = pb.SubscribeMatchesOpen(
         group_id=group.group_id,
         per_channel_id=left.channel_id,
         epoch=1,
         tolerance_nanos=3,
         after=pb.MatchCursor(after=item_pb2.ItemPosition(time_unix_nano=t)),
     )
-    call = host.groups.SubscribeMatches(iter((pb.SubscribeMatchesRequest(open=begun, credit_bytes=2**40),)))
+    call = host.groups.SubscribeMatches(iter((pb.SubscribeMatchesRequest(open=opening, credit_bytes=2**40),)))
     await right.put(t + 9, t + 12, t + 40)
     found: list[pb.ItemMatch] = []
     async with asyncio.timeout(45):

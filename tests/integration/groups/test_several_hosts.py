@@ -82,10 +82,10 @@ async def test_the_status_shows_the_position_of_a_channel_of_another_host(pair: 
     await pair.right.put(t + 5)
     await pair.until_synced(t)
     status = await pair.left.host.until(pair.group, lambda status: len(status.members) == 2)
-    of = {member.times.channel_id: member for member in status.members}
-    assert of[pair.right.channel_id].lead_nanos == 5
-    assert not of[pair.right.channel_id].HasField("hidden_items")
-    assert of[pair.left.channel_id].hidden_items == 1
+    members = {member.times.channel_id: member for member in status.members}
+    assert members[pair.right.channel_id].lead_nanos == 5
+    assert not members[pair.right.channel_id].HasField("hidden_items")
+    assert members[pair.left.channel_id].hidden_items == 1
     assert list(status.waiting_on_channel_ids) == [pair.left.channel_id]
 
 
@@ -102,8 +102,8 @@ async def test_one_cut_serves_a_read_over_both_hosts(pair: Pair) -> None:
 async def test_cut_events_may_begin_before_any_item_is_visible(pair: Pair) -> None:
     t = pair.start
     decider = CutReader(pair.left.host, pair.group, decides=True)
-    begun = await decider.opened()
-    other = CutReader(pair.right.host, pair.group, after=begun)
+    position = await decider.opened()
+    other = CutReader(pair.right.host, pair.group, after=position)
     await other.opened()
     await pair.left.put(t, t + 2)
     await pair.right.put(t + 1, t + 3)
@@ -156,14 +156,14 @@ async def test_matches_have_items_of_several_hosts(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t + 10, t + 20)
     await pair.right.put(t + 11, t + 30)
-    begun = pb.SubscribeMatchesOpen(
+    opening = pb.SubscribeMatchesOpen(
         group_id=pair.group.group_id,
         per_channel_id=pair.left.channel_id,
         epoch=1,
         tolerance_nanos=3,
         after=pb.MatchCursor(after=item_pb2.ItemPosition(time_unix_nano=t)),
     )
-    call = pair.left.host.groups.SubscribeMatches(iter((pb.SubscribeMatchesRequest(open=begun, credit_bytes=2**40),)))
+    call = pair.left.host.groups.SubscribeMatches(iter((pb.SubscribeMatchesRequest(open=opening, credit_bytes=2**40),)))
     found: list[pb.ItemMatch] = []
     async with asyncio.timeout(45):
         while len(found) < 2:

@@ -43,10 +43,10 @@ async def busy(channel: GroupedChannel, start: int) -> AsyncIterator[None]:
 
 
 def matching(left: GroupedChannel, group: group_pb2.GroupRecord, **fields: Any) -> Any:
-    begun = pb.SubscribeMatchesOpen(
+    opening = pb.SubscribeMatchesOpen(
         group_id=group.group_id, per_channel_id=left.channel_id, epoch=1, tolerance_nanos=3, **fields
     )
-    request = pb.SubscribeMatchesRequest(open=begun, credit_bytes=2**40)
+    request = pb.SubscribeMatchesRequest(open=opening, credit_bytes=2**40)
     return left.host.groups.SubscribeMatches(iter((request,)))
 
 
@@ -75,9 +75,9 @@ async def test_a_subscription_gets_a_cursor_at_its_start(host: Host) -> None:
     group = host.directory.add_group("pair", [left, right])
     await left.put(t, t + 2, t + 4)
     await right.put(t + 3)
-    begun = left.subscribe(group)
-    cursor = (await begun.call.read()).cursor
-    begun.call.cancel()  # the subscription began after these items became visible, so it does not get them
+    former = left.subscribe(group)
+    cursor = (await former.call.read()).cursor
+    former.call.cancel()  # the subscription began after these items became visible, so it does not get them
     resumed = left.subscribe(group, cursor=cursor)
     assert not (await resumed.call.read()).HasField("gap")
     await left.put(t + 1, t + 6)
@@ -107,9 +107,9 @@ async def test_a_subscription_that_began_before_the_first_cut_begins_with_the_fi
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     await left.put(t)
-    begun = left.subscribe(group)
-    cursor = (await begun.call.read()).cursor
-    begun.call.cancel()
+    former = left.subscribe(group)
+    cursor = (await former.call.read()).cursor
+    former.call.cancel()
     resumed = await left.subscribe(group, cursor=cursor).opened()
     await right.put(t + 1)
     await left.put(t + 2)
@@ -120,9 +120,9 @@ async def test_matches_continue_at_their_first_cursor_if_no_match_had_come_yet(h
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     await left.put(t)
-    begun = matching(left, group)
-    place = (await begun.read()).cursor
-    begun.cancel()
+    former = matching(left, group)
+    place = (await former.read()).cursor
+    former.cancel()
     await left.put(t + 5)
     resumed = matching(left, group, after=place)
     await right.put(t + 9)

@@ -207,10 +207,10 @@ class GroupedChannel:
         return times, last.summary
 
     def subscribe(self, group: group_pb2.GroupRecord, **fields: Any) -> GroupSubscriber:
-        begun = channel_service_pb2.SubscribeOpen(
+        opening = channel_service_pb2.SubscribeOpen(
             channel_id=self.channel_id, epoch=self.record.epoch, group_id=group.group_id, **fields
         )
-        request = channel_service_pb2.SubscribeRequest(open=begun, credit_bytes=2**40)
+        request = channel_service_pb2.SubscribeRequest(open=opening, credit_bytes=2**40)
         return GroupSubscriber(self.host.channels.Subscribe(iter((request,))))
 
 
@@ -241,8 +241,8 @@ class CutReader:
     def __init__(self, host: Host, group: group_pb2.GroupRecord, **fields: Any) -> None:
         self.call = host.groups.SubscribeCuts()
         credit = fields.pop("credit", 1000 if fields.get("decides") else 0)
-        begun = pb.SubscribeCutsOpen(group_id=group.group_id, **fields)
-        self._open = pb.SubscribeCutsRequest(open=begun, credit=credit)
+        opening = pb.SubscribeCutsOpen(group_id=group.group_id, **fields)
+        self._open = pb.SubscribeCutsRequest(open=opening, credit=credit)
 
     async def opened(self) -> pb.CutCursor:
         await self.call.write(self._open)

@@ -10,7 +10,7 @@ from tools.sizes import FILE_LINES_MAX, FUNCTION_LINES_MAX, TEST_MODULES_MAX, Si
 SHORT = {f"a.py::f{number}": 5 for number in range(100)}
 
 
-def of(lines: int) -> str:
+def function_of(lines: int) -> str:
     """A function with this number of lines."""
     return "def long():\n" + "    pass\n" * (lines - 1)
 
@@ -28,7 +28,7 @@ def test_a_nested_function_has_the_name_of_its_outer_one_in_front() -> None:
 
 
 def test_the_longer_of_two_functions_with_one_name_counts() -> None:
-    assert sizes.measure([("a.py", of(9) + of(4))]).functions == {"a.py::long": 9}
+    assert sizes.measure([("a.py", function_of(9) + function_of(4))]).functions == {"a.py::long": 9}
 
 
 @pytest.mark.parametrize(("kind", "most"), [("files", FILE_LINES_MAX), ("functions", FUNCTION_LINES_MAX)])
@@ -39,7 +39,7 @@ def test_one_line_above_the_limit_is_reported(kind: str, most: int) -> None:
 
 
 @pytest.mark.parametrize(("kind", "most"), [("files", FILE_LINES_MAX), ("functions", FUNCTION_LINES_MAX)])
-def test_an_allowed_size_may_not_grow_and_must_follow_when_it_shrinks(kind: str, most: int) -> None:
+def test_an_allowed_size_may_not_grow_and_must_shrink_with_the_file_or_function(kind: str, most: int) -> None:
     allowed = Sizes(**{kind: {"long": most + 10}})
     assert complaints(found(kind, most + 10), allowed) == []
     assert "split it" in complaints(found(kind, most + 11), allowed)[0]

@@ -32,7 +32,7 @@ class _Messages:
         self._missing = messages
         self._all_came.clear()
 
-    async def come(self) -> None:
+    async def wait(self) -> None:
         """Wait for the expected messages."""
         await self._all_came.wait()
 
@@ -110,7 +110,7 @@ async def _reading(count: int, *, stalled: bool) -> AsyncIterator[tuple[HostedCh
     streams = [_Stream(messages, stalls=number >= count) for number in range(count + stalled)]
     messages.expect(len(streams))  # the first message to each reader says that the subscription is open
     readers = [asyncio.create_task(_read(own, channel, stream)) for stream in streams]
-    await messages.come()
+    await messages.wait()
     try:
         with quiet():
             await _put(channel, messages, count, 10)
@@ -137,5 +137,5 @@ async def _put(channel: HostedChannel, messages: _Messages, readers: int, puts: 
     for _ in range(puts):
         messages.expect(readers)
         put(channel, encoded)
-        await messages.come()
+        await messages.wait()
     return (time.thread_time_ns() - began) / puts / NANOS_PER_US

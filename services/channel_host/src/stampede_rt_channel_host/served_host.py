@@ -141,11 +141,11 @@ class ServedHost:
             boot_incarnation=new_boot_incarnation(),
             zone=settings.zone,
             has_archive=archive is not None,
-            continues=0 if archive is None else archive.noted_stop(),
+            continues=0 if archive is None else archive.boot_of_last_stop(),
             move_key=secrets.token_bytes(KEY_BYTES),
             is_private=settings.private,
             archive_wait_nanos=settings.archive_wait_nanos,
-            archive_place="" if archive is None else archive.place(self._objects and self._objects.store.url),
+            archive_place="" if archive is None else archive.place_text(self._objects and self._objects.store.url),
         )
         return ChannelHost(
             identity,

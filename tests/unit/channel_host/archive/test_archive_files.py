@@ -181,11 +181,11 @@ def test_the_note_of_a_stop_of_an_earlier_release_counts(tmp_path: Path) -> None
 def test_a_folder_names_the_process_that_stopped_last_with_all_items_written(tmp_path: Path) -> None:
     folder = ArchiveFolder(tmp_path)
     folder.open(HOST)
-    assert folder.noted_stop() == 0
+    assert folder.boot_of_last_stop() == 0
     folder.note_stop(2**64 - 1)
-    assert folder.noted_stop() == 2**64 - 1
+    assert folder.boot_of_last_stop() == 2**64 - 1
     (tmp_path / "stopped").write_bytes(b"\xff nonsense")
-    assert folder.noted_stop() == 0
+    assert folder.boot_of_last_stop() == 0
     folder.close()
 
 

@@ -12,12 +12,12 @@ from stampede_rt_channel_host.archive.former_files import FormerFiles
 
 async def test_readers_wait_until_the_files_have_come() -> None:
     files = FormerFiles()
-    await files.come()
+    await files.wait()
     files.expect()
-    waiting = asyncio.create_task(files.come())
+    waiting = asyncio.create_task(files.wait())
     await asyncio.sleep(0)
     assert (files.are_expected, waiting.done()) == (True, False)
-    files.note_all()
+    files.note_complete()
     await waiting
     assert not files.are_expected
 
@@ -26,5 +26,5 @@ async def test_readers_go_on_when_the_former_owner_is_lost(monkeypatch: pytest.M
     monkeypatch.setattr(former_files, "WAIT_SECONDS_MAX", 0.0)
     files = FormerFiles()
     files.expect()
-    await files.come()
+    await files.wait()
     assert not files.are_expected

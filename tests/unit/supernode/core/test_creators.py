@@ -157,7 +157,7 @@ def test_a_state_read_from_a_snapshot_has_the_same_counts() -> None:
     assert (tables.channel_creators["cam"], tables.queues.creators["cam"]) == (1, 1)
     assert (tables.groups.creators["cam"], tables.peers.creators["cam"]) == (1, 1)
     [channel] = tables.channels
-    assert tables.groups.count_made_with(channel, "cam") == 1
+    assert tables.groups.count_created_with(channel, "cam") == 1
 
 
 def test_a_quota_of_zero_refuses_every_new_thing_and_things_without_a_maker_are_not_counted() -> None:

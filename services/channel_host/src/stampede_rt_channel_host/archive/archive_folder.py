@@ -77,7 +77,7 @@ class ArchiveFolder:
                 "--data-dir out"
             )
 
-    def noted_stop(self) -> int:
+    def boot_of_last_stop(self) -> int:
         """The boot incarnation of the last process that had archived all items before it stopped; 0: none is known.
 
         Only the directory knows whether another process of the host has registered since. Raises OSError.
@@ -90,7 +90,7 @@ class ArchiveFolder:
         """Note that this process has archived all items of all recorded channels, and stops. Raises OSError."""
         _write(self.path / _STOPPED_FILE, str(boot_incarnation))
 
-    def place(self, url: str | None) -> str:
+    def place_text(self, url: str | None) -> str:
         """The folder as a text for people. `url`: the URL of the object store that has the archive, too, or None.
 
         At most PLACE_CHARACTERS_MAX printable characters.
@@ -125,9 +125,9 @@ class ArchiveFolder:
             self._lock = None
 
     def close_copy(self) -> None:
-        """Close the copy of the lock in a forked child. The folder still belongs to the parent.
+        """In a forked child, close the copy of the lock. The folder still belongs to the parent.
 
-        The descriptor stays in use: the object that owns it may close it later.
+        The descriptor then refers to /dev/null, because the object that owns the descriptor may close it later.
         """
         lock = self._lock
         if lock is not None and not lock.closed:
@@ -136,7 +136,7 @@ class ArchiveFolder:
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a file whole or not at all. Raises OSError."""
+    """Write a file atomically. Raises OSError."""
     draft = path.with_suffix(".draft")
     with draft.open("w") as file:
         file.write(text + "\n")

@@ -10,7 +10,7 @@ WAIT_SECONDS_MAX = 8.0
 
 
 class FormerFiles:
-    """Whether the archive of this owner still expects files of the former owner."""
+    """Lets readers wait while the archive of this owner expects files of the former owner."""
 
     def __init__(self) -> None:
         self._until_s: float | None = None  # the monotonic time at which the wait is over; None: no wait
@@ -26,12 +26,12 @@ class FormerFiles:
         self._until_s = time.monotonic() + WAIT_SECONDS_MAX
         self._arrival.clear()
 
-    def note_all(self) -> None:
+    def note_complete(self) -> None:
         """Note that the archive has the files. Idempotent."""
         self._until_s = None
         self._arrival.set()
 
-    async def come(self) -> None:
+    async def wait(self) -> None:
         """Wait while the files are expected."""
         if self._until_s is None:
             return

@@ -86,7 +86,7 @@ class HostArchive:
     @property
     def place(self) -> str:
         """The folder, and the URL of the object store."""
-        return self.folder.place(None if self.objects is None else self.objects.store.url)
+        return self.folder.place_text(None if self.objects is None else self.objects.store.url)
 
     @property
     def failing_channels(self) -> int:

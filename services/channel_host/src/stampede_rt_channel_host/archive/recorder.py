@@ -323,7 +323,7 @@ class ChannelRecorder:
     def stop(self) -> None:
         """Note that the archive no longer writes items of the channel. Idempotent."""
         self.is_stopped = True
-        self.former.note_all()
+        self.former.note_complete()
         self._expect(0)
         self.note_end(self.failure)
 

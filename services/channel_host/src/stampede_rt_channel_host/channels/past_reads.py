@@ -82,7 +82,7 @@ class PastReader:
         more than ARCHIVED_WITHIN_SECONDS, or if the archive cannot be read.
         """
         self._channel.check_positions(query)
-        await self._recorder.former.come()
+        await self._recorder.former.wait()
         await self._archived(as_of)
         return await tried(lambda: self._read(query, as_of, scheduler, horizon))
 

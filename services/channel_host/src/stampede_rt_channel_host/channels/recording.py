@@ -226,11 +226,11 @@ class Recording:
         Call it before `beginning`.
         """
         if self.recorder.former.are_expected and self.reaches(Query(interval=Interval(start, start)), now):
-            await self.recorder.former.come()
+            await self.recorder.former.wait()
 
     async def _settle(self) -> None:
         """Wait for items that are on their way to the archive: from a former owner, or from memory."""
-        await self.recorder.former.come()
+        await self.recorder.former.wait()
         await self.recorder.settle(self._channel.next_seq)
 
     async def since(self, cursor: AllCursor, limit_bytes: int, now: Callable[[], int]) -> SubscriptionBatch | None:
@@ -240,7 +240,7 @@ class Recording:
         """
         missing = self._channel.missing(cursor, now())
         if missing is not None and self.recorder.former.are_expected:
-            await self.recorder.former.come()
+            await self.recorder.former.wait()
             missing = self._channel.missing(cursor, now())
         if missing is not None and missing[0] >= self.recorder.archived_to:
             await self.recorder.settle(missing[1])
@@ -270,7 +270,7 @@ class Recording:
             held, _ = self._channel.look(now())
             end = held.held_up_to(*seqs, ENTRIES_PER_LOOK)
         if end == seqs[0] and end < self.recorder.archived_to:
-            await self.recorder.former.come()
+            await self.recorder.former.wait()
             part = await self._load_part((end, min(seqs[1], self.recorder.archived_to)), bytes_max)
             held, _ = self._channel.look(now())
             return part.items.slices_by_seq(*seqs, FIRST_KEY), partial(next_time_of, part, held.next_time), part.end_seq

@@ -59,7 +59,7 @@ class HostedGroup:
         self.member_observers = Observers(begin)
         self.gets: dict[object, ChannelObserver] = {}  # by channel: the object with the blocked gets of that channel
         # the floors that callers wait for, with their futures
-        self._reaching: Any = SortedKeyList(key=itemgetter(0, 1))
+        self._floor_waits: Any = SortedKeyList(key=itemgetter(0, 1))
         self._is_releasing = False
         self._begin = begin
         self.awaited_hosts: set[bytes] = set()
@@ -67,7 +67,7 @@ class HostedGroup:
         # loop time of the last answer of the directory, and of the last request that named the group
         self.looked_up_s = 0.0
         self.named_s = 0.0
-        self.is_stale = False  # the directory has, or may have, another version by now
+        self.is_stale = False  # the directory may have a newer version
         self._now = now
         self._on_moved = on_moved
         self._on_idle = on_idle
@@ -150,7 +150,7 @@ class HostedGroup:
         """The present state of all members."""
         return list(self.cut.members(self._now()))
 
-    def concerning(self) -> Collection[bytes]:
+    def members_to_watch(self) -> Collection[bytes]:
         """The members whose changes may concern the group or its observers, as of the last `changed`."""
         if self.member_observers or self.cut.definition.idle_after_nanos is not None:
             return self.cut.definition.members
@@ -184,11 +184,11 @@ class HostedGroup:
             self._idle_timer.cancel()
         for gets in [*self.gets.values()]:
             gets.end(error)
-        reaching = [reached for _, _, reached in self._reaching]
+        waits = [reached for _, _, reached in self._floor_waits]
         of_cut, of_members = self.cut_observers.ending(error), self.member_observers.ending(error)
         yield from of_cut
         yield from of_members
-        for part in batched(reaching, OBSERVERS_PER_PIECE):
+        for part in batched(waits, OBSERVERS_PER_PIECE):
             yield
             for reached in part:
                 if not reached.done():
@@ -203,18 +203,18 @@ class HostedGroup:
             return True
         reached: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         waiting = (NOTHING_VISIBLE if floor is None else floor, next(_arrivals), reached)
-        self._reaching.add(waiting)
+        self._floor_waits.add(waiting)
         try:
             async with asyncio.timeout(timeout_s):
                 await reached
         except TimeoutError:
             return self.has_reached(floor)
         finally:
-            self._reaching.discard(waiting)
+            self._floor_waits.discard(waiting)
         return True
 
     def _release_reached(self) -> None:
-        if self._reaching and not self._is_releasing and self.has_reached(self._reaching[0][0]):
+        if self._floor_waits and not self._is_releasing and self.has_reached(self._floor_waits[0][0]):
             self._is_releasing = True
             self._begin(self._releasing())
 
@@ -228,9 +228,9 @@ class HostedGroup:
     def _release_some(self) -> bool:
         """Wake some callers. Returns True if other callers may be left to wake."""
         for _ in range(OBSERVERS_PER_PIECE):
-            if not self._reaching or not self.has_reached(self._reaching[0][0]):
+            if not self._floor_waits or not self.has_reached(self._floor_waits[0][0]):
                 return False
-            _, _, reached = self._reaching.pop(0)
+            _, _, reached = self._floor_waits.pop(0)
             if not reached.done():
                 reached.set_result(None)
         return True
@@ -260,9 +260,9 @@ class HostedGroup:
         due = self.cut.next_idle(self._now())
         if due is not None:
             delay_s = max((due - self._now()) / 1e9, _TIMER_SECONDS_MIN)
-            self._idle_timer = asyncio.get_running_loop().call_later(delay_s, self._idle)
+            self._idle_timer = asyncio.get_running_loop().call_later(delay_s, self._note_idle_members)
 
-    def _idle(self) -> None:
+    def _note_idle_members(self) -> None:
         self._idle_timer = None
         for member in self.members():
             if member.is_idle and member.known is not None and member.known.known_until is None:

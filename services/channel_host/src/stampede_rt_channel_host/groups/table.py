@@ -61,7 +61,7 @@ class HostedGroups:
 
     def _file(self, group: HostedGroup) -> None:
         if self.groups.get(group.record.group_id) is group:  # the group may have been deleted meanwhile
-            self._note_keys(group, group.concerning())
+            self._note_keys(group, group.members_to_watch())
 
     def _note_keys(self, group: HostedGroup, keys: Collection[bytes]) -> None:
         before = self._keys.pop(group.record.group_id, ())

@@ -282,7 +282,7 @@ class SegmentMover:
     def _note_former(self, recorder: ChannelRecorder, files: MovingFiles) -> None:
         """Let readers of the archive go on, if it has the last files of the former owner."""
         if recorder.moved_items is None and not files.lacks_former(recorder.archived_to):
-            recorder.former.note_all()
+            recorder.former.note_complete()
 
     async def _delete_outdated(self, files: MovingFiles) -> None:
         names = files.stored.outdated[:OBJECTS_PER_DELETION]

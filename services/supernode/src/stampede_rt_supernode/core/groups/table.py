@@ -52,7 +52,7 @@ class GroupTable:
         """The number of groups to which a channel belongs."""
         return len(self._ids_with.get(channel_id, ()))
 
-    def count_made_with(self, channel_id: bytes, created_by: str) -> int:
+    def count_created_with(self, channel_id: bytes, created_by: str) -> int:
         """The number of the groups of a channel that this caller has created."""
         return self._made_with[channel_id, created_by]
 

@@ -113,7 +113,7 @@ def _create(tables: Tables, operation: OpenGroup, has_shares: bool) -> GroupOpen
 
 
 def _members(tables: Tables, name: str, channel_ids: Iterable[bytes]) -> tuple[bytes, ...]:
-    """The ids of new members, as the same objects that the channels' records have, which saves much memory.
+    """The ids of new members. They are the objects of the channels' records, because copies would take much memory.
 
     Raises ChannelNotFound, and Overloaded if a channel is in too many groups.
     """
@@ -138,7 +138,7 @@ def _check_share(tables: Tables, name: str, created_by: str, channel_ids: Iterab
     if not created_by or created_by in SHARED_NAMES:
         return
     for channel_id in channel_ids:
-        if tables.groups.count_made_with(channel_id, created_by) >= GROUPS_PER_CHANNEL_AND_CALLER_MAX:
+        if tables.groups.count_created_with(channel_id, created_by) >= GROUPS_PER_CHANNEL_AND_CALLER_MAX:
             channel = channel_by_id(tables, channel_id)
             raise Overloaded(
                 f"channel {channel.name} cannot come into group {name}: {created_by} has created "
@@ -150,7 +150,8 @@ def _check_share(tables: Tables, name: str, created_by: str, channel_ids: Iterab
 def update_group(tables: Tables, operation: UpdateGroup, *, has_shares: bool = True) -> GroupUpdated:
     """Add and remove members. `has_shares`: as for `open_group`.
 
-    The cut stays, unless no owner of a remaining member knows it. Then the group gets a new incarnation.
+    The cut stays, unless no owner of a remaining member knows it. Then the group gets a new incarnation. Raises
+    InvalidArgument, GroupNotFound, GroupExists, ChannelNotFound or Overloaded.
     """
     check_update_group(operation)
     group = group_by_id(tables, operation.group_id)
@@ -177,11 +178,11 @@ def _with_members(tables: Tables, group: GroupRecord, channel_ids: tuple[bytes, 
     spec = replace(group.spec, channel_ids=channel_ids)
     check_spec(group.name, spec)
     changed = replace(group, spec=spec, spec_version=group.spec_version + 1)
-    return _witnessed(tables, changed)
+    return _store_with_witnesses(tables, changed)
 
 
 def delete_group(tables: Tables, operation: DeleteGroup) -> GroupDeleted:
-    """Delete a group, and free its name."""
+    """Delete a group, and free its name. Raises GroupNotFound."""
     group = group_by_id(tables, operation.group_id)
     tables.groups.remove(group)
     return GroupDeleted(name=group.name)
@@ -211,7 +212,7 @@ def note_lost_cuts(tables: Tables, channel_ids: Iterable[bytes], restarted: byte
     """
     found = {group.group_id for one in channel_ids for group in tables.groups.with_channel(one)}
     for group_id in sorted(found):
-        _witnessed(tables, tables.groups.by_id[group_id], restarted)
+        _store_with_witnesses(tables, tables.groups.by_id[group_id], restarted)
 
 
 def move_witness(tables: Tables, channel_id: bytes, former_host_id: bytes) -> None:
@@ -228,7 +229,7 @@ def move_witness(tables: Tables, channel_id: bytes, former_host_id: bytes) -> No
         tables.groups.replace(group, tuple(sorted(known & {*_hosts_of(tables, group), *fallbacks})))
 
 
-def _witnessed(tables: Tables, group: GroupRecord, restarted: bytes | None = None) -> GroupRecord:
+def _store_with_witnesses(tables: Tables, group: GroupRecord, restarted: bytes | None = None) -> GroupRecord:
     """Store `group` with its remaining witnesses.
 
     If none is left, its hosts become the witnesses of a new incarnation.
