@@ -24,7 +24,7 @@ class ProposalOutcome(Enum):
 
     REFUSED = "not taken"
     LOST = "unknown, and not done"
-    DONE_UNHEARD = "unknown, and done"
+    DONE_WITHOUT_ANSWER = "unknown, and done"
 
 
 class MemoryLog:
@@ -71,7 +71,7 @@ class MemoryLog:
             await asyncio.Event().wait()  # until the caller gives up
         self.index += 1
         result = self.machine.apply(self.index, command)
-        if outcome is ProposalOutcome.DONE_UNHEARD:
+        if outcome is ProposalOutcome.DONE_WITHOUT_ANSWER:
             raise OutcomeUnknown("as the test planned")
         return result
 

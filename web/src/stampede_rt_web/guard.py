@@ -35,7 +35,7 @@ _LOGIN = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>St
 <meta name="viewport" content="width=device-width"><link rel="stylesheet" href="/static/style.css"></head>
 <body class="login"><form method="post" action="/login"><h1>Stampede RT</h1>
 <label>Login token <input name="token" type="password" autofocus autocomplete="current-password"></label>
-<button>Log in</button><p>{said}</p></form></body></html>"""
+<button>Log in</button><p>{message}</p></form></body></html>"""
 
 
 class Guard:
@@ -82,7 +82,7 @@ class Guard:
 
     async def _login(self, request: Request, token: str) -> Response:
         if request.method != "POST":
-            return HTMLResponse(_LOGIN.format(said=""))
+            return HTMLResponse(_LOGIN.format(message=""))
         body = b""
         async for chunk in request.stream():
             body += chunk
@@ -91,7 +91,7 @@ class Guard:
         given = parse_qs(body.decode(errors="replace")).get("token", [""])[0]
         if not hmac.compare_digest(given.strip().encode(), token.encode()):
             self._note(request, "login", "")
-            return HTMLResponse(_LOGIN.format(said="This is not the login token of this page."), 403)
+            return HTMLResponse(_LOGIN.format(message="This is not the login token of this page."), 403)
         answer = RedirectResponse("/", 303)
         answer.set_cookie(COOKIE, _session_of(token), httponly=True, samesite="strict", secure=self._secure)
         return answer

@@ -66,8 +66,8 @@ class ArchivedMember:
         self.advance = None if found.past is None else found.past.advance
 
     def _note(self, items: Items, *, is_partial: bool = False) -> None:
-        lacks = items.reason == "LOST" or (items.reason == "COLLECTED" and not is_partial)
-        if lacks and self.reason is None and items.reason is not None:
+        has_lost_items = items.reason == "LOST" or (items.reason == "COLLECTED" and not is_partial)
+        if has_lost_items and self.reason is None and items.reason is not None:
             name, reason = self.channel.name, items.reason
             self.reason = Reason(reason, f"channel {name}: {reason.detail}")
 

@@ -67,7 +67,7 @@ async def test_an_existing_queue_is_opened_without_an_entry_in_the_log(node: Nod
 
 
 async def test_a_queue_is_created_once_even_if_the_outcome_of_the_first_proposal_is_unknown(node: Node) -> None:
-    node.log.outcomes.append(ProposalOutcome.DONE_UNHEARD)
+    node.log.outcomes.append(ProposalOutcome.DONE_WITHOUT_ANSWER)
     assert (await node.queues.OpenQueue(open_request(1, "jobs"))).created
     assert len((await node.queues.ListQueues(pb.ListQueuesRequest())).queues) == 1
 

@@ -77,7 +77,7 @@ async def test_an_existing_group_is_opened_without_an_entry_in_the_log(node: Nod
 
 async def test_a_group_is_created_once_even_if_the_outcome_of_the_first_proposal_is_unknown(node: Node) -> None:
     left, _ = await two_channels(node)
-    node.log.outcomes.append(ProposalOutcome.DONE_UNHEARD)
+    node.log.outcomes.append(ProposalOutcome.DONE_WITHOUT_ANSWER)
     opened = await node.groups.OpenGroup(open_request(1, "pair", left))
     assert opened.created
     assert len((await node.groups.ListGroups(groups_pb.ListGroupsRequest())).groups) == 1
@@ -107,21 +107,21 @@ async def test_without_a_majority_only_stale_reads_answer(node: Node) -> None:
     assert (await node.groups.ResolveGroup(resolve)).group.name == "pair"
 
 
-async def test_a_watch_brings_groups_only_if_asked_for_and_by_their_names(node: Node) -> None:
+async def test_a_watch_has_groups_only_on_request_and_selects_them_by_name(node: Node) -> None:
     left, _ = await two_channels(node)
     watch = node.stub.Watch(directory_pb.WatchRequest(name_glob="p*", include_groups=True))
-    unasked = node.stub.Watch(directory_pb.WatchRequest(name_glob="p*"))
+    without_groups = node.stub.Watch(directory_pb.WatchRequest(name_glob="p*"))
     await watch.read()
-    await unasked.read()
+    await without_groups.read()
     await node.groups.OpenGroup(open_request(1, "other", left))
     opened = await node.groups.OpenGroup(open_request(2, "pair", left))
     await node.open("pane")
     (change,) = (await watch.read()).changes
     assert (change.kind, change.group) == (directory_pb2.CHANGE_KIND_ADDED, opened.group)
-    (change,) = (await unasked.read()).changes
+    (change,) = (await without_groups.read()).changes
     assert change.channel.name == "pane"
     watch.cancel()
-    unasked.cancel()
+    without_groups.cancel()
 
 
 def subject(channel_id: bytes) -> subject_pb2.Subject:

@@ -36,8 +36,8 @@ Feed = TypeVar("Feed", bound=OwnersFeed)
 class ServingPeriod:
     """A time in which a host serves a channel or queue without a break.
 
-    `ended`: the error with which it ended; None: it continues. A period ends with the lease, too. If the host renews
-    the lease in time, it remains the owner, and the next period has begun.
+    `ended`: the error with which the period ended; None: it continues. A period also ends when the lease ends. If the
+    directory still has the host as the owner when the host renews its lease, the host serves in a new period.
     """
 
     ended: StampedeError | None = None
@@ -184,7 +184,7 @@ class OwnedReplicas(ABC, Generic[Feed]):
         self._is_last_period = True
 
     def watch(self, look: Callable[[bool], None]) -> None:
-        """Call `look` after each change on which answers wait, until `unwatch`. `look` must not wait.
+        """Until `unwatch`, call `look` after each change for which answers may wait. `look` must not wait.
 
         Its argument says whether it may write a message in this turn of the event loop.
         """

@@ -117,7 +117,7 @@ class BaseChannel:
 
     @property
     def other_counts(self) -> OtherCounts:
-        """The counts that a copy cannot work out from the items alone, as of the last call."""
+        """The counts that a copy cannot compute from the items alone, as of the last call."""
         held = self._held
         others = sum(held.collected.values()) - held.collected.get(held.last_cause, 0)
         return OtherCounts(self._acceptance.refused_items, held.late, held.last_cause, others)

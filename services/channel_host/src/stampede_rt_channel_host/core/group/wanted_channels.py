@@ -125,7 +125,7 @@ class WantedChannels:
                 self._left_out.pop(creator, None)
 
     def _note_count(self, creator: str, step: int) -> None:
-        """Move the creator to its new number of channels. `_most` follows, because each step is 1."""
+        """Enter the creator under its new number of channels, and update `_most`. `step`: 1 or -1."""
         count = len(self._requested.get(creator, ()))
         if count:
             of_count = self._with_count[count]

@@ -1,14 +1,14 @@
-"""The members whose votes this node counts, whose messages it hears, and to which it sends.
+"""The members whose votes this node counts, whose messages it accepts, and to which it sends.
 
 There are three kinds. The *voters* are the members of the newest configuration in the log; only their votes and
 acknowledgements count. The *learner* gets the log from the leader, so that it can become a voter soon. This node also
-hears every other *known* node, because a member that was unreachable does not know the present leader yet (Ongaro's
-dissertation, section 4.1: servers accept requests from servers outside their configuration). It does not hear a member
-whose removal is applied.
+accepts messages of every other *known* node, because a member that was unreachable does not know the present leader yet
+(Ongaro's dissertation, section 4.1: servers accept requests from servers outside their configuration). It accepts no
+message of a member whose removal is applied.
 
 The members in the log are known, and so are the members that a known node has named. Every other node is a *stranger*:
-only that node itself or another stranger has named it. This node hears strangers only while it is *locked out*: it has
-not received a message of a leader for so long that all members it knows may be gone.
+only that node itself or another stranger has named it. This node accepts messages of strangers only while it is
+*locked out*: it has not received a message of a leader for so long that all members it knows may be gone.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Membership(NodeState):
     _answered_at: dict[str, float]
     # By id: why a known member refuses this node's store. As long as one does, this node does not vote.
     disputed_by: dict[str, str]
-    # All members that this node hears, by id, without itself.
+    # All members whose messages this node accepts, by id, without itself.
     peers: dict[str, Member]
     # The facts that this node adopted last: the version of the log's configurations, and the newest applied one.
     _adopted: tuple[int, Configuration | None] = (-1, None)
@@ -103,14 +103,17 @@ class Membership(NodeState):
             self._adopt()
 
     def on_introduced(self, member: Member) -> None:
-        """Remember a stranger, which says that it is a member. This node hears strangers only while locked out."""
+        """Remember a stranger, which says that it is a member."""
         if self._strangers.get(member.member_id) != member:
             _remember(self._strangers, (member,), STRANGERS_MAX)
             if self._accepts_strangers:
                 self._adopt()
 
     def listen_to_strangers(self) -> None:
-        """Begin to hear strangers when this node is locked out. Stop when it leads or hears a known leader."""
+        """Begin to accept messages of strangers when this node is locked out.
+
+        Stop when this node leads, or receives a message of a known leader.
+        """
         is_accepting = self._accepts_strangers
         if self.leader is None:
             is_accepting = is_accepting or self.clock() - self.had_leader_at > self.locked_out_seconds

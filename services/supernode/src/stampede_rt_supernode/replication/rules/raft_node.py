@@ -39,7 +39,7 @@ class NodeState(LibraryNode):
     poll: DigestPoll
     reads: ConfirmedReads
 
-    # When this node last heard a leader of its term, by `clock`.
+    # When this node last received a message of a leader of its term, by `clock`.
     last_leader_contact: float = float("-inf")
 
     def open_snapshot(self) -> None:

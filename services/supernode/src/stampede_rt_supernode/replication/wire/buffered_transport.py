@@ -207,11 +207,11 @@ class BufferedTransport:
         return outbox
 
     def node(self, member_id: str) -> MemberNode:
-        """The node of a member that this node hears. Raises KeyError for other members."""
+        """The node of a member whose messages this node accepts. Raises KeyError for other members."""
         return self._nodes[member_id]
 
     def find_node(self, member_id: str) -> MemberNode | None:
-        """The node of a member that this node hears; None for other members."""
+        """The node of a member whose messages this node accepts; None for other members."""
         return self._nodes.get(member_id)
 
     def add_node(self, node: MemberNode) -> None:
