@@ -19,6 +19,7 @@ from stampede_rt_channel_host.channels.copy_state import CopyState, Inheritance
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.name_log import NameLog
 from stampede_rt_channel_host.copies.copy_feed import WINDOW_BYTES
 from stampede_rt_channel_host.copies.early_holds import EarlyHolds
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
@@ -64,6 +65,7 @@ class IncomingMoves:
         self._moves: dict[bytes, asyncio.Task[MovedChannel]] = {}  # by channel
         self._slots = MoveSlots(f"to host {identity.name}")
         self._early = EarlyHolds()
+        self._moved = NameLog(logger, "channel", "moved here", event="channel_moved_here")
         self._is_closing = False
 
     async def move_here(
@@ -108,6 +110,7 @@ class IncomingMoves:
             move.cancel()
         await asyncio.gather(*moves, return_exceptions=True)
         await self._streams.aclose()
+        self._moved.close()
 
     def _may_hold_early(self, record: RecordedChannel, source: FeedSource) -> bool:
         """Whether the source may hold the channel before this host asks it to do so.
@@ -175,7 +178,7 @@ class IncomingMoves:
         hosted.end_move()
         feed.released()
         await asyncio.wait({feeding}, timeout=RELEASED_SECONDS_MAX)  # so that the source learns that the move is over
-        logger.info("a channel has moved here", extra={"event": "channel_moved_here", "channel": record.name})
+        self._moved.note(record.name)
         return MovedChannel(hosted, blackout_nanos)
 
     async def _prepare_archive(self, record: RecordedChannel, state: CopyState) -> None:

@@ -15,6 +15,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.move_under_way import HELD_SECONDS_MAX, MoveUnderWay
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.name_log import NameLog
 from stampede_rt_channel_host.copies.allowed_moves import AllowedMoves
 from stampede_rt_channel_host.copies.keeper import CopyKeeper
 from stampede_rt_channel_host.copies.move_directory import FormerOwnerRole, MoveDirectory
@@ -40,6 +41,7 @@ class OutgoingMoves:
         self.allowed = AllowedMoves(identity.move_key)
         self._slots = MoveSlots(f"away from host {identity.name}")
         self._tasks: set[asyncio.Task[None]] = set()
+        self.moved = NameLog(logger, "channel", "moved away", event="channel_moved_away")
 
     def begin(self, hosted: HostedChannel, host_id: bytes, target: str) -> OutgoingMove:
         """Begin a move to the host with that gatekeeper. Raises the errors of `check`."""
@@ -77,6 +79,7 @@ class OutgoingMoves:
         for task in [*self._tasks]:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+        self.moved.close()
 
 
 class OutgoingMove:
@@ -149,7 +152,7 @@ class OutgoingMove:
         record = self._hosted.record
         error = refusals.moved_to(record.name, self._host_id, self._target, epoch, record.spec_version)
         self._moving.gone(error)
-        logger.info("a channel has moved away", extra={"event": "channel_moved_away", "channel": record.name})
+        self._moves.moved.note(record.name)
         self._moves.store.scheduler.begin(self._hosted.ending(error))
 
     def released(self) -> None:
