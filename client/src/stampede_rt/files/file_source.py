@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 from stampede_rt.errors import FileError
 from stampede_rt.files.chunk_content import Event
 from stampede_rt.files.entries import FileEntry
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
 TOPICS_NAMED = 5  # the most topics that an error names
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -80,3 +83,20 @@ def time_of_first(source: FileSource, name: str, start: int, end: int) -> int | 
     """The time of the first item of a topic in an interval; None: there is none."""
     events = source.events(lambda one: one == name, start, end)
     return next((event.time for _, event in events if isinstance(event, FileEntry)), None)
+
+
+def missing_library(library: str) -> FileError:
+    """Return the error for a file that needs a library."""
+    return FileError(f"this file needs the library {library}; run: pip install 'stampede-rt[imports]'")
+
+
+def unreadable(path: Path, error: BaseException) -> FileError:
+    """Return the error for a file that a library cannot read."""
+    return FileError(
+        f"the file {os.fspath(path)!r} cannot be read; it may be damaged: {str(error) or type(error).__name__}"
+    )
+
+
+def is_within(time: int, start: int, end: int) -> bool:
+    """Whether a time is in an interval. MIN_INSTANT and MAX_INSTANT: the interval has no start, or no end."""
+    return (start <= time or start == MIN_INSTANT) and (time < end or end == MAX_INSTANT)
