@@ -19,11 +19,13 @@ class FeedCause(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     FEED_CAUSE_COUNT: _ClassVar[FeedCause]
     FEED_CAUSE_BYTES: _ClassVar[FeedCause]
     FEED_CAUSE_CONSUMPTION: _ClassVar[FeedCause]
+    FEED_CAUSE_ARCHIVE: _ClassVar[FeedCause]
 FEED_CAUSE_UNSPECIFIED: FeedCause
 FEED_CAUSE_AGE: FeedCause
 FEED_CAUSE_COUNT: FeedCause
 FEED_CAUSE_BYTES: FeedCause
 FEED_CAUSE_CONSUMPTION: FeedCause
+FEED_CAUSE_ARCHIVE: FeedCause
 
 class FeedRequest(_message.Message):
     __slots__ = ("open", "credit_bytes", "sent_nanos", "subscriptions", "ready", "hold", "committed_epoch", "released", "held_next_seq", "item_next_seq")

@@ -17,6 +17,7 @@ from stampede_rt_channel_host.copies.messages import (
     state_to,
 )
 from stampede_rt_channel_host.core.channel import FIRST_KEY, CollectionFacts, FeedPart, FeedPlace
+from stampede_rt_channel_host.core.channel.held_items import ARCHIVE, COLLECTED_FOR
 
 FULL = CollectionFacts((5, 7), 3, "bytes", 4, 2**63 + 5, "age", 2, 9)
 EMPTY = CollectionFacts(FIRST_KEY, 0, "age", None, None, "age", None, None)
@@ -28,6 +29,13 @@ def test_a_decoded_feed_state_has_the_encoded_collection(collection: CollectionF
     clamped = collection._replace(collected_end=None if collection.collected_end is None else 2**63 - 1)
     assert collection_of(pb.FeedState.FromString(state.SerializeToString())) == clamped
     assert (cleared_of(state), advance_of(state), state.first_seq, state.next_seq) == ((1, 2), 6, 2, 8)
+
+
+@pytest.mark.parametrize("cause", [*COLLECTED_FOR, ARCHIVE])
+def test_each_cause_can_go_to_another_host(cause: str) -> None:
+    """In an earlier version, a recorded channel that had started again, and had lost no item since, could not move."""
+    collection = EMPTY._replace(collected_by=cause)
+    assert collection_of(state_to(FeedPart(2, None, (), 8, collection, 6), 0)) == collection
 
 
 def test_a_feed_state_leaves_out_unchanged_fields() -> None:

@@ -36,6 +36,7 @@ _CAUSES = {
     "count": pb.FEED_CAUSE_COUNT,
     "bytes": pb.FEED_CAUSE_BYTES,
     "consumption": pb.FEED_CAUSE_CONSUMPTION,
+    "archive": pb.FEED_CAUSE_ARCHIVE,
 }
 _FROM_CAUSES: dict[int, str] = {number: cause for cause, number in _CAUSES.items()}
 
