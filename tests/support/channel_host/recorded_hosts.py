@@ -65,14 +65,17 @@ def decode(body: bytes) -> Run:
 class Host:
     """One host with an archive. The payload of each item is its seq, as text."""
 
-    def __init__(self, path: Path, store: SegmentStore, bytes_max: int = 2**30) -> None:
+    def __init__(self, path: Path, store: SegmentStore | None, bytes_max: int = 2**30) -> None:
+        """`store`: None: the archive is only in the folder."""
         folder = ArchiveFolder(path)
         folder.open(b"h" * 16)
         self.path, self.clock = path, 0
-        objects = ObjectArchive(ObjectSettings(store, 2**20, 60), folder, slice_run, lambda: self.clock)
+        objects = None
+        if store is not None:
+            objects = ObjectArchive(ObjectSettings(store, 2**20, 60), folder, slice_run, lambda: self.clock)
+            self.mover = objects.mover
         self.disk = DiskUse(bytes_max)
         self.archive = HostArchive(folder, decode, self.disk, lambda: self.clock, objects)
-        self.mover = objects.mover
 
     async def serve(self, epoch: int, next_seq: int = 1) -> ChannelRecorder:
         """Record the channel here. `next_seq`: the next seq of a channel that has moved here without items."""
@@ -110,7 +113,7 @@ class Host:
 
 
 @asynccontextmanager
-async def host(path: Path, store: SegmentStore, bytes_max: int = 2**30) -> AsyncIterator[Host]:
+async def host(path: Path, store: SegmentStore | None, bytes_max: int = 2**30) -> AsyncIterator[Host]:
     one = Host(path, store, bytes_max)
     try:
         yield one

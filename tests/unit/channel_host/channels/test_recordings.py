@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.errors import InvalidArgument, Unavailable
-from stampede_rt.values.seq_starts import start_of
+from stampede_rt.values.seq_starts import given_over, start_of
 from stampede_rt.values.timeline import Bound, Interval
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
@@ -152,7 +152,7 @@ async def test_a_move_back_keeps_the_losses_and_the_advance_that_the_present_own
         former.recorder = hosted.recording.recorder
 
 
-async def lost(path: Path, store: FakeStore, epoch: int, *times: int) -> None:
+async def lost(path: Path, store: FakeStore | None, epoch: int, *times: int) -> None:
     """Own the channel in this epoch, accept items, and crash before the file with them has moved."""
     one = Host(path, store)
     owner = await Owner(one, epoch).serve()
@@ -203,3 +203,22 @@ async def test_an_owner_that_follows_a_lost_one_says_collected_for_items_that_th
         owner.recording.recorder.keep(found.segments)
         answer = await owner.read(Query(interval=Interval(Bound(None, 10), Bound(None, 10))))
         assert answer.reason == "COLLECTED"
+
+
+@pytest.mark.asyncio
+async def test_a_channel_that_moves_to_the_folder_of_a_lost_owner_has_no_seq_twice(tmp_path: Path) -> None:
+    """In an earlier version, the next owner of a folder began with the seq 1. After a move to the folder of the lost
+    owner, a reader that continued after an item of the next owner got items of the lost one.
+    """
+    await lost(tmp_path / "a", None, 1, 10, 11, 12)
+    async with host(tmp_path / "a", None) as first, host(tmp_path / "b", None) as second:
+        owner = await Owner(second, 2).serve()
+        await owner.put(20, 21, 22, 23, 24)
+        begin, end = start_of(2), owner.hosted.channel.next_seq
+        assert end == begin + 5
+        moved = await take_over(first, end, [begin + 3, begin + 4])
+        moved.changed(1)
+        await first.archive.write_all()
+        assert first.read() == [1, 2, 3, begin + 3, begin + 4]
+        assert [given_over(one.first_seq, one.end_seq, [4]) for one in first.recorder.segments] == [3, 5]
+        assert first.recorder.unarchived == 3

@@ -72,7 +72,7 @@ class Recording:
         self._on_archived = on_archived
         # None if the host knows which items the object store has
         self._unknown = None if opened.files.is_known else UnknownPast(channel, opened.files.epoch, opened.found)
-        begin = start_of(opened.files.epoch) if opened.files.is_shared and has_start(opened.files.epoch) else 1
+        begin = start_of(opened.files.epoch) if has_start(opened.files.epoch) else 1
         found_to: int | None = None
         if channel.next_seq == 1 and not from_memory:  # a move also brings the state without items
             found_to = restore_channel(channel, opened.found, opened.newest, cut, begin)

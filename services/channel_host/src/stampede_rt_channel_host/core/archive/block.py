@@ -10,6 +10,7 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from stampede_rt.values.seq_starts import given_between
 from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.core.channel.acceptances import AcceptedRows
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, ItemKey
@@ -31,6 +32,7 @@ _ROW = struct.Struct("<qIqq")  # for each run: when it was accepted, the length 
 _ADVANCE = struct.Struct("<qq")  # for each advance: when the host accepted it, and its instant
 HEAD_BYTES, ROW_BYTES, ADVANCE_BYTES = _SUM.size + _HEAD.size, _ROW.size, _ADVANCE.size
 PACKED_HEAD_BYTES = _HEAD.size
+COUNT_MAX = 2**32 - 1  # the greatest number of items in a head
 
 JOINED_BELOW_BYTES = 4096  # shorter bodies are joined, because each piece costs a checksum and a buffer
 
@@ -129,7 +131,8 @@ NOTHING_LOST = MIN_INSTANT
 
 def encode_gap(first_seq: int, end_seq: int, near: ItemKey, accepted: int) -> tuple[BlockHead, list[bytes]]:
     """A block that says that the items of these seqs were never archived. `near`: the key of the item before them."""
-    head = BlockHead(GAP, 0, 0, 0, end_seq - first_seq, first_seq, end_seq, near, near, accepted, accepted)
+    items = min(given_between(first_seq, end_seq), COUNT_MAX)
+    head = BlockHead(GAP, 0, 0, 0, items, first_seq, end_seq, near, near, accepted, accepted)
     return head, [encode_head(head)]
 
 
