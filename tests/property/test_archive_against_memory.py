@@ -16,6 +16,7 @@ from stampede_rt_channel_host.core.archive import archived_read
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Position, Query, ReadAnswer, SubscriptionBatch
 from tests.property.archived_channel import ArchivedChannel
 from tests.property.channel_pair import ends_as_read, facts, items_of
+from tests.property.moved_channel import MovedChannel
 
 SCENARIOS = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "60"))
 READS = 25
@@ -63,16 +64,17 @@ def shown(answer: ReadAnswer, overlap: int) -> tuple[object, ...]:
 
 
 def put_in_both(
-    draw: random.Random, *, advances: bool = False
+    draw: random.Random, *, advances: bool = False, moves: bool = False
 ) -> tuple[ChannelCore, ArchivedChannel, list[Position], int]:
     """Put the same items into a channel in memory and into a recorded channel.
 
-    Returns both channels, the positions of the items, and the time.
+    With `moves` the recorded channel moves between hosts. Returns both channels, the positions of the items, and the
+    time.
     """
     overlap = draw.choice([None, None, 3, 8])
     large = ChannelCore(Policy(max_items=10**6, overlap_nanos=overlap), incarnation=7)
     limits = draw.choice([{"max_items": draw.randrange(1, 5)}, {"max_age_nanos": draw.randrange(1, 9)}])
-    small = ArchivedChannel(
+    small = (MovedChannel if moves else ArchivedChannel)(
         Policy(**limits, overlap_nanos=overlap),
         runs_per_block=draw.randrange(1, 4),
         blocks_per_segment=draw.randrange(1, 4),
@@ -99,13 +101,16 @@ def put_in_both(
             now += 1
         if draw.random() < 0.5:
             small.archive()
+        if isinstance(small, MovedChannel) and draw.random() < 0.3:
+            small.move(draw)
     return large, small, positions, now
 
 
+@pytest.mark.parametrize("moves", [False, True])
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_a_read_over_an_archive_and_a_small_memory_equals_one_over_a_large_memory(seed: int) -> None:
+def test_a_read_over_an_archive_and_a_small_memory_equals_one_over_a_large_memory(seed: int, moves: bool) -> None:
     draw = random.Random(seed)
-    large, small, positions, now = put_in_both(draw)
+    large, small, positions, now = put_in_both(draw, moves=moves)
     overlap = large.policy.overlap_nanos
     for _ in range(READS):
         query = query_of(draw, now, positions)
@@ -118,10 +123,11 @@ def test_a_read_over_an_archive_and_a_small_memory_equals_one_over_a_large_memor
         assert shown(small.read(query), overlap or 0) == shown(expected, overlap or 0), query
 
 
+@pytest.mark.parametrize("moves", [False, True])
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_a_read_as_of_an_instant_equals_the_read_at_that_instant(seed: int) -> None:
+def test_a_read_as_of_an_instant_equals_the_read_at_that_instant(seed: int, moves: bool) -> None:
     draw = random.Random(seed)
-    large, small, positions, now = put_in_both(draw, advances=True)
+    large, small, positions, now = put_in_both(draw, advances=not moves, moves=moves)
     small.archive()
     overlap = large.policy.overlap_nanos
     for _ in range(READS):
@@ -142,10 +148,13 @@ def test_a_read_as_of_an_instant_equals_the_read_at_that_instant(seed: int) -> N
         assert shown(small.read_as_of(query, as_of), overlap or 0) == shown(expected, overlap or 0), (query, as_of)
 
 
+@pytest.mark.parametrize("moves", [False, True])
 @pytest.mark.parametrize("seed", range(SCENARIOS))
-def test_a_subscription_that_starts_in_the_archive_yields_the_same_items_as_one_over_memory(seed: int) -> None:
+def test_a_subscription_that_starts_in_the_archive_yields_the_same_items_as_one_over_memory(
+    seed: int, moves: bool
+) -> None:
     draw = random.Random(seed)
-    large, small, _, now = put_in_both(draw)
+    large, small, _, now = put_in_both(draw, moves=moves)
     start = draw.randrange(-1, now + 2)
     expected = large.subscribe_all(now, start=Bound(None, start))
     cursor, limit = small.subscribe(start), draw.choice([1, 100, 300, 10**6])

@@ -5,7 +5,7 @@ A host accepts items in the order of their seqs. So the items of an instant are 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from stampede_rt.values.model import Policy, Reason
@@ -49,18 +49,20 @@ class NextItems(NamedTuple):
 class PastArchive(NamedTuple):
     """An archive's segments with only the items that the host had accepted by an instant.
 
-    `last_blocks` are the blocks of the last segment if it was cut off; otherwise None. The head of a cut block
-    describes only its first items. `next_items`: None if the archive has no later items. `advance` is the highest
-    advance at that instant, and `next_advance` the time at which the host accepted a higher one; each may be None.
-    `as_of` is the instant.
+    `changed` has, by the number of the segment, the blocks of each segment that was cut off, or that lacks items of its
+    last block. The head of a cut block describes only its first items. `next_items`: None if the archive has no later
+    items. `advance` is the highest advance at that instant, and `next_advance` the time at which the host accepted a
+    higher one; each may be None. `as_of` is the instant. `lost_before`: a former owner had accepted items after these,
+    and was lost with them before this instant; None: the archive reports no such loss.
     """
 
     segments: tuple[Segment, ...]
-    last_blocks: SegmentBlocks | None
+    changed: Mapping[int, SegmentBlocks]
     next_items: NextItems | None
     advance: int | None = None
     next_advance: int | None = None
     as_of: int = MIN_INSTANT
+    lost_before: int | None = None
 
     @property
     def next_seq(self) -> int:
@@ -69,41 +71,71 @@ class PastArchive(NamedTuple):
 
     def blocks_of(self, whole: BlocksOf) -> BlocksOf:
         """The blocks of these segments. `whole` returns all blocks of a segment."""
-        if self.last_blocks is None:
-            return whole
-        number, blocks = self.segments[-1].number, self.last_blocks
-        return lambda segment: blocks if segment.number == number else whole(segment)
+        changed = self.changed
+        return lambda segment: changed[segment.number] if segment.number in changed else whole(segment)
 
 
 def past_of(
     segments: Sequence[Segment], blocks_of: BlocksOf, runs_of: RunsOf, advances_of: AdvancesOf, as_of: int
 ) -> PastArchive:
-    """The archive as it was at the instant `as_of`. Reads at most two blocks of runs and one block of advances."""
-    past, reached = PastArchive(tuple(segments), None, None), segments
+    """The archive as it was at the instant `as_of`. Reads two blocks of runs and one block of advances; and one more
+    block of runs for each segment whose last block is cut off, because the next segment has its later items, too.
+    """
+    before, changed, reached = list[Segment](), dict[int, SegmentBlocks](), segments
+    past: PastArchive | None = None
     for at, segment in enumerate(segments):
-        found = _first_after(segment, blocks_of(segment), runs_of, as_of) if segment.last_accepted > as_of else None
-        if found is not None:
-            past, reached = _cut(segments[:at], segment, *found, as_of), segments[: at + 1]
-            break
+        if segment.last_accepted > as_of:
+            all_blocks = blocks_of(segment)
+            blocks, runs = _first_after(segment, all_blocks, runs_of, as_of)
+            if runs is not None:
+                past, reached = _cut(before, segment, blocks, runs, as_of), segments[: at + 1]
+                break
+            if blocks is not all_blocks:
+                segment, changed[segment.number] = _with_blocks(segment, blocks), blocks
+        before.append(segment)
+    past = past or PastArchive(tuple(before), {}, None)
     advance, next_advance = _advances(reached, blocks_of, advances_of, as_of)
-    return past._replace(advance=advance, next_advance=next_advance, as_of=as_of)
+    changed.update(past.changed)
+    return past._replace(changed=changed, advance=advance, next_advance=next_advance, as_of=as_of)
 
 
 def _first_after(
     segment: Segment, blocks: SegmentBlocks, runs_of: RunsOf, as_of: int
-) -> tuple[SegmentBlocks, Sequence[ArchivedRun]] | None:
+) -> tuple[SegmentBlocks, Sequence[ArchivedRun] | None]:
     """The blocks of a segment up to the first one with items that the host accepted after the instant, and the runs of
-    this block; None: there is no such block.
+    this block. If there is no such block: all blocks, and None.
 
-    If a block is cut off because the next segment has its later items, only these may be later than the instant.
+    If a block is cut off because the next segment has its later items, only these may be later than the instant. The
+    next segment may be without them at that instant. So the head of such a block gets the bounds of its own items.
     """
     place = blocks.first_accepted_after(as_of)
     while place is not None:
         runs = runs_of(segment, blocks[place])
         if not runs or any(one.accepted > as_of for one in runs):
             return blocks.up_to(place + 1), runs
+        short = _shortened(blocks[place], runs)
+        blocks = blocks.up_to(place).followed_by([short, *blocks[place + 1 :]])
         place = next((at for at in range(place + 1, len(blocks)) if blocks[at].head.kind == ITEMS), None)
-    return None
+    return blocks, None
+
+
+def _with_blocks(segment: Segment, blocks: SegmentBlocks) -> Segment:
+    """The segment with the bounds of these blocks, and its own seqs."""
+    found = summary(segment.number, segment.length, blocks)
+    assert found is not None, "the blocks have items"
+    return found._replace(first_seq=segment.first_seq, end_seq=segment.end_seq)
+
+
+def _shortened(block: PlacedBlock, kept: Sequence[ArchivedRun]) -> PlacedBlock:
+    """The block with a head that describes only the runs `kept`, its first ones."""
+    head = block.head._replace(
+        items=sum(len(one.run) for one in kept),
+        end_seq=kept[-1].run.first_seq + len(kept[-1].run),
+        low=min(lowest(one.run) for one in kept),
+        high=max(highest(one.run) for one in kept),
+        last_accepted=max(one.accepted for one in kept),
+    )
+    return PlacedBlock(block.offset, head)
 
 
 def _cut(
@@ -117,13 +149,14 @@ def _cut(
     if first is not None:
         kept = kept.followed_by([first])
     short = summary(segment.number, segment.length, kept)
+    lost_before = None if short is not None and short.items else blocks.lost_before
     # the archive lacks the items between the kept items and the next items, if there are any
     if short is not None:
         short = short._replace(first_seq=segment.first_seq, end_seq=max(short.end_seq, following.first_seq))
-        return PastArchive((*before, short), kept, following)
+        return PastArchive((*before, short), {segment.number: kept}, following, lost_before=lost_before)
     if before:
         before = [*before[:-1], before[-1]._replace(end_seq=max(before[-1].end_seq, following.first_seq))]
-    return PastArchive(tuple(before), None, following)
+    return PastArchive(tuple(before), {}, following, lost_before=lost_before)
 
 
 def _part(block: PlacedBlock, runs: Sequence[ArchivedRun], as_of: int) -> tuple[PlacedBlock | None, NextItems]:
@@ -132,20 +165,11 @@ def _part(block: PlacedBlock, runs: Sequence[ArchivedRun], as_of: int) -> tuple[
     if not runs:  # the block is damaged
         found = NextItems(head.last_accepted, head.first_seq, head.low[0], head.high[0])
         return (block if head.first_accepted <= as_of else None), found
-    kept = [one.run for one in runs if one.accepted <= as_of]
+    kept = [one for one in runs if one.accepted <= as_of]
     accepted = runs[len(kept)].accepted
     following = [one.run for one in runs[len(kept) :] if one.accepted == accepted]
     found = NextItems(accepted, following[0].first_seq, min(map(lowest, following))[0], max(map(highest, following))[0])
-    if not kept:
-        return None, found
-    head = head._replace(
-        items=sum(map(len, kept)),
-        end_seq=kept[-1].first_seq + len(kept[-1]),
-        low=min(map(lowest, kept)),
-        high=max(map(highest, kept)),
-        last_accepted=runs[len(kept) - 1].accepted,
-    )
-    return PlacedBlock(block.offset, head), found
+    return (_shortened(block, kept) if kept else None), found
 
 
 def _advances(
@@ -194,7 +218,15 @@ def past_moment(facts: PastFacts, past: PastArchive, span: ArchiveSpan, clock: i
     moment.advanced_to = facts.advance
     if facts.lost_before is not None and _may_have_lost(past, facts.lost_before, clock):
         moment.lost_before, moment.lost_from = facts.lost_before, facts.lost_from
+    if past.lost_before is not None:  # an earlier loss than the latest one
+        moment.lost_before, moment.lost_from = past.lost_before, _lost_since(past.segments)
     return moment
+
+
+def _lost_since(segments: Sequence[Segment]) -> int | None:
+    """The earliest instant at which items behind these segments may lie, except late ones; None: any instant."""
+    highs = [one.high[0] for one in segments if one.high is not None]
+    return min(max(highs), max(one.last_accepted for one in segments)) if highs else None
 
 
 def _may_have_lost(past: PastArchive, lost_before: int, clock: int) -> bool:
