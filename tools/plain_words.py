@@ -21,8 +21,8 @@ GENERATED = {"v1", "_sync"}  # the stubs, and the client that is derived from _a
 FIRST_WORDS = re.compile(r"(What|Whatever|Who|Whoever|Whose|Those|Of|Earlier(?=,)|As(?= `))\b(?![^.:]*\?)")
 # A name must say what the variable holds, or what the function does.
 VAGUE_NAMES = {
-    "again", "asked", "brought", "came", "coming", "go_on", "goes_on", "hear", "heard", "is_level", "lacks", "news",
-    "said", "strays", "told",
+    "again", "asked", "brought", "came", "come", "coming", "go_on", "goes_on", "hear", "heard", "is_level", "lacks",
+    "news", "said", "strays", "told",
 }  # fmt: skip
 PHRASES = re.compile(r"\b([Ww]hoever|by the book)\b|(`: of)\b|(`: (?:the|its) \w+'s)[.,;]")
 # The first words of a comment: a comment at the end of a line, or the first line of other comments.

@@ -160,7 +160,7 @@ async def fan_out(cluster: Cluster, stub: Stub, clients: int) -> list[Row]:
 async def reconnect(cluster: Cluster, clients: int) -> list[Row]:
     """All clients together, several times: each opens a connection, and makes one confirmed lookup."""
     with ProcessPoolExecutor(CLIENT_PROCESSES, multiprocessing.get_context("spawn")) as processes:
-        runs = [await come_at_the_same_time(cluster, clients, processes) for _ in range(RECONNECTIONS + 1)]
+        runs = [await measure_reconnections(cluster, clients, processes) for _ in range(RECONNECTIONS + 1)]
     took, of_supernodes, of_clients = zip(*runs[1:], strict=True)  # without the first run, which imports the modules
     halves = [statistics.median(run) for run in took]
     return [
@@ -171,13 +171,13 @@ async def reconnect(cluster: Cluster, clients: int) -> list[Row]:
     ]
 
 
-async def come_at_the_same_time(
+async def measure_reconnections(
     cluster: Cluster, clients: int, processes: ProcessPoolExecutor
 ) -> tuple[list[float], float, float]:
     """How long each client had to wait, and the CPU time of the supernodes and of the clients meanwhile."""
     addresses, share = [supernode.address for supernode in cluster.supernodes], -(-clients // CLIENT_PROCESSES)
     loop, at, before = asyncio.get_running_loop(), time.monotonic() + 0.5, cpu_seconds(cluster)
-    loads = [loop.run_in_executor(processes, come, addresses, share, at) for _ in range(CLIENT_PROCESSES)]
+    loads = [loop.run_in_executor(processes, connect_clients, addresses, share, at) for _ in range(CLIENT_PROCESSES)]
     parts = await asyncio.gather(*loads)
     took = [seconds for part, _ in parts for seconds in part]
     return took, cpu_seconds(cluster) - before, sum(cpu for _, cpu in parts)
@@ -192,9 +192,9 @@ def cpu_seconds(cluster: Cluster) -> float:
     return sum(one.cpu_seconds() for one in cluster.supernodes)
 
 
-def come(addresses: list[str], clients: int, at: float) -> tuple[list[float], float]:
-    """The time from `at` (this machine's monotonic clock) to the answer of each of `count` clients, and the CPU time of
-    the clients.
+def connect_clients(addresses: list[str], clients: int, at: float) -> tuple[list[float], float]:
+    """The time from `at` (this machine's monotonic clock) to the answer of each of these clients, and the CPU time
+    of the clients.
     """
 
     async def one(channel: grpc.aio.Channel) -> float:
@@ -224,7 +224,7 @@ async def restart(cluster: Cluster) -> list[Row]:
     await follower.end(signal.SIGKILL)
     began = time.monotonic()
     await follower.start()
-    one, cpu = time.monotonic() - began, follower.cpu_seconds()
+    ready_s, cpu = time.monotonic() - began, follower.cpu_seconds()
     for each in cluster.supernodes:
         await each.end(signal.SIGKILL)
     began = time.monotonic()
@@ -236,10 +236,10 @@ async def restart(cluster: Cluster) -> list[Row]:
         except grpc.aio.AioRpcError:
             continue
         break
-    every = time.monotonic() - began
+    lookup_s = time.monotonic() - began
     return [
-        ("kill -9 of a follower to its ready line", f"{one:.1f} s, {cpu:.2f} s of CPU"),
-        ("kill -9 of all to the first confirmed lookup", f"{every:.1f} s"),
+        ("kill -9 of a follower to its ready line", f"{ready_s:.1f} s, {cpu:.2f} s of CPU"),
+        ("kill -9 of all to the first confirmed lookup", f"{lookup_s:.1f} s"),
     ]
 
 

@@ -37,9 +37,9 @@ def measured(workload: Callable[[st.Channel], object], count: int, channel: st.C
     workload(channel)
     times, client, server = list[float](), time.process_time(), cpu_s(host)
     for _ in range(count):
-        begun = time.perf_counter()
+        began = time.perf_counter()
         workload(channel)
-        times.append(time.perf_counter() - begun)
+        times.append(time.perf_counter() - began)
     client, server = time.process_time() - client, cpu_s(host) - server
     return client / count * 1e6, server / count * 1e6, median(times) * 1e6
 

@@ -61,8 +61,8 @@ def _may_release(wake: WakeAt, reach: Reach, clock: int) -> bool:
     """Whether the host had to poll the get again: one of its needs is met, or its instant has come."""
     assert wake.needs is not None, "a blocked get knows its condition"
     pairs = zip(wake.needs, reach, strict=True)
-    reached = any(need is not None and come is not None and need <= come for need, come in pairs)
-    return reached or (wake.instant is not None and wake.instant <= clock)
+    is_met = any(need is not None and reached is not None and need <= reached for need, reached in pairs)
+    return is_met or (wake.instant is not None and wake.instant <= clock)
 
 
 def ends_as_read(

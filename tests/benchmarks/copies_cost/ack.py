@@ -59,9 +59,9 @@ def _operations(rt: Any) -> Iterator[tuple[str, list[tuple[str, Callable[[], flo
 
 
 def _timed_us(operation: Callable[[], Any]) -> float:
-    begun = time.perf_counter()
+    began = time.perf_counter()
     operation()
-    return (time.perf_counter() - begun) * 1e6
+    return (time.perf_counter() - began) * 1e6
 
 
 def _put_us(channel: Any) -> float:
@@ -72,13 +72,13 @@ def _put_us(channel: Any) -> float:
 
 
 def _rate(channel: Any) -> float:
-    begun, count = time.perf_counter(), 0
+    began, count = time.perf_counter(), 0
     with channel.producer() as producer:
-        while time.perf_counter() - begun < SECONDS:
+        while time.perf_counter() - began < SECONDS:
             for _ in range(256):
                 producer.put(PAYLOAD)
             count += 256
-    return count / (time.perf_counter() - begun)
+    return count / (time.perf_counter() - began)
 
 
 def _queue_put_us(queue: Any) -> float:

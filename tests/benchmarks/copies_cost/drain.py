@@ -55,10 +55,10 @@ def _fill(rt: Any) -> None:
 
 def _drain_s(rt: Any, host: str) -> float:
     """Drain the host, with as many calls as needed: one call lasts a minute at most."""
-    begun = time.perf_counter()
+    began = time.perf_counter()
     while rt.drain(host, timeout=f"{CALL_S}s").left_count:
         pass
-    return time.perf_counter() - begun
+    return time.perf_counter() - began
 
 
 def _copy_s(messages_kept: int) -> float:
@@ -70,8 +70,8 @@ def _copy_s(messages_kept: int) -> float:
         with grpc.insecure_channel(target, options=CHANNEL_OPTIONS) as channel:
             call: Any = channel.stream_stream("/Bare/Fetch")
             list(call(iter([REQUEST.pack(1, 1, 1)])))  # the connection is there
-            begun = time.perf_counter()
+            began = time.perf_counter()
             kept.extend(call(iter([REQUEST.pack(CHANNELS, ITEMS, ITEM_BYTES)])))
-            took = time.perf_counter() - begun
+            took = time.perf_counter() - began
     assert sum(map(len, kept)) == TOTAL_BYTES // CHANNELS * messages_kept
     return took

@@ -89,10 +89,10 @@ class Taker:
         over = False
         try:
             await self._ask()
-            if waiter.message is None and not await waiter.come.wait(wait.seconds):
+            if waiter.message is None and not await waiter.finished.wait(wait.seconds):
                 # A caller with timeout 0 still gets a message that the host has.
                 await waiter.requested.wait(DRAIN_TIMEOUT_S)
-                waiter.leaving = True
+                waiter.is_leaving = True
                 await self._drain(DRAIN_TIMEOUT_S)
             over = True
         finally:
@@ -113,7 +113,7 @@ class Taker:
         await self._drain(DRAIN_TIMEOUT_S)
 
     def _wanted(self) -> int:
-        waiting = sum(not waiter.leaving for waiter in self._waiting)
+        waiting = sum(not waiter.is_leaving for waiter in self._waiting)
         ahead = self.prefetch if self.prefetch > 1 and not self.closed else 0
         return min(max(waiting, ahead - len(self._ready)), PREFETCH_MAX)
 
@@ -171,10 +171,11 @@ class Taker:
         with self._mutex:
             wanted = not self._session.closed and self._wanted() > 0
             if not wanted:
-                self._rest()
+                self._note_worker_end()
         return wanted
 
-    def _rest(self) -> None:
+    def _note_worker_end(self) -> None:
+        """Note that no worker runs. Wake callers that wait for the opening of a stream. Call this with the mutex."""
         self._worker = None
         self._opened.set()
         if not len(self._ready):
@@ -182,7 +183,7 @@ class Taker:
 
     def _fail(self, error: StampedeError) -> None:
         with self._mutex:
-            self._rest()
+            self._note_worker_end()
             waiting = tuple(self._waiting)
             self._waiting.clear()
         for waiter in waiting:

@@ -90,10 +90,10 @@ class Taker:
         over = False
         try:
             self._ask()
-            if waiter.message is None and not waiter.come.wait(wait.seconds):
+            if waiter.message is None and not waiter.finished.wait(wait.seconds):
                 # A caller with timeout 0 still gets a message that the host has.
                 waiter.requested.wait(DRAIN_TIMEOUT_S)
-                waiter.leaving = True
+                waiter.is_leaving = True
                 self._drain(DRAIN_TIMEOUT_S)
             over = True
         finally:
@@ -114,7 +114,7 @@ class Taker:
         self._drain(DRAIN_TIMEOUT_S)
 
     def _wanted(self) -> int:
-        waiting = sum(not waiter.leaving for waiter in self._waiting)
+        waiting = sum(not waiter.is_leaving for waiter in self._waiting)
         ahead = self.prefetch if self.prefetch > 1 and not self.closed else 0
         return min(max(waiting, ahead - len(self._ready)), PREFETCH_MAX)
 
@@ -172,10 +172,11 @@ class Taker:
         with self._mutex:
             wanted = not self._session.closed and self._wanted() > 0
             if not wanted:
-                self._rest()
+                self._note_worker_end()
         return wanted
 
-    def _rest(self) -> None:
+    def _note_worker_end(self) -> None:
+        """Note that no worker runs. Wake callers that wait for the opening of a stream. Call this with the mutex."""
         self._worker = None
         self._opened.set()
         if not len(self._ready):
@@ -183,7 +184,7 @@ class Taker:
 
     def _fail(self, error: StampedeError) -> None:
         with self._mutex:
-            self._rest()
+            self._note_worker_end()
             waiting = tuple(self._waiting)
             self._waiting.clear()
         for waiter in waiting:

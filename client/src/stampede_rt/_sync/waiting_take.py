@@ -12,9 +12,9 @@ class WaitingTake:
     """One `get` that waits for a message. It ends with a message, with an error, or after its timeout with neither."""
 
     def __init__(self) -> None:
-        self.come = Signal()  # is set together with `message` or `error`
+        self.finished = Signal()  # is set together with `message` or `error`
         self.requested = Signal()  # set when the taker has asked the host for a message for this caller
-        self.leaving = False  # the caller's time is over; it only takes a message that is already on the way
+        self.is_leaving = False  # the caller's time is over; it only takes a message that is already on the way
         self.message: Message | None = None
         self.error: StampedeError | None = None
 
@@ -22,4 +22,4 @@ class WaitingTake:
         """End the wait with a message, with an error, or, because the handle is closed, with neither."""
         self.message, self.error = message, error
         self.requested.set()
-        self.come.set()
+        self.finished.set()

@@ -107,9 +107,9 @@ def _pass_on(change: Change | PeerChange, known: Known, rows: Queue[Any]) -> Non
 
 def differences(known: Known, listed: Known) -> list[tuple[str, Facts]]:
     """Return the changes that lead from `known` to `listed`: the kind of each, and the facts about the thing."""
-    gone = [("removed", facts) for key, facts in known.items() if key not in listed]
-    come = [("added", facts) for key, facts in listed.items() if key not in known]
-    return gone + come + [("updated", facts) for key, facts in listed.items() if known.get(key, facts) != facts]
+    removed = [("removed", facts) for key, facts in known.items() if key not in listed]
+    added = [("added", facts) for key, facts in listed.items() if key not in known]
+    return removed + added + [("updated", facts) for key, facts in listed.items() if known.get(key, facts) != facts]
 
 
 def id_of(thing: Thing) -> bytes:

@@ -24,17 +24,17 @@ _NOT_TLS = frozenset({"WRONG_VERSION_NUMBER", "HTTP_REQUEST", "RECORD_LAYER_FAIL
 def explain_refusal(
     target: str, tls: TlsReader | None, *, seconds: float = HANDSHAKE_SECONDS
 ) -> PermissionDenied | None:
-    """Return why a caller with `tls` (None: plain text) cannot talk to `target`; None if TLS is not the reason.
+    """Return why a caller with `tls` (None: plain text) cannot connect to `target`; None if TLS is not the reason.
 
     Blocks for at most about 2 * (CONNECT_SECONDS + `seconds`), and for the resolution of the name.
     """
     # Try twice. A server that is just stopping also closes the first connection, but takes no second one.
-    if not _look(target, tls, seconds) or not (reason := _look(target, tls, seconds)):
+    if not _reason_of_refusal(target, tls, seconds) or not (reason := _reason_of_refusal(target, tls, seconds)):
         return None
     return PermissionDenied(reason, reason="UNAUTHENTICATED", metadata={"target": target})
 
 
-def _look(target: str, tls: TlsReader | None, seconds: float) -> str:
+def _reason_of_refusal(target: str, tls: TlsReader | None, seconds: float) -> str:
     place = _place(target)
     if place is None:
         return ""
@@ -75,14 +75,14 @@ def _try_tls(connection: socket.socket, host: str, target: str, tls: TlsReader) 
         with context.wrap_socket(connection, server_hostname=host) as secured:
             answered = secured.recv(1)  # a server that accepts the certificate speaks first (HTTP/2 SETTINGS)
     except ssl.SSLCertVerificationError as error:
-        return _about_theirs(error, target, tls)
+        return _fault_of_server_certificate(error, target, tls)
     except ssl.SSLError as error:
         if error.reason not in _NOT_TLS:
             return ""
         return f"{target} speaks plain text, not TLS; leave the certificates out, or give that service certificates"
     except ConnectionError:
         answered = b""
-    return "" if answered else _about_ours(target, tls)
+    return "" if answered else _fault_of_caller(target, tls)
 
 
 def _context(tls: TlsReader) -> ssl.SSLContext:
@@ -128,7 +128,7 @@ def validity_of(shown: Mapping[str, object]) -> Validity | None:
     return Validity(ssl.cert_time_to_seconds(begin), ssl.cert_time_to_seconds(end))
 
 
-def _about_theirs(error: ssl.SSLCertVerificationError, target: str, tls: TlsReader) -> str:
+def _fault_of_server_certificate(error: ssl.SSLCertVerificationError, target: str, tls: TlsReader) -> str:
     text = error.verify_message
     if "expired" in text:
         return f"the certificate of {target} has expired; issue it anew (stampede certs issue)"
@@ -144,7 +144,7 @@ def _about_theirs(error: ssl.SSLCertVerificationError, target: str, tls: TlsRead
     )
 
 
-def _about_ours(target: str, tls: TlsReader) -> str:
+def _fault_of_caller(target: str, tls: TlsReader) -> str:
     """Explain why a server closed the connection after it had seen this caller's certificate."""
     own = tls.files.certificate
     try:
@@ -175,10 +175,12 @@ def check_own_certificate(tls: TlsReader) -> dict[str, object]:
     try:
         return _shake_hands(client_side, server_side)
     except ssl.SSLCertVerificationError as error:
-        raise PermissionDenied(_about_own(error.verify_message, tls), reason="UNAUTHENTICATED") from error
+        raise PermissionDenied(
+            _fault_of_own_certificate(error.verify_message, tls), reason="UNAUTHENTICATED"
+        ) from error
 
 
-def _about_own(text: str, tls: TlsReader) -> str:
+def _fault_of_own_certificate(text: str, tls: TlsReader) -> str:
     own, ca = tls.files.certificate, tls.files.ca
     if "expired" in text:
         return f"the certificate {own} has expired; issue it anew (stampede certs issue)"

@@ -10,7 +10,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.transports.machine import enlarge_send_buffer, is_of_this_user
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX
 from stampede_rt.transports.socket_routes import LOCAL_PREFIX, SocketRoute
-from stampede_rt.transports.tcp_route import HEAD_START_S, REACH_S_MAX, SocketConnection, TcpArrival, TcpRoute, prepare
+from stampede_rt.transports.tcp_route import HEAD_START_S, REACH_S_MAX, SocketConnection, TcpGreeting, TcpRoute, prepare
 from stampede_rt.v1 import gatekeeper_service_pb2 as pb
 
 _reaching: set[asyncio.Future[SocketConnection]] = set()  # keeps the tasks until they are done
@@ -108,10 +108,10 @@ async def _tcp_connected(tcp: TcpRoute, host: str, port: int) -> SocketConnectio
     try:
         prepare(made)
         tls = tcp.layer()
-        arrival = TcpArrival(tls)
-        await loop.sock_sendall(made, arrival.begin())
-        while not arrival.is_done:
-            await loop.sock_sendall(made, arrival.received(await loop.sock_recv(made, 2**14)))
+        greeting = TcpGreeting(tls)
+        await loop.sock_sendall(made, greeting.begin())
+        while not greeting.is_done:
+            await loop.sock_sendall(made, greeting.received(await loop.sock_recv(made, 2**14)))
     except BaseException:
         made.close()
         raise

@@ -12,7 +12,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.transports.machine import enlarge_send_buffer, is_of_this_user
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX
 from stampede_rt.transports.socket_routes import LOCAL_PREFIX, SocketRoute
-from stampede_rt.transports.tcp_route import HEAD_START_S, REACH_S_MAX, SocketConnection, TcpArrival, TcpRoute, prepare
+from stampede_rt.transports.tcp_route import HEAD_START_S, REACH_S_MAX, SocketConnection, TcpGreeting, TcpRoute, prepare
 from stampede_rt.v1 import gatekeeper_service_pb2 as pb
 
 
@@ -105,11 +105,11 @@ def _tcp_connected(tcp: TcpRoute, address: str, port: int, seconds: float) -> So
     try:
         prepare(made)
         tls = tcp.layer()
-        arrival = TcpArrival(tls)
-        made.sendall(arrival.begin())
-        while not arrival.is_done:
+        greeting = TcpGreeting(tls)
+        made.sendall(greeting.begin())
+        while not greeting.is_done:
             made.settimeout(max(0.001, ends_s - monotonic()))
-            made.sendall(arrival.received(made.recv(2**14)))
+            made.sendall(greeting.received(made.recv(2**14)))
     except BaseException:
         made.close()
         raise

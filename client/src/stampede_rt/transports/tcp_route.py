@@ -35,7 +35,7 @@ class SocketConnection(NamedTuple):
 
 
 class TcpRoute:
-    """The TCP port of one host. It has the host's name or address from gRPC; the gatekeeper tells only the port.
+    """The TCP port of one host. The name or address of the host comes from gRPC. The gatekeeper gives only the port.
 
     So a false host cannot lead the client to another machine, and a certificate must name the same host as with gRPC.
     """
@@ -74,24 +74,24 @@ class TcpRoute:
         return TlsLayer(self._context, server_name=self.host)
 
 
-class TcpArrival:
+class TcpGreeting:
     """The exchange of client and host before the opening of a stream: the handshake of TLS, and the host's greeting."""
 
     def __init__(self, tls: TlsLayer | None) -> None:
         self._tls = tls
         self._received = b""
-        self._has_shaken = tls is None
+        self._is_secured = tls is None
         self.is_done = False
-        """Whether the host has greeted."""
+        """Whether the greeting of the host is complete."""
 
     def begin(self) -> bytes:
         """Return the first bytes for the host. Raises OSError."""
-        return self._shake()
+        return self._continue_handshake()
 
     def received(self, data: bytes) -> bytes:
         """Take bytes of the host, and return the next bytes for the host.
 
-        Raises OSError if the other side does not greet as hosts do.
+        Raises OSError if the bytes are not those of a host.
         """
         if not data:
             raise ConnectionResetError("the host has closed the connection")
@@ -99,18 +99,18 @@ class TcpArrival:
             self._received += data
         else:
             self._tls.feed(data)
-        answer = self._shake()
-        if self._tls is not None and self._has_shaken:
+        answer = self._continue_handshake()
+        if self._tls is not None and self._is_secured:
             self._received += _all_of(self._tls)
         if not GREETING.startswith(self._received):
             raise ConnectionRefusedError("the host takes no stream, or it is no host")
         self.is_done = self._received == GREETING
         return answer
 
-    def _shake(self) -> bytes:
-        if self._tls is None or self._has_shaken:
+    def _continue_handshake(self) -> bytes:
+        if self._tls is None or self._is_secured:
             return b""
-        self._has_shaken = self._tls.shake()
+        self._is_secured = self._tls.continue_handshake()
         return self._tls.to_send()
 
 

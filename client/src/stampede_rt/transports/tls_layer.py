@@ -25,7 +25,7 @@ class TlsLayer:
         )
         self._mutex = threading.Lock()
 
-    def shake(self) -> bool:
+    def continue_handshake(self) -> bool:
         """Take a step of the handshake. Then send `to_send`. Returns whether this side is done. Raises ssl.SSLError."""
         try:
             self._tls.do_handshake()

@@ -1,7 +1,8 @@
 """No lease is ended while its host may still serve, whatever is delayed, lost, overtaken or replaced.
 
-One host, two supernodes that lead in turn, one clock. The host serves until 0.8 TTL after it sent its last message that
-was acknowledged. Messages and proposals wait in flight for as long as hypothesis likes, and take effect in any order.
+One host, two supernodes that lead in turn, one clock. The host sends messages to the leader, which acknowledges them.
+It serves until 0.8 TTL after it sent the last acknowledged message. Messages and proposals wait in flight for as long
+as hypothesis likes, and take effect in any order.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ class TlsStream(asyncio.BufferedProtocol):
             self._open_some()
         else:
             self._transport.pause_reading()
-            self._steps.add(self._stream.machine, self._shake)
+            self._steps.add(self._stream.machine, self._continue_handshake)
 
     def eof_received(self) -> bool:
         """Note that the peer has gone."""
@@ -146,11 +146,11 @@ class TlsStream(asyncio.BufferedProtocol):
         """The other methods of the transport."""
         return getattr(self._transport, name)
 
-    def _shake(self) -> None:
+    def _continue_handshake(self) -> None:
         if self._transport.is_closing():
             return
         try:
-            self._is_secured = self._tls.shake()
+            self._is_secured = self._tls.continue_handshake()
             self._transport.write(self._tls.to_send())
         except ssl.SSLError:
             self._transport.write(self._tls.to_send())  # the alert gives the caller the reason

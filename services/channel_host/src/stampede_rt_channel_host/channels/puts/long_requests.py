@@ -84,8 +84,8 @@ def _end_of_head(raw: Encoded) -> int:
         if raw[at] & 7 == _FIXED64:
             at += 9
             continue
-        number, value = decode_varint(raw, at + 1)
-        at = value + number if raw[at] & 7 else value
+        number, end = decode_varint(raw, at + 1)  # the epoch, or the length of the bytes that follow
+        at = end + number if raw[at] & 7 else end
     return at
 
 

@@ -106,18 +106,18 @@ class EventDecider:
         members.
         """
         last = self._decided if decided is None else decided
-        come = [self._come(one) for one in members if not one.is_idle]
-        known = [one for one in come if one is not None]
-        if not self._lateness_nanos or not self._pending or not known or len(known) < len(come):
+        times = [self._complete_to(one) for one in members if not one.is_idle]
+        known = [one for one in times if one is not None]
+        if not self._lateness_nanos or not self._pending or not known or len(known) < len(times):
             return decided
         return min(known) if last is None or min(known) > last else decided
 
     def _is_behind(self, member: CutMember, cut: int) -> bool:
         """Whether the member has not reached the cut."""
-        come = self._come(member)
-        return come is None or come < cut
+        time = self._complete_to(member)
+        return time is None or time < cut
 
-    def _come(self, member: CutMember) -> int | None:
+    def _complete_to(self, member: CutMember) -> int | None:
         """The time up to which all items of a member have come, or None if it is not known."""
         if member.known is None:
             return None
