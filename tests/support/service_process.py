@@ -4,10 +4,10 @@ A test can step its wall clock, and the log of a supernode is compacted early.
 
 The kernel has no namespace for CLOCK_REALTIME (time_namespaces(7): monotonic and boottime only). So the step is added
 to `time.time_ns`, from which services take all their wall-clock times. The clock of leases (CLOCK_BOOTTIME) is not
-affected, as when an operator sets the date. `time.time` stays as it is: gRPC makes deadlines from it, which its C code
-compares with the kernel's clock, so a step would break the deadlines. A library that is loaded before the C library
-(libfaketime 0.9.10) also steps gRPC's clock, but does more harm than a stepped clock: `time.sleep` fails, and timed
-waits on the monotonic clock go wrong.
+affected, as when an operator sets the date. `time.time` stays as it is: gRPC computes deadlines from
+`time.time`, and its C code compares them with the kernel's clock. So a step of `time.time` would break the deadlines. A
+library that is loaded before the C library (libfaketime 0.9.10) also steps gRPC's clock. But it has other effects:
+`time.sleep` fails, and timed waits on the monotonic clock take too long or too short.
 """
 
 from __future__ import annotations

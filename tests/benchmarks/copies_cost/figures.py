@@ -9,7 +9,7 @@ from stampede_rt_bench.measuring import Spread
 from stampede_rt_bench.tables import Cell, spread
 from stampede_rt_local.process import ServiceProcess
 
-_SCHEDULED = 2  # the clock of a process that the scheduler keeps (clock_getcpuclockid(3))
+_SCHEDULED = 2  # the number of the scheduler's clock of a process (clock_getcpuclockid(3))
 
 
 def ratio(ours: Sequence[float], plain: Sequence[float]) -> Cell:
