@@ -193,7 +193,7 @@ def test_a_newest_item_without_a_duration_lasts_up_to_now_on_each_page() -> None
     assert [item[0] for item in facts(items_of(answer.slices))] == list(range(20))
 
 
-def test_a_read_whose_overlap_reaches_far_back_loads_it_window_by_window() -> None:
+def test_a_read_with_a_long_overlap_loads_the_archive_in_small_windows() -> None:
     small = ArchivedChannel(Policy(max_items=3, overlap_nanos=1000), runs_per_block=1, blocks_per_segment=4)
     for time in range(400):
         small.put(Offer(times=[time], durations=[500 if time == 7 else 1], lengths=[3]), time)

@@ -79,13 +79,13 @@ def test_configure_changes_the_stated_settings_and_prints_the_policy(rt: st.Conn
     assert "there is no channel absent" in terminal("configure", "absent", "--max-age", "1s", status=1).text
 
 
-def while_something_happens(happen: Callable[[int], object], look: Callable[[], TerminalRun]) -> TerminalRun:
-    """The end of the command `look`. Meanwhile `happen` is called again and again, with 0, 1, 2, ..."""
+def run_during_changes(change: Callable[[int], object], command: Callable[[], TerminalRun]) -> TerminalRun:
+    """Run `command` to its end, and call `change` meanwhile, with 0, 1, 2, ... Returns the run of the command."""
     screens: list[TerminalRun] = []
-    thread = threading.Thread(target=lambda: screens.append(look()))
+    thread = threading.Thread(target=lambda: screens.append(command()))
     thread.start()
     numbers = count()
-    wait_until(lambda: happen(next(numbers)) and not thread.is_alive())
+    wait_until(lambda: change(next(numbers)) and not thread.is_alive())
     return screens[0]
 
 
@@ -95,7 +95,7 @@ def test_watch_prints_opened_and_deleted_channels(rt: st.Connection, terminal: T
         rt.channel(f"watched/{number}").delete()
         return True
 
-    text = while_something_happens(come_and_go, lambda: terminal("watch", "watched/*", "--count", "3")).text
+    text = run_during_changes(come_and_go, lambda: terminal("watch", "watched/*", "--count", "3")).text
     assert "+ channel watched/" in text
     assert "- channel watched/" in text
     assert "other" not in text
@@ -106,7 +106,7 @@ def test_watch_prints_peers_that_join_and_leave(cluster: LocalCluster, terminal:
         st.connect(cluster.address, secret=cluster.secret_file.read_text().strip(), name=f"passer/{number}").close()
         return True
 
-    screen = while_something_happens(come_and_go, lambda: terminal("watch", "passer/*", "--count", "2", "-o", "jsonl"))
+    screen = run_during_changes(come_and_go, lambda: terminal("watch", "passer/*", "--count", "2", "-o", "jsonl"))
     rows = [json.loads(line) for line in screen.lines]
     assert {row["kind"] for row in rows} == {"peer"}
     assert rows[0]["index"] < rows[1]["index"]
@@ -128,7 +128,7 @@ def test_sub_joins_channels_that_appear_later(rt: st.Connection, terminal: Termi
         rt.channel(f"joined/{number}", max_age="1h").put(b"first item")
         return True
 
-    screen = while_something_happens(appear, lambda: terminal("sub", "joined/*", "--count", "2", "-o", "jsonl"))
+    screen = run_during_changes(appear, lambda: terminal("sub", "joined/*", "--count", "2", "-o", "jsonl"))
     assert {json.loads(line)["payload"] for line in screen.lines} == {"first item"}
 
 
@@ -230,19 +230,19 @@ def test_hz_prints_the_rates_of_many_channels_with_jitter_and_lag(rt: st.Connect
         right.put(b"x")
         return True
 
-    screen = while_something_happens(put, lambda: terminal("hz", "rig/*", "--every", "0.5", "--count", "2"))
+    screen = run_during_changes(put, lambda: terminal("hz", "rig/*", "--every", "0.5", "--count", "2"))
     assert screen.lines[0].split() == ["CHANNEL", "ITEMS/S", "REFUSED/S", "JITTER", "LAG", "HELD"]
     assert len([line for line in screen.lines if line.startswith("rig/")]) == 4
-    look = lambda: terminal("hz", "rig/left", "--every", "0.5", "--count", "2", "-o", "jsonl")  # noqa: E731
-    rows = [json.loads(line) for line in while_something_happens(put, look).lines]
+    command = lambda: terminal("hz", "rig/left", "--every", "0.5", "--count", "2", "-o", "jsonl")  # noqa: E731
+    rows = [json.loads(line) for line in run_during_changes(put, command).lines]
     assert {row["channel"] for row in rows} == {"rig/left"}
     assert all(row["items_per_second"] > 0 and row["jitter_nanos"] > 0 and row["lag_nanos"] > 0 for row in rows)
 
 
 def test_hz_ends_with_the_reason_when_its_channel_is_deleted(rt: st.Connection, terminal: Terminal) -> None:
     channel = rt.channel("hz/gone")
-    look = lambda: terminal("hz", "hz/gone", "--every", "0.05", status=1)  # noqa: E731
-    screen = while_something_happens(lambda number: number != 50 or channel.delete() is None, look)
+    command = lambda: terminal("hz", "hz/gone", "--every", "0.05", status=1)  # noqa: E731
+    screen = run_during_changes(lambda number: number != 50 or channel.delete() is None, command)
     assert "hz/gone" in screen.lines[-1]
 
 

@@ -109,7 +109,7 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
         while self._stream is None and not self._closed:
             try:
                 if self._responses is not None:  # the watch was open before
-                    await self._look_around(backoff.deadline_s)
+                    await self._check_cluster(backoff.deadline_s)
                 await self._open_once()
             except Unavailable:
                 delay_s = backoff.next_delay_s(monotonic_s(), 0.5)
@@ -117,7 +117,7 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
                     raise
                 await sleep(delay_s)
 
-    async def _look_around(self, deadline_s: float) -> None:
+    async def _check_cluster(self, deadline_s: float) -> None:
         """Raise WatchRestart if the supernodes have another cluster id than at the beginning of the watch."""
         if await self._session.supernodes.present_cluster(deadline_s) != self._cluster_id:
             raise WatchRestart("the directory has begun anew, in another cluster; list again, then begin a new watch")

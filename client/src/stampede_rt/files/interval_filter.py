@@ -24,17 +24,17 @@ class _Place(NamedTuple):
 class IntervalFilter:
     """Keeps the events in an interval of time. `take` gets them.
 
-    It drops a gap only if the end of the gap and the next item are before the interval, or the start of the gap and the
-    item before it are after the interval. So a gap waits for the next item of its channel that is not late, and the
-    events after it wait, too.
+    A gap is before the interval if its end and the next item are before the interval. A gap is after the interval if
+    its start and the previous item are after the interval. The filter drops only these gaps. So a gap waits for the
+    next item of its channel that is not late, and the events after the gap wait, too.
     """
 
     def __init__(self, start: int, end: int, chosen: Callable[[str], bool], take: Callable[[Any], object]) -> None:
         """`end`: exclusive; MAX_INSTANT: no end, because files of other programs may have later times."""
         self._start, self._end = start, end if end < MAX_INSTANT else TIME_MAX + 1
         self._chosen, self._take = chosen, take
-        self._first: dict[IncarnationKey, _Place] = {}
-        self._before: dict[IncarnationKey, _Place] = {}  # the last item of a channel
+        self._first: dict[IncarnationKey, _Place] = {}  # the first item of each channel and incarnation
+        self._before: dict[IncarnationKey, _Place] = {}  # the last item so far
         self._waiting: dict[str, dict[int | None, list[Event]]] = {}
 
     def add(self, event: Event) -> None:
@@ -88,7 +88,7 @@ class IntervalFilter:
     def _is_inside(self, gap: RecordingGap, key: IncarnationKey, next_time: int | None) -> bool:
         before, first = self._before.get(key), self._first.get(key)
         before_time = None if before is None else before.time
-        if _precedes(gap, before):  # a recovered file names the items before the first one at its end
+        if _precedes(gap, before):  # a recovered file has this gap at its end, although the lost items came before
             before_time, next_time = None, first.time if _precedes(gap, first) and first is not None else None
         ends = [one for one in (gap.end, next_time) if one is not None]
         begins = [one for one in (gap.start, before_time) if one is not None]

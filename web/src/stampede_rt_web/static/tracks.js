@@ -126,7 +126,7 @@ function drawEdge(context, left, height) {
   context.setLineDash([]);
 }
 
-// A line below the items that only the archive has. A post marks the beginning of the archive.
+// A horizontal line below the items that only the archive has. A vertical line shows where the archive begins.
 function drawArchive(context, left, edge, width, height) {
   const [from, to] = [Math.max(0, left), Math.min(width, edge)];
   if (to <= from) return;

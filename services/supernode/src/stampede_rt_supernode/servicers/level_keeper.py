@@ -51,11 +51,11 @@ class LevelKeeper:
             )
         except StampedeError as error:
             logger.warning(
-                "the feature level waits",
+                "the feature level could not be raised; the next attempt follows",
                 extra={"event": "feature_level_waits", "reason": error.reason, "cause": error.message},
             )
         else:
             logger.info(
-                "all supernodes know a higher feature level",
+                "the feature level is raised, because all supernodes know the higher level",
                 extra={"event": "feature_level_raised", "feature_level": raised.feature_level},
             )
