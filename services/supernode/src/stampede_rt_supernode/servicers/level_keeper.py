@@ -51,7 +51,7 @@ class LevelKeeper:
             )
         except StampedeError as error:
             logger.warning(
-                "the feature level could not be raised; the next attempt follows",
+                "the feature level could not be raised yet",
                 extra={"event": "feature_level_waits", "reason": error.reason, "cause": error.message},
             )
         else:
