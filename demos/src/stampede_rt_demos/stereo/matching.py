@@ -28,7 +28,10 @@ class PairAccount:
 
 
 def pairs_of(group: st.Group, per: Side, *, payloads: bool) -> st.MatchSubscription:
-    """Return matches for the frames of one camera, also of frames without a partner. Begin before the first put."""
+    """Return matches for the frames of one camera, also for frames without a partner.
+
+    Call this before the first put, so that the matches include all frames.
+    """
     return group.match(per.value, TOLERANCE, partial=True, payloads=payloads)
 
 

@@ -20,17 +20,18 @@ export async function ask(path, parameters = {}) {
   return answer;
 }
 
-// Calls `work` again and again, `pause` milliseconds after the end of the previous call. A hidden tab asks for nothing.
-export function repeat(pause, work, onTrouble) {
+// Calls `work` again and again, `pause` milliseconds after the end of the previous call. A hidden tab makes no calls. After each
+// call, calls `reportFailure` with the error, or with null.
+export function repeat(pause, work, reportFailure) {
   let woken = () => {};
   const loop = async () => {
     for (;;) {
       if (!document.hidden) {
         try {
           await work();
-          onTrouble(null);
+          reportFailure(null);
         } catch (error) {
-          onTrouble(error);
+          reportFailure(error);
         }
       }
       await new Promise((resolve) => {

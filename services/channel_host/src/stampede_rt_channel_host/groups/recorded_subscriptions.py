@@ -16,7 +16,7 @@ LATE_BYTES = 2**20
 
 
 class RecordedSteps:
-    """Takes the steps of one subscription that memory does not have."""
+    """Takes those steps of one subscription whose items have left memory."""
 
     def __init__(self, channels: ChannelStore, place: VisibleAllCursor) -> None:
         """`place`: the position of the reader."""
