@@ -83,13 +83,14 @@ class ReplicationStatus:
     - `removed`: the leader, or most of the others, say that this member was removed from the cluster.
     - `has_lost_store`: the leader, or most of the others, say that this member had another store before, or lacks one.
     - `has_old_store`: the leader, or most of the others, say that this member's store is an older copy.
-    - `refused_by`: by id, the words of each member that reports `removed`, `has_lost_store`, `has_old_store` or `too_old`.
+    - `refused_by`: by id, the words of each member that reports `removed`, `has_lost_store`, `has_old_store` or
+      `too_old`.
     - `other_cluster`: the words of a member of another cluster; empty if there was none.
     - `refused`: by id, the reason why this replica does not accept the latest store of another member.
     - `diverged_at`: the position at which this replica's state was found to differ from the state of most members; 0 if
       it was not.
-    - `doubts`: by id, the position at which the states of a member and of the leader were found to differ. It is not known
-      which of the two states most members have. A follower lists only itself, a leader lists the others.
+    - `doubts`: by id, the position at which the states of a member and of the leader were found to differ. It is not
+      known which of the two states most members have. A follower lists only itself, a leader lists the others.
     - `disk_silent_seconds`: how long this replica has waited for its disk; 0 if that is 3 s or less.
     - `feature_level`: the feature level of the state.
     - `highest_levels`: by id, the highest level that the release of each member knows, by the member's own report. Also
