@@ -132,13 +132,13 @@ class Traces:
         patch.setattr(client, "demote", demote)
 
     def _note_refusals(self, patch: pytest.MonkeyPatch, reads: Any) -> None:
-        whole = reads.refused
+        whole = reads.note_refusal
 
-        def refused(session: Any, state: Any, error: StampedeError) -> None:
+        def note_refusal(session: Any, state: Any, error: StampedeError) -> None:
             self.of(session).note("proxy", failure(error))
             whole(session, state, error)
 
-        patch.setattr(reads, "refused", refused)
+        patch.setattr(reads, "note_refusal", note_refusal)
 
 
 def failure(error: StampedeError) -> str:
