@@ -412,7 +412,7 @@ MUTANTS = (
     Mutant(
         name="a_copy_continues_with_steps_that_its_owner_lacks",
         file=f"{HOST}/copies/queue_feed.py",
-        edits=(("if place.owner_epoch < since and is_later:", "if False:"),),
+        edits=(("if place.owner_epoch < since and is_beyond:", "if False:"),),
         noticed_by="tests/unit/channel_host/copies/test_queue_feed.py",
     ),
     Mutant(
