@@ -31,9 +31,9 @@ class UpgradedMember(DirectoryMember):
 
     world: UpgradeWorld
     software: type[DirectoryReplica] = DirectoryReplica
-    # Whether it ever ran the newer release, and may have reported the newer level.
+    # Whether this member ever ran the newer release, and may have reported the newer level.
     was_newer = False
-    # Its machine is off until this time. Meanwhile no operator can start or upgrade the member.
+    # The machine of this member is off until this time. Meanwhile no operator can start or upgrade the member.
     off_until = 0.0
 
     @property
@@ -55,7 +55,7 @@ class UpgradedMember(DirectoryMember):
         try:
             super().start()
         except ReleaseTooOld:
-            self._left_behind()
+            self._check_may_be_refused()
             return
         levels = LevelKeeper(_Log(self), self._directory, Submission(self))  # type: ignore[arg-type]
 
@@ -73,11 +73,11 @@ class UpgradedMember(DirectoryMember):
         assert self.replica is not None
         others = {one.member_id for one in self.replica.roster.members} - {self.member.member_id}
         if self._outdated.refused(by, why, others=others, leader_id=self.replica.status().leader_id):
-            self._left_behind()
+            self._check_may_be_refused()
             self.crash()
 
     def run_release(self, release: type[DirectoryReplica]) -> None:
-        """Start it with another release."""
+        """Start this member with another release."""
         if self.replica is not None:
             self.crash()
         self.software = release
@@ -87,7 +87,7 @@ class UpgradedMember(DirectoryMember):
         try:
             super()._step(replica, at)
         except ReleaseTooOld:
-            self._left_behind()
+            self._check_may_be_refused()
             self.crash()
         if self.replica is not None and self._directory.feature_level == NEW_LEVEL and not self.world.has_risen:
             self.world.has_risen = True
@@ -101,12 +101,13 @@ class UpgradedMember(DirectoryMember):
                 f"the level has risen, although {unknown[0]} has never reported that it knows the level"
             )
 
-    def _left_behind(self) -> None:
-        if not self.was_newer and self._is_in():
+    def _check_may_be_refused(self) -> None:
+        """Check that this member, whose release is too old, has reported the newer level before, or has not joined."""
+        if not self.was_newer and self._has_joined():
             name = self.member.member_id
             raise PromiseBroken(f"the level has risen, although {name} has never reported that it knows the level")
 
-    def _is_in(self) -> bool:
+    def _has_joined(self) -> bool:
         """Whether another member has applied the addition of this member. Before that, this member is only a process
         that wants to join.
         """

@@ -83,10 +83,10 @@ class MulticastReceiver:
         message = self._assembler.add(part)
         if message is None:
             return
-        bare = self._verifier.verify(message)
-        if bare is None:
+        verified = self._verifier.verify(message)
+        if verified is None:
             self._counts["forged"] += 1
-        elif self._take_message(bare):
+        elif self._take_message(verified):
             self.has_received = True
             self.pace.note_message(now_s)
         else:

@@ -49,19 +49,21 @@ def read_put(raw: bytes | memoryview) -> AheadPut:
 
 def _read_fixed(raw: bytes | memoryview) -> AheadPut | None:
     """The put, if its fields have the places that `encode_put` gives them; otherwise None."""
-    at, end = _PUT.find(raw) or (0, 0)
-    values = _HEAD.read(raw, at) if end == len(raw) else None
-    owner_at, owner_end = _OWNER.find(raw, at + _HEAD.size_bytes) or (0, end)
-    begin, run_end = (0, 0) if owner_end >= end else _RUN.find(raw, owner_end) or (0, 0)
-    if values is None or run_end != end:
+    put = _PUT.find(raw)
+    if put is None or put[1] != len(raw):
+        return None
+    values = _HEAD.read(raw, put[0])
+    owner = _OWNER.find(raw, put[0] + _HEAD.size_bytes)
+    run = None if owner is None or owner[1] >= len(raw) else _RUN.find(raw, owner[1])
+    if values is None or owner is None or run is None or run[1] != len(raw):
         return None
     number, seq, producer_id, first_number, stamped, length, is_stamped = values
-    owner, stamped_time = str(raw[owner_at:owner_end], "utf-8"), stamped if is_stamped else None
-    return AheadPut(number, seq, producer_id, first_number, length, stamped_time, owner, bytes(raw[begin:]))
+    stamped_time, name = stamped if is_stamped else None, str(raw[slice(*owner)], "utf-8")
+    return AheadPut(number, seq, producer_id, first_number, length, stamped_time, name, bytes(raw[slice(*run)]))
 
 
 def put_of(message: pb.FedQueuePut) -> AheadPut:
-    """The put in a message whose fields have any places. Raises InvalidArgument if it is no put."""
+    """The put in a message whose fields come in any order. Raises InvalidArgument if it is no put."""
     if not (message.step and message.seq and message.producer_id and message.run):
         raise InvalidArgument("the feed has a put without a step, seq, producer or run; install the same release")
     return AheadPut(
