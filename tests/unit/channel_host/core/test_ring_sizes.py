@@ -13,7 +13,7 @@ from stampede_rt_channel_host.core.ring_sizes import (
     RUNS_OF_SHORT_RING,
     SHORT_DATA_BYTES_MIN,
     RecentRuns,
-    fits_for,
+    ring_fits_for,
 )
 
 RUN_BYTES_MAX = DATA_BYTES_MAX // RUNS_OF_SHORT_RING
@@ -21,7 +21,7 @@ RUN_BYTES_MAX = DATA_BYTES_MAX // RUNS_OF_SHORT_RING
 
 @given(strategies.integers(0, RUN_BYTES_MAX))
 def test_every_possible_ring_takes_the_runs_for_which_it_is_made(run_bytes: int) -> None:
-    fits = [*fits_for(run_bytes)]
+    fits = [*ring_fits_for(run_bytes)]
     assert DATA_BYTES_MIN <= fits[0].data_bytes <= DATA_BYTES_MAX
     assert fits[0].data_bytes >= min(RUNS_MIN * run_bytes, DATA_BYTES_MAX)
     for fit in fits:
@@ -31,26 +31,26 @@ def test_every_possible_ring_takes_the_runs_for_which_it_is_made(run_bytes: int)
 
 
 @given(strategies.integers(RUN_BYTES_MAX + 1, 2 * DATA_BYTES_MAX))
-def test_runs_that_are_too_long_for_the_largest_ring_get_none(run_bytes: int) -> None:
-    assert not [*fits_for(run_bytes)]
+def test_runs_that_are_too_long_for_the_largest_ring_get_no_ring(run_bytes: int) -> None:
+    assert not [*ring_fits_for(run_bytes)]
 
 
 @given(strategies.integers(0, RUN_BYTES_MAX))
 def test_a_run_that_is_too_long_for_a_ring_gets_a_larger_ring(run_bytes: int) -> None:
-    former, best = next(fits_for(run_bytes // 2)), next(fits_for(run_bytes))
+    former, best = next(ring_fits_for(run_bytes // 2)), next(ring_fits_for(run_bytes))
     assert (best.data_bytes > former.data_bytes) is (run_bytes > former.longest_run)
 
 
 @given(strategies.integers(0, RUN_BYTES_MAX), strategies.integers(0, RUN_BYTES_MAX))
-def test_a_ring_suits_if_the_best_one_has_neither_twice_nor_half_of_its_data(one: int, other: int) -> None:
-    ring, best = next(fits_for(one)), next(fits_for(other))
-    assert ring.suits(ring)
-    assert ring.suits(best) is (0.5 < ring.data_bytes / best.data_bytes < 2)
+def test_the_size_of_a_ring_is_near_the_best_size_if_neither_is_twice_the_other(one: int, other: int) -> None:
+    ring, best = next(ring_fits_for(one)), next(ring_fits_for(other))
+    assert ring.is_near(ring)
+    assert ring.is_near(best) is (0.5 < ring.data_bytes / best.data_bytes < 2)
 
 
 def test_the_longest_run_counts_for_one_to_two_periods() -> None:
     recent = RecentRuns(7)
     recent.note(5)
-    assert [recent.turn() for _ in range(3)] == [7, 7, 0]
+    assert [recent.begin_period() for _ in range(3)] == [7, 7, 0]
     recent.note(3)
-    assert recent.turn() == 3
+    assert recent.begin_period() == 3

@@ -15,7 +15,7 @@ from stampede_rt_channel_host.channels.channel_ring import ChannelRing, newest_r
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
 from stampede_rt_channel_host.channels.ring_memory import RingMemory
-from stampede_rt_channel_host.core.ring_sizes import RingFit, fits_for
+from stampede_rt_channel_host.core.ring_sizes import RingFit, ring_fits_for
 from stampede_rt_channel_host.core.ring_writer import ClockReading, ring_size
 from stampede_rt_runtime.access.control import is_denied
 from stampede_rt_runtime.rpc import Context
@@ -123,7 +123,7 @@ class Rings:
     def _fit_for(self, run_bytes: int, freed_bytes: int = 0) -> RingFit | None:
         """The best ring for runs of this length for which there is memory, if `freed_bytes` are free before."""
         room_bytes = self._memory.bytes_max // MEMORY_SHARE - self._used_bytes + freed_bytes
-        for fit in fits_for(run_bytes):
+        for fit in ring_fits_for(run_bytes):
             whole_bytes = ring_size(fit.data_bytes).whole_bytes
             if whole_bytes <= room_bytes and self._charge.has_room(whole_bytes - freed_bytes):
                 return fit
@@ -185,9 +185,9 @@ class Rings:
         due = [ring for ring in self._open if now_s - ring.reviewed_s >= REVIEW_SECONDS]
         for ring in due[:REVIEWS_MAX]:
             ring.reviewed_s, hosted = now_s, self._open[ring]
-            longest = max(ring.recent_runs.turn(), newest_run_bytes(hosted.channel))
+            longest = max(ring.recent_runs.begin_period(), newest_run_bytes(hosted.channel))
             best = self._fit_for(longest, ring.memory.size.whole_bytes)
-            if best is not None and not ring.fit.suits(best):
+            if best is not None and not ring.fit.is_near(best):
                 hosted.refused_run_bytes = longest  # the next ring takes such a run, too
                 hosted.close_ring()
 
@@ -211,7 +211,7 @@ def _unsuited(hosted: HostedChannel) -> str:
         return "items of a channel with consumers leave it when they are consumed, which only the host knows"
     if hosted.core is not hosted.channel:
         return "the items of a channel with replicas are shown when the replicas have them, which only the host knows"
-    if next(fits_for(_longest_run(hosted)), None) is None:
+    if next(ring_fits_for(_longest_run(hosted)), None) is None:
         hosted.refused_run_bytes = 0  # perhaps such a run never comes again
         return "the channel's items are too large"
     return ""

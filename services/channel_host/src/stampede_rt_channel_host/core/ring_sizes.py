@@ -26,20 +26,17 @@ class RingFit(NamedTuple):
     data_bytes: int
     longest_run: int
 
-    def suits(self, best: RingFit) -> bool:
-        """Whether a ring of this size may stay although a new ring would have the size `best`.
-
-        It may if neither size is twice the other.
-        """
+    def is_near(self, best: RingFit) -> bool:
+        """Whether neither size is twice the other. Then a ring of this size may stay, although `best` is better."""
         return best.data_bytes < 2 * self.data_bytes and self.data_bytes < 2 * best.data_bytes
 
 
-def fits_for(run_bytes: int) -> Iterator[RingFit]:
-    """The possible rings for runs of up to this length, the best one first. Yields nothing if the runs are too long for
-    a ring.
+def ring_fits_for(run_bytes: int) -> Iterator[RingFit]:
+    """The possible sizes of a ring for runs of up to this length, the best one first.
 
-    The best one has a multiple of DATA_BYTES_MIN, so that a ring seldom needs a larger successor when the items grow.
-    Each further ring has half of the data of the ring before it, for a host whose memory is short.
+    Yields nothing if the runs are too long for a ring. The best size is a multiple of DATA_BYTES_MIN, so that a ring
+    seldom needs a larger successor when the items grow. Each further size is half of the size before it, for a host
+    whose memory is short.
     """
     wanted = -(-RUNS_MIN * run_bytes // DATA_BYTES_MIN) * DATA_BYTES_MIN
     data_bytes = min(max(wanted, DATA_BYTES_MIN), DATA_BYTES_MAX)
@@ -61,7 +58,7 @@ class RecentRuns:
         """Note a run."""
         self._present = max(self._present, run_bytes)
 
-    def turn(self) -> int:
+    def begin_period(self) -> int:
         """Begin a new period. Returns the longest run of the last two periods."""
         longest = max(self._present, self._former)
         self._present, self._former = 0, self._present

@@ -50,5 +50,8 @@ class ReplicatedPuts:
 
 
 def send_ahead(puts: ChannelPuts, core: ChannelCore, replication: Replication) -> None:
-    """From now on send the puts of a channel to its replicas ahead, and refuse them if the replicas are far behind."""
+    """From now on, send each put of a channel to its replicas before the host stores it.
+
+    Refuse puts while the replicas are far behind.
+    """
     puts.check_room, puts.store = replication.check_room, ReplicatedPuts(core, replication).store

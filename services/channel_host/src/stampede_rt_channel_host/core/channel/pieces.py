@@ -94,8 +94,8 @@ def rest_of(pieces: Pieces[None]) -> list[Pieces[None]]:
     return [found.rest] if isinstance(found, UnfinishedWork) else []
 
 
-def one_after_another(works: list[Pieces[None]]) -> Pieces[None]:
-    """Perform the works of a list, the last one first, and empty the list. The first piece does nothing."""
-    while works:
+def one_after_another(tasks: list[Pieces[None]]) -> Pieces[None]:
+    """Do the work of each entry of a list, the last one first, and empty the list. The first piece does nothing."""
+    while tasks:
         yield
-        yield from works.pop()
+        yield from tasks.pop()
