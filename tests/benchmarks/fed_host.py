@@ -33,9 +33,9 @@ NO_GROUP = "-"
 
 @dataclass(frozen=True, kw_only=True)
 class FedRates:
-    """The work of this process meanwhile: items put, CPU, messages sent to other hosts, and the median lag of the cut.
+    """The work of this process during one command: items put, CPU time, messages to other hosts, and the lag of the cut.
 
-    `cut_lag_ms` is None without a group, and if the host had no cut of the group.
+    `cut_lag_ms` is the median lag. It is None without a group, and if the host had no cut of the group.
     """
 
     items: int
@@ -46,14 +46,14 @@ class FedRates:
 
 
 class FedHost(ChannelHost):
-    """Obeys standard input once it has entered the cluster; ends as any host does."""
+    """Carries out commands of standard input once it has entered the cluster. Ends as any host does."""
 
     async def enter(
         self, target: str, timeout_s: float = START_SECONDS_MAX, *, local_target: str = "", tcp_target: str = ""
     ) -> None:
         """See ChannelHost."""
         await super().enter(target, timeout_s, local_target=local_target, tcp_target=tcp_target)
-        self._start(_heed(self), "orders")
+        self._start(_run_commands(self), "commands")
 
 
 class Messages:
@@ -73,11 +73,11 @@ class Messages:
         HostLink._gather = counted  # type: ignore[method-assign]
 
 
-async def _heed(host: ChannelHost) -> None:
-    orders = asyncio.StreamReader()
-    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(orders), sys.stdin)
-    while order := await orders.readline():
-        period_s, seconds, group = order.decode().split()
+async def _run_commands(host: ChannelHost) -> None:
+    commands = asyncio.StreamReader()
+    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(commands), sys.stdin)
+    while command := await commands.readline():
+        period_s, seconds, group = command.decode().split()
         group_id = bytes.fromhex(group) if group != NO_GROUP else None
         print(json.dumps(asdict(await _feed(host, float(period_s), float(seconds), group_id))), flush=True)
 

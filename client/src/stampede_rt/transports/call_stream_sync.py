@@ -88,7 +88,8 @@ class LockstepStream(CallStream):
         try:
             return next(self._call)
         except (grpc.RpcError, StopIteration) as error:
-            raise self._error(error, is_overdue=bool(limit)) from error  # a variable would keep the error and the frame
+            # Raise without a local variable: it would keep the error alive together with this frame.
+            raise self._error(error, is_overdue=bool(limit)) from error
         except BaseException:  # an interrupt: otherwise the next request would get the answer of this one
             self.cancel()
             raise

@@ -104,7 +104,7 @@ class GroupServiceServicer(object):
 
     def SubscribeMatches(self, request_iterator, context):
         """Receive matches: each item of one channel, in time order, with the nearest item of every other member. The owner of
-        that channel serves them while it has credit. It subscribes to the other members without payloads. If the caller
+        that channel sends them while the caller grants credit, and reads the other members without payloads. If the caller
         closes its sending side, the host sends matches until the credit is used up. Then the stream ends. Errors: as
         SubscribeCuts; NOT_HERE, WRONG_EPOCH.
         """

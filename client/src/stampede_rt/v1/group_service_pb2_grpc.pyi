@@ -58,7 +58,7 @@ class GroupServiceStub:
     """
     SubscribeMatches: _grpc.StreamStreamMultiCallable[_group_service_pb2.SubscribeMatchesRequest, _group_service_pb2.SubscribeMatchesResponse]
     """Receive matches: each item of one channel, in time order, with the nearest item of every other member. The owner of
-    that channel serves them while it has credit. It subscribes to the other members without payloads. If the caller
+    that channel sends them while the caller grants credit, and reads the other members without payloads. If the caller
     closes its sending side, the host sends matches until the credit is used up. Then the stream ends. Errors: as
     SubscribeCuts; NOT_HERE, WRONG_EPOCH.
     """
@@ -95,7 +95,7 @@ class GroupServiceAsyncStub(GroupServiceStub):
     """
     SubscribeMatches: _aio.StreamStreamMultiCallable[_group_service_pb2.SubscribeMatchesRequest, _group_service_pb2.SubscribeMatchesResponse]  # type: ignore[assignment]
     """Receive matches: each item of one channel, in time order, with the nearest item of every other member. The owner of
-    that channel serves them while it has credit. It subscribes to the other members without payloads. If the caller
+    that channel sends them while the caller grants credit, and reads the other members without payloads. If the caller
     closes its sending side, the host sends matches until the credit is used up. Then the stream ends. Errors: as
     SubscribeCuts; NOT_HERE, WRONG_EPOCH.
     """
@@ -153,7 +153,7 @@ class GroupServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_group_service_pb2.SubscribeMatchesResponse], _abc.AsyncIterator[_group_service_pb2.SubscribeMatchesResponse]]:
         """Receive matches: each item of one channel, in time order, with the nearest item of every other member. The owner of
-        that channel serves them while it has credit. It subscribes to the other members without payloads. If the caller
+        that channel sends them while the caller grants credit, and reads the other members without payloads. If the caller
         closes its sending side, the host sends matches until the credit is used up. Then the stream ends. Errors: as
         SubscribeCuts; NOT_HERE, WRONG_EPOCH.
         """
