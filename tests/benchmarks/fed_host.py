@@ -33,7 +33,7 @@ NO_GROUP = "-"
 
 @dataclass(frozen=True, kw_only=True)
 class FedRates:
-    """The work of this process during one command: items put, CPU time, messages to other hosts, and the lag of the cut.
+    """The work of this process during one command: items put, CPU time, messages to other hosts, the lag of the cut.
 
     `cut_lag_ms` is the median lag. It is None without a group, and if the host had no cut of the group.
     """
