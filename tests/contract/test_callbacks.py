@@ -1,4 +1,4 @@
-"""Push and producer pull: functions that the client calls, on both clients."""
+"""Functions that the client calls for each new item (`on_item`) or to get the next item (`sample`), on both clients."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ async def test_an_error_in_a_callback_is_logged_and_counted_and_later_items_stil
         await until(lambda: handle.delivered == 1, channel)
     assert (handle.failures, type(handle.last_failure), handle.active) == (3, ZeroDivisionError, True)
     logged = [record.getMessage() for record in caplog.records]
-    assert len(logged) == 2  # the first and the second; then the fourth and so on
+    assert len(logged) == 2  # the log has the 1st and 2nd failure, and would have the 4th, the 8th and so on
     assert channel.name in logged[0]
     handle.cancel()
     assert await joined(handle)

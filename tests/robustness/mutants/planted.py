@@ -23,7 +23,7 @@ class Mutant:
     # Pairs of the present text and its replacement.
     edits: tuple[tuple[str, str], ...]
     noticed_by: str
-    # Whether it is one of the few that the suite plants.
+    # Whether the test suite plants this fault. It plants only a few faults, because each takes seconds.
     quick: bool = False
 
     def plant(self, text: str) -> str:

@@ -49,19 +49,20 @@ class StatusLog:
             if why is not None and is_starting and target not in served:
                 continue
             if served.get(target) is not (why is None):
-                yield _of_one(target, why, is_return=target in served and why is None)
+                yield _supernode_line(target, why, is_return=target in served and why is None)
             served[target] = why is None
         self._served = served
-        yield from self._of_all(roster.any_healthy(), may_tell=len(served) == len(roster.targets()))
+        yield from self._directory_changes(roster.any_healthy(), knows_all=len(served) == len(roster.targets()))
 
-    def _of_all(self, any_serves: bool, *, may_tell: bool) -> Iterator[LogLine]:
-        if any_serves is not self._any_served and (any_serves or may_tell):
+    def _directory_changes(self, any_serves: bool, *, knows_all: bool) -> Iterator[LogLine]:
+        """A line if the directory can serve now or no longer. `knows_all`: the state of each supernode is known."""
+        if any_serves is not self._any_served and (any_serves or knows_all):
             is_return = any_serves and self._any_served is not None
             self._any_served = any_serves
-            yield _of_all(any_serves, is_return=is_return)
+            yield _directory_line(any_serves, is_return=is_return)
 
 
-def _of_one(target: str, why: str | None, *, is_return: bool) -> LogLine:
+def _supernode_line(target: str, why: str | None, *, is_return: bool) -> LogLine:
     facts = {"supernode": target} if why is None else {"supernode": target, "why": why}
     return LogLine(
         event="supernode_serves" if why is None else "supernode_cannot_serve",
@@ -72,11 +73,11 @@ def _of_one(target: str, why: str | None, *, is_return: bool) -> LogLine:
     )
 
 
-def _of_all(any_serves: bool, *, is_return: bool) -> LogLine:
-    not_one = "no supernode can serve this front-end: no client can connect through it until one can"
+def _directory_line(any_serves: bool, *, is_return: bool) -> LogLine:
+    none_serves = "no supernode can serve this front-end: no client can connect through it until one can"
     return LogLine(
         event="directory_serves" if any_serves else "directory_cannot_serve",
-        text="the directory can serve: callers can connect" if any_serves else not_one,
+        text="the directory can serve: callers can connect" if any_serves else none_serves,
         is_well=any_serves,
         is_return=is_return,
         facts={},

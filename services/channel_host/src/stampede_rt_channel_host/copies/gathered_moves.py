@@ -49,7 +49,7 @@ class GatheredMoves(ABC):
         self._owners = GatheredCalls(self._owner_of_each, MOVES_MAX, OWNER_SECONDS)
         self._commits = GatheredCalls(self._commit_each, MOVES_MAX, CHANGE_SECONDS)
         self._releases = GatheredCalls(self._release_each, MOVES_MAX, CHANGE_SECONDS)
-        self._drops = GatheredCalls(self._released_each, MOVES_MAX, DROP_SECONDS)
+        self._release_checks = GatheredCalls(self._released_each, MOVES_MAX, DROP_SECONDS)
 
     async def owner_of(self, channel_id: bytes) -> OwnedChannel:
         """The channel's present record, and its owner. The owner's `target` is empty if it is not alive. Raises
@@ -72,9 +72,9 @@ class GatheredMoves(ABC):
     async def is_released(self, channel_id: bytes) -> bool:
         """Whether the directory no longer names this host, the former owner, as fallback or replica of a channel.
 
-        If it still does, `kept_here` returns the role.
+        If the directory still names this host, `kept_here` returns the role.
         """
-        return await self._drops.ask(channel_id)
+        return await self._release_checks.ask(channel_id)
 
     @abstractmethod
     async def owner_of_one(self, channel_id: bytes) -> OwnedChannel:
@@ -111,11 +111,11 @@ class GatheredMoves(ABC):
             return [await self.commit_one(moves[0])]
         committed = {one.channel_id: one for one in await self.commit_all(moves)}
         others = [one for one in moves if one.channel_id not in committed]
-        why = dict(zip(others, await asyncio.gather(*map(self._outcome, others)), strict=True))
-        return [committed.get(one.channel_id) or why[one] for one in moves]
+        outcomes = dict(zip(others, await asyncio.gather(*map(self._outcome, others)), strict=True))
+        return [committed.get(one.channel_id) or outcomes[one] for one in moves]
 
     async def _outcome(self, move: MoveCommit) -> RecordedChannel | StampedeError:
-        """Learn why the common entry has not committed a move. The caller asks for all such moves at the same time."""
+        """Commit a move alone, to learn why the common entry has not committed it."""
         try:
             return await self.commit_one(move)
         except StampedeError as error:
@@ -123,7 +123,7 @@ class GatheredMoves(ABC):
 
     async def _release_each(self, moves: Sequence[FallbackRelease]) -> list[StampedeError | None]:
         released = await self.release_all(moves)
-        return [None if one.channel_id in released else _lost(one) for one in moves]
+        return [None if one.channel_id in released else _stale_release(one) for one in moves]
 
     async def _released_each(self, channel_ids: Sequence[bytes]) -> list[bool | StampedeError]:
         released = await self.released_of(channel_ids)
@@ -134,7 +134,7 @@ def _unknown(channel_id: bytes) -> StampedeError:
     return ChannelNotFound(f"no channel has the id {channel_id.hex()}", metadata={"channel_id": channel_id.hex()})
 
 
-def _lost(move: FallbackRelease) -> StampedeError:
+def _stale_release(move: FallbackRelease) -> StampedeError:
     return StaleBinding(
         f"channel {move.channel_id.hex()} has another owner or epoch than {move.epoch} since its move; resolve it "
         "again",

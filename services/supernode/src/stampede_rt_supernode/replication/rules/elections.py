@@ -170,7 +170,7 @@ class PreVoteElections(RaftRules):
         The election begins in this tick if this node has won the pre-vote, or is the only voter.
         """
         self.follow_log()
-        self.listen_to_strangers()
+        self.review_strangers()
         due = self.election_deadline < self.clock()
         if not due or self.is_leader:
             return

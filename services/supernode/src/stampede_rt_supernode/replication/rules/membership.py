@@ -109,7 +109,7 @@ class Membership(NodeState):
             if self._accepts_strangers:
                 self._adopt()
 
-    def listen_to_strangers(self) -> None:
+    def review_strangers(self) -> None:
         """Begin to accept messages of strangers when this node is locked out.
 
         Stop when this node leads, or receives a message of a known leader.
