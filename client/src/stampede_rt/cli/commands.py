@@ -114,7 +114,7 @@ def _run_service(verb: str, arguments: Sequence[str]) -> int:
         extra = verb if verb in ("demo", "bench", "web") else "server"
         print(
             f"stampede: `{verb}` is not installed here: it belongs to the extra [{extra}] of stampede-rt; install that "
-            "extra from where stampede-rt came from, or run `make setup` in a clone of the repository",
+            "extra as you installed stampede-rt, or run `make setup` in a clone of the repository",
             file=sys.stderr,
         )
         return FAILED

@@ -244,6 +244,6 @@ def embedder() -> Embedder:
         return found
     raise InvalidArgument(
         "this process cannot host channels, because the code of the host is not installed: it belongs to the extra "
-        "[server] of stampede-rt; install that extra from where stampede-rt came from, or run `make setup` in a clone "
+        "[server] of stampede-rt; install that extra as you installed stampede-rt, or run `make setup` in a clone "
         "of the repository"
     )

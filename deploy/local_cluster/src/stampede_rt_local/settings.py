@@ -112,7 +112,7 @@ class DevSettings:
     def __post_init__(self) -> None:
         check_archive(self.archive, self.archive_folder)
         if self.web and find_spec(PAGE_MODULE) is None:
-            raise ValueError("--web needs the extra [web] of stampede-rt; install it from where stampede-rt came from")
+            raise ValueError("--web needs the extra [web] of stampede-rt; install it as you installed stampede-rt")
         if parse_address(self.listen).host in _WILDCARDS:
             raise ValueError(
                 f"--listen: {self.listen!r} cannot be used; name one address of this machine: hosts and supernodes "

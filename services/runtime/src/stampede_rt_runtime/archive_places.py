@@ -51,7 +51,7 @@ def check_archive(archive: Path | str | None, folder: Path | None) -> None:
     """Check that the settings of an archive fit. Raises ValueError."""
     if isinstance(archive, str) and find_spec("obstore") is None:
         raise ValueError(
-            f"--archive {archive} needs the extra [objects] of stampede-rt; install it from where stampede-rt came from"
+            f"--archive {archive} needs the extra [objects] of stampede-rt; install it as you installed stampede-rt"
         )
     if folder is not None and not isinstance(archive, str):
         raise ValueError(
