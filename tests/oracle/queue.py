@@ -76,7 +76,7 @@ class Taker:
     taker_id: int
     lease: int | None
     credit: int = 0
-    heard_at: int = 0
+    last_request_at: int = 0
     silent: bool = False
     busy: bool = False
     unsent: list[int] = field(default_factory=list)
@@ -135,7 +135,7 @@ class OracleQueue:
     def grant(self, taker: Taker, credit: int, now: int) -> None:
         self.tick(now)
         taker.credit += credit
-        taker.heard_at, taker.silent = now, False
+        taker.last_request_at, taker.silent = now, False
         self._wait(taker)
 
     def _wait(self, taker: Taker) -> None:
@@ -269,7 +269,7 @@ class OracleQueue:
 
     def _fall_silent(self, lease: Lease) -> None:
         taker = lease.taker
-        if taker.credit and not taker.silent and taker.heard_at <= lease.began:
+        if taker.credit and not taker.silent and taker.last_request_at <= lease.began:
             taker.silent = True
             self.silent.append(taker)
             if taker in self.takers:
@@ -403,7 +403,7 @@ class OracleQueue:
         for message in self.messages:
             for lease in message.leases:
                 if lease.id == delivery_id and lease.taker.taker_id == taker_id:
-                    lease.taker.heard_at = self.now
+                    lease.taker.last_request_at = self.now
                     return message, lease
         return None
 

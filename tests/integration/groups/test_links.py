@@ -46,11 +46,11 @@ async def wait_until_known(
 ) -> None:
     """Wait until the host of `at` has received the newest time of `channel`."""
 
-    def is_heard(status: group_pb2.GroupStatus) -> bool:
+    def has_report(status: group_pb2.GroupStatus) -> bool:
         newest_times = {one.times.channel_id: one.times.newest_unix_nano for one in status.members}
         return newest_times.get(channel.channel_id) == newest
 
-    await at.host.until(group, is_heard)
+    await at.host.until(group, has_report)
 
 
 async def test_a_link_is_opened_again_although_a_write_came_after_its_end(

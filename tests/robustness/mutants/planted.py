@@ -432,7 +432,7 @@ MUTANTS = (
     Mutant(
         name="the_pause_of_a_takeover_ends_leases",
         file=f"{HOST}/queues/queue_copies.py",
-        edits=(("        copy.core.postpone(time.monotonic_ns() - copy.heard_nanos)\n", ""),),
+        edits=(("        copy.core.postpone(time.monotonic_ns() - copy.last_message_nanos)\n", ""),),
         noticed_by="tests/unit/channel_host/queues/test_queue_copies.py",
     ),
     Mutant(

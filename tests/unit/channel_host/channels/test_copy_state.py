@@ -21,7 +21,7 @@ class Clock:
 
 def state_at(clock: Clock) -> CopyState:
     state = CopyState(steady_nanos=clock)
-    state.heard_nanos, state.caught_up = clock.nanos, True
+    state.as_of_nanos, state.caught_up = clock.nanos, True
     return state
 
 

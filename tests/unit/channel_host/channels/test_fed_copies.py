@@ -57,7 +57,7 @@ def test_a_silent_copy_and_a_copy_that_is_not_ready_get_no_readers(monkeypatch: 
     assert fed(copy_with(0, ready=False)).less_loaded("cam", 9) is None
     assert fed(copy_with(0, ready=False)).for_gets() == ""
     silent = copy_with(0)
-    silent.heard_nanos -= fed_copies.HEARD_NANOS_MAX + 1
+    silent.reported_nanos -= fed_copies.REPORT_AGE_NANOS_MAX + 1
     assert fed(silent).less_loaded("cam", 9) is None
 
 

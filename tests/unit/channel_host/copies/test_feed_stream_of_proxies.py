@@ -317,7 +317,7 @@ async def test_a_proxy_of_a_proxy_gets_the_general_form() -> None:
     async with fed_proxy() as source, running_host() as other:
         proxy = Proxy(other, source)
         await proxy.take(*await source.open())
-        proxy.state.heard_nanos = proxy.state.steady_nanos()
+        proxy.state.as_of_nanos = proxy.state.steady_nanos()
         middle = Source(other, source.hosted, source.producer)
         assert len(await middle.open()) == 2
         message = await source.after_put()

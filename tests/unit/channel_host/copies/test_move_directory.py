@@ -70,7 +70,7 @@ class Owners:
 
 
 @pytest.mark.parametrize("is_older", [False, True])
-async def test_a_host_asks_for_all_owners_together_and_an_older_supernode_for_one_after_the_other(
+async def test_a_host_asks_for_all_owners_in_one_call_and_asks_an_older_supernode_in_one_call_for_each_channel(
     is_older: bool,
 ) -> None:
     owners: Any = Owners(b"1", b"2", is_older=is_older)

@@ -39,7 +39,7 @@ class Replica:
 def test_the_leases_of_an_inherited_queue_do_not_count_the_time_without_an_owner() -> None:
     replica = Replica()
     copy = replica.copies.begin(RECORD, replica.core, 2)
-    copy.heard_nanos -= 10 * S
+    copy.last_message_nanos -= 10 * S
     content = replica.copies.inherit(replace(RECORD, epoch=2))
     assert content is not None
     (lease,) = content.core.pending(0, 9, replica.now)
@@ -61,7 +61,7 @@ def test_the_copy_of_a_former_owner_counts_its_leases_from_the_hold() -> None:
     replica.copies.keep(RECORD, KeptQueue(replica.core, 2, 7, charge))
     copy = replica.copies.of(RECORD.queue_id)
     assert copy is not None
-    assert (copy.heard_nanos, copy.journal.next_step, copy.owner_epoch) == (7, 2, 1)
+    assert (copy.last_message_nanos, copy.journal.next_step, copy.owner_epoch) == (7, 2, 1)
 
 
 def test_without_room_a_former_owner_gets_no_copy_before_the_queue_has_moved() -> None:

@@ -96,7 +96,7 @@ def _fed_status(hosted: HostedChannel, copy: FedCopy) -> channel_pb2.FedCopyStat
         host_id=copy.host_id,
         waiting=copy.waiting(),
         subscriptions=copy.subscriptions,
-        heard_ago_nanos=copy.heard_ago_nanos,
+        heard_ago_nanos=copy.report_age_nanos,
         ready=copy.takes_readers,
         replica=copy.is_replica,
         in_sync=states.get(copy.host_id) is ReplicaState.IN,

@@ -37,7 +37,7 @@ class Inheritance(NamedTuple):
 class CopyState:
     """The state of a copy, which its feed keeps up to date.
 
-    `heard_nanos`: the copy has all items that the owner had at this moment of the steady clock; None: it has nothing
+    `as_of_nanos`: the copy has all items that the owner had at this moment of the steady clock; None: it has nothing
     yet. `caught_up`: the copy has had all items of its source at some moment. `source_next_seq`: as the source last
     reported it.
     """
@@ -50,7 +50,7 @@ class CopyState:
         self._steady_nanos = steady_nanos
         self.source_host_id = b""
         self.source_next_seq = 0
-        self.heard_nanos: int | None = None
+        self.as_of_nanos: int | None = None
         self.caught_up = False
         self.is_replica = False  # a replica has items that readers must not see yet, so it serves no reader
         self.reconnects = 0
@@ -65,7 +65,7 @@ class CopyState:
     @property
     def staleness_nanos(self) -> int:
         """How old the copy is at most."""
-        return SERVED_STALENESS_NANOS_MAX * 2 if self.heard_nanos is None else self._steady_nanos() - self.heard_nanos
+        return SERVED_STALENESS_NANOS_MAX * 2 if self.as_of_nanos is None else self._steady_nanos() - self.as_of_nanos
 
     @property
     def is_ready(self) -> bool:

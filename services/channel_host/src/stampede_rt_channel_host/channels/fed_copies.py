@@ -14,7 +14,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.observers import Observers
 
-HEARD_NANOS_MAX = 3_000_000_000  # a copy that is silent for longer gets no readers
+REPORT_AGE_NANOS_MAX = 3_000_000_000  # a copy that is silent for longer gets no readers
 READERS_MOVED_MAX = 16  # the most readers that move at each report of a copy, about twice a second
 BALANCED_SHARE = 8
 """The host sends connected readers to a copy only if the host has at least two readers more than the copy. The
@@ -31,21 +31,21 @@ class FedCopy:
         self.is_replica = is_replica
         self.subscriptions = 0  # as last reported, plus the readers that the host has sent there since
         self.ready = False
-        self.heard_nanos = time.monotonic_ns()
+        self.reported_nanos = time.monotonic_ns()
 
     def report(self, subscriptions: int, *, ready: bool) -> None:
         """Note a report of the copy."""
-        self.subscriptions, self.ready, self.heard_nanos = subscriptions, ready, time.monotonic_ns()
+        self.subscriptions, self.ready, self.reported_nanos = subscriptions, ready, time.monotonic_ns()
 
     @property
-    def heard_ago_nanos(self) -> int:
+    def report_age_nanos(self) -> int:
         """The time since the last report."""
-        return time.monotonic_ns() - self.heard_nanos
+        return time.monotonic_ns() - self.reported_nanos
 
     @property
     def takes_readers(self) -> bool:
         """Whether the copy can serve readers, as far as this host knows."""
-        return self.ready and self.heard_ago_nanos <= HEARD_NANOS_MAX
+        return self.ready and self.report_age_nanos <= REPORT_AGE_NANOS_MAX
 
 
 class FedCopies:
@@ -78,7 +78,7 @@ class FedCopies:
         copy = min(self._serving(), key=lambda one: one.subscriptions, default=None)
         if copy is None or copy.subscriptions >= own:
             return None
-        return _to(name, copy)
+        return _redirect_to(name, copy)
 
     def for_gets(self) -> str:
         """The gatekeeper of a copy for a reader's gets: another copy at each call; empty if no copy can serve."""
@@ -98,13 +98,13 @@ class FedCopies:
             if wanted <= 0:
                 return
             if reader.may_move:
-                reader.end(_to(name, copy))
+                reader.end(_redirect_to(name, copy))
                 wanted -= 1
 
     def _serving(self) -> list[FedCopy]:
         return [one for one in self._copies if one.takes_readers]
 
 
-def _to(name: str, copy: FedCopy) -> StampedeError:
+def _redirect_to(name: str, copy: FedCopy) -> StampedeError:
     copy.subscriptions += 1  # counts until the next report of the copy
     return refusals.to_copy(name, copy.host_id, copy.target)

@@ -330,7 +330,7 @@ class CopyFeed:
 
     def _note(self, state: pb.FeedState, charge_bytes: int) -> None:
         copy = self._state
-        copy.heard_nanos = state.heard_nanos - state.staleness_nanos
+        copy.as_of_nanos = state.heard_nanos - state.staleness_nanos
         copy.source_next_seq = state.source_next_seq
         copy.merge_floors(map(floor_from_message, state.floors))
         self._note_place(self._held(), charge_bytes)

@@ -36,7 +36,7 @@ def _member(member: CutMember, group: HostedGroup, groups: GroupStore, now: int)
         hidden_items=None if view is None else view.hidden_items(cut, now),
         idle=member.is_idle,
         window_too_short=_is_too_short(member, group, lead) if view is None else view.window_too_short(cut, now),
-        heard_ago_nanos=known.heard_ago_nanos(now),
+        heard_ago_nanos=known.age_nanos(now),
     )
 
 

@@ -30,7 +30,7 @@ class QueueCopy:
         self.journal = core.journal(next_step)
         self.journal.bytes_max = COPY_JOURNAL_BYTES_MAX
         self.owner_epoch = record.epoch
-        self.heard_nanos = time.monotonic_ns()  # when the owner last sent a message, by a steady clock
+        self.last_message_nanos = time.monotonic_ns()  # when the owner last sent a message, by a steady clock
 
 
 class QueueCopies:
@@ -91,7 +91,7 @@ class QueueCopies:
         """
         self.drop(record.queue_id)
         copy = self._added(record, QueueCopy(record, kept.core, kept.next_step, kept.charge))
-        copy.heard_nanos = kept.made_nanos
+        copy.last_message_nanos = kept.made_nanos
 
     def _check_number(self) -> None:
         if len(self._copies) >= COPIES_MAX:
@@ -108,13 +108,13 @@ class QueueCopies:
 
     def note_message(self, copy: QueueCopy, record: RecordedQueue) -> None:
         """Note that the owner has sent a message of the copy's feed. `record`: the queue as the owner knows it."""
-        copy.record, copy.owner_epoch, copy.heard_nanos = record, record.epoch, time.monotonic_ns()
+        copy.record, copy.owner_epoch, copy.last_message_nanos = record, record.epoch, time.monotonic_ns()
         copy.charge.set(copy.core.footprint_bytes + copy.journal.size_bytes)
 
     def with_silent_owner(self, seconds: float) -> list[QueueCopy]:
         """The copies whose owners were silent for this time."""
         latest = time.monotonic_ns() - int(seconds * 1e9)
-        return [copy for copy in self if copy.heard_nanos < latest]
+        return [copy for copy in self if copy.last_message_nanos < latest]
 
     def inherit(self, record: RecordedQueue) -> QueueContent | None:
         """The content of the queue, which this host owns from now on. None if it has no copy of this incarnation.
@@ -126,7 +126,7 @@ class QueueCopies:
         if copy is None or copy.record.incarnation != record.incarnation:
             return None
         copy.journal.bytes_max = JOURNAL_BYTES_MAX
-        copy.core.postpone(time.monotonic_ns() - copy.heard_nanos)
+        copy.core.postpone(time.monotonic_ns() - copy.last_message_nanos)
         extra = {"event": "queue_continued", "queue": display_name(record), "steps": copy.journal.next_step - 1}
         logger.info("this host goes on with a queue of which it had a replica", extra=extra)
         return QueueContent(copy.core, copy.journal, is_replicated=False)

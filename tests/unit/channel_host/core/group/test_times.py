@@ -84,15 +84,15 @@ def test_the_silence_of_a_channel_counts_up_to_the_last_report_of_its_host() -> 
     board.receive(A, ChannelTimes(1, INCARNATION, 50), silent_nanos=5, now=100)
     known = board.find(A)
     assert known is not None
-    assert (known.silent_nanos(200), known.heard_ago_nanos(200)) == (5, 100)
+    assert (known.silent_nanos(200), known.age_nanos(200)) == (5, 100)
     board.confirm([A, b"unheard of"], 150)
-    assert (known.silent_nanos(200), known.heard_ago_nanos(200)) == (55, 50)
+    assert (known.silent_nanos(200), known.age_nanos(200)) == (55, 50)
     board.enter_own(A, ChannelTimes(2, INCARNATION, 50), silent_since=160)
     known = board.find(A)
     assert known is not None
-    assert (known.silent_nanos(200), known.heard_ago_nanos(200)) == (40, 0)
+    assert (known.silent_nanos(200), known.age_nanos(200)) == (40, 0)
     board.disown(A, 210)
-    assert (known.silent_nanos(300), known.heard_ago_nanos(300)) == (50, 90)
+    assert (known.silent_nanos(300), known.age_nanos(300)) == (50, 90)
     board.forget(A)
     board.forget(A)
     assert board.find(A) is None

@@ -154,7 +154,7 @@ class Peer(_pb_grpc.RaftServiceServicer):  # type: ignore[misc]
 
     def __init__(self) -> None:
         self.streams: list[list[int]] = []
-        self.heard_second = asyncio.Event()
+        self.received_second = asyncio.Event()
 
     async def Exchange(  # noqa: N802
         self, requests: Any, context: Any
@@ -166,7 +166,7 @@ class Peer(_pb_grpc.RaftServiceServicer):  # type: ignore[misc]
                 yield pb.RaftServiceExchangeResponse(protocol_version=PROTOCOL_VERSION)
             numbers += [message.timeout_now.term for message in request.messages]
             if 2 in numbers:
-                self.heard_second.set()
+                self.received_second.set()
 
 
 async def test_messages_that_wait_on_a_broken_stream_are_not_sent_on_the_next_one() -> None:
@@ -195,7 +195,7 @@ async def test_messages_that_wait_on_a_broken_stream_are_not_sent_on_the_next_on
     )
     running = asyncio.create_task(link.run())
     async with asyncio.timeout(45):
-        await peer.heard_second.wait()
+        await peer.received_second.wait()
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
     await server.stop(None)

@@ -135,7 +135,7 @@ class KnownTimes:
         """How long the channel has had no put and no advance, as far as the host knows."""
         return max(0, (now if self.known_until is None else self.known_until) - self.silent_since)
 
-    def heard_ago_nanos(self, now: int) -> int:
+    def age_nanos(self, now: int) -> int:
         """The age of this knowledge. It is 0 for a channel of this host."""
         return 0 if self.known_until is None else max(0, now - self.known_until)
 

@@ -174,7 +174,7 @@ class QueueCore:
         """
         clock = self._due_work.tick(now)
         taker.credit += credit
-        taker.heard_at, taker.is_silent = clock, False
+        taker.last_request_at, taker.is_silent = clock, False
         self._dispatcher.wait(taker, clock)
 
     def sending(self, taker: TakerState) -> None:

@@ -101,7 +101,7 @@ class QueueLeases:
         if lease is None or lease.taker.taker_id != taker_id or lease.due is None or lease.due <= now:
             repeated = isinstance(verdict, Acknowledge) and self.acknowledged.knows(delivery_id, taker_id, now)
             return SettlementResult(delivery_id, None if repeated else self._stale(delivery_id))
-        lease.taker.heard_at = now
+        lease.taker.last_request_at = now
         if isinstance(verdict, Acknowledge):
             self._acknowledge(lease, now)
         elif isinstance(verdict, GiveBack):
@@ -122,7 +122,7 @@ class QueueLeases:
             return False
         self._queue_items.tally.leases_expired += 1
         taker = lease.taker
-        if taker.credit and not taker.is_silent and taker.heard_at <= lease.leased_at:
+        if taker.credit and not taker.is_silent and taker.last_request_at <= lease.leased_at:
             taker.is_silent = True
             self.silent.append(taker)
         self._take_back(lease, LEASE_EXPIRED)

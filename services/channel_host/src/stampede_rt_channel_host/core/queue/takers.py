@@ -10,18 +10,18 @@ class TakerState:
 
     The taker waits for messages while it has credit and is neither busy nor silent. `lease_nanos` is the lease that it
     asks for, or None for the queue's own lease. `name` is for people. `unsent` is a batch for the taker that the host
-    has not begun to send. `heard_at` is the time of its last request. `is_silent`: it gets nothing before its next
-    request.
+    has not begun to send. `last_request_at` is the time of its last request. `is_silent`: it gets nothing before its
+    next request.
     """
 
-    __slots__ = ("credit", "heard_at", "is_busy", "is_silent", "lease_nanos", "name", "taker_id", "unsent")
+    __slots__ = ("credit", "is_busy", "is_silent", "last_request_at", "lease_nanos", "name", "taker_id", "unsent")
 
     def __init__(self, taker_id: int, lease_nanos: int | None = None, name: str = "") -> None:
         self.taker_id = taker_id
         self.lease_nanos = lease_nanos
         self.name = name
         self.credit = 0
-        self.heard_at = 0
+        self.last_request_at = 0
         self.is_busy = False  # True from the moment at which the taker gets a batch until the host has sent the batch
         self.is_silent = False
         self.unsent: Batch | None = None
