@@ -65,15 +65,18 @@ async def test_a_read_through_a_group_waits_for_the_first_write_of_items_that_ha
         assert reason == ("HIDDEN" if cut == 5 else None)
 
 
+@pytest.mark.parametrize("cut", [None, CLOCK])
 async def test_a_subscription_through_a_group_begins_with_the_items_of_the_first_write(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: int | None
 ) -> None:
+    """Also if the group shows no item yet when the subscription begins to wait, and shows some afterwards."""
     async with recorded_channel(tmp_path, monkeypatch) as one:
         disk, shell = await put_during_a_write(one, monkeypatch), Shell(one)
-        horizon = Horizon(CLOCK, lambda: "")
+        horizons = [Horizon(cut, lambda: "")]
         hosted, channels = cast("HostedChannel", shell), cast("ChannelStore", shell)
-        beginning = asyncio.create_task(resolved_start(hosted, channels, horizon, OLDEST))
+        beginning = asyncio.create_task(resolved_start(hosted, channels, lambda: horizons[-1], OLDEST))
         await asyncio.sleep(0)
+        horizons.append(Horizon(CLOCK, lambda: ""))
         disk.may_continue.set()
         assert await beginning == Bound(None, 1)
 

@@ -220,7 +220,7 @@ class GroupReads:
         self._check_served(hosted)
         where = beginning_of(opening)
         if where.get("start") is not None and hosted.copy is None:
-            where["start"] = await resolved_start(hosted, self._groups.channels, group.horizon(), where["start"])
+            where["start"] = await resolved_start(hosted, self._groups.channels, group.horizon, where["start"])
             self._check_served(hosted)
         cursor = _cursor(group, hosted, opening, where, self._groups.channels)
         group.cut_observers.add(observer)

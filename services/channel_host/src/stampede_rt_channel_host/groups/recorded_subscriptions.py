@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from stampede_rt.values.timeline import Bound, Interval
@@ -59,18 +60,28 @@ class RecordedSteps:
         )
 
 
-async def resolved_start(hosted: HostedChannel, channels: ChannelStore, horizon: Horizon, start: Bound) -> Bound:
-    """The bound at which a subscription begins, over the archive and memory. Raises Unavailable as `take`."""
+async def resolved_start(
+    hosted: HostedChannel, channels: ChannelStore, horizon: Callable[[], Horizon], start: Bound
+) -> Bound:
+    """The bound at which a subscription begins, over the archive and memory. Raises Unavailable as `take`.
+
+    If the group shows no item of the channel yet, `start` may have no instant. The group may show one while this
+    function waits for the archive. So the function looks again until `horizon` has not changed meanwhile.
+    """
     recording = hosted.recording
-    if recording is not None:
-        recording.check_start(start, channels.now(), horizon)
-    if recording is None or not recording.may_read:
-        return start
-    query = Query(interval=Interval(start, start), limit=1)
-    if recording.recorder.former.are_expected and not recording.reaches_in_group(query, horizon, channels.now()):
-        return start  # it needs no file of the former owner
-    view = await recording.read_in_group(query, horizon, None, channels.scheduler, channels.now, waits=False)
-    return start if view.within is None else Bound(None, view.within.start)
+    while recording is not None:
+        seen = horizon()
+        recording.check_start(start, channels.now(), seen)
+        query = Query(interval=Interval(start, start), limit=1)
+        expected = recording.recorder.former.are_expected
+        if not recording.may_read or (expected and not recording.reaches_in_group(query, seen, channels.now())):
+            return start  # it needs no archived item
+        view = await recording.read_in_group(query, seen, None, channels.scheduler, channels.now, waits=False)
+        if view.within is not None:
+            return Bound(None, view.within.start)
+        if horizon().cut == seen.cut:
+            return start
+    return start
 
 
 def _at(cut: int) -> Horizon:
