@@ -30,6 +30,7 @@ from stampede_rt_channel_host.core.archive import (
     encode_items,
     encode_opening,
     grown,
+    rest_of,
     scan,
     summary,
 )
@@ -152,9 +153,7 @@ class SegmentFiles(SegmentReads):
         """
         if following is None or segment.end_seq <= following:
             return segment
-        blocks = below(self._files.blocks(segment), segment.length, following)
-        short = summary(segment.number, blocks[-1].end if blocks else 0, blocks)
-        return None if short is None else short._replace(first_seq=segment.first_seq)
+        return rest_of(segment, below(self._files.blocks(segment), segment.length, following))
 
     def _open_one(
         self, number: int, following: int | None, *, is_last: bool, may_be_torn: bool
@@ -174,7 +173,8 @@ class SegmentFiles(SegmentReads):
         finally:
             os.close(file)
         blocks = scanned.blocks if following is None else below(scanned.blocks, length, following)
-        segment = summary(number, blocks[-1].end if blocks else 0, blocks)
+        whole = summary(number, scanned.end, scanned.blocks)
+        segment = None if whole is None else rest_of(whole, blocks)
         if segment is None and scanned.damaged:
             self._files.set_aside(number)
         elif segment is None:

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from stampede_rt.values.seq_starts import start_of
 from stampede_rt_channel_host.archive.objects.moving_files import MovingFiles
 from stampede_rt_channel_host.archive.segment_files import ArchiveLimits
+from stampede_rt_channel_host.archive.written_parts import MissingSeqs
 from stampede_rt_channel_host.core.archive import ArchivedRun
 from tests.support.channel_host.object_stores import FakeStore, move, opened_files
-from tests.unit.channel_host.archive.test_archive_files import ALL, decode, seqs, write
+from tests.unit.channel_host.archive.test_archive_files import ALL, decode, run_at, seqs, write
 
 ITEMS = [*range(1, 9)]
 
@@ -72,3 +74,35 @@ async def test_a_segment_leaves_the_list_before_its_object_is_removed(
     assert listed == [False]
     with pytest.raises(FileNotFoundError):  # the caller reads the present segments then
         files.load((repeated,), ALL, decode, lambda: None)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("is_stored", [True, False])
+async def test_an_owner_that_has_only_the_note_of_a_loss_left_hides_no_items_of_former_owners(
+    tmp_path: Path, is_stored: bool
+) -> None:
+    """In an earlier version, it hid all items that it had not found in the store when it began: reads said LOST for
+    them, and the host deleted their objects.
+    """
+    store, begin = FakeStore(), start_of(2)
+    first = opened_files(tmp_path / "a", store, 1, cut)
+    write(first, 1, 4)
+    first.close(None)
+    second = opened_files(
+        tmp_path / "b", store, 2, cut
+    )  # the first owner is lost, and its file is not in the store yet
+    second.write([MissingSeqs(1, 1, 20), [ArchivedRun(21, run_at(begin))]], ArchiveLimits(None, None))
+    second.close(None)
+    third = opened_files(tmp_path / "c", store, 3, cut)  # the channel has moved, and its items came along
+    write(third, begin, 2)
+    third.close(None)
+    for one in (first, third, *([second] if is_stored else [])):
+        await move(one, store)
+    last = opened_files(tmp_path / "b", store, 4, cut)
+    assert seqs(last, last.segments) == [*ITEMS, *range(begin, begin + 4)]
+    assert [one.begin for one in last.segments] == [1, begin, begin]
+    found = last.find_again(last.stored.find(4), begin + 4)
+    assert seqs(last, found) == [*ITEMS, *range(begin, begin + 4)]
+    assert len(store.objects) == (3 if is_stored else 2)
+    window = last.load(found, ALL, decode, lambda: None)
+    assert [one.end for one in window.holes] == [19], "the loss is still known"

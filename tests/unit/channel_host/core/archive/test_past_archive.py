@@ -81,21 +81,27 @@ def accepted(seq: int, time: int) -> ArchivedRun:
     return ArchivedRun(10 * seq, make_run(seq, [time], None, [1], b"%d" % seq))
 
 
+@pytest.mark.parametrize("alone", [False, True])
 @pytest.mark.parametrize(("as_of", "lost_before"), [(15, 200), (205, None)])
 def test_a_loss_after_the_items_of_an_instant_is_the_loss_that_the_next_segment_reports(
-    as_of: int, lost_before: int | None
+    as_of: int, lost_before: int | None, alone: bool
 ) -> None:
-    """In an earlier version, a read as of an instant before two losses of hosts did not say that items were lost."""
+    """In an earlier version, a read as of an instant before two losses of hosts did not say that items were lost.
+
+    `alone`: the note of the loss is in a segment without items, because a later owner has written them again.
+    """
     gap, _ = encode_gap(2, 2, (1, 1), 200)
-    own = [PlacedBlock(0, gap), PlacedBlock(gap.length, encode_items([run(20), run(21)])[0])]
-    segment = summary(2, own[-1].end, own)
-    assert segment is not None
-    (former, cut), blocks = placed(1, [run(1)], 2), SegmentBlocks(own)
-    runs = {1: [run(1)], 2: [run(20), run(21)]}
-    all_blocks = {1: cut, 2: blocks}
-    past = past_of(
-        (former, segment), lambda one: all_blocks[one.number], lambda one, _: runs[one.number], lambda *_: (), as_of
-    )
+    note, own = [PlacedBlock(0, gap)], [PlacedBlock(gap.length, encode_items([run(20), run(21)])[0])]
+    blocks = {1: placed(1, [run(1)], 2)[1], 2: SegmentBlocks(note), 3: SegmentBlocks(own)}
+    if not alone:
+        blocks = {1: blocks[1], 2: SegmentBlocks([*note, *own])}
+    segments = [summary(number, 500, one) for number, one in blocks.items()]
+    all_segments = [one for one in segments if one is not None]
+
+    def runs_of(segment: Segment, _: PlacedBlock) -> Sequence[ArchivedRun]:
+        return [run(1)] if segment.number == 1 else [run(20), run(21)]
+
+    past = past_of(all_segments, lambda one: blocks[one.number], runs_of, lambda *_: (), as_of)
     assert past.lost_before == lost_before
     facts = PastFacts(Policy(), 7, None, 500, 300)
     moment = past_moment(facts, past, span_of(past.segments), as_of)

@@ -69,6 +69,7 @@ from stampede_rt_channel_host.core.archive.segment import (
     Segment,
     SegmentScan,
     grown,
+    rest_of,
     scan,
     summary,
 )
@@ -149,6 +150,7 @@ __all__ = [
     "read_nothing",
     "resolved",
     "resolved_now",
+    "rest_of",
     "scan",
     "span_of",
     "summary",

@@ -83,16 +83,18 @@ def past_of(
     """
     before, changed, reached = list[Segment](), dict[int, SegmentBlocks](), segments
     past: PastArchive | None = None
+    lost_before: int | None = None  # a loss after the items of `before`
     for at, segment in enumerate(segments):
         if segment.last_accepted > as_of:
             all_blocks = blocks_of(segment)
             blocks, runs = _first_after(segment, all_blocks, runs_of, as_of)
             if runs is not None:
-                past, reached = _cut(before, segment, blocks, runs, as_of), segments[: at + 1]
+                past, reached = _cut(before, segment, blocks, runs, as_of, lost_before), segments[: at + 1]
                 break
             if blocks is not all_blocks:
                 segment, changed[segment.number] = _with_blocks(segment, blocks), blocks
         before.append(segment)
+        lost_before = None if segment.items else lost_before or blocks_of(segment).lost_before
     past = past or PastArchive(tuple(before), {}, None)
     advance, next_advance = _advances(reached, blocks_of, advances_of, as_of)
     changed.update(past.changed)
@@ -139,17 +141,18 @@ def _shortened(block: PlacedBlock, kept: Sequence[ArchivedRun]) -> PlacedBlock:
 
 
 def _cut(
-    before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, runs: Sequence[ArchivedRun], as_of: int
-) -> PastArchive:
+    before: Sequence[Segment], segment: Segment, blocks: SegmentBlocks, runs: Sequence[ArchivedRun], as_of: int,
+    lost_before: int | None,
+) -> PastArchive:  # fmt: skip
     """The archive up to the instant. The last of `blocks` has the first items that the host accepted after it. `runs`:
-    the items of this block.
+    the items of this block. `lost_before`: the instant of a loss between `before` and the segment, or None.
     """
     kept, last = blocks.up_to(len(blocks) - 1), blocks[-1]
     first, following = _part(last, runs, as_of)
     if first is not None:
         kept = kept.followed_by([first])
     short = summary(segment.number, segment.length, kept)
-    lost_before = None if short is not None and short.items else blocks.lost_before
+    lost_before = None if short is not None and short.items else lost_before or blocks.lost_before
     # the archive lacks the items between the kept items and the next items, if there are any
     if short is not None:
         short = short._replace(first_seq=segment.first_seq, end_seq=max(short.end_seq, following.first_seq))

@@ -151,6 +151,17 @@ def summary(number: int, length: int, blocks: Iterable[PlacedBlock]) -> Segment 
     )
 
 
+def rest_of(whole: Segment, blocks: Sequence[PlacedBlock]) -> Segment | None:
+    """The summary of the first `blocks` of a segment whose other items are left out; None: it has no others.
+
+    If only the note of a loss is left, `begin` stays the first seq of the owner: the seqs before it belong to former
+    owners.
+    """
+    short = summary(whole.number, blocks[-1].end if blocks else 0, blocks)
+    end_seq = 0 if short is None else max(short.end_seq, whole.begin)
+    return None if short is None else short._replace(first_seq=whole.first_seq, end_seq=end_seq)
+
+
 def grown(segment: Segment, head: BlockHead) -> Segment:
     """The segment with one more block at its end."""
     length, end_seq = segment.length + head.length, head.end_seq
