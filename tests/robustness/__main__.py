@@ -124,8 +124,8 @@ def campaigns(folder: Path, seconds: float, seed: int) -> dict[str, Callable[[],
 
 async def real_faults(minutes: float, seed: int, names: Collection[str] = NAMES) -> list[Findings]:
     """Run the campaigns of these names, one after the other."""
-    with tempfile.TemporaryDirectory(prefix="robustness-") as place:
-        known = campaigns(Path(place), minutes * 60, seed)
+    with tempfile.TemporaryDirectory(prefix="robustness-") as folder:
+        known = campaigns(Path(folder), minutes * 60, seed)
         return [await known[name]() for name in NAMES if name in names]
 
 
@@ -152,11 +152,11 @@ def main() -> int:
     return 1 if broken else 0
 
 
-def write_page(place: Path, page: str) -> None:
+def write_page(file: Path, page: str) -> None:
     """Write the report into the file. It replaces the earlier report there; the text above that report stays."""
-    place.parent.mkdir(parents=True, exist_ok=True)
-    above, title, _ = place.read_text().partition(TITLE) if place.exists() else ("", "", "")
-    place.write_text((above if title else "") + page)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    above, title, _ = file.read_text().partition(TITLE) if file.exists() else ("", "", "")
+    file.write_text((above if title else "") + page)
 
 
 def _revision() -> str:

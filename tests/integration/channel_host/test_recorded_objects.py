@@ -150,7 +150,7 @@ def test_deleting_a_channel_deletes_its_objects(server: S3Server, folder: Path, 
     wait_until(lambda: not [*path.glob("*.segment")] if path.exists() else True)
 
 
-def test_live_readers_are_served_while_the_store_is_away_and_doctor_names_the_reason(
+def test_live_readers_are_served_while_the_store_is_unreachable_and_doctor_names_the_reason(
     server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection, capsys: pytest.CaptureFixture[str]
 ) -> None:
     channel, began = filled(rt, "rig/away", "h2", ack="disk")
@@ -173,7 +173,7 @@ def test_live_readers_are_served_while_the_store_is_away_and_doctor_names_the_re
 
 
 @pytest.mark.parametrize("end", ["kill", "stop"])
-def test_a_host_that_starts_while_the_store_is_away_serves_its_own_items_and_catches_up(
+def test_a_host_that_starts_while_the_store_is_unreachable_serves_its_own_items_and_catches_up(
     server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection, end: str
 ) -> None:
     name = f"rig/started-{end}"
@@ -203,7 +203,7 @@ def test_a_host_that_starts_while_the_store_is_away_serves_its_own_items_and_cat
     assert numbers(channel.get(began, began + (ITEMS + 29) * MS)) == list(range(ITEMS + 30))
 
 
-def test_a_host_that_takes_a_channel_over_while_the_store_is_away_serves_it_immediately_and_catches_up(
+def test_a_host_that_takes_a_channel_over_while_the_store_is_unreachable_serves_it_immediately_and_catches_up(
     server: S3Server, folder: Path, cluster: LocalCluster, rt: st.Connection
 ) -> None:
     channel, began = filled(rt, "rig/taken", "h1")

@@ -340,7 +340,7 @@ async def test_a_recording_of_many_small_items_leaves_the_event_loop_free(
     assert threading.get_ident() not in threads
 
 
-def test_a_hurried_end_asks_a_host_that_is_away_for_no_longer_than_the_end_may_take(
+def test_a_hurried_end_asks_an_unreachable_host_for_no_longer_than_the_end_may_take(
     rt: st.Connection, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     timeouts: list[float] = []

@@ -45,7 +45,7 @@ def test_a_seed_gives_the_same_upgrade_every_time() -> None:
     assert first.world.now == second.world.now
 
 
-def test_an_older_newcomer_is_refused_while_the_level_is_about_to_rise_and_comes_in_with_the_newer_release() -> None:
+def test_an_older_newcomer_is_refused_while_the_level_is_about_to_rise_and_joins_with_the_newer_release() -> None:
     world = UpgradeWorld(1, size=3, fault_rates=FaultRates())
     members = list(world.members.values())
     for member in members:

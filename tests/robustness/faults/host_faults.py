@@ -92,7 +92,7 @@ async def kill_all_hosts(scene: Scene) -> None:
 
 
 async def kill_frontend(scene: Scene) -> None:
-    """Kill the front-end. Connected clients go on without it, and can also make new channels."""
+    """Kill the front-end. Connected clients continue without it, and can also make new channels."""
     frontend = scene.cluster.frontend
     assert frontend is not None
     began = time.monotonic()

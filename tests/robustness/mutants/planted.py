@@ -406,7 +406,7 @@ MUTANTS = (
     Mutant(
         name="a_queue_that_comes_back_trusts_its_replicas",
         file=f"{HOST}/queues/hosted_queue.py",
-        edits=(("if moving is not None and was_elsewhere and self.replication is not None:", "if False:"),),
+        edits=(("if moving is not None and was_at_other_owner and self.replication is not None:", "if False:"),),
         noticed_by="tests/unit/channel_host/queues/test_queue_replication.py",
     ),
     Mutant(

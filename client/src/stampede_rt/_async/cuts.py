@@ -153,8 +153,8 @@ class CutSubscription(BoundToProcess):
     def close(self) -> None:
         """End the subscription.
 
-        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; elsewhere
-        it raises WrongEventLoop.
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; other
+        code gets WrongEventLoop.
         """
         self._group.session.check_thread()
         self._closed = True

@@ -65,7 +65,7 @@ class DirectoryClient:
         self.peer_name = peer_name
         self._zone = zone
         self._targets: list[str] = []
-        self._elsewhere: frozenset[str] = frozenset()  # supernodes of other zones, if this client has a zone
+        self._in_other_zones: frozenset[str] = frozenset()  # supernodes of other zones, if this client has a zone
         self._measure_again_s = float("-inf")
         self._leader = ""  # the last known leader
         self._strangers: set[str] = set()  # addresses at which another cluster answers
@@ -90,9 +90,11 @@ class DirectoryClient:
                 continue
             if not self.cluster_id:
                 await self._check_others(response.cluster_id, target, self._frontends[position + 1 :])
-            places = [record.endpoint for record in response.supernodes]
-            self._targets = [place.target for place in places]
-            self._elsewhere = frozenset(place.target for place in places if self._zone and place.zone != self._zone)
+            endpoints = [record.endpoint for record in response.supernodes]
+            self._targets = [endpoint.target for endpoint in endpoints]
+            if self._zone:
+                others = [endpoint for endpoint in endpoints if endpoint.zone != self._zone]
+                self._in_other_zones = frozenset(endpoint.target for endpoint in others)
             self._set_cluster(response.cluster_id)
             await self._measure()
             return
@@ -185,7 +187,7 @@ class DirectoryClient:
             target: pong.clock for target, pong in answered.items() if pong.clock and target not in self._strangers
         }
         round_trips_s = {target: 2e-9 * clock.uncertainty_nanos for target, clock in clocks.items()}
-        self._targets = order_by_round_trip(self._targets, round_trips_s, self._elsewhere)
+        self._targets = order_by_round_trip(self._targets, round_trips_s, self._in_other_zones)
         if self._targets:
             self.clock = clocks.get(self._targets[0], self.clock)
 

@@ -99,8 +99,8 @@ class Player(BackgroundStart, BoundToProcess):
     def stop(self) -> None:
         """End the replay after the present item. Does not wait; see `wait`.
 
-        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; elsewhere
-        it raises WrongEventLoop.
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; other
+        code gets WrongEventLoop.
         """
         self._session.check_thread()
         self._stopped = True

@@ -106,8 +106,8 @@ class Recorder(BackgroundStart, BoundToProcess):
     def stop(self) -> None:
         """End the recording with the items that the hosts have accepted until now. Does not wait; see `wait`.
 
-        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; elsewhere
-        it raises WrongEventLoop.
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; other
+        code gets WrongEventLoop.
         """
         self._session.check_thread()
         self._stop.set()

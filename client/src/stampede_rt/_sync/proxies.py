@@ -57,7 +57,7 @@ class Proxies(Discovery):
         return self._list(self._state(channel))
 
     def remove_proxy(self, channel: str | Reader, host: str) -> None:
-        """Remove the proxy of a channel at a host. Its readers continue elsewhere, within about 2 s.
+        """Remove the proxy of a channel at a host. Its readers continue at another host, within about 2 s.
 
         Does nothing if there is no such proxy. Raises HostNotFound, PermissionDenied.
         """

@@ -93,8 +93,8 @@ class Sampler(BackgroundStart, BoundToProcess):
     def cancel(self) -> None:
         """Begin no further call. A call under way continues; `join` waits for it.
 
-        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; elsewhere
-        it raises WrongEventLoop.
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; other
+        code gets WrongEventLoop.
         """
         self._session.check_thread()
         self._stop.set()

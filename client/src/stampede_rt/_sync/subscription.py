@@ -229,8 +229,8 @@ class Subscription(BoundToProcess):
     def close(self) -> None:
         """End the subscription.
 
-        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; elsewhere
-        it raises WrongEventLoop.
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it; other
+        code gets WrongEventLoop.
         """
         self._session.check_thread()
         self._closed = True

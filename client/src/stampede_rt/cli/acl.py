@@ -47,7 +47,7 @@ def add_verbs(subparsers: Any) -> None:
     _add_change(
         add_verb(verbs, "add", "add a rule; if any rule exists, clients may do only what a rule allows", run_add)
     )
-    _add_change(add_verb(verbs, "rm", "remove a rule; write it as for add", run_rm))
+    _add_change(add_verb(verbs, "rm", "remove a rule; give the rule in the form of `acl add`", run_rm))
     add_verb(verbs, "ls", "list all rules", run_ls)
     check = add_verb(verbs, "check", "tell whether a client may do something, and why; status 3: it may not", run_check)
     check.add_argument("who", metavar="WHO", help="the name of a client")

@@ -24,7 +24,7 @@ def add_verbs(subparsers: Any) -> None:
     add.add_argument(
         "--source", metavar="HOST", help="the host that feeds the proxy; default: the owner of the channel"
     )
-    rm = add_verb(verbs, "rm", "remove a proxy; its readers continue elsewhere", run_rm)
+    rm = add_verb(verbs, "rm", "remove a proxy; its readers continue at another host", run_rm)
     rm.add_argument("channel", help="the channel's name")
     rm.add_argument("host", metavar="HOST", help="the proxy's host")
     ls = add_verb(verbs, "ls", "list the proxies of a channel, and how far each lags behind", run_ls)

@@ -80,7 +80,7 @@ def _init(arguments: argparse.Namespace) -> VerbResult:
     certificate, key = write_pair(made, folder, "ca")
     lines = [
         f"{certificate}: the authority of cluster {arguments.cluster}; every part of the cluster needs this file",
-        f"{key}: its private key; anyone who has it can enter the cluster; keep it elsewhere",
+        f"{key}: its private key; anyone who has it can enter the cluster; keep it in another place",
         "",
         f"Next, a certificate for each part: stampede certs issue{_from(folder)} --name NAME --role ROLE",
         f"(ROLE: {', '.join(Role)}; an operator adds and removes supernodes)",

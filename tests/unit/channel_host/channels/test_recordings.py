@@ -96,7 +96,7 @@ async def test_an_item_that_memory_dropped_out_of_order_stays_in_the_archive_aft
         assert new.read() == [1, 2, 3, 4, 5]
 
 
-async def left(path: Path, store: FakeStore, epoch: int, time: int) -> None:
+async def serve_one_item(path: Path, store: FakeStore, epoch: int, time: int) -> None:
     """Own the channel in this epoch, accept an item, and stop cleanly."""
     one = Host(path, store)
     one.clock = time
@@ -114,12 +114,12 @@ async def test_a_host_does_not_trust_its_list_of_objects_if_the_channel_moves_ba
     """In an earlier version the host trusted its own list, and did not know the objects of the present owner."""
     store = FakeStore()
     if first_epoch > 1:
-        await left(tmp_path / "a", store, 1, 10)
+        await serve_one_item(tmp_path / "a", store, 1, 10)
     async with host(tmp_path / "b", store) as present, host(tmp_path / "a", store) as former:
         await present.serve(first_epoch)
         await present.write(3)
         await present.mover.move_all()
-        store.failure = "away"
+        store.failure = "unreachable"
         recordings = Recordings()
         recordings.archive = former.archive
         with pytest.raises(Unavailable, match="cannot be used"):
@@ -191,7 +191,7 @@ async def test_an_owner_that_follows_a_lost_one_says_collected_for_items_that_th
     tmp_path: Path,
 ) -> None:
     store = FakeStore()
-    await left(tmp_path / "a", store, 1, 10)
+    await serve_one_item(tmp_path / "a", store, 1, 10)
     store.delete([name for name in store.objects if name.endswith(".stopped")])
     async with host(tmp_path / "b", store) as second:
         second.clock = 200 * 10**9

@@ -101,11 +101,13 @@ async def test_only_the_stop_of_the_last_owner_counts_and_the_next_owner_deletes
 
 
 @pytest.mark.asyncio
-async def test_a_host_stops_while_the_store_is_away_and_the_next_owner_says_that_items_are_lost(tmp_path: Path) -> None:
+async def test_after_a_stop_with_an_unreachable_store_the_next_owner_says_that_items_are_lost(
+    tmp_path: Path,
+) -> None:
     store = FakeStore()
     first = await owner(tmp_path / "a", store, 1)
     await first.put(1)
-    store.failure = "away"
+    store.failure = "unreachable"
     await stop(first)
     store.failure = ""
     assert not store.objects
@@ -124,7 +126,7 @@ async def test_an_owner_that_could_not_reach_the_store_at_first_learns_of_the_cl
     first = await owner(tmp_path / "a", store, 1)
     await first.put(*times)
     await stop(first)
-    store.failure = "away"
+    store.failure = "unreachable"
     second = await owner(tmp_path / "b", store, 2)
     await second.put(SINCE + 1)
     store.failure = ""
@@ -147,7 +149,7 @@ async def test_an_owner_that_learns_of_the_stop_later_says_lost_if_an_object_is_
     await stop(first)
     for name in [one for one in store.objects if one.endswith(".segment")]:
         del store.objects[name]
-    store.failure = "away"
+    store.failure = "unreachable"
     second = await owner(tmp_path / "b", store, 2)
     await second.put(SINCE + 1)
     store.failure = ""
@@ -156,10 +158,10 @@ async def test_an_owner_that_learns_of_the_stop_later_says_lost_if_an_object_is_
     await stop(second)
 
 
-@pytest.mark.parametrize("is_away", [False, True])
+@pytest.mark.parametrize("is_unreachable", [False, True])
 @pytest.mark.asyncio
 async def test_after_an_item_in_the_future_the_next_owner_says_lost_from_the_last_acceptance_on(
-    tmp_path: Path, is_away: bool
+    tmp_path: Path, is_unreachable: bool
 ) -> None:
     """An earlier version said LOST only for reads beyond the time of that item."""
     store = FakeStore()
@@ -169,7 +171,7 @@ async def test_after_an_item_in_the_future_the_next_owner_says_lost_from_the_las
     first.host.clock += 61 * 10**9
     await first.find()
     kill(first)
-    store.failure = "away" if is_away else ""
+    store.failure = "unreachable" if is_unreachable else ""
     second = await owner(tmp_path / "b", store, 2)
     store.failure = ""
     await second.find()
@@ -216,7 +218,7 @@ async def test_a_start_without_callers_moves_the_last_files_and_the_clean_stop_t
     store = FakeStore()
     first = await owner(tmp_path / "a", store, 1)
     await first.put(1, 2)
-    store.failure = "away"
+    store.failure = "unreachable"
     await stop(first)
     store.failure = ""
     await idle_run(tmp_path / "a", store, 2)

@@ -39,8 +39,8 @@ class History:
         place = self.dice.choice("abc")
         one = Host(self.path / place, self.store)
         one.clock = self.clock = self.clock + 1000
-        self.store.failure = "away" if epoch > 1 and self.dice.random() < 0.25 else ""
-        self.steps.append(f"epoch {epoch} at {place}, store {self.store.failure or 'here'}")
+        self.store.failure = "unreachable" if epoch > 1 and self.dice.random() < 0.25 else ""
+        self.steps.append(f"epoch {epoch} at {place}, store {self.store.failure or 'reachable'}")
         owner = await Owner(one, epoch).serve()
         for _ in range(self.dice.randrange(STEPS)):
             await self._step(owner)
@@ -49,7 +49,7 @@ class History:
         self.clock = one.clock
         is_clean = self.dice.random() < 0.5
         if is_clean:
-            self.steps.append(f"stop, store {self.store.failure or 'here'}")
+            self.steps.append(f"stop, store {self.store.failure or 'reachable'}")
             await owner.recordings.close(0)
         else:
             self.steps.append("kill")
@@ -57,7 +57,7 @@ class History:
             one.archive.folder.close()
 
     async def _step(self, owner: Owner) -> None:
-        what = self.dice.choice(["put", "put", "move", "away", "back", "check"])
+        what = self.dice.choice(["put", "put", "move", "lose store", "find store", "check"])
         if what == "put":
             time = owner.host.clock + 1
             self.times.append(time)
@@ -71,7 +71,7 @@ class History:
         elif what == "check":
             await self._check(owner)
         else:
-            self.store.failure = "away" if what == "away" else ""
+            self.store.failure = "unreachable" if what == "lose store" else ""
             self.steps.append(what)
 
     async def _check(self, owner: Owner) -> None:

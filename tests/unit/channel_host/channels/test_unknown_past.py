@@ -28,8 +28,8 @@ SINCE = 1000
 pytestmark = pytest.mark.usefixtures("no_pauses_after_failures")
 
 
-async def left(path: Path, store: FakeStore) -> None:
-    """A host serves the channel, moves the items at 1, 2 and 3 to the store, and is lost with the item at 4."""
+async def serve_until_lost(path: Path, store: FakeStore) -> None:
+    """Serve the channel, move the items at 1, 2 and 3 to the store, and lose the host with the item at 4."""
     former = Host(path, store)
     await former.serve(1)
     for _ in range(3):
@@ -39,8 +39,8 @@ async def left(path: Path, store: FakeStore) -> None:
     former.archive.folder.close()
 
 
-async def taken_over(path: Path, store: FakeStore) -> Owner:
-    """A host has taken the channel over. The caller stops it, or kills it."""
+async def take_channel_over(path: Path, store: FakeStore) -> Owner:
+    """Start a host that takes the channel over. The caller stops or kills the host."""
     one = Host(path, store)
     one.clock = SINCE
     return await Owner(one).serve()
@@ -49,7 +49,7 @@ async def taken_over(path: Path, store: FakeStore) -> Owner:
 @pytest.mark.asyncio
 async def test_the_new_owner_serves_its_items_and_refuses_reads_of_a_past_that_it_does_not_know(tmp_path: Path) -> None:
     store = FakeStore()
-    await left(tmp_path / "a", store)
+    await serve_until_lost(tmp_path / "a", store)
     store.failure = "connection refused"
     async with host(tmp_path / "b", store) as one:
         one.clock = SINCE
@@ -75,7 +75,7 @@ async def test_the_new_owner_serves_its_items_and_refuses_reads_of_a_past_that_i
 @pytest.mark.asyncio
 async def test_a_read_waits_for_the_store_while_items_of_the_former_owner_may_overlap(tmp_path: Path) -> None:
     store = FakeStore()
-    store.failure = "away"
+    store.failure = "unreachable"
     async with host(tmp_path / "b", store) as one:
         one.clock = SINCE
         owner = await Owner(one).serve(overlap_nanos=100)
@@ -90,8 +90,8 @@ async def test_a_read_waits_for_the_store_while_items_of_the_former_owner_may_ov
 @pytest.mark.asyncio
 async def test_a_read_through_a_group_waits_for_the_store_if_it_needs_it(tmp_path: Path) -> None:
     store = FakeStore()
-    await left(tmp_path / "a", store)
-    store.failure = "away"
+    await serve_until_lost(tmp_path / "a", store)
+    store.failure = "unreachable"
     async with host(tmp_path / "b", store) as one:
         one.clock = SINCE
         owner = await Owner(one).serve()
@@ -105,11 +105,13 @@ async def test_a_read_through_a_group_waits_for_the_store_if_it_needs_it(tmp_pat
 
 
 @pytest.mark.asyncio
-async def test_reads_and_subscriptions_have_all_items_and_no_false_gap_when_the_store_is_back(tmp_path: Path) -> None:
+async def test_reads_and_subscriptions_have_all_items_and_no_false_gap_with_a_reachable_store(
+    tmp_path: Path,
+) -> None:
     store = FakeStore()
-    await left(tmp_path / "a", store)
+    await serve_until_lost(tmp_path / "a", store)
     before = dict(store.objects)
-    store.failure = "away"
+    store.failure = "unreachable"
     async with host(tmp_path / "b", store) as one:
         one.clock = SINCE
         owner = await Owner(one).serve()
@@ -131,10 +133,10 @@ async def test_reads_and_subscriptions_have_all_items_and_no_false_gap_when_the_
 
 
 @pytest.mark.asyncio
-async def test_an_item_with_an_early_time_is_read_from_the_archive_when_the_store_is_back(tmp_path: Path) -> None:
+async def test_an_item_with_an_early_time_is_read_from_the_archive_when_the_store_is_reachable(tmp_path: Path) -> None:
     store = FakeStore()
-    await left(tmp_path / "a", store)
-    store.failure = "away"
+    await serve_until_lost(tmp_path / "a", store)
+    store.failure = "unreachable"
     async with host(tmp_path / "b", store) as one:
         one.clock = SINCE
         owner = await Owner(one).serve()
@@ -148,7 +150,7 @@ async def test_an_item_with_an_early_time_is_read_from_the_archive_when_the_stor
 @pytest.mark.asyncio
 async def test_a_store_without_items_of_the_channel_ends_the_wait_and_the_answers_say_lost(tmp_path: Path) -> None:
     store = FakeStore()
-    store.failure = "away"
+    store.failure = "unreachable"
     async with host(tmp_path / "b", store) as one:
         one.clock = SINCE
         owner = await Owner(one).serve()
@@ -161,11 +163,13 @@ async def test_a_store_without_items_of_the_channel_ends_the_wait_and_the_answer
 
 
 @pytest.mark.asyncio
-async def test_a_host_that_starts_again_before_the_store_is_back_keeps_the_items_of_both_owners(tmp_path: Path) -> None:
+async def test_a_host_that_restarts_while_the_store_is_unreachable_keeps_items_of_both_owners(
+    tmp_path: Path,
+) -> None:
     store = FakeStore()
-    await left(tmp_path / "a", store)
-    store.failure = "away"
-    owner = await taken_over(tmp_path / "b", store)
+    await serve_until_lost(tmp_path / "a", store)
+    store.failure = "unreachable"
+    owner = await take_channel_over(tmp_path / "b", store)
     await owner.put(SINCE + 1)
     owner.host.recorder.files.close(None)
     owner.host.archive.folder.close()  # the owner's process is killed
@@ -180,7 +184,7 @@ async def test_a_host_that_starts_again_before_the_store_is_back_keeps_the_items
         assert await owner.times(ALL) == whole
         assert await owner.subscribed(OLDEST) == (whole, 0)
     async with host(tmp_path / "b", store) as one:  # the list on its disk names the objects now
-        store.failure = "away"
+        store.failure = "unreachable"
         one.clock = 3 * SINCE
         owner = await Owner(one, 4).serve()
         assert owner.hosted.channel.next_seq == start_of(3) + 1
@@ -205,7 +209,7 @@ async def test_each_read_without_the_store_has_all_items_or_says_that_it_does_no
         first.hosted.core.put(*offer(whole[-1], former.clock))
         first.hosted.changed(former.clock)
     await first.recordings.close(0)
-    store.failure = "away"
+    store.failure = "unreachable"
     one = Host(tmp_path / "b", store)
     one.clock = SINCE
     owner = await Owner(one).serve(max_future_nanos=ahead, max_items=4)
@@ -245,9 +249,9 @@ def offer(time: int, now: int) -> tuple[Offer, int, Any]:
 @pytest.mark.asyncio
 async def test_after_a_clean_stop_without_the_store_the_host_serves_the_items_on_its_disk(tmp_path: Path) -> None:
     store = FakeStore()
-    await left(tmp_path / "a", store)
-    store.failure = "away"
-    owner = await taken_over(tmp_path / "b", store)
+    await serve_until_lost(tmp_path / "a", store)
+    store.failure = "unreachable"
+    owner = await take_channel_over(tmp_path / "b", store)
     await owner.put(SINCE + 1, SINCE + 2, SINCE + 3)
     await owner.recordings.close(0)
     async with host(tmp_path / "b", store) as one:
@@ -273,8 +277,8 @@ async def test_after_a_clean_stop_without_the_store_the_host_serves_the_items_on
 @pytest.mark.asyncio
 async def test_a_move_waits_for_the_store_because_the_new_owner_must_not_repeat_seqs(tmp_path: Path) -> None:
     store = FakeStore()
-    await left(tmp_path / "a", store)
-    store.failure = "away"
+    await serve_until_lost(tmp_path / "a", store)
+    store.failure = "unreachable"
     async with host(tmp_path / "b", store) as one:
         recordings = Recordings()
         recordings.archive = one.archive
@@ -283,11 +287,11 @@ async def test_a_move_waits_for_the_store_because_the_new_owner_must_not_repeat_
 
 
 @pytest.mark.asyncio
-async def test_the_new_owner_gives_the_channel_away_only_when_it_knows_the_former_items(tmp_path: Path) -> None:
+async def test_the_new_owner_moves_the_channel_only_when_it_knows_the_former_items(tmp_path: Path) -> None:
     """In an earlier version, the third owner had the store, but its memory said that no earlier items existed."""
     store, other = FakeStore(), b"c" * 16
-    await left(tmp_path / "a", store)
-    store.failure = "away"
+    await serve_until_lost(tmp_path / "a", store)
+    store.failure = "unreachable"
     async with host(tmp_path / "b", store) as one:
         one.clock = SINCE
         owner = await Owner(one).serve()

@@ -60,7 +60,7 @@ _shtab_stampede_acl_commands() {
     add:'add a rule; if any rule exists, clients may do only what a rule allows'
     check:'tell whether a client may do something, and why; status 3: it may not'
     ls:'list all rules'
-    rm:'remove a rule; write it as for add'
+    rm:'remove a rule; give the rule in the form of `acl add`'
   )
   _describe 'stampede acl commands' _commands
 }
@@ -147,7 +147,7 @@ _shtab_stampede_proxy_commands() {
   local _commands=(
     add:'add a proxy, and wait until it serves readers'
     ls:'list the proxies of a channel, and how far each lags behind'
-    rm:'remove a proxy; its readers continue elsewhere'
+    rm:'remove a proxy; its readers continue at another host'
   )
   _describe 'stampede proxy commands' _commands
 }

@@ -105,7 +105,7 @@ class HostArchive:
         facts: dict[str, str | int] = {"channel_id": channel_id.hex(), "channel": name, "created_by": record.created_by}
         if self.objects is None:
             files = SegmentFiles(self.folder.of_channel(channel_id), facts, self._kept)
-            files.is_elsewhere = is_move
+            files.is_moving_here = is_move
             found = await self._in_writer(files.open, record.epoch, record.incarnation)
         else:
             files, found = await self._open_stored(self.objects, record, facts, may_be_unknown, is_move)
@@ -133,7 +133,7 @@ class HostArchive:
     ) -> tuple[SegmentFiles, OpenedArchive]:
         """The files of a channel, with its files in the object store. Raises OSError."""
         files = objects.files_of(record.channel_id, facts, self._kept)
-        files.is_elsewhere = is_move
+        files.is_moving_here = is_move
         opened = await objects.open(files, record, self._readers, self._writer, may_be_unknown=may_be_unknown)
         return files, opened
 

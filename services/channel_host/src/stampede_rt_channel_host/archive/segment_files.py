@@ -94,8 +94,8 @@ class SegmentFiles(SegmentReads):
         """Whether the segments are known from a listing of their store, and not from a list on the disk."""
         self.is_known = True
         """Whether the host knows all segments: False until the first listing after an opening without one."""
-        self.is_elsewhere = False
-        """Whether another host still owns the channel, which is to move here. Then no note of this host counts."""
+        self.is_moving_here = False
+        """Whether the channel moves to this host, and another host still owns it. Then no note of this host counts."""
         self._file: int | None = None  # the segment to which blocks are appended
         self._gathered: list[bytes] = []  # the parts of blocks that are still to be written to it
         self._written_to = self._flushed_to = 0  # the offsets up to which it is written, and coming to the disk
@@ -116,7 +116,7 @@ class SegmentFiles(SegmentReads):
         stop = read_stop(self._folder)
         opened = self._find(stored, stop)
         remove_stop(self._folder)
-        is_true = stop is not None and stop.is_of(incarnation, epoch) and not self.is_elsewhere
+        is_true = stop is not None and stop.is_of(incarnation, epoch) and not self.is_moving_here
         return opened._replace(stop=stop if is_true and not opened.torn_bytes else None)
 
     def open_left(self) -> None:

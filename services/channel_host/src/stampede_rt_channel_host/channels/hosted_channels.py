@@ -148,7 +148,7 @@ class HostedChannel:
         """Take over a newer record of the same incarnation. Raises InvalidArgument for an unusable policy."""
         if (record.epoch, record.spec_version) != (self.epoch, self.record.spec_version):
             self.close_ring()
-        if self.moving is not None and record.epoch > self.record.epoch:  # a move to elsewhere has failed
+        if self.moving is not None and record.epoch > self.record.epoch:  # a move to another host has failed
             own_again(self.replication, record, is_fallback=self.is_fallback)
             self.end_move()
         if record.spec_version != self.record.spec_version:

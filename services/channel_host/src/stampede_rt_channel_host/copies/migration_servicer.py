@@ -88,7 +88,7 @@ class MigrationServicer(migration_service_pb2_grpc.MigrationServiceServicer):
         Rules of access do not limit hosts. So a host's certificate alone must not move things of other hosts.
         """
         if record.host_id != self._identity.host_id:
-            raise _elsewhere(record)
+            raise _moved_error(record)
         caller = current_caller()
         if caller is not None and caller.roles == {Role.HOST} and caller.name != self._identity.name:
             raise PermissionDenied(
@@ -166,7 +166,7 @@ def _check_channel_id(channel_id: bytes) -> None:
         raise InvalidArgument(f"channel_id has {len(channel_id)} bytes; give the {ID_BYTES} of the channel")
 
 
-def _elsewhere(record: RecordedChannel | RecordedQueue) -> StampedeError:
+def _moved_error(record: RecordedChannel | RecordedQueue) -> StampedeError:
     """The error for a channel or queue of another host."""
     if isinstance(record, RecordedChannel):
         return refusals.moved(record.name, record.host_id)

@@ -107,7 +107,7 @@ class HostedQueue(ReplicatedQueue):
     def update(self, record: RecordedQueue) -> None:
         """Take over a newer record of the same incarnation. Raises InvalidArgument for an unusable policy."""
         has_changed, has_failed = record.spec_version != self.record.spec_version, record.epoch > self.record.epoch
-        was_elsewhere = record.epoch > self.record.epoch + 1
+        was_at_other_owner = record.epoch > self.record.epoch + 1
         self.record, self.epoch = record, record.epoch
         if self.moving is not None and not has_failed:
             return  # nothing may change the queue now; it gets the new limits when the move is over
@@ -116,7 +116,7 @@ class HostedQueue(ReplicatedQueue):
             self.replicate()
         if has_changed or moving is not None:
             self.queue.configure(QueueLimits.of(record.policy), self._now())
-        if moving is not None and was_elsewhere and self.replication is not None:
+        if moving is not None and was_at_other_owner and self.replication is not None:
             self.replication.own_again(record.epoch)
         if moving is not None:  # the move has failed
             self.queue.resume(self._now())

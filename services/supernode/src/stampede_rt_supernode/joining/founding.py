@@ -149,8 +149,8 @@ def misplacement_warning(founding: FoundingRecord, listening_at: str, advertise:
     """
     stated, here = parse_address(founding.address), parse_address(listening_at)
     is_local = is_loopback(listening_at) and is_loopback(founding.address)
-    is_elsewhere = here.host not in (*ANYWHERE, stated.host) and not is_local
-    if advertise or (stated.port == here.port and not is_elsewhere):
+    is_at_other_host = here.host not in (*ANYWHERE, stated.host) and not is_local
+    if advertise or (stated.port == here.port and not is_at_other_host):
         return ""
     return (
         f"supernode {founding.supernode_id} listens at {listening_at}, but the others call it at {founding.address}: "

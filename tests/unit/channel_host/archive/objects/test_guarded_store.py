@@ -71,7 +71,7 @@ def test_other_calls_do_not_wait_while_one_call_tries_a_store_that_hangs() -> No
 
     store, clock = HangingStore(), Times()
     guarded = GuardedStore(store, clock)
-    store.failure = "away"
+    store.failure = "unreachable"
     with pytest.raises(StoreError):
         guarded.read("a", 0, 1)
     store.failure = ""
@@ -80,7 +80,7 @@ def test_other_calls_do_not_wait_while_one_call_tries_a_store_that_hangs() -> No
     trying.start()
     assert started.wait(10)
     clock.now += 100 * PAUSE_SECONDS
-    with pytest.raises(StoreError, match="away"):
+    with pytest.raises(StoreError, match="unreachable"):
         guarded.read("a", 0, 1)
     answers.set()
     trying.join(10)
@@ -119,7 +119,7 @@ async def test_an_upload_is_always_tried_and_readers_try_only_if_the_last_upload
 
     store = HangingStore()
     guarded = GuardedStore(store, Times())
-    store.failure = "away"
+    store.failure = "unreachable"
     with pytest.raises(StoreError):
         await guarded.create("a", b"1")
     store.failure = ""

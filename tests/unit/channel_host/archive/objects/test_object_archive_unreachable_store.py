@@ -29,8 +29,8 @@ def quick_retries(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listing_schedule, "WAIT_SECONDS_MIN", 0.01)
 
 
-async def left(path: Path, store: FakeStore, *, moved: int = 3, local: int = 2) -> None:
-    """A host serves the channel, moves some of its segments, and is killed with others on its disk."""
+async def serve_until_killed(path: Path, store: FakeStore, *, moved: int = 3, local: int = 2) -> None:
+    """Serve the channel, move some of its segments, and kill the host with other segments on its disk."""
     one = Host(path, store)
     await one.serve(1)
     for _ in range(moved):
@@ -48,7 +48,7 @@ async def test_a_host_continues_its_seqs_and_reads_its_own_files_while_the_store
     tmp_path: Path, epoch: int
 ) -> None:
     store = FakeStore()
-    await left(tmp_path, store)
+    await serve_until_killed(tmp_path, store)
     before = dict(store.objects)
     store.failure = "connection refused"
     async with host(tmp_path, store) as one:
@@ -72,8 +72,8 @@ async def test_a_host_continues_its_seqs_and_reads_its_own_files_while_the_store
 @pytest.mark.asyncio
 async def test_memory_gets_only_the_items_on_disk_that_are_later_than_all_items_in_the_store(tmp_path: Path) -> None:
     store = FakeStore()
-    await left(tmp_path, store)
-    store.failure = "away"
+    await serve_until_killed(tmp_path, store)
+    store.failure = "unreachable"
     async with host(tmp_path, store) as one:
         opened = await open_archive(one.archive, record(2))
         assert opened.newest is not None
@@ -85,7 +85,7 @@ async def test_memory_gets_only_the_items_on_disk_that_are_later_than_all_items_
 @pytest.mark.asyncio
 async def test_a_new_channel_can_be_recorded_while_the_store_is_unreachable(tmp_path: Path) -> None:
     store = FakeStore()
-    store.failure = "away"
+    store.failure = "unreachable"
     async with host(tmp_path, store) as one:
         await one.serve(1)
         await one.write(2)
@@ -102,7 +102,7 @@ async def test_a_host_without_a_list_of_all_objects_refuses_the_channel(
     tmp_path: Path, epoch: int, damage: bool
 ) -> None:
     store = FakeStore()
-    await left(tmp_path, store)
+    await serve_until_killed(tmp_path, store)
     if damage:
         (tmp_path / "channels" / CHANNEL.hex() / "objects").write_text("nonsense\n\n")
     store.failure = "connection refused"
@@ -128,7 +128,7 @@ async def test_a_listing_that_hangs_delays_a_start_only_briefly(
 
     store = HangingStore()
     answers.set()
-    await left(tmp_path, store)
+    await serve_until_killed(tmp_path, store)
     answers.clear()
     monkeypatch.setattr(object_archive, "LISTING_SECONDS_MAX", 0.01)
     async with host(tmp_path, store) as one:
@@ -147,7 +147,7 @@ async def test_a_host_refuses_a_channel_with_objects_of_a_later_owner_even_if_it
     tmp_path: Path,
 ) -> None:
     store = FakeStore()
-    await left(tmp_path, store)
+    await serve_until_killed(tmp_path, store)
     store.objects[PREFIX + "000000009000000001_5_0_90_90_x_x_0.segment"] = b"later"
     async with host(tmp_path, store) as one:
         with pytest.raises(Unavailable, match="later owner"):
@@ -167,7 +167,7 @@ async def test_a_file_that_moves_during_the_listing_of_its_channel_is_not_lost(t
 
     store = SlowStore()
     moved.set()
-    await left(tmp_path, store, moved=1, local=2)
+    await serve_until_killed(tmp_path, store, moved=1, local=2)
     listed.clear()
     moved.clear()
     async with host(tmp_path, store) as one:
@@ -183,9 +183,9 @@ async def test_a_file_that_moves_during_the_listing_of_its_channel_is_not_lost(t
 @pytest.mark.asyncio
 async def test_the_files_of_a_channel_that_cannot_be_opened_still_move_to_the_store(tmp_path: Path) -> None:
     store = FakeStore()
-    await left(tmp_path, store, moved=1, local=2)
+    await serve_until_killed(tmp_path, store, moved=1, local=2)
     async with host(tmp_path, store) as one:
-        store.failure = "away"
+        store.failure = "unreachable"
         with pytest.raises(Unavailable):
             await open_archive(one.archive, record(3))
         store.failure = ""
@@ -204,7 +204,7 @@ async def test_the_list_on_the_disk_follows_the_epoch_of_the_channel(tmp_path: P
     recorder.files.raise_epoch(2)  # the host opened the channel before the directory committed the move to this host
     assert not await one.mover.move_all()
     one.archive.folder.close()  # the host is killed
-    store.failure = "away"
+    store.failure = "unreachable"
     async with host(tmp_path, store) as restarted:
         await restarted.serve(3)
         assert restarted.channel.next_seq == 2

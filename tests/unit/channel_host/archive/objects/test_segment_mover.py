@@ -126,15 +126,15 @@ async def test_the_files_of_a_channel_that_moved_away_are_uploaded_immediately_o
     tmp_path: Path,
 ) -> None:
     store = FakeStore()
-    store.failure = "away"
+    store.failure = "unreachable"
     async with host(tmp_path, store) as one:
         store.failure = ""
         await one.serve(1)
         await one.write()
         one.archive.forget(one.recorder)
         del one.recorder
-        store.failure = "away"
-        assert await one.mover.move_all() == "away"
+        store.failure = "unreachable"
+        assert await one.mover.move_all() == "unreachable"
     store.failure = ""
     assert len(one.local()) == 1
     async with host(tmp_path, store) as restarted:
@@ -208,11 +208,11 @@ async def test_deleting_a_channel_removes_its_files_and_objects_and_nothing_else
             await one.write()
             await one.mover.move_all()
         await one.write()
-        store.failure = "away"
+        store.failure = "unreachable"
         one.archive.forget(one.recorder)
         del one.recorder
         one.archive.delete(CHANNEL)
-        assert await one.mover.move_all() == "away"
+        assert await one.mover.move_all() == "unreachable"
     store.failure = ""
     async with host(tmp_path, store) as restarted:
         assert not await restarted.mover.move_all()
@@ -279,7 +279,7 @@ async def test_the_files_of_a_channel_that_stopped_cleanly_move_before_it_is_ser
     async with host(tmp_path, store) as one:
         await one.serve(1)
         await one.write(3)
-        store.failure = "away"
+        store.failure = "unreachable"
     store.failure = ""
     assert len(one.local()) == 1
     async with host(tmp_path, store) as restarted:

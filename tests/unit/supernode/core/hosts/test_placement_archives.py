@@ -62,7 +62,7 @@ def test_a_new_recorded_channel_is_refused_immediately_where_no_host_can_record_
     assert "host host-1 has no archive" in named.message
 
 
-def test_a_recorded_channel_whose_host_is_away_waits_for_a_host_with_an_archive() -> None:
+def test_a_recorded_channel_whose_host_is_unreachable_waits_for_a_host_with_an_archive() -> None:
     log = log_at(ARCHIVE_LEVEL)
     log.apply(register(1))
     log.apply(with_archive(2))

@@ -28,7 +28,7 @@ class GuardedStore:
         self._store, self._clock = store, clock
         self._lock = Lock()
         self._failed_at = 0.0
-        self._is_away = self._is_tried = False
+        self._is_unreachable = self._is_tried = False
 
     async def create(self, name: str, content: bytes | bytearray) -> bool:
         """See `SegmentStore`. Always tries the store: the caller makes pauses between its calls."""
@@ -81,7 +81,7 @@ class GuardedStore:
         Raises StoreError if another call tries the store, or if it failed less than PAUSE_SECONDS ago.
         """
         with self._lock:
-            if not self._is_away:
+            if not self._is_unreachable:
                 return False
             if self._is_tried or self._clock() < self._failed_at + PAUSE_SECONDS:
                 raise StoreError(self.failure)
@@ -90,4 +90,4 @@ class GuardedStore:
 
     def _note(self, failure: str, *, is_away: bool = False) -> None:
         with self._lock:
-            self.failure, self._is_away, self._failed_at = failure, is_away, self._clock()
+            self.failure, self._is_unreachable, self._failed_at = failure, is_away, self._clock()

@@ -49,7 +49,7 @@ class MovingFiles(SegmentFiles):
 
         `epoch`, `incarnation`: the present ones of the channel.
         """
-        if self.is_elsewhere:
+        if self.is_moving_here:
             return None
         stop = read_stop(self._folder)
         is_whole = stop is not None and stop.incarnation == incarnation
@@ -59,7 +59,7 @@ class MovingFiles(SegmentFiles):
         """Do the same as `open`. `found`: the segments in the store. Raises OSError."""
         opened = self.open(epoch, incarnation, self.stored.adopt(found))
         self.stored.note(epoch)
-        if self.is_listed and not self.is_elsewhere:
+        if self.is_listed and not self.is_moving_here:
             self.former_stop = self.stored.take_stop(epoch)
         return opened._replace(stop=opened.stop or self.former_stop)
 

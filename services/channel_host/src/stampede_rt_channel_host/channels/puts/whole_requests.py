@@ -71,7 +71,7 @@ class WholeRequests:
             return whole
 
     def release(self) -> None:
-        """Give back the room of the last request: its runs are judged now, or its bytes count elsewhere. Idempotent."""
+        """Give back the room of the last request: its runs are judged, or other code counts its bytes. Idempotent."""
         self._held.close()
 
     async def _join(self, first: Piece, whole_bytes: int) -> bytearray:

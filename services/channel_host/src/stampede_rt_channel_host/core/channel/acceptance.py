@@ -72,7 +72,7 @@ class Acceptance:
 
     def _fits_in_one_step(self, lengths: Sequence[int], payload_bytes: int, span: TimeSpan, clock: int) -> bool:
         """Whether the channel accepts every item, and retention after the last item has the same result as retention
-        after each item. `span`: the span of their times.
+        after each item. `span`: the span of the times of these items.
 
         If all items are later than the cutoff of max_age, none of them is outdated, and none of them moves a bucket's
         end to or below the cutoff. `_drops_the_same` tests the other limits.
@@ -238,9 +238,15 @@ class _ItemByItem:
     """Stores the accepted items of one offer in one run, item by item."""
 
     def __init__(
-        self, to: Acceptance, held: Holdings, retention: Retention, offer: Offer, times: Sequence[int], clock: int
+        self,
+        acceptance: Acceptance,
+        held: Holdings,
+        retention: Retention,
+        offer: Offer,
+        times: Sequence[int],
+        clock: int,
     ) -> None:
-        self._to, self._held, self._retention = to, held, retention
+        self._acceptance, self._held, self._retention = acceptance, held, retention
         self._offer, self._times, self._clock = offer, times, clock
         self._columns: tuple[list[int], list[int], list[int]] = ([], [], [])
         times_in, durations_in, lengths_in = self._columns
@@ -257,7 +263,7 @@ class _ItemByItem:
             duration = ABSENT if self._offer.durations is None else self._offer.durations[index]
             length = self._offer.lengths[index]
             self._retention.apply_time(self._clock)
-            fault = self._to.fault(time, duration, length, self._clock, is_stamp=stamp is not None)
+            fault = self._acceptance.fault(time, duration, length, self._clock, is_stamp=stamp is not None)
             as_if = self._as_if_put_at(time)
             if fault is None and not self._has_room(min(as_if, time), length):
                 in_vain = self._retention.makes_no_room_at(as_if)
@@ -265,11 +271,11 @@ class _ItemByItem:
                     waiting = index
                     retry_at = self._retention.retry_at(as_if, None if duration == ABSENT else as_if + duration)
                     break
-                fault = self._to.full(in_vain)
+                fault = self._acceptance.full(in_vain)
             if fault is None:
                 self._take(index, time, duration, length)
             else:
-                rejections.append(self._to.refuse(index, fault))
+                rejections.append(self._acceptance.refuse(index, fault))
         return PutOutcome(
             run=self._finish(stamp, seal), stamped_time=stamp, rejections=rejections, waiting=waiting, retry_at=retry_at
         )

@@ -45,7 +45,7 @@ class ArchiveBacklog:
         self._taken_to = self.archived_to
         self.lost, self.at_risk = self.lost + self.at_risk, 0
 
-    def leave(self, oldest: OldestItems) -> None:
+    def count_leaving(self, oldest: OldestItems) -> None:
         """Count the items among `oldest` that are not archived, because they are about to leave memory."""
         low = self.low
         if low is None or oldest.last is None or (end := (oldest.last.last_time, oldest.last.end_seq)) <= low:
@@ -84,8 +84,7 @@ def archived_part(held: Holdings, oldest: OldestItems, backlog: ArchiveBacklog |
     return held.oldest_items(below(low))
 
 
-def leaving(oldest: OldestItems, backlog: ArchiveBacklog | None) -> OldestItems:
-    """The items `oldest`, which max_bytes is about to collect, after the backlog has counted them."""
+def count_leaving(backlog: ArchiveBacklog | None, oldest: OldestItems) -> None:
+    """Count the items `oldest`, which max_bytes is about to collect, if the channel is recorded."""
     if backlog is not None:
-        backlog.leave(oldest)
-    return oldest
+        backlog.count_leaving(oldest)

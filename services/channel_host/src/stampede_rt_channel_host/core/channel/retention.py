@@ -11,7 +11,7 @@ by the clock alone. So a producer whose clock is ahead does not shorten the othe
 
 from __future__ import annotations
 
-from stampede_rt_channel_host.core.channel.archive_backlog import ArchiveBacklog, archived_part, leaving, low_of
+from stampede_rt_channel_host.core.channel.archive_backlog import ArchiveBacklog, archived_part, count_leaving, low_of
 from stampede_rt_channel_host.core.channel.consumption import CONSUMERS_CHECKED_MAX, BoundedCount, Consumers
 from stampede_rt_channel_host.core.channel.earlier_items import EarlierItems
 from stampede_rt_channel_host.core.channel.held_items import AGE, BYTES, CONSUMPTION, COUNT
@@ -39,8 +39,7 @@ class Retention:
     def __init__(self, limits: ChannelLimits, held: Holdings) -> None:
         self._held = held
         self._has_more_to_age = self._owed_check_goes_on = self._has_more_consumed = False
-        # While consumption waits for long reads: the time when it checks them again.
-        self._retry_after_reads: int | None = None
+        self._retry_after_reads: int | None = None  # while consumption waits for long reads: the time of the next check
         # A key, and `PlaceTable.arrivals` when the key was noted. All consumers with a place at that moment have
         # consumed the items of the key's bucket that lie below the key.
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
@@ -273,7 +272,8 @@ class Retention:
             oldest = archived_part(held, held.oldest_by_count(held.items - limits.max_items), self.unarchived)
             held.outdate(oldest, COUNT, clock)
         if held.charged_bytes > limits.max_bytes:
-            oldest = leaving(held.oldest_by_bytes(held.charged_bytes - limits.max_bytes), self.unarchived)
+            oldest = held.oldest_by_bytes(held.charged_bytes - limits.max_bytes)
+            count_leaving(self.unarchived, oldest)
             held.outdate(oldest, BYTES, clock)
 
     def has_room(self, items: int, payload_bytes: int) -> bool:

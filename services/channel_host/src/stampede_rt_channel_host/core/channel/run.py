@@ -30,7 +30,7 @@ class Body(Protocol):
 class ReferencedBody:
     """The body of a run of one item whose payload is the object that a program of this process put.
 
-    `parts` are the encoded run, and `payload` is one of them. `bytes` joins them anew, for a reader elsewhere.
+    `parts` are the encoded run, and `payload` is one of them. `bytes` joins them anew, for a reader in another process.
     `attributes` and `content_type` belong to the item.
     """
 

@@ -34,7 +34,7 @@ def restore_from(source: Path, new_dir: Path, state_machine: StateMachine, *, fo
     _apply(state, state_machine)
     new = SqliteStore(new_dir, cluster_id=cluster_id, member_id=founder.member_id, create=True)
     try:
-        new.commit(_taken_over(state, founder, old_member_id))
+        new.commit(_changes_of_new_cluster(state, founder, old_member_id))
     finally:
         new.close()
     return state.entries[-1].log_index
@@ -71,7 +71,8 @@ def _apply(state: StoredState, state_machine: StateMachine) -> None:
             state_machine.apply(entry.log_index, entry.command[1:])
 
 
-def _taken_over(state: StoredState, founder: Member, old_member_id: str) -> StoreChanges:
+def _changes_of_new_cluster(state: StoredState, founder: Member, old_member_id: str) -> StoreChanges:
+    """The stored state, and an entry that makes `founder` the only member."""
     last = state.entries[-1]
     # A new cluster has no other members, so the votes of the former cluster do not bind it. If a hostile member has
     # raised the term beyond the term of the last entry, the new cluster does not take over the raised term.

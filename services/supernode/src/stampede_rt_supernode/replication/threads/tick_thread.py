@@ -118,21 +118,21 @@ class TickThread:
     def _watch(self) -> None:
         """Log once that the disk hangs, and once that it answers again.
 
-        Counts its own looks at the step instead of seconds. While the whole process is stopped, time passes, but the
-        disk is not slow.
+        The thread counts how often it finds the same step, and measures no time. While the whole process is stopped,
+        time passes, but the disk is not slow.
         """
         stuck_since: float | None = None
-        last_began, looks = None, 0
+        last_began, repeats = None, 0
         while not self._ended.wait(LOOK_SECONDS):
             began, now = self._step_began, time.monotonic()
-            looks = looks + 1 if began == last_began else 0
+            repeats = repeats + 1 if began == last_began else 0
             last_began = began
-            if stuck_since is None and began is not None and looks * LOOK_SECONDS >= STUCK_SECONDS:
+            if stuck_since is None and began is not None and repeats * LOOK_SECONDS >= STUCK_SECONDS:
                 stuck_since = began
                 logger.error(
                     "the disk of the data folder has not answered for %.0f s: this supernode accepts no "
-                    "changes and no reads until it does; the others go on without it. Mend the disk; if it does not "
-                    "come back, remove this member and join a new one",
+                    "changes and no reads until it does; the other supernodes continue without it. Mend the disk; if "
+                    "it does not come back, remove this member and join a new one",
                     STUCK_SECONDS,
                     extra={"event": "disk_silent"},
                 )
