@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from stampede_rt.errors import HostExists, LeaseExpired, NotLeader, PermissionDenied, Unavailable, VersionMismatch
+from stampede_rt.status import abort
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1.directory_service_pb2 import RegisterHostResponse, RenewHostLeaseResponse
 from stampede_rt_channel_host.cluster.identity import (
@@ -224,6 +225,40 @@ async def test_a_host_whose_lease_has_ended_registers_again_as_the_same_start_of
             assert [one.channel_id for one in answer.channels] == [record.channel_id]
             assert answer.channels[0].epoch == 1
             await host.lease_becomes(True)
+
+
+class LosingDirectory(FakeDirectory):
+    """Registers hosts. While `loses` is set, the answers are lost."""
+
+    loses = False
+
+    async def RegisterHost(self, request: pb.RegisterHostRequest, context: Any) -> pb.RegisterHostResponse:  # noqa: N802
+        response = await super().RegisterHost(request, context)
+        if self.loses:
+            await abort(context, PermissionDenied("the answer is lost"))
+        return response
+
+
+async def test_a_host_whose_lease_has_ended_serves_nothing_before_an_answer_names_its_channels() -> None:
+    """The directory registered the host, and the answer was lost. In an earlier version the next renewal succeeded, and
+    the host served the channels that other hosts had taken over.
+    """
+    fake = LosingDirectory()
+    async with serving(fake.register) as server:
+        fake.target = server.address
+        host = Host(server.address)
+        await host.registration.enter("localhost:1")
+        fake.hosts[host.identity.host_id].alive, fake.loses = False, True
+        for _ in range(2):
+            with pytest.raises(PermissionDenied):
+                await host.registration._renew_or_register()
+            assert fake.hosts[host.identity.host_id].alive
+            assert not host.registration.lease_held()
+        fake.loses = False
+        await host.registration._renew_or_register()
+        assert host.registration.lease_held()
+        assert host.registered.qsize() == 2
+        await host.supernodes.aclose()
 
 
 async def test_the_end_of_a_lease_and_the_next_registration_are_both_warnings(caplog: pytest.LogCaptureFixture) -> None:

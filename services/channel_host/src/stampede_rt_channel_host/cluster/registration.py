@@ -195,19 +195,27 @@ class Registration:
         await self._supernodes.aclose()
 
     async def _renew_or_register(self) -> None:
-        try:
-            await self._renew()
-        except (LeaseExpired, HostNotFound) as error:
-            level = logging.DEBUG if self._has_ended else logging.WARNING
-            logger.log(
-                level,
-                "the lease has ended",
-                extra={"event": "lease_ended", "host": self._identity.name, "why": str(error)},
-            )
-            self._lease.give_up()
-            self._check_fence()
-            self._has_ended = True
-            await self._register()
+        """Renew the lease; after its end, register until an answer has come.
+
+        The directory may have registered the host although the answer was lost. Then a renewal would succeed, and the
+        host would serve channels that other hosts own.
+        """
+        if not self._has_ended:
+            try:
+                return await self._renew()
+            except (LeaseExpired, HostNotFound) as error:
+                self._note_ended(error)
+        await self._register()
+
+    def _note_ended(self, error: StampedeError) -> None:
+        """Stop serving: the directory has ended the lease."""
+        logger.warning(
+            "the lease has ended",
+            extra={"event": "lease_ended", "host": self._identity.name, "why": str(error)},
+        )
+        self._lease.give_up()
+        self._check_fence()
+        self._has_ended = True
 
     async def _renew(self) -> None:
         request = directory_service_pb2.RenewHostLeaseRequest(
