@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import AsyncMock
 
 import pytest
 
 from stampede_rt.errors import InvalidArgument, StaleBinding
 from stampede_rt.v1 import migration_service_pb2 as pb
-from stampede_rt_channel_host.copies.queue_feed_servicer import SAME_TURN_STEPS_MAX, _Feed
+from stampede_rt.v1 import queue_pb2
+from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.copies.queue_feed_servicer import SAME_TURN_STEPS_MAX, QueueFeeds, _Feed
 from stampede_rt_channel_host.copies.queue_steps import step_parts, whole_parts
+from stampede_rt_channel_host.copies.replica_directory import FeedSource
 from stampede_rt_channel_host.core.queue import QueueStep
 from tests.support.channel_host.queue_cores import Core
 
@@ -109,3 +113,27 @@ def test_a_copy_answers_a_step_that_surely_fits_before_it_repeats_the_step() -> 
     owner.put(3)
     owner.dispatched()
     assert sent() == ["repeated", 4], "the step changes a message that it brings"
+
+
+async def test_a_feed_that_ends_within_a_queue_leaves_no_bytes_in_the_budget() -> None:
+    """In an earlier version, the host counted the parts that had come until it stopped, after each broken feed."""
+    memory, owner = MemoryBudget(2**30), b"o" * 16
+    copies = SimpleNamespace(of=lambda queue_id: None, drop=lambda queue_id: None)
+    queues: Any = SimpleNamespace(
+        copies=copies, memory=memory, known=lambda queue_id: None, check_may_serve=lambda: None
+    )
+    source = AsyncMock(source_of=AsyncMock(return_value=FeedSource(owner, "owner:1", 4, is_replica=True)))
+    record = queue_pb2.QueueRecord(queue_id=b"q" * 16, host_id=owner, epoch=4, incarnation=1)
+    content = pb.HandOverQueueResponse(runs=[pb.HandedRun(body=bytes(1000))])
+    unfinished = pb.FeedQueueRequest(begins_anew=True, parts=[pb.FedQueuePart(content=content)])
+    used = list[int]()
+
+    async def read() -> Any:
+        used.append(memory.used_bytes)
+        return requests.pop(0)
+
+    requests: list[Any] = [pb.FeedQueueRequest(owner_host_id=owner, queue=record), unfinished, None]
+    context: Any = SimpleNamespace(read=read, write=AsyncMock())
+    await QueueFeeds(SimpleNamespace(host_id=b"r" * 16), queues, source, AsyncMock()).serve(context)  # type: ignore[arg-type]
+    assert used[-1] >= 1000
+    assert memory.used_bytes == 0

@@ -56,6 +56,7 @@ class QueueFeeds:
                 await feed.take(request, lambda: self._latest.get(record.queue_id) is feed)
                 await context.write(feed.place())
         finally:
+            feed.close()
             if self._latest.get(record.queue_id) is feed:
                 del self._latest[record.queue_id]
 
@@ -104,6 +105,10 @@ class _Feed:
         """The queue as its owner knows it."""
         self._parts = ArrivingParts()
         self._room = queues.memory.charge_for(record.created_by)
+
+    def close(self) -> None:
+        """Drop the parts that wait for the rest, because the feed ends."""
+        self._room.set(0)
 
     def place(self) -> pb.FeedQueueResponse:
         """The place of the copy."""
