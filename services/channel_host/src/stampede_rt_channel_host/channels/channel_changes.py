@@ -8,6 +8,7 @@ from stampede_rt.errors import ChannelNotFound
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.deletions import Deletions
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.hosted_copies import check_policy
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.core.records import PolicyChange
@@ -59,7 +60,9 @@ class ChannelChanges:
         record = await self._directory.update(channel_id, epoch, change, request_id=request_id, since_s=since_s)
         if registrations != self._store.registrations:
             return await self._store.bind(channel_id, record.epoch, record.spec_version)
-        return await self._store.recordings.adopt(record, hosted, self._store.adopt)
+        changed = await self._store.recordings.adopt(record, hosted, self._store.adopt)
+        check_policy(changed, record.spec_version)
+        return changed
 
     async def _owned(self, channel_id: bytes, epoch: int, verb: AccessVerb) -> HostedChannel:
         """The channel that this host owns, if the caller may make this change. Raises the errors of `bind`."""

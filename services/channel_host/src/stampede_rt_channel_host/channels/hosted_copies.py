@@ -9,6 +9,7 @@ from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.copy_state import CopyState, Freshness, gone
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore, owned_core
+from stampede_rt_channel_host.channels.replication import diverged_host_ids_of, kind_of
 from stampede_rt_channel_host.core.channel import FedChannel
 from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_channel_host.core.records import RecordedChannel
@@ -113,6 +114,31 @@ def inherits(copy: HostedChannel, record: RecordedChannel) -> bool:
 def is_given_away(hosted: HostedChannel | None) -> bool:
     """Whether the directory may have committed a move away from here. Then only that move decides about the items."""
     return hosted is not None and hosted.copy is None and hosted.moving is not None and hosted.moving.is_held
+
+
+def changes_kind(hosted: HostedChannel, record: RecordedChannel) -> bool:
+    """Whether the owner must serve the channel with another kind of replicas from now on, or without."""
+    return hosted.copy is None and kind_of(record.policy) is not hosted.kind_of_replicas
+
+
+def is_undecided(hosted: HostedChannel, record: RecordedChannel) -> bool:
+    """Whether a move that is under way must be decided before this host serves the channel in the way of `record`.
+
+    Another object would know nothing of the move, and would accept puts that the next owner does not get.
+    """
+    return hosted.moving is not None and hosted.moving.is_held and record.epoch <= hosted.record.epoch
+
+
+def check_policy(hosted: HostedChannel | None, spec_version: int) -> None:
+    """Raises Unavailable if the channel gets the policy with this version only after a move."""
+    if hosted is not None and hosted.record.spec_version < spec_version and is_undecided(hosted, hosted.record):
+        raise refusals.policy_after_move(hosted.record.name)
+
+
+def continued_core(hosted: HostedChannel) -> OwnedCore:
+    """The items with which the owner continues in another way: with replicas or without."""
+    diverged = diverged_host_ids_of(hosted.replication)
+    return OwnedCore(hosted.core, hosted.puts.retries, hosted.counted_before, diverged_host_ids=diverged)
 
 
 def redirect_error(hosted: HostedChannel | None) -> StampedeError | None:

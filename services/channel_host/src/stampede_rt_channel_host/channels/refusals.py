@@ -66,6 +66,14 @@ def not_ready(name: str) -> StampedeError:
     )
 
 
+def policy_after_move(name: str) -> StampedeError:
+    """The error of a channel that gets its new policy only when the move that is under way has ended."""
+    text = (
+        f"channel {name} is about to move to another host, and gets its new policy when the move has ended; try again"
+    )
+    return Unavailable(text, metadata={"channel": name})
+
+
 def copy_cannot(name: str, why: str) -> StampedeError:
     """The error of a copy that cannot serve a request. The owner can."""
     return error_for("MOVED", f"the copy of channel {name} at this host {why}; ask the owner", {"channel": name})

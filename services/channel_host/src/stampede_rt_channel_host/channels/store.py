@@ -10,7 +10,7 @@ import logging
 from collections.abc import Callable, Iterable
 
 from stampede_rt.errors import ChannelNotFound, StampedeError
-from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels import hosted_copies, refusals
 from stampede_rt_channel_host.channels.channel_table import ChannelTable, comparing
 from stampede_rt_channel_host.channels.confirmed_records import confirmed_record
 from stampede_rt_channel_host.channels.copy_state import Freshness, gone
@@ -24,7 +24,6 @@ from stampede_rt_channel_host.channels.multicast.multicasts import Multicasts
 from stampede_rt_channel_host.channels.new_channels import NewCopy, OwnedCore
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.recordings import Recordings
-from stampede_rt_channel_host.channels.replication import diverged_host_ids_of, kind_of
 from stampede_rt_channel_host.channels.rings import Rings
 from stampede_rt_channel_host.channels.subscriptions.reader_drops import Readers
 from stampede_rt_channel_host.channels.sweep import Sweep
@@ -139,6 +138,7 @@ class ChannelStore:
         """
         await self._learn(channel_id, epoch, spec_version)
         hosted = self._channels.get(channel_id)
+        hosted_copies.check_policy(hosted, spec_version)
         if hosted is not None and hosted.replication is not None and not await hosted.replication.ready():
             raise refusals.not_ready(hosted.record.name)
         return self.find_readable(channel_id, epoch, Freshness())
@@ -285,10 +285,11 @@ class ChannelStore:
                 return self._continue(held, record, core, gone(record.name))
             held = self.copies.inherit(held, record)
         if held is not None and held.record.incarnation == record.incarnation:
-            if held.copy is None and kind_of(record.policy) is not held.kind_of_replicas:
-                diverged = diverged_host_ids_of(held.replication)
-                core = OwnedCore(held.core, held.puts.retries, held.counted_before, diverged_host_ids=diverged)
-                return self._continue(held, record, core, refusals.not_here(self._identity.name, record.channel_id))
+            if hosted_copies.changes_kind(held, record):
+                if hosted_copies.is_undecided(held, record):
+                    return held  # `bind` raises an error until then
+                error = refusals.not_here(self._identity.name, record.channel_id)
+                return self._continue(held, record, hosted_copies.continued_core(held), error)
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
                 held.registration = self.registrations
                 held.update(record)
