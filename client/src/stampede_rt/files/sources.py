@@ -16,7 +16,7 @@ from stampede_rt.files.file_index import FileIndex
 from stampede_rt.files.file_source import Chosen, SourceTopic, check_unpacked
 from stampede_rt.files.interval_filter import IntervalFilter
 from stampede_rt.files.reading import FileReader
-from stampede_rt.values.timeline import MIN_INSTANT
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 
 CACHE_BYTES = 64 * 1024 * 1024  # the most bytes of decoded chunks
 
@@ -72,7 +72,7 @@ class McapSource:
 
         Raises FileError if `events` would raise it for the first item of the topic. So a caller learns of it earlier.
         """
-        places = self._places_of(name)
+        places, end = self._places_of(name), end if end < MAX_INSTANT else TIME_MAX + 1
         found = self._bound(name, places, 1, start, end)
         if found is not None:
             self._check_first(name, places, start, end)
