@@ -47,7 +47,7 @@ class Files(Moves):
         """Record channels to an MCAP file at `path`, and return a handle with `stop`, `wait` and `summary`.
 
         `channels`: names, globs such as "rig/*", or handles. Channels that appear later are recorded, too, from their
-        oldest item on. `since`: begin that far in the past, with the items that the channels still hold; "oldest": with
+        first item on. `since`: begin that far in the past, with the items that the channels still hold; "oldest": with
         all held items; None: with the items that the hosts accept from now on. `for_`: end after that time; None: at
         `stop`. `compression`: "zstd", "lz4" or "none". An existing file is not overwritten unless `overwrite` is True.
 

@@ -28,8 +28,8 @@ LOOKS_MAX = 16  # the most gets that look for the end of the losses of a channel
 class ChannelRecording:
     """Records one channel, in the background, from the making of this object until `finish`.
 
-    `begin`: where the recording begins; None: with the next item. `later`: the channel appeared while the recording
-    of other channels ran, so its recording begins with its oldest item.
+    `begin`: where the recording begins; None: with the next item; OLDEST: with the oldest held item. `later`: the
+    channel appeared while the recording of other channels ran, so all its items belong to the recording.
     """
 
     def __init__(
@@ -41,14 +41,17 @@ class ChannelRecording:
         self._channel = Channel(session, state)
         self._sink = sink
         self._begin = begin
-        self._later = later
+        # Whether all items of the present incarnation belong to the recording, and it is the first one of the channel.
+        self._from_first = later and state.info.epoch == 1
+        self._info, self._is_new = state.info, later
+        self._later = later or begin == OLDEST
         policy = {key: value for key, value in asdict(state.info.policy).items() if value is not None}
         self._metadata = ((POLICY_KEY, json.dumps(policy)),)
         self._stream: RecordingStream | None = None
         # The earliest item that the first read found; None after it is recorded or named as missing.
         self._first: Item | None = None
         # The earliest time that an item of the recording may have; None: the recording begins with the oldest item.
-        self._begins: int | None = None if later else time.time_ns()
+        self._begins: int | None = None if self._later else time.time_ns()
         # After the loss of the host: items of this time, up to this seq, come again from an archive.
         self._repeated: tuple[int | None, int] = (None, 0)
         self._end_seq: int | None = None
@@ -78,9 +81,20 @@ class ChannelRecording:
             try:
                 self._record(anew)
             except IncarnationLost as error:
+                self._note_unread_incarnation(error.message)
                 read_to = 0 if self._stream is None else self._stream.read_to
                 self._end_incarnation("LOST", error.message)
-                anew, self._repeated = True, (self._recorded_to(), read_to)
+                anew, self._repeated, self._from_first = True, (self._recorded_to(), read_to), False
+
+    def _note_unread_incarnation(self, detail: str) -> None:
+        """Note that items of a new channel may have been lost with its host before the recording could read them."""
+        if not self._from_first or self.tallies:
+            return
+        tally = ChannelTally(self.name, self._info.incarnation, 1)
+        self.tallies.append(tally)
+        gap = RecordingGap(channel=self.name, incarnation=tally.incarnation, reason="LOST", detail=detail, first_seq=1)
+        self._sink.write(tally, RecordedBatch(gaps=[gap]), self._metadata)
+        self._sink.end_channel(tally, 0, None)
 
     def _fail(self, error: StampedeError) -> None:
         """Note that the channel cannot be recorded any further."""
@@ -101,11 +115,18 @@ class ChannelRecording:
         elif self._begin is not None and not anew:
             start, looked = self._look(self._begin)
         name = f"the recording of channel {self.name!r}"
-        self._stream = stream = RecordingStream.of(self._session, self._state, start, name, held=True)
+        from_first = self._from_first
+        self._stream = stream = RecordingStream.of(
+            self._session, self._state, start, name, held=True, from_first=from_first
+        )
         stream.begin_reading()
         if stream.opened_seq is None:
             return
-        tally = ChannelTally(self.name, stream.incarnation, stream.opened_seq)
+        if self._state.info.channel_id != self._info.channel_id:  # another recording follows the new channel
+            stream.close()
+            self._stream = None
+            raise ChannelNotFound(f"channel {self.name} was deleted, and made again")
+        tally = ChannelTally(self.name, stream.incarnation, 1 if from_first else stream.opened_seq)
         self.tallies.append(tally)
         self._sink.write(tally, RecordedBatch(gaps=looked), self._metadata)
         self.started.set()
@@ -159,7 +180,12 @@ class ChannelRecording:
     def _look_at_oldest(self) -> list[RecordingGap]:
         """Return a gap if a former host of the channel was lost with items. Only an archive knows such a loss."""
         found = self._found_from(OLDEST)
-        return [self._lost_gap(found)] if found.reason == "LOST" else []
+        if found.reason == "LOST":
+            return [self._lost_gap(found)]
+        if not self._is_new or self._from_first or self.tallies:
+            return []
+        detail = "the channel had another host before the recording could read it; its items may have been lost"
+        return [RecordingGap(channel=self.name, incarnation=found.incarnation, reason="LOST", detail=detail)]
 
     def _found_from(self, start: Bound, *, newest_first: bool = False) -> Items:
         return self._channel.get(

@@ -25,7 +25,7 @@ from stampede_rt.handles import BoundToProcess
 from stampede_rt.transports.concurrency_sync import BackgroundStart, BackgroundTask, Signal, run_concurrently
 from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt.values.recording import RecordingSummary
-from stampede_rt.values.timeline import OLDEST, Bound
+from stampede_rt.values.timeline import Bound
 from stampede_rt.version import VERSION
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ class Recorder(BackgroundStart, BoundToProcess):
         else:
             state = self._session.state_of(info, Policy(), False)
             self._channels[info.channel_id] = ChannelRecording(
-                self._session, state, self._sink, self._begin_at, later=later or self._begin_at == OLDEST
+                self._session, state, self._sink, self._begin_at, later=later
             )
             return
         if len(self._absent) < CHANNELS_MAX:
@@ -226,7 +226,31 @@ class Recorder(BackgroundStart, BoundToProcess):
                 self._sink.do(self._sink.writer.flush)
         raise self._sink.error
 
+    def _find_last(self) -> None:
+        """Record the channels that appeared just before the end, and that no watch has reported yet."""
+        found: list[tuple[str, ChannelInfo]] = []
+        answered, problem = Signal(), "the directory did not answer in time"
+
+        def look() -> None:
+            nonlocal problem
+            try:
+                for glob in self._globs:
+                    found.extend((glob, info) for info in self._discovery.channels(glob))
+                problem = ""
+            except StampedeError as error:
+                problem = error.message
+            finally:
+                answered.set()
+
+        BackgroundTask(look, "channels at the end of a recording")
+        answered.wait(self._left_s())
+        for glob, info in found:
+            self._record(glob, info, later=True)
+        if problem:
+            self._absent.append(f"channels that appeared just before the end may be missing: {problem}")
+
     def _finish(self) -> None:
+        self._find_last()
         self._ending = True
         self._end_watches()
         recordings = list(self._channels.values())

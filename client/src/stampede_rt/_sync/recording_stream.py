@@ -14,7 +14,7 @@ from stampede_rt._sync.subscription import Subscription
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, SteadyWindow
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
-from stampede_rt.v1 import error_pb2
+from stampede_rt.v1 import error_pb2, item_pb2
 from stampede_rt.values.model import Item
 from stampede_rt.values.policy import MAX_FUTURE_DEFAULT_NANOS
 from stampede_rt.values.recording import RecordingGap
@@ -61,11 +61,23 @@ class RecordingStream(Subscription):
 
     @classmethod
     def of(
-        cls, session: Session, state: ChannelState, start: Bound | None, reconnect_name: str, *, held: bool
+        cls,
+        session: Session,
+        state: ChannelState,
+        start: Bound | None,
+        reconnect_name: str,
+        *,
+        held: bool,
+        from_first: bool = False,
     ) -> RecordingStream:
-        """Make the subscription: the held items from `start` on (None: none), and all later ones."""
+        """Make the subscription: the held items from `start` on (None: none), and all later ones.
+
+        `from_first`: all items of the present incarnation. The host then names the items that it no longer holds.
+        """
         opening = channel_pb.SubscribeOpen(mode=channel_pb.SUBSCRIBE_MODE_ALL, stale_ok=True)
-        if start is not None:
+        if from_first:
+            opening.after.CopyFrom(item_pb2.ItemPosition(seq=0, incarnation=state.info.incarnation))
+        elif start is not None:
             opening.start.CopyFrom(bound_to_message(start))
         return cls(session, state, opening, StreamReconnector(session, reconnect_name, None, held=held))
 
