@@ -218,11 +218,11 @@ async def putting(scene: Scene) -> Awaitable[Any]:
     channel = await scene.channel()
     await channel.put(b"x")
 
-    async def on() -> None:
+    async def put_forever() -> None:
         while True:
             await channel.put(b"x")
 
-    return asyncio.ensure_future(on())
+    return asyncio.ensure_future(put_forever())
 
 
 async def taking(scene: Scene) -> Awaitable[Any]:
@@ -305,25 +305,25 @@ async def test_the_loss_of_the_right_to_a_group_ends_no_gets_of_its_channels(sce
 
 
 async def test_a_right_that_is_lost_for_one_channel_fails_the_puts_of_that_channel_only(scene: Scene) -> None:
-    """All channels of a thread share one stream of puts. In an earlier version, a lost right ended all of it."""
+    """All channels of a thread share one stream of puts. In an earlier version, a lost right ended the whole stream."""
     for thing in ("a", "b"):
         await scene.allow("put", "channel", thing)
     lost, kept = await scene.channel("a"), await scene.channel("b")
-    going, done = True, 0
+    is_running, done = True, 0
 
-    async def putting_on() -> None:
+    async def put_until_stopped() -> None:
         nonlocal done
-        while going:
+        while is_running:
             await kept.put(b"x")
             done += 1
 
     await lost.put(b"x")
-    others = asyncio.ensure_future(putting_on())
+    others = asyncio.ensure_future(put_until_stopped())
     await scene.forbid("put", "channel", "a")
     async with asyncio.timeout(20):
         with pytest.raises(st.PermissionDenied, match=f"may (not put|do nothing with) channel {scene.name('a')}"):
             await lost.put(b"x")
-        going = False
+        is_running = False
         await others
     assert done
 

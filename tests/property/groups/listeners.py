@@ -79,9 +79,10 @@ class Match:
 
 @dataclass
 class Listeners:
-    """`take_...` gives all readers of one kind the available events.
+    """All readers of whole groups of a World.
 
-    `channel_moved` and similar methods resume them after a change.
+    `take_...` gives all readers of one kind the available events. `channel_moved` and similar methods resume the readers
+    after a change.
     """
 
     world: World
@@ -146,7 +147,7 @@ class Listeners:
     def _take_parts(self, events: Events, cut: int, limit_bytes: int, meddle: Meddle) -> None:
         """Take each channel's part once the cut at its owner has reached `cut`.
 
-        The event does not raise the cut at the owner.
+        The cut event itself does not raise the cut at the owner: the reports of the hosts do.
         """
         for channel_id, one in events.followers.items():
             if not _has_come_to(self.world.host_of(channel_id).cuts[events.group].cut, cut):

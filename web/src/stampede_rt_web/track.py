@@ -36,7 +36,7 @@ class Mark:
     """Something that went wrong at an instant, with a sentence for people.
 
     "late": an item came after a later one. "refused": the host refused items. "lost": the host was lost with its items.
-    "missed": items came and went before the page saw them.
+    "missed": items left memory before the page read them.
     """
 
     time: int
@@ -116,7 +116,7 @@ class ItemTrack:
         if self._missing:
             count = len(self._missing)
             items_text = "1 item" if count == 1 else f"{count} items"
-            self.marks.append(Mark(now, "missed", f"{items_text} came and went before this page saw them."))
+            self.marks.append(Mark(now, "missed", f"{items_text} left memory before this page read them."))
             self._missing.clear()
         self._forget_oldest()
 

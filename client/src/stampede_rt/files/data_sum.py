@@ -16,11 +16,11 @@ class DataSum:
 
     def __init__(self, records: RecordFile) -> None:
         self._records = records
-        self._found = self._place = 0
+        self._checksum = self._place = 0
 
     def read_to(self, end: int) -> None:
         """Add the bytes before the byte `end` that are not in the checksum yet."""
-        self._found = self._records.checksum(self._place, end, self._found)
+        self._checksum = self._records.checksum(self._place, end, self._checksum)
         self._place = max(self._place, end)
 
     def is_stated_at(self, offset: int) -> bool:
@@ -34,4 +34,4 @@ class DataSum:
         stated = self._records.record(frame, DataEnd).data_section_crc
         if stated:
             self.read_to(offset)
-        return stated in (0, self._found)
+        return stated in (0, self._checksum)

@@ -32,7 +32,7 @@ class StreamEndpoint(Protocol):
         """Begin the call of a stream in both directions. Raises Unavailable when the endpoint is closed."""
 
     def opened(self, stream: CallStream) -> None:
-        """Keep a weak reference to the stream, and end it when the endpoint closes."""
+        """Keep a weak reference to the stream, and end the stream when the endpoint closes."""
 
 
 class CallStream:

@@ -203,7 +203,7 @@ class ServerEndpoint(Stubs):
             stream.end()
 
     def opened(self, stream: CallStream) -> None:
-        """Keep a weak reference to `stream`, and end it when this endpoint closes."""
+        """Keep a weak reference to `stream`, and end the stream when this endpoint closes."""
         with self._mutex:
             self._call_streams.add(stream)
             over = self._closed

@@ -23,8 +23,8 @@ from tests.support.files.recordings import MS, START, entries, gap, item, read, 
 Change = Callable[[bytearray, Sequence[tuple[int, int]]], None]
 
 
-def other_program(path: Path) -> Path:
-    """Three chunks of the same length, without a checksum over all data."""
+def other_recording(path: Path) -> Path:
+    """Write a file as another program writes it: chunks of the same length, without a checksum over all data."""
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.NONE)
         writer.start()
@@ -39,7 +39,7 @@ def other_program(path: Path) -> Path:
 
 
 def recording(path: Path, events: Sequence[Event] = ()) -> Path:
-    """Chunks of the same length."""
+    """Write a recording with chunks of the same length."""
     return write(path, events or entries("cam", range(1, 10)), chunk_items=3, compression="none")
 
 
@@ -82,8 +82,8 @@ def copies_refuse(path: Path, output: Path) -> None:
 
 
 @pytest.mark.parametrize("change", [swap, replace_second, replace_without_index])
-@pytest.mark.parametrize("made", [recording, other_program])
-def test_a_file_with_the_wrong_chunks_is_recovered_with_a_word_and_not_copied(
+@pytest.mark.parametrize("made", [recording, other_recording])
+def test_a_file_with_the_wrong_chunks_is_recovered_with_a_warning_and_not_copied(
     tmp_path: Path, made: Callable[[Path], Path], change: Change, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, saved = changed(made(tmp_path / "a.mcap"), change), tmp_path / "saved.mcap"
@@ -105,8 +105,8 @@ def test_all_items_of_swapped_chunks_are_recovered(tmp_path: Path) -> None:
     assert (summary.recorded, summary.missing, summary.complete) == (9, 0, False)
 
 
-def test_a_recovered_file_of_another_program_says_that_its_index_was_lost(tmp_path: Path) -> None:
-    path = other_program(tmp_path / "a.mcap")
+def test_a_recovered_file_of_another_recording_says_that_its_index_was_lost(tmp_path: Path) -> None:
+    path = other_recording(tmp_path / "a.mcap")
     chunks = [one for one in records_of(path) if one.opcode == 6]
     content = path.read_bytes()
     path.write_bytes(content[: chunks[1].offset] + content[chunks[1].end :])
@@ -116,7 +116,7 @@ def test_a_recovered_file_of_another_program_says_that_its_index_was_lost(tmp_pa
 
 
 def test_a_changed_attachment_is_not_copied(tmp_path: Path) -> None:
-    path, saved = other_program(tmp_path / "a.mcap"), tmp_path / "saved.mcap"
+    path, saved = other_recording(tmp_path / "a.mcap"), tmp_path / "saved.mcap"
     path.write_bytes(path.read_bytes().replace(b"a map of", b"a mop of"))
     copies_refuse(path, saved)
     assert len(recover(path, saved).damages) == 1
@@ -124,8 +124,8 @@ def test_a_changed_attachment_is_not_copied(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("opcode", [0x80, 0x0F])
-def test_a_hidden_record_of_metadata_is_missed(tmp_path: Path, opcode: int) -> None:
-    """Its head says that it is another record, such as the end of the data."""
+def test_the_lack_of_a_hidden_metadata_record_is_noticed(tmp_path: Path, opcode: int) -> None:
+    """The opcode of the record names another kind of record, such as the end of the data."""
     path = tmp_path / "a.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)

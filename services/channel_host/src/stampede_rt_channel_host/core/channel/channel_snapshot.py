@@ -73,7 +73,7 @@ class ChannelSnapshot:
         self, held: Holdings, retention: Retention, incarnation: int, lost_before: int | None, advance: int | None,
         clock: int,
     ) -> None:  # fmt: skip
-        """`clock` is the host's clock at which the channel last outdated items."""
+        """`clock`: the time of the host's clock when the channel last made items outdated."""
         self.incarnation = incarnation
         self.lost_before = lost_before
         self.lost_from: int | None = None  # see `QueryReader`
