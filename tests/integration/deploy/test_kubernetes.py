@@ -28,7 +28,7 @@ from stampede_rt_web.settings import WebSettings
 
 ROOT = Path(__file__).resolve().parents[3]
 FOLDER = ROOT / "deploy/kubernetes"
-KUBERNETES_VERSIONS = ("1.30", "1.37")  # the oldest that the manifests are for, and the newest whose schemas are here
+KUBERNETES_VERSIONS = ("1.30", "1.37")  # the oldest that the manifests support, and the newest with an installed schema
 SECRET = b"a secret for the tests, which nobody else uses"
 SETTINGS: dict[str, tuple[str, type[Any]]] = {
     "stampede-supernode": ("supernode", SupernodeSettings),

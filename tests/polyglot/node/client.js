@@ -15,7 +15,7 @@ const loader = require("@grpc/proto-loader");
 
 const [protoFolder, address, secretFile, channelName, ...texts] = process.argv.slice(2);
 
-// Instants have 63 bits, more than a number holds: 64-bit fields come as strings and may be given as such.
+// Instants have 63 bits, more than a number holds: the loader gives and takes 64-bit fields as strings.
 const folder = path.join(protoFolder, "stampede_rt/v1");
 const files = fs.readdirSync(folder).filter((name) => name.endsWith(".proto"));
 const definition = loader.loadSync(
@@ -48,7 +48,7 @@ function explain(error) {
   return `${info.reason}: ${error.details} ${JSON.stringify(info.metadata)}`;
 }
 
-// The whole way once: front-end -> supernode -> gatekeeper -> data endpoint.
+// Each service on the way to the channel: front-end -> supernode -> gatekeeper -> data endpoint.
 async function open(name) {
   const bound = await call(connect(v1.FrontendService, address), "Bind", { protocol_version: 1 });
   metadata.set("stampede-cluster-id", bound.cluster_id); // servers of other clusters refuse this client from here on
@@ -119,16 +119,16 @@ function unpack(runs) {
 
 async function main() {
   const channel = await open(channelName);
-  const news = channel.data.Subscribe(metadata);
-  news.write({ open: channel.at, credit_bytes: 1 }); // 1: one item
-  const responses = news[Symbol.asyncIterator]();
+  const subscription = channel.data.Subscribe(metadata);
+  subscription.write({ open: channel.at, credit_bytes: 1 }); // 1: one item
+  const responses = subscription[Symbol.asyncIterator]();
   await responses.next(); // has `opened`: from here on the subscription misses no item
   const seqs = await put(channel, texts);
   const subscribed = [];
   while (subscribed.length < texts.length) {
     for (const item of unpack((await responses.next()).value.runs)) {
       subscribed.push(item);
-      news.write({ credit_bytes: Buffer.byteLength(item.Text) + 64 }); // credit for the next item
+      subscription.write({ credit_bytes: Buffer.byteLength(item.Text) + 64 }); // credit for the next item
     }
   }
   console.log(JSON.stringify({ put: seqs, last: await last(channel, 30), subscribed }));

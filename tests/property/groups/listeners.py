@@ -81,8 +81,8 @@ class Match:
 class Listeners:
     """All readers of whole groups of a World.
 
-    `take_...` gives all readers of one kind the available events. `channel_moved` and similar methods resume the readers
-    after a change.
+    `take_...` gives all readers of one kind the available events. `channel_moved` and similar methods resume the
+    readers after a change.
     """
 
     world: World
@@ -147,7 +147,7 @@ class Listeners:
     def _take_parts(self, events: Events, cut: int, limit_bytes: int, meddle: Meddle) -> None:
         """Take each channel's part once the cut at its owner has reached `cut`.
 
-        The cut event itself does not raise the cut at the owner: the reports of the hosts do.
+        The cut event does not raise the cut at the owner. Only `exchange` and `look` of the world do.
         """
         for channel_id, one in events.followers.items():
             if not _has_come_to(self.world.host_of(channel_id).cuts[events.group].cut, cut):

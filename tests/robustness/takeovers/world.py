@@ -18,7 +18,7 @@ from stampede_rt_supernode.codecs.record_codec import channel_record
 from stampede_rt_supernode.core.cluster.feature_levels import MOVES_LEVEL
 from stampede_rt_supernode.core.commands import Operation
 from stampede_rt_supernode.core.records import ChannelRecord
-from stampede_rt_supernode.core.replicas.copied_subjects import Copied, copied_with_id
+from stampede_rt_supernode.core.replicas.copied_subjects import Copied, known_copied_by_id
 from stampede_rt_supernode.core.replicas.copied_subjects import id_of as id_of_subject
 from tests.robustness.moves.two_hosts import Host, World, key_of
 from tests.support.supernode.operations import Log, expire, id_of, open_channel, register
@@ -190,7 +190,7 @@ class Cluster(World):
         return all(len([*self.successors(id_of_subject(one))]) == replicas for one in self.copied())
 
     def _check_successor(self, before: Copied, successors: list[bytes]) -> None:
-        after = copied_with_id(self.log.directory.tables, id_of_subject(before))
+        after = known_copied_by_id(self.log.directory.tables, id_of_subject(before))
         if successors and before.incarnation != after.incarnation:
             assert after.host_id in successors, "a replica was in sync, but another host became the owner"
             ack = before.policy.ack if isinstance(before, ChannelRecord) else before.spec.ack

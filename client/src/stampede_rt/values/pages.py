@@ -21,7 +21,7 @@ class Pages:
     def rest(self) -> ReadQuery:
         """The query of the next page: the items after the items of the earlier pages, as many as the limit leaves.
 
-        Through a group it reads at the cut of the first page.
+        Through a group, this query reads at the cut of the first page.
         """
         first = self._pages[0]
         left = None if self._query.limit is None else self._query.limit - sum(map(len, self._pages))

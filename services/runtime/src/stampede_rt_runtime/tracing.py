@@ -36,8 +36,10 @@ def tracing_interceptors() -> list[grpc.aio.ServerInterceptor]:
 
 
 class TracingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Makes a span for each call, as a child of the caller's span. Comes after the interceptors that check the
-    caller."""
+    """Makes a span for each call, as a child of the caller's span.
+
+    The server runs the interceptors that check the caller before this one.
+    """
 
     async def intercept_service(
         self,
@@ -53,7 +55,7 @@ class TracingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unus
 
         @contextlib.asynccontextmanager
         async def spanned(_context: Context) -> AsyncIterator[None]:
-            from opentelemetry import propagate  # not at the top: nothing of it is loaded without an SDK
+            from opentelemetry import propagate  # not at the top: a service without an SDK does not load it
 
             texts = {key: value for key, value in metadata or () if isinstance(value, str)}
             service, _, name = method.strip("/").partition("/")

@@ -1,4 +1,4 @@
-"""The calls under way at one port, and the credentials and rights on which they rest."""
+"""The calls under way at one port end when they lose the credential or the right that they need."""
 
 from __future__ import annotations
 
@@ -126,8 +126,8 @@ def waits(monkeypatch: pytest.MonkeyPatch) -> asyncio.Event:
 
 
 async def test_a_port_that_still_lacks_the_rules_lets_a_client_wait_but_not_a_member(waits: asyncio.Event) -> None:
-    """In an earlier version, a client that connected just after the start of a front-end was told that the front-end
-    cannot serve.
+    """In an earlier version, a client that connected just after the start of a front-end got the error that the
+    front-end cannot serve.
     """
     async with port() as (server, begin):
         assert await answer_to(begin(CLUSTER), "x") == b"1"

@@ -13,7 +13,7 @@ from dataclasses import replace
 from stampede_rt_supernode.core.groups.transitions import leave_groups, note_lost_cuts
 from stampede_rt_supernode.core.queues.placement import move_mailboxes
 from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaKind
-from stampede_rt_supernode.core.replicas.copied_subjects import Copied, copied_with_id, id_of
+from stampede_rt_supernode.core.replicas.copied_subjects import Copied, id_of, known_copied_by_id
 from stampede_rt_supernode.core.replicas.transitions import copies_after_owner_change, drop_copy, store
 from stampede_rt_supernode.core.tables import Tables
 
@@ -47,11 +47,11 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
     move to other hosts.
     """
     for channel_id in tables.replicas.channel_ids_at(host_id):
-        drop_copy(tables, copied_with_id(tables, channel_id), host_id)
+        drop_copy(tables, known_copied_by_id(tables, channel_id), host_id)
     taken_over: list[bytes] = []
     # The entries of the replicas are fewer than the channels of the host if few channels have a copy.
     for channel_id, _ in tables.replicas.entries():
-        channel = copied_with_id(tables, channel_id)
+        channel = known_copied_by_id(tables, channel_id)
         successor = _successor(tables, channel) if channel.host_id == host_id else None
         if successor is not None:
             incarnation = channel.incarnation

@@ -14,7 +14,7 @@ def copied_by_id(tables: Tables, subject_id: bytes, *, is_of_queue: bool) -> Cop
     return queue_by_id(tables, subject_id) if is_of_queue else channel_by_id(tables, subject_id)
 
 
-def copied_with_id(tables: Tables, subject_id: bytes) -> Copied:
+def known_copied_by_id(tables: Tables, subject_id: bytes) -> Copied:
     """The subject of an id that the table of copies has. Ids are random, so a channel and a queue never share one."""
     channel = tables.channels.get(subject_id)
     return tables.queues.by_id[subject_id] if channel is None else channel
