@@ -106,7 +106,9 @@ async def freeze_follower(scene: Scene) -> None:
 
 def _check_stopped(one: PlacedProcess) -> None:
     if one.kernel_state() != "T":
-        raise FaultHadNoEffect(f"{one.name} went on by itself: it is in kernel state {one.kernel_state()}")
+        raise FaultHadNoEffect(
+            f"{one.name} runs although the fault stopped it: it is in kernel state {one.kernel_state()}"
+        )
 
 
 Pairs = Sequence[tuple[NetworkNamespace, NetworkNamespace]]

@@ -54,9 +54,9 @@ def watch(stage: Stage, cuts: st.CutSubscription, until: int) -> deque[Span]:
     """
     spans: deque[Span] = deque(maxlen=PICTURE_SPANS_MAX)
     patience = (until - time.time_ns()) / NANOS_PER_SECOND + GRACE_SECONDS
-    watch = threading.Timer(max(0.0, patience), cuts.close)
-    watch.daemon = True
-    watch.start()
+    timer = threading.Timer(max(0.0, patience), cuts.close)
+    timer.daemon = True
+    timer.start()
     try:
         for cut in cuts:
             for step, span in spans_taken(cut, time.time_ns()):
@@ -65,7 +65,7 @@ def watch(stage: Stage, cuts: st.CutSubscription, until: int) -> deque[Span]:
             if cut.time >= until:
                 return spans
     finally:
-        watch.cancel()
+        timer.cancel()
     raise DemoFailed(
         f"the group {GROUP} did not come to the programme's end within {GRACE_SECONDS:g} s after it; is the caption "
         "producer too slow for this machine?"

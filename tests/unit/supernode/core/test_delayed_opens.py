@@ -49,7 +49,7 @@ async def node() -> AsyncIterator[Node]:
 
 
 async def open_and_delete(node: Node, request: pb.OpenChannelRequest) -> None:
-    """Another caller creates the channel, the second attempt of `request` finds it, and it is deleted."""
+    """Another caller creates the channel, the second attempt of `request` opens it, and the other caller deletes it."""
     made = await node.open("cam")
     index = node.log.index
     assert (await node.stub.OpenChannel(request)).channel == made.channel

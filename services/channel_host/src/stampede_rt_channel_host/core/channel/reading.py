@@ -128,7 +128,7 @@ class QueryReader:
         )
 
     def at(self, time: int, clock: int) -> ReadAnswer | None:
-        """The answer to a read at an instant, if one item is all of it; None: `answer` finds it."""
+        """The answer to a read at an instant, if it is a single item. None: the caller must use `answer`."""
         held = self._held
         found = item_at(held, time, self.now(clock)) if isinstance(held, HeldItems) else None
         if found is None:
@@ -136,8 +136,8 @@ class QueryReader:
         within = ResolvedInterval(time, time)
         truncated = self._is_truncated(within)
         reason = self._gone(within) if truncated else None
-        over = self._is_over(within)
-        return ReadAnswer((found.part,), found.next_time, within, over, truncated, False, reason, self._incarnation)
+        complete = self._is_over(within)
+        return ReadAnswer((found.part,), found.next_time, within, complete, truncated, False, reason, self._incarnation)
 
     def reason(self, query: Query, within: ResolvedInterval, slices: Sequence[Slice], *, more: bool) -> Reason | None:
         """The reason of an answer that the caller has put together: why it is empty or partial."""
