@@ -132,11 +132,15 @@ class Owner:
     async def serve(self, **policy: Any) -> Owner:
         found = record(self.epoch)
         found = replace(found, policy=replace(found.policy, **{"max_future_nanos": 0, **policy}))
-        self.hosted = await self.recordings.adopt(
-            found, None, lambda one: HostedChannel(one, MemoryBudget(2**30), self.now)
+        return self.keep(
+            await self.recordings.adopt(found, None, lambda one: HostedChannel(one, MemoryBudget(2**30), self.now))
         )
-        assert self.hosted.recording is not None
-        self.recording = self.hosted.recording
+
+    def keep(self, hosted: HostedChannel) -> Owner:
+        """Own this channel."""
+        self.hosted = hosted
+        assert hosted.recording is not None
+        self.recording = hosted.recording
         self.host.recorder = self.recording.recorder
         return self
 

@@ -25,6 +25,11 @@ def has_start(epoch: int) -> bool:
     return epoch < EPOCHS_MAX
 
 
+def is_start(seq: int) -> bool:
+    """Whether an owner may have begun at this seq: it is the first seq of an epoch."""
+    return seq > 1 and (seq - 1) % SEQS_PER_EPOCH == 0
+
+
 def given_between(first: int, end: int) -> int:
     """Return how many items have the seqs from `first` up to `end`, exclusive, as far as the seqs alone show this.
 

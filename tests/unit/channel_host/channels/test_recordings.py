@@ -206,6 +206,22 @@ async def test_an_owner_that_follows_a_lost_one_says_collected_for_items_that_th
 
 
 @pytest.mark.asyncio
+async def test_before_its_first_write_a_new_owner_knows_that_a_file_of_the_former_one_is_missing(
+    tmp_path: Path,
+) -> None:
+    """In an earlier version, reads gave no reason for its items if the file did not come."""
+    store = FakeStore()
+    async with host(tmp_path / "a", store) as former, host(tmp_path / "b", store) as new:
+        await former.serve(1)
+        await former.write()
+        await former.mover.move_all()
+        await former.write(2)  # this file is on the disk of the former owner when the channel moves
+        await take_over(new, 4, [3])
+        assert [one.end_seq for one in new.recorder.segments] == [2]
+        assert [one.end_seq for one in new.recorder.readable_segments] == [3]
+
+
+@pytest.mark.asyncio
 async def test_a_channel_that_moves_to_the_folder_of_a_lost_owner_has_no_seq_twice(tmp_path: Path) -> None:
     """In an earlier version, the next owner of a folder began with the seq 1. After a move to the folder of the lost
     owner, a reader that continued after an item of the next owner got items of the lost one.

@@ -23,6 +23,11 @@ pytestmark = pytest.mark.usefixtures("no_pauses_after_failures")
 class History:
     """One channel, and its owners. `times` are the times of all items. `steps` lists the steps for error texts."""
 
+    free_places = "abc"
+    """The hosts at which the next owner may be."""
+    lacking = {"LOST"}
+    """The reasons that an answer may have which lacks items."""
+
     def __init__(self, path: Path, seed: int) -> None:
         self.path, self.dice = path, random.Random(seed)
         self.store = FakeStore()
@@ -36,17 +41,25 @@ class History:
 
     async def _serve(self, epoch: int) -> None:
         """One owner, at one of three hosts, from its start to its end."""
-        place = self.dice.choice("abc")
+        place = self.dice.choice(self.free_places)
         one = Host(self.path / place, self.store)
         one.clock = self.clock = self.clock + 1000
         self.store.failure = "unreachable" if epoch > 1 and self.dice.random() < 0.25 else ""
         self.steps.append(f"epoch {epoch} at {place}, store {self.store.failure or 'reachable'}")
-        owner = await Owner(one, epoch).serve()
+        owner = await self._begin(Owner(one, epoch))
         for _ in range(self.dice.randrange(STEPS)):
             await self._step(owner)
         if self.dice.random() < 0.3:
             self.store.failure = ""
         self.clock = one.clock
+        await self._end(owner)
+
+    async def _begin(self, owner: Owner) -> Owner:
+        """Let the owner begin."""
+        return await owner.serve()
+
+    async def _end(self, owner: Owner) -> None:
+        """Stop or kill the owner."""
         is_clean = self.dice.random() < 0.5
         if is_clean:
             self.steps.append(f"stop, store {self.store.failure or 'reachable'}")
@@ -54,7 +67,7 @@ class History:
         else:
             self.steps.append("kill")
             owner.recording.recorder.files._end_segment()
-            one.archive.folder.close()
+            owner.host.archive.folder.close()
 
     async def _step(self, owner: Owner) -> None:
         what = self.dice.choice(["put", "put", "move", "lose store", "find store", "check"])
@@ -93,7 +106,7 @@ class History:
             return None
         times = [time for one in answer.slices for time in one.run.times[one.lo : one.hi]]
         found = [one for one in times if start <= one <= end]  # the span of an earlier item may reach into it
-        is_lost = answer.reason is not None and answer.reason == "LOST"
+        is_lost = answer.reason is not None and str(answer.reason) in self.lacking
         self.steps.append(f"read {start} to {end}: {found} {answer.reason}")
         return None if is_lost and not found else found
 

@@ -191,12 +191,12 @@ class ChannelRecorder:
 
     @property
     def readable_segments(self) -> tuple[Segment, ...]:
-        """The segments as reads see them: the last one also has the seqs of the lost items that no file names yet."""
-        lost = self.lost_items
-        if not lost or not self.segments:
-            return self.segments
-        last = self.segments[-1]
-        return (*self.segments[:-1], last._replace(end_seq=last.end_seq + lost))
+        """The segments as reads see them: the last one also has the seqs of lost items that no file names yet, and of
+        items in a file of the former owner that has not come."""
+        last = self.segments[-1] if self.segments else None
+        end_seq = 0 if last is None else max(last.end_seq, self.archived_to) + self.lost_items
+        is_all = last is None or end_seq == last.end_seq
+        return self.segments if is_all or last is None else (*self.segments[:-1], last._replace(end_seq=end_seq))
 
     @property
     def has_all_items(self) -> bool:

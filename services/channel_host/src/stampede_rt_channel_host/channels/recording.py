@@ -11,7 +11,7 @@ from stampede_rt.errors import Unavailable
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.values.model import Policy
 from stampede_rt.values.policy import FOREVER_NANOS
-from stampede_rt.values.seq_starts import has_start, start_of
+from stampede_rt.values.seq_starts import has_start, is_start, start_of
 from stampede_rt.values.timeline import Bound, Interval, Match, ResolvedInterval
 from stampede_rt_channel_host.archive.clean_stop import CleanStop
 from stampede_rt_channel_host.archive.host_archive import HostArchive
@@ -81,7 +81,10 @@ class Recording:
             channel, opened.files, opened.found.segments, opened.disk, from_memory=from_memory
         )
         self._reach = ArchiveReach(self.recorder, channel)
-        if not from_memory and lacks_loss(channel.lost_before, opened.found):
+        if from_memory and is_start(channel.next_seq):  # the former owner had no item with which to note its loss
+            found_to = max((one.end_seq for one in opened.found.segments), default=1)
+        notes_loss = not from_memory or found_to is not None
+        if notes_loss and lacks_loss(channel.lost_before, opened.found):
             self.recorder.note_loss(channel.lost_before, found_to)
         self.recorder.on_listed = self._listed
         archive.record(self.recorder, has_moved=from_memory)
