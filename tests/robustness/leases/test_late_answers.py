@@ -65,7 +65,7 @@ async def test_an_answer_from_before_a_registration_is_not_served() -> None:
     store = store_over(directory)
     binding = asyncio.create_task(store.bind(CHANNEL, 1))
     late = await directory.requests.get()
-    run_to_end(store.registering([], is_complete=True))  # the lease had ended, and the channel went elsewhere meanwhile
+    run_to_end(store.registering([], is_complete=True))  # the lease had ended, and another host has the channel
     late.set_result(record(ME, 1))
     second_request = await asyncio.wait_for(directory.requests.get(), 5)
     second_request.set_result(record(OTHER, 2, incarnation=8))

@@ -13,8 +13,8 @@ TOKEN = Caller(kind=CallerKind.TOKEN, roles=frozenset({Role.CLIENT}), name="cam"
 
 
 def read_token(text: str) -> Caller | None:
-    if text == "token-that-is-over":
-        raise PermissionDenied("the token is over", reason="UNAUTHENTICATED")
+    if text == "token-that-has-expired":
+        raise PermissionDenied("the token has expired", reason="UNAUTHENTICATED")
     return TOKEN if text == "token" else None
 
 
@@ -61,7 +61,7 @@ def test_each_credential_gives_a_name_and_roles(
         (ONE, b"Bearer ", None, "a secret that differs"),
         (ONE, b"Bearer \xff", None, "a secret that differs"),
         (ONE, b"Bearer c", None, "a secret that differs"),
-        (ONE, b"Bearer token-that-is-over", None, "the token is over"),
+        (ONE, b"Bearer token-that-has-expired", None, "the token has expired"),
         (CERTIFIED, b"Bearer token", None, "does not name exactly one role"),
         (CERTIFIED, None, CallerCertificate(Identity("other", Role.HOST, "h1")), "this service is of cluster lab"),
     ],

@@ -27,12 +27,12 @@ class Leader(membership_service_pb2_grpc.MembershipServiceServicer):
     """Refuses all newcomers until the test changes that. Then the newcomer is a member."""
 
     def __init__(self) -> None:
-        self.refuses, self.calls, self.has_let_in = True, 0, False
-        self.refusal: StampedeError = PermissionDenied("the token is over", reason="UNAUTHENTICATED")
+        self.refuses, self.calls, self.has_accepted = True, 0, False
+        self.refusal: StampedeError = PermissionDenied("the token has expired", reason="UNAUTHENTICATED")
         self.log: Any = SimpleNamespace(status=lambda: SimpleNamespace(self_id="new", members=self._members()))
 
     def _members(self) -> list[Any]:
-        return [SimpleNamespace(member_id="new")] if self.has_let_in else []
+        return [SimpleNamespace(member_id="new")] if self.has_accepted else []
 
     async def AddSupernode(  # noqa: N802
         self, request: pb.AddSupernodeRequest, context: Any
@@ -40,7 +40,7 @@ class Leader(membership_service_pb2_grpc.MembershipServiceServicer):
         self.calls += 1
         if self.refuses:
             await abort(context, self.refusal)
-        self.has_let_in = True
+        self.has_accepted = True
         return pb.AddSupernodeResponse()
 
 
@@ -78,7 +78,7 @@ async def test_a_refused_new_member_notes_the_refusal_and_tries_again_at_growing
         assert [await started(leader, server.address, tmp_path) for _ in range(5)] == [[], [1.0], [2.0], [4.0], [8.0]]
         noted = read_founding(tmp_path)
         assert noted is not None
-        assert (noted.refusals, "the token is over" in noted.refused, noted.token) == (5, True, "t")
+        assert (noted.refusals, "the token has expired" in noted.refused, noted.token) == (5, True, "t")
         leader.refuses = False
         assert (await started(leader, server.address, tmp_path))[0] == 16.0
         joined = read_founding(tmp_path)

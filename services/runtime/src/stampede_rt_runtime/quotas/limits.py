@@ -100,7 +100,7 @@ class QuotaTable:
     """All settings of a cluster.
 
     If several settings of a quota match a caller, the setting for exactly this name counts. Otherwise the pattern with
-    the most literal characters counts, and among equal patterns the lowest limit.
+    the most literal characters counts. If several patterns have equally many, the lowest limit counts.
     """
 
     def __init__(self, settings: Iterable[QuotaSetting] = ()) -> None:
