@@ -131,7 +131,7 @@ class CopyKeeper:
         await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _keep_until_stopped(self, copy: _Copy) -> None:
-        """Keep the feed of a copy until `_stop` cancels this task.
+        """Keep the feed of a copy until `_stop` cancels this task, or until this task itself makes the copy the owner.
 
         Drops the error of the cancellation: the error would keep its stream, and so a connection, until the garbage
         collector finds both.
@@ -141,7 +141,7 @@ class CopyKeeper:
 
     async def _keep(self, copy: _Copy) -> None:
         pause_s, source = PAUSE_SECONDS_MIN, None
-        while True:  # paced by the sleep, except once for each epoch; `_stop` cancels this task
+        while self._copies.get(copy.record.channel_id) is copy:  # paced by the sleep, except once for each epoch
             try:
                 source = await self._source_of(copy)
                 if source is None:
