@@ -60,10 +60,10 @@ class Copy:
         state = handoff.export(pair.core._queue_items, pair.core._queue_leases, pair.core._enqueue_line, pair.clock)
         self.arriving = ArrivingParts()
         self.arriving.begin_anew()
-        ((whole, next_step),) = self.arriving.add(sent(whole_parts(state, pair.journal.next_step)))
-        assert not isinstance(whole, QueueStep)
-        self.core = QueueCore.restored(limits_of(pair.oracle.setup), whole, pair.clock, incarnation=7)
-        self.journal = self.core.journal(next_step)
+        (whole,) = self.arriving.add(sent(whole_parts(state, pair.journal.next_step)))
+        assert isinstance(whole, WholeQueue)
+        self.core = QueueCore.restored(limits_of(pair.oracle.setup), whole.state(), pair.clock, incarnation=7)
+        self.journal = self.core.journal(whole.next_step)
 
     def take(self, step: QueueStep, clock: int) -> None:
         for arrived in self.arriving.add(sent(step_parts(step, clock))):

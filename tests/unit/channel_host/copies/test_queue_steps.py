@@ -9,6 +9,7 @@ from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.copies import queue_steps
 from stampede_rt_channel_host.copies.message_histories import items_of
+from stampede_rt_channel_host.copies.queue_messages import PART_BYTES
 from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue, step_parts, whole_parts
 from stampede_rt_channel_host.core.queue import QueueCore, QueueLimits, QueueStep, TakerState
 from tests.support.channel_host.queue_cores import Core
@@ -38,6 +39,25 @@ def test_a_large_step_is_sent_in_several_parts(monkeypatch: pytest.MonkeyPatch) 
     copy = QueueCore(QueueLimits(), incarnation=7)
     copy.journal().apply(arrived, core.now)
     assert copy.latest_counters() == core.queue.latest_counters()
+
+
+def test_many_short_runs_share_a_part_and_stay_in_order() -> None:
+    """In an earlier version, each run had a part of its own. A queue of 200,000 messages that were put one by one had
+    so many parts that it could not move in time.
+    """
+    core = Core()
+    for length in [1] * 1000 + [PART_BYTES] + [1] * 1000 + [2 * PART_BYTES]:
+        core.put(length)
+    state = core.queue.export(core.now)
+    parts = sent([*whole_parts(state, 1)])
+    assert len(parts) < 20
+    arriving = ArrivingParts()
+    arriving.begin_anew()
+    (arrived,) = [one for part in parts for one in arriving.add([part])]
+    assert isinstance(arrived, WholeQueue)
+    assert [(run.first_seq, run.body) for run in arrived.state().runs] == [
+        (one.first_seq, one.body) for one in state.runs
+    ]
 
 
 def test_no_part_is_longer_than_the_limit_of_a_host() -> None:
@@ -137,7 +157,7 @@ def test_a_whole_queue_arrives_before_the_steps_after_it() -> None:
     arriving.begin_anew()
     first, second = [*arriving.add(sent([*whole, *step_parts(step, core.now)]))]
     assert isinstance(first, WholeQueue)
-    assert (first.next_step, first.state.next_seq) == (6, 2)
+    assert (first.next_step, first.state().next_seq) == (6, 2)
     assert not isinstance(second, WholeQueue)
     assert isinstance(second[0], QueueStep)
     assert second[0].number == 6
@@ -146,8 +166,10 @@ def test_a_whole_queue_arrives_before_the_steps_after_it() -> None:
 def test_parts_that_are_no_whole_queue_are_refused() -> None:
     arriving = ArrivingParts()
     arriving.begin_anew()
+    (arrived,) = arriving.add([pb.FedQueuePart(content=pb.HandOverQueueResponse(ends=True), next_step=3)])
+    assert isinstance(arrived, WholeQueue)
     with pytest.raises(InvalidArgument, match="no facts"):
-        [*arriving.add([pb.FedQueuePart(content=pb.HandOverQueueResponse(ends=True), next_step=3)])]
+        arrived.state()
 
 
 LEASES = 300

@@ -15,7 +15,7 @@ from stampede_rt_channel_host.copies.feed_callers import FeedCallers
 from stampede_rt_channel_host.copies.queue_puts import PUT_TAG, encode_answer, put_of, read_put
 from stampede_rt_channel_host.copies.queue_steps import ArrivingParts, WholeQueue
 from stampede_rt_channel_host.copies.replica_directory import ReplicaDirectory
-from stampede_rt_channel_host.core.queue import AheadPut, QueueStep
+from stampede_rt_channel_host.core.queue import AheadPut, QueueCore, QueueStep
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.queue_store import QueueStore
@@ -127,7 +127,7 @@ class _Feed:
         """Apply a request. `is_latest`: whether no other feed of the copy has begun. Raises StaleBinding (MOVED)."""
         for arrived in self._arrivals(request):
             if isinstance(arrived, WholeQueue):
-                core = await asyncio.to_thread(self._copies.restored, self.record, arrived.state)
+                core = await asyncio.to_thread(self._restored, arrived)
                 # another owner, perhaps this host
                 if not is_latest() or self._queues.known(self.record.queue_id) is not None:
                     raise refusals.moved(self.record)
@@ -137,6 +137,9 @@ class _Feed:
         if request.HasField("put") and (copy := self._copies.of(self.record.queue_id)) is not None:
             self._copies.apply(copy, copy.journal.step_of(put_of(request.put)), 0)
         self._note(self.record.queue_id)
+
+    def _restored(self, arrived: WholeQueue) -> QueueCore:
+        return self._copies.restored(self.record, arrived.state())
 
     def take_put(self, put: AheadPut, request_bytes: int, write: Callable[[bytes], None]) -> bool:
         """Apply a request that is a put. Returns False, and does nothing, if the copy cannot take it in any case.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 from stampede_rt.v1 import migration_service_pb2 as pb
@@ -14,9 +14,12 @@ STEPS_PER_REQUEST = 64  # the copy repeats them in one turn of its event loop; e
 
 
 class WholeQueue(NamedTuple):
-    """The whole queue, after all steps before `next_step`."""
+    """The whole queue, after all steps before `next_step`.
 
-    state: QueueHandoff
+    `state` decodes it. A thread should call it, because it takes some microseconds for each message.
+    """
+
+    state: Callable[[], QueueHandoff]
     next_step: int
 
 
@@ -66,7 +69,7 @@ class ArrivingParts:
             arrived, self._arriving = self._arriving, ArrivingQueue()
             if self.is_whole:
                 self.is_whole = False
-                yield WholeQueue(arrived.state(), part.next_step)
+                yield WholeQueue(arrived.state, part.next_step)
             else:
                 gone = (range(one.first_seq, one.first_seq + one.items) for one in part.removed)
                 removed = tuple(seq for seqs in gone for seq in seqs)
