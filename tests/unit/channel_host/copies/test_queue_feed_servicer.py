@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import AsyncMock
@@ -12,6 +13,7 @@ from stampede_rt.errors import InvalidArgument, StaleBinding
 from stampede_rt.v1 import migration_service_pb2 as pb
 from stampede_rt.v1 import queue_pb2
 from stampede_rt_channel_host.channels.limits.memory import MemoryBudget
+from stampede_rt_channel_host.copies import queue_feed_servicer
 from stampede_rt_channel_host.copies.queue_feed_servicer import SAME_TURN_STEPS_MAX, QueueFeeds, _Feed
 from stampede_rt_channel_host.copies.queue_steps import step_parts, whole_parts
 from stampede_rt_channel_host.copies.replica_directory import FeedSource
@@ -137,3 +139,33 @@ async def test_a_feed_that_ends_within_a_queue_leaves_no_bytes_in_the_budget() -
     await QueueFeeds(SimpleNamespace(host_id=b"r" * 16), queues, source, AsyncMock()).serve(context)  # type: ignore[arg-type]
     assert used[-1] >= 1000
     assert memory.used_bytes == 0
+
+
+async def test_a_replica_gives_signs_of_life_while_a_thread_restores_a_whole_queue(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In an earlier version, the owner ended the feed after 3 s of silence, and sent the whole queue again."""
+    monkeypatch.setattr(queue_feed_servicer, "SIGN_SECONDS", 0.001)
+    owner, signs, enough, core = b"o" * 16, list[Any](), threading.Event(), Core()
+
+    async def write(place: Any) -> None:
+        signs.append(place)
+        if len(signs) > 3:  # the first one answers the first request
+            enough.set()
+
+    copies = SimpleNamespace(
+        of=lambda queue_id: None, drop=lambda queue_id: None, begin=lambda *copy: begun.append(copy),
+        restored=lambda record, state: enough.wait(10),
+    )  # fmt: skip
+    begun = list[Any]()
+    queues: Any = SimpleNamespace(
+        copies=copies, memory=MemoryBudget(2**30), known=lambda queue_id: None, check_may_serve=lambda: None
+    )
+    source = AsyncMock(source_of=AsyncMock(return_value=FeedSource(owner, "owner:1", 4, is_replica=True)))
+    record = queue_pb2.QueueRecord(queue_id=b"q" * 16, host_id=owner, epoch=4, incarnation=1)
+    whole = pb.FeedQueueRequest(begins_anew=True, parts=whole_parts(core.queue.export(core.now), 1))
+    requests: list[Any] = [pb.FeedQueueRequest(owner_host_id=owner, queue=record), whole, None]
+    context: Any = SimpleNamespace(read=AsyncMock(side_effect=requests), write=write)
+    await QueueFeeds(SimpleNamespace(host_id=b"r" * 16), queues, source, AsyncMock()).serve(context)  # type: ignore[arg-type]
+    ((_, restored, _),) = begun
+    assert restored, "the replica was silent until the queue was restored"

@@ -23,6 +23,7 @@ from stampede_rt_runtime.rpc import Context, answer_in_same_turn
 
 SAME_TURN_BYTES_MAX = 2**18  # a longer request, or one with more steps, is left to the task that reads the feed
 SAME_TURN_STEPS_MAX = 16
+SIGN_SECONDS = 1.0  # the owner ends the feed of a replica that is silent for longer than ANSWER_SECONDS_MAX
 
 
 class QueueFeeds:
@@ -53,12 +54,25 @@ class QueueFeeds:
             await context.write(feed.place())
             while isinstance(request := await context.read(), pb.FeedQueueRequest):
                 self._check_latest(feed)
-                await feed.take(request, lambda: self._latest.get(record.queue_id) is feed)
+                await self._take(feed, request, context)
                 await context.write(feed.place())
         finally:
             feed.close()
             if self._latest.get(record.queue_id) is feed:
                 del self._latest[record.queue_id]
+
+    async def _take(self, feed: _Feed, request: pb.FeedQueueRequest, context: Context) -> None:
+        """Apply a request. Sends signs of life while a thread restores a whole queue: the owner ends the feed of a
+        silent replica.
+        """
+        taking = asyncio.ensure_future(feed.take(request, lambda: self._latest.get(feed.record.queue_id) is feed))
+        try:
+            while not (await asyncio.wait({taking}, timeout=SIGN_SECONDS))[0]:
+                self._check_latest(feed)
+                await context.write(feed.place())
+            await taking
+        finally:
+            taking.cancel()
 
     def _take_in_same_turn(self, feed: _Feed, raw: bytes | memoryview, write: Callable[[bytes], None]) -> bool:
         """Repeat a few steps in the turn of the event loop in which they come, because callers of the owner wait."""
