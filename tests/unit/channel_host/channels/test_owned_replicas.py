@@ -50,6 +50,22 @@ async def test_a_replica_may_begin_anew_at_an_owner_that_renewed_its_lease_late(
     assert await replicas.begin_anew(REPLICA)
 
 
+def test_a_replica_without_its_flag_in_the_directory_counts_no_more() -> None:
+    """A caller has removed the replica and added it again. In an earlier version the owner acknowledged puts as before,
+    although this replica could not become the owner.
+    """
+    replicas = Replicas()
+    replicas.know([KnownReplica(REPLICA, 1, False)])
+    replicas.join()
+    assert replicas.copies(NEXT) == 2
+    replicas.know([KnownReplica(REPLICA, 1, False)])
+    assert replicas.copies(NEXT) == 1
+    replicas.join()
+    assert replicas.copies(NEXT) == 1, "the log has the flag cleared once more"
+    replicas.join()
+    assert replicas.copies(NEXT) == 2
+
+
 def test_all_feeds_end_that_have_sent_something_which_the_owner_could_not_store() -> None:
     """In an earlier version, only one of the feeds ended."""
     replicas = Replicas()
