@@ -17,7 +17,7 @@ Answer = TypeVar("Answer")
 logger = logging.getLogger(__name__)
 
 LONG_CALL_PARTS = 4
-LONG_CALL_INTERVAL_S_MAX = 0.05
+LONG_CALL_INTERVAL_S_MAX = 0.025
 """After a long call the directory has much to do, so the next call waits for more requests. The time between the
 beginnings of the two calls is LONG_CALL_PARTS times the duration of the first call, but at most
 LONG_CALL_INTERVAL_S_MAX.

@@ -12,10 +12,11 @@ from collections import Counter
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, nullcontext
 
-PARALLEL_MOVES = 56  # a host may have 64 moves under way; callers may use the other 8
-MOVES_PER_DESTINATION = 48
+PARALLEL_MOVES = 112  # a host may have 128 moves under way; callers may use the other 16
+MOVES_PER_DESTINATION = 96
 MOVES_AT_FIRST = 2  # the limit for a destination that has not taken over anything yet, because it may be frozen
 MOVES_PER_ANSWER = 2  # the limit rises by this with each move, so that the first copies do not all begin together
+SLOW_MOVE_SECONDS = 1.0  # a move that takes longer raises no limit: more moves would only share the same link
 PARALLEL_QUEUE_MOVES = 6  # a host may move 8 queues at the same time; calls of a queue wait while its host copies it
 
 
@@ -35,8 +36,10 @@ class DrainRoom:
         async with self._queues if is_queue else nullcontext(), to, self._all:
             yield
 
-    def answered(self, host_id: bytes) -> None:
-        """Note that this host has taken something over: it may now have more moves under way."""
+    def answered(self, host_id: bytes, seconds: float) -> None:
+        """Note that this host has taken something over in this time. If it was fast, it may now have more moves."""
+        if seconds > SLOW_MOVE_SECONDS:
+            return
         more = min(MOVES_PER_ANSWER, MOVES_PER_DESTINATION - MOVES_AT_FIRST - self._raised[host_id])
         self._raised[host_id] += more
         for _ in range(more):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple, Protocol
 
@@ -215,8 +216,9 @@ class _OtherHosts:
         async with self._room.taken(host.host_id, is_queue=own.is_queue):
             other = self.after(own, host) if host.host_id in self._silent else host
             if other is host or other is None or other.host_id in self._silent:
+                begun_s = time.monotonic()
                 await self._ask(own, host)
-                self._room.answered(host.host_id)
+                self._room.answered(host.host_id, time.monotonic() - begun_s)
         return other or host
 
     async def _ask(self, own: _OwnSubject, host: OtherHost) -> None:

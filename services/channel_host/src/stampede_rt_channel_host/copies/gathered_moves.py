@@ -1,6 +1,6 @@
 """Gathers the calls about moves that one host makes at the same time into few calls to the directory.
 
-A host that is drained moves up to 56 channels at the same time. One entry of the log then commits several moves, so
+A host that is drained moves up to 112 channels at the same time. One entry of the log then commits several moves, so
 that the disks of the supernodes write once for all of them.
 """
 

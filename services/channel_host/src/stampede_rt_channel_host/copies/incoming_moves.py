@@ -37,7 +37,7 @@ RELEASED_SECONDS_MAX = 1.0
 ARCHIVED_SECONDS_MAX = 4.0  # puts wait meanwhile
 HANDOFF_SECONDS_MAX = 4.0  # shorter than the source holds puts
 RETRY_SECONDS_MIN, RETRY_SECONDS_MAX = 0.02, 1.0
-WIDE_WINDOWS_MAX = 8  # further moves have NARROW_WINDOW_BYTES, so that all moves have 88 MiB at most
+WIDE_WINDOWS_MAX = 8  # further moves have NARROW_WINDOW_BYTES, so that all moves have 152 MiB at most
 NARROW_WINDOW_BYTES = WINDOW_BYTES // 4
 
 

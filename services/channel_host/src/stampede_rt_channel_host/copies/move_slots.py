@@ -7,7 +7,7 @@ from collections import Counter
 from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedQueue
 
-MOVES_MAX = 64  # the most moves of channels at the same time
+MOVES_MAX = 128  # the most moves of channels at the same time
 QUEUE_MOVES_MAX = 8  # fewer, because the calls of a queue wait for its copy
 OF_ONE_SHARE = 0.75  # the share of the moves that one client may use, so that other clients get some
 

@@ -13,7 +13,7 @@ from stampede_rt_channel_host.channels.subscriptions.credit import requests_of
 from stampede_rt_runtime.rpc import Context
 
 NAMED_MAX = 32  # channels in one request
-UNANSWERED_MAX = 64  # channels of one stream; the host reads no further request meanwhile
+UNANSWERED_MAX = 128  # channels of one stream; the host reads no further request meanwhile
 
 
 class MovesOfDrain:
