@@ -29,7 +29,7 @@ RULES = ["WIRE_JSON", "PACKAGE_NO_DELETE", "PACKAGE_SERVICE_NO_DELETE", "PACKAGE
 
 
 class BufFailed(Exception):
-    """buf could not do its work: it is missing, or proto/ does not compile. The text is buf's own."""
+    """buf could not do its work: it is missing, or proto/ does not compile. In the second case the text is from buf."""
 
 
 def buf(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -64,7 +64,7 @@ def build(proto: Path, out: Path) -> None:
 
 
 def violations(proto: Path, stable: Path) -> list[str]:
-    """Return the violations in `proto` of the contract in the image `stable`, one sentence each. Raises BufFailed."""
+    """Return each way in which `proto` breaks the contract in the image `stable`, as a sentence. Raises BufFailed."""
     rules = json.dumps({"version": "v2", "breaking": {"use": RULES}})
     done = buf("breaking", str(proto), "--against", str(stable), "--config", rules, "--against-config", rules)
     if done.returncode == 0:
@@ -87,7 +87,8 @@ def check(proto: Path, stable: Path) -> int:
     if not stable.is_file():
         print(f"{stable} is missing, there is nothing to compare with; make it with: python tools/breaking.py --accept")
         return 2
-    fresh = image(proto)  # this is first, because buf reports sources that do not compile in the same way as violations
+    # First, because `buf breaking` would report sources that do not compile as if they were violations.
+    fresh = image(proto)
     found = violations(proto, stable)
     for line in found:
         print(line)

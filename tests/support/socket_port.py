@@ -146,7 +146,10 @@ def certificates() -> ClusterCertificates:
 
 
 def port_fixture(*kinds: str) -> Callable[..., Open]:
-    """Return a fixture that opens a Port with the given settings of `serving`, at each kind of socket."""
+    """Return a fixture whose value opens a Port. The settings of that call go to `serving`.
+
+    Tests run once for each of `kinds`; by default, for all kinds of sockets.
+    """
 
     @pytest.fixture(params=kinds or (LOCAL, TCP, TLS))
     def port(tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Open:

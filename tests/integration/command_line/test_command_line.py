@@ -125,7 +125,7 @@ def test_get_by_time_and_meta_time(stampede: Run) -> None:
 
 @pytest.fixture(scope="module")
 def thinned(cluster: LocalCluster, environment: dict[str, str]) -> tuple[str, int]:
-    """A channel of four short items a second apart, of which two are left, and the time of the first."""
+    """A channel that got four short items, a second apart, and keeps two. Also the time of the first of the four."""
     time = st.now() - 8 * 10**9
     with st.connect(cluster.address, secret=cluster.secret_file.read_text().strip()) as rt:
         channel = rt.channel("cli/thinned", max_items=2)
@@ -150,7 +150,7 @@ def thinned(cluster: LocalCluster, environment: dict[str, str]) -> tuple[str, in
 def test_get_prints_a_sentence_with_the_reason_of_an_empty_answer(
     stampede: Run, thinned: tuple[str, int], channel: str, arguments: list[str], sentence: str
 ) -> None:
-    """`+N` stands for N milliseconds after the first item."""
+    """`+N` stands for N milliseconds after the first item that was put."""
     texts = [str(thinned[1] + int(one[1:]) * 10**6) if one.startswith("+") else one for one in arguments]
     done = stampede("get", channel, *texts, status=3)
     assert done.stdout == ""
@@ -389,8 +389,9 @@ def test_help_lists_every_verb(stampede: Run) -> None:
 
 # To ask for the next response, gRPC takes the lock of the stream and then the lock of its connection. Here Ctrl-C comes
 # after gRPC has taken the lock of the connection, and before the `with` block that would release this lock has begun.
-# The thread that sends requests then takes the lock of the stream, and waits for the lock of the connection. The test
-# replaces this thread by its own, which surely waits in time.
+# The exception then releases the lock of the stream, and not the lock of the connection. The thread that sends requests
+# takes the lock of the stream, and waits for the lock of the connection. So `cancel`, which needs the first lock,
+# would wait for ever. The test starts a thread in place of that one. `cancel` goes on only when it has the first lock.
 ECHO_INTERRUPTED_WITHIN_A_LOCK = """
 import os, signal, sys, threading
 

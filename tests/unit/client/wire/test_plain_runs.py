@@ -1,4 +1,7 @@
-"""Runs of one item without labels equal the runs that protobuf encodes, and protobuf encodes everything else."""
+"""A plain run has one item, without attributes and content type. Its bytes are the bytes that protobuf would encode.
+
+The reader of plain runs refuses all other runs.
+"""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from stampede_rt_channel_host.groups.own_channels import OwnChannel
 class HostedGroups:
     """The table of groups, by id. `board` has the times of their members, also of members at other hosts.
 
-    `own`: the members that this host owns and serves. `idling`: groups whose members may become idle.
+    `own`: the members that this host owns and serves. `idling`: the ids of the groups whose members may become idle.
     """
 
     def __init__(self) -> None:
@@ -23,9 +23,8 @@ class HostedGroups:
         self.own: dict[bytes, OwnChannel] = {}
         self.idling: set[bytes] = set()
         self._groups_of: dict[bytes, set[bytes]] = {}  # by channel id: the ids of the channel's groups
-        # By channel id: the groups that a change of the channel concerns. By group id: the keys of the group there.
-        self._concerned: dict[bytes, dict[HostedGroup, None]] = {}
-        self._keys: dict[bytes, Collection[bytes]] = {}
+        self._concerned: dict[bytes, dict[HostedGroup, None]] = {}  # by channel id: the groups that its change concerns
+        self._keys: dict[bytes, Collection[bytes]] = {}  # by group id: the channel ids in `_concerned` that have it
 
     def ids_of(self, channel_id: bytes) -> set[bytes]:
         """The ids of the groups that the channel is a member of, as far as this host knows."""
@@ -36,10 +35,10 @@ class HostedGroups:
         return (self.groups[group_id] for group_id in tuple(self.ids_of(channel_id)))
 
     def concerned_by(self, channel_id: bytes) -> list[HostedGroup]:
-        """The groups of the channel that a change of its times concerns.
+        """The groups of the channel that a change of the channel's times concerns.
 
-        A channel may be in very many groups, and a put changes its times. In most of these groups another member holds
-        the cut back.
+        A channel may be in very many groups, and each put changes its times. The result lacks the groups whose cut
+        another member holds back.
         """
         return [*self._concerned.get(channel_id, ())]
 

@@ -15,7 +15,7 @@ RANGES = st.lists(st.tuples(st.integers(1, 40), st.integers(0, 6)), max_size=25)
 
 
 @given(RANGES)
-def test_a_set_holds_the_added_seqs_and_returns_the_new_ones(ranges: list[tuple[int, int]]) -> None:
+def test_a_set_holds_the_added_seqs_and_counts_the_new_ones(ranges: list[tuple[int, int]]) -> None:
     seqs, plain = SeqSet(), set[int]()
     for first, items in ranges:
         new_seqs = set(range(first, first + items)) - plain

@@ -1,4 +1,4 @@
-"""The segments of a channel. The closed segments move to an object store. Blocks, as `SegmentFiles` does."""
+"""The segments of a channel. The closed segments move to an object store. The methods block."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment, 
 class MovingFiles(SegmentFiles):
     """The segments of a channel, some of them in the folder and the others in the store.
 
-    `is_left`: another object has taken the folder over, or the channel was deleted. `is_given_up`: the host does not
-    record the channel any more. Only the thread of writes calls the methods.
+    `is_left`: another `MovingFiles` has opened the folder, or the channel was deleted. `is_given_up`: the host does not
+    record the channel any more. Only the thread of writes calls the methods that change something.
     """
 
     def __init__(
@@ -72,7 +72,10 @@ class MovingFiles(SegmentFiles):
         return opened._replace(stop=opened.stop and opened.stop._replace(end_seq=0), own=own)
 
     def _own_part(self, end_seq: int) -> OwnPart | None:
-        """The segments in the folder that end at the seq `end_seq`, without a hole between them."""
+        """The beginning of the last segments in the folder, up to a segment before which items are missing.
+
+        None unless the last segment ends at the seq `end_seq`, and these segments have items.
+        """
         found = None
         for segment in reversed(self._segments):
             if segment.end_seq != end_seq:
@@ -97,7 +100,7 @@ class MovingFiles(SegmentFiles):
         self.stored.note_epoch(self._epoch)
         local = self._local()
         closed = local if self._file is None else local[:-1]
-        # False: somebody removed the file.
+        # Without the segments whose files somebody has removed.
         self.waiting = tuple(one for one in closed if self.stored.file_of(one.number).exists())
 
     def _local(self) -> tuple[Segment, ...]:
@@ -137,9 +140,11 @@ class MovingFiles(SegmentFiles):
                 self._folder.rmdir()
 
     def find_again(self, found: Mapping[int, StoredSegment], archived_to: int) -> tuple[Segment, ...]:
-        """Take over segments of the former owner, which came to the store after this host took the channel.
+        """Take over the segments of a listing that this host does not have. They came to the store after this host took
+        the channel. After `open_unknown` they are all segments of the listing.
 
-        `found`: a listing. `archived_to`: the archive of this owner begins with this seq, or has all seqs below it.
+        `found`: the listing. `archived_to`: the next seq that this owner has to archive. All seqs below it are in the
+        archive, or lost to it.
         Returns all segments. Raises OSError.
         """
         kept = {one.number: one for one in self._segments}
@@ -164,11 +169,12 @@ class MovingFiles(SegmentFiles):
             if segment is not None:
                 ordered.append(segment)
                 following = segment.begin
-            elif kept[number].first_seq >= following:  # otherwise a damaged block, which stays
+            elif kept[number].first_seq >= following:  # otherwise a block is damaged, and its file or object stays
                 repeated.append(number)
         self._segments = tuple(reversed(ordered))
         self._unplaced.clear()
-        for number in repeated:  # off the list first: a read must not report a removed segment as lost
+        # Only after `_segments` lacks them, because a read must not report a removed segment as lost.
+        for number in repeated:
             self.stored.remove(number)
         return self._segments
 
@@ -202,7 +208,10 @@ class MovingFiles(SegmentFiles):
         return sum(one.length for one in self._local())
 
     def check_same(self, packed: PackedSegment) -> None:
-        """Check that the object that exists already is this segment. Raises OSError. Any thread may call it."""
+        """Check that the store has the object of this segment, by its name and length. Raises OSError. Thread-safe."""
         if not self.stored.has_object(packed.name, len(packed.content)):
-            text = f"the object {packed.name} exists with other bytes; move it, and find out which program wrote it"
+            text = (
+                f"the store does not have the object {packed.name} with {len(packed.content)} bytes; if it exists, "
+                "move it away, and find out which program wrote it"
+            )
             raise OSError(errno.EEXIST, text)

@@ -117,7 +117,7 @@ class SegmentMover:
             self._wake.set()
 
     def reopening(self, channel_id: bytes) -> None:
-        """Note that another object opens the folder of a channel now."""
+        """Note that another `MovingFiles` opens the folder of a channel now."""
         self._leftovers.take(channel_id)
         for files in [one for one in self._leaving if one.stored.channel_id == channel_id]:
             files.is_left = True

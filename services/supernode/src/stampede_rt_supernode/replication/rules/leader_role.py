@@ -24,7 +24,10 @@ class LeaderRole(Membership):
     """Handles the answers of followers, and sends to them. Tick thread only."""
 
     def _on_append_reply(self, node: MemberNode, message: AppendReply) -> None:
-        """Process an acknowledgement, if it is of the present term. The library's acknowledgements have no term."""
+        """Process an acknowledgement, if it is of the present term.
+
+        The acknowledgements of PySyncObj have no term, so PySyncObj also counts outdated ones.
+        """
         if message.term > self.term:
             self.become_follower(message.term)
         if message.term != self.term or not self.is_leader:
@@ -49,9 +52,9 @@ class LeaderRole(Membership):
     def send_append_entries(self) -> None:
         """Send every connected member the entries that it lacks, or a heartbeat.
 
-        The library sends a whole log or snapshot in one step. While a snapshot has no piece to send, the library loops
-        for the time of a heartbeat. This rule sends a limited number of entries and pieces, and the next heartbeat
-        continues.
+        In one step PySyncObj sends as much of a log or snapshot as it can in one heartbeat interval. While a snapshot
+        has no piece to send, PySyncObj loops until the interval is over. This rule sends a limited number of entries
+        and pieces, and the next heartbeat continues.
         """
         self.postpone_heartbeat()
         connected = [node.id for node in self.other_voters if node in self.connected]
@@ -65,7 +68,7 @@ class LeaderRole(Membership):
     def step_down_if_diverged(self) -> None:
         """Stop leading if more than half of the members have the same state, and this leader has another.
 
-        Asks the one of these members that has acknowledged the most entries to lead.
+        Then the member of this majority that has acknowledged the most entries is asked to lead.
         """
         if not self.is_leader:
             return

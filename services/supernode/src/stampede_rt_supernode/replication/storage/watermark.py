@@ -6,7 +6,8 @@ number in the database is lower than the number in the file, the database is dam
 
 The store syncs the file about once a second, and not at every commit. After a power failure the number in the file may
 therefore be too low by the commits of about a second. If the database has lost no more than these commits, the store
-does not notice the loss. It detects every greater loss.
+does not notice the loss. While this file is intact, the store detects every
+greater loss.
 """
 
 from __future__ import annotations
