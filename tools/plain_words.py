@@ -52,7 +52,7 @@ def complaints(path: str, source: str) -> Iterator[str]:
 def complaints_about_lines(path: str, source: str) -> Iterator[str]:
     """Yield a line for each comment that breaks the rule, and for each line with words of two meanings.
 
-    In .proto files no comment may begin with "It", either.
+    In .proto files no comment may begin with "Which", "It" or "They", either.
     """
     former = ""
     for number, line in enumerate(map(str.strip, source.splitlines()), 1):

@@ -20,7 +20,7 @@ NAME = "recording-one-read.png"
 
 
 def one_read(rt: st.Connection) -> Picture:
-    """Put items of which memory keeps the last ones, and read them."""
+    """Put items, and read them from the archive and from memory. Memory keeps only the last HELD items."""
     channel = rt.channel(f"pictures/recorded-{st.now()}", max_items=HELD, archive="7d")
     base = st.now() - 10 * SECOND
     for number in range(ITEMS):

@@ -415,7 +415,7 @@ class OracleMatcher:
     def is_overdue(self) -> bool:
         """Whether the next match should have been decided by now.
 
-        Each member has passed the whole chain of ever nearer items after it.
+        That is so if each member has passed the whole chain of ever nearer items after the item of this match.
         """
         waiting = [item for item in sorted(self.per.held) if (item.time, item.seq) > self.position]
         far = self.tolerance * (2 * len(waiting) + 2)

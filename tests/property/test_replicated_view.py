@@ -1,4 +1,4 @@
-"""Readers of a channel with replicas see the states of the channel one after the other, each once it is replicated."""
+"""Readers of a channel with replicas see the states of the channel in order, each state as soon as it is replicated."""
 
 from __future__ import annotations
 

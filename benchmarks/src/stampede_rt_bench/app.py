@@ -185,7 +185,7 @@ def _add_growth(kinds: Any) -> None:
     growth = kinds.add_parser("growth", help=text, description=f"Measure {text}.")
     growth.add_argument(
         "--of", action="append", choices=DIMENSIONS, metavar="NAME",
-        help=f"only the growth of this; may be repeated; {', '.join(DIMENSIONS)}",
+        help=f"measure only the growth of this; may be repeated; {', '.join(DIMENSIONS)}",
     )  # fmt: skip
     most = {
         "channels": (CHANNELS_MAX, 100_000, "the most channels of a host"),

@@ -20,7 +20,10 @@ Direction = Literal["next", "previous"]
 
 
 class PictureCache:
-    """The pictures that pages will fetch, by item. Beyond PICTURES_BYTES_MAX, drops the picture that was kept first."""
+    """The pictures that pages will fetch, by item.
+
+    Beyond PICTURES_BYTES_MAX, drops the picture for which no caller has called `keep` for the longest time.
+    """
 
     def __init__(self) -> None:
         self._pictures: OrderedDict[str, tuple[str, bytes]] = OrderedDict()

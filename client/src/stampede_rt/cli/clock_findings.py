@@ -13,11 +13,11 @@ UNKNOWN = "unknown"  # the text for a clock with an unknown offset
 
 
 def clock_findings(seen: Sequence[Observation]) -> Iterator[CheckResult]:
-    """Yield one finding about the clocks of all parts, with advice about wrong clocks. Without services yields none.
+    """Yield one finding about the clocks of all parts, with advice about wrong clocks. Without offsets yields none.
 
-    The median of the offsets of the services is the right time. A slow answer gives an inexact offset. A clock counts
-    as wrong only if it differs from the right time by more than CLOCK_OFFSET_NANOS_MAX and the greatest errors of both
-    offsets together.
+    The median of the offsets of the services is the right time. A slow answer gives an inexact offset. If no offset of
+    a service is exact enough, the finding says that the clocks are not known. A clock counts as wrong only if its
+    distance from the right time is more than the sum of CLOCK_OFFSET_NANOS_MAX and the greatest errors of both offsets.
     """
     offsets = {one: one.clock_offset_nanos for one in seen if one.clock_offset_nanos is not None}
     certain = {one: offset for one, offset in offsets.items() if one.clock_doubt_nanos <= CLOCK_OFFSET_NANOS_MAX}

@@ -183,7 +183,7 @@ def add_taking(parser: argparse.ArgumentParser) -> None:
         type=timeout_seconds,
         default=1.0,
         metavar="DURATION",
-        help="wait this long for each, e.g. 500ms; default 1s",
+        help="wait this long for each message, e.g. 500ms; default 1s",
     )
     settled = parser.add_mutually_exclusive_group()
     settled.add_argument("--keep", action="store_true", help="give the messages back instead of acknowledging them")

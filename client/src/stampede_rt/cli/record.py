@@ -41,7 +41,8 @@ def add_verbs(subparsers: Any) -> None:
     record.add_argument(
         "--since",
         metavar="DURATION",
-        help='begin that far in the past, or before the item of --on, such as "30s", or "oldest"; default: now',
+        help='begin this long ago, such as "30s"; with --on, this long before its item; "oldest": with all held items; '
+        "default: now",
     )
     record.add_argument("--for", dest="for_", metavar="DURATION", help="end after that time; default: at Ctrl-C")
     record.add_argument(

@@ -42,7 +42,7 @@ def add_verbs(subparsers: Any) -> None:
 
 
 def run_watch(arguments: argparse.Namespace) -> int:
-    """Print changes of the directory. Hosts are all shown, because a channel goes with its host."""
+    """Print changes of the directory. Shows all hosts, because a channel is lost if its host is lost."""
     rows: Queue[dict[str, Any] | Exception] = Queue(AHEAD_MAX)
     with connected(arguments) as rt:
         for source in (_CHANNELS_AND_HOSTS, _PEERS):
@@ -113,7 +113,7 @@ def differences(known: Known, listed: Known) -> list[tuple[str, Facts]]:
 
 
 def id_of(thing: Thing) -> bytes:
-    """Return the id of a thing. No two things have the same id, also if they are of different kinds."""
+    """Return the id of a thing. No two things have the same id, even if they are of different kinds."""
     if isinstance(thing, ChannelInfo):
         return thing.channel_id
     return thing.host_id if isinstance(thing, HostInfo) else thing.peer_id

@@ -15,7 +15,8 @@ _Key = tuple[MessageKind, int, int, int]
 class Assembler:
     """Keeps the parts of incomplete messages. Above `bytes_max` it gives up the message whose first part came first.
 
-    `kept_bytes`: the memory of the parts. `repeated`: the parts that came twice. `given_up`: the messages given up.
+    `kept_bytes`: the memory of the parts. `repeated`: the parts that came twice. `given_up`: the messages that it gave
+    up above `bytes_max`.
     """
 
     def __init__(self, bytes_max: int) -> None:
@@ -44,7 +45,7 @@ class Assembler:
         return None
 
     def forget_before(self, next_seq: int) -> None:
-        """Give up the messages that only have seqs below `next_seq`: the reader has their items."""
+        """Forget the messages that only have seqs below `next_seq`: the reader has their items."""
         for key in [key for key in self._parts if key[2] <= next_seq]:
             self._forget(key)
 

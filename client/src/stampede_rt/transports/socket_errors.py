@@ -30,10 +30,10 @@ class SocketError(grpc.RpcError):  # type: ignore[misc, unused-ignore]
         return self._details
 
     def without_frames(self) -> SocketError:
-        """Return the same error without frames. A stream that keeps an error raises this copy.
+        """Return the same error without stack frames. A stream that keeps an error raises this copy.
 
-        Otherwise the error would reference the frames of the stream's reader, and these frames would reference the
-        stream.
+        Otherwise the traceback of the error would reference the stack frames of the code that reads the stream, and
+        these frames would reference the stream.
         """
         return SocketError(self._code, self._details, self._encoded)
 

@@ -48,7 +48,7 @@ class DevSettings:
     secret_file: Path | None = field(
         default=None,
         metadata=setting(
-            metavar="FILE", help="the file of the shared secret, made if absent; without it: the user's own file"
+            metavar="FILE", help="the file of the shared secret, made if absent; default: the user's own file"
         ),
     )
     allow_insecure_anywhere: bool = field(

@@ -113,7 +113,8 @@ class EmbeddedHost:
     def put(self, channel_id: bytes, epoch: int, put: InProcessPut) -> Future[pb.PutAck | None]:
         """Put one item by reference. The future may have the errors of a put.
 
-        Its result is None if the put may have to wait for room.
+        Its result is None if the put must go over a stream: the channel has replicas, or the put may have to wait for
+        room.
         """
 
         def perform(store: ChannelStore, answer: Future[pb.PutAck | None]) -> None:
@@ -172,7 +173,7 @@ class EmbeddedHost:
             return look(self._served.host.store, *arguments)
 
     def read(self, channel_id: bytes, epoch: int, query: ReadQuery) -> Future[InProcessAnswer | None]:
-        """Read by reference, with the wait of the query. None: the answer is long."""
+        """Read by reference, with the wait of the query. None: the read must go over a stream."""
 
         def perform(store: ChannelStore, answer: Future[InProcessAnswer | None]) -> None:
             waiting = read_here(store, channel_id, epoch, query, lambda found: _set_result(answer, found))

@@ -51,7 +51,7 @@ class ServiceSettings:
         default=None,
         metadata=setting(
             metavar="FILE",
-            help="the file of the shared secret; if not set: stampede/secret in the user's config folder, if it exists",
+            help="the file of the shared secret; default: stampede/secret in the user's config folder, if it exists",
         ),
     )
     client_secret_file: Path | None = field(

@@ -62,7 +62,7 @@ class SupernodeSettings(ServiceSettings):
         default="",
         metadata=setting(
             metavar="ID",
-            help=f"the supernode's id; no later member may use this id; default, for a single supernode: {DEFAULT_ID}",
+            help=f"the supernode's id; no later member may use this id; default: {DEFAULT_ID} for a single supernode",
         ),
     )
     members: tuple[str, ...] = field(

@@ -8,7 +8,7 @@ from tests.robustness.fuzz.ports.methods import PORTS
 from tests.robustness.fuzz.ports.run import run
 
 INPUTS = {"host": 4000, "data": 2000, "supernode": 2000, "frontend": 1000}
-# Callers of the other ports bring the secret here. With `--tls` all callers bring certificates.
+# In this test, callers of these ports bring certificates, and callers of the other ports bring the secret.
 WITH_CERTIFICATES = ("data", "frontend")
 
 

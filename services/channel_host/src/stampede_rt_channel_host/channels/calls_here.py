@@ -48,7 +48,10 @@ def find_here(store: ChannelStore, channel_id: bytes, epoch: int) -> HostedChann
 
 
 def put_here(store: ChannelStore, channel_id: bytes, epoch: int, put: InProcessPut) -> pb.PutAck | HeldAck | None:
-    """Put one item. None: it may have to wait for room, so it goes over a stream. Raises the errors of a put."""
+    """Put one item. Raises the errors of a put.
+
+    Returns None if the channel has replicas, or if the put may have to wait for room. The caller then uses a stream.
+    """
     hosted, received_s = find_here(store, channel_id, epoch), time.monotonic()
     if hosted is None or hosted.puts.may_wait:
         return None
@@ -79,9 +82,10 @@ def put_now(hosted: HostedChannel, run: IncomingRun, wanted: int, now: int) -> p
 
 
 def read_now(store: ChannelStore, channel_id: bytes, epoch: int, query: ReadQuery) -> InProcessAnswer | None:
-    """The answer to a read. Changes nothing: None if the read would have to free old items first, or is long.
+    """The answer to a read. Changes no item.
 
-    The caller holds the turn of the loop. Raises the errors of a get.
+    None if the channel has replicas, if the read would have to free old items first, if the archive may have items of
+    the answer, or if the read is long. The caller holds the turn of the loop. Raises the errors of a get.
     """
     hosted, now = find_here(store, channel_id, epoch), store.now()
     if hosted is None or (hosted.due is not None and hosted.due <= now):
@@ -136,8 +140,8 @@ def read_here(
 ) -> WaitingGet | None:
     """Perform a get on the loop, and call `on_answer` with its answer. Returns the get if it waits.
 
-    `on_answer` gets None if the answer is long, or may be in the archive: such a get goes over a stream. Raises the
-    errors of a get.
+    `on_answer` gets None if the channel has replicas, if the answer is long, or if the archive may have a part of it.
+    The caller then uses a stream. Raises the errors of a get.
     """
     hosted, now = find_here(store, channel_id, epoch), store.now()
     core_query = query_of(query)

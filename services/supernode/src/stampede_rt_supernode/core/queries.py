@@ -82,5 +82,5 @@ def _is_of_interest(tables: Tables, host: HostRecord, lost_since: int) -> bool:
 
 
 def channels_of(tables: Tables, host_id: bytes) -> tuple[ChannelRecord, ...]:
-    """The channels that a host owns: the first HOST_CHANNELS_MAX, by id."""
+    """The channels that a host owns: the first HOST_CHANNELS_MAX in the order of their ids."""
     return tuple(tables.channels_at(host_id, HOST_CHANNELS_MAX))

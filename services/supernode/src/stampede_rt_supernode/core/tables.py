@@ -84,7 +84,7 @@ class Tables:
         self.peers.changes.note_index(index)
 
     def channels_at(self, host_id: bytes, channels_max: int | None = None) -> list[ChannelRecord]:
-        """The channels that a host owns, by id: all, or the first `channels_max`."""
+        """The channels that a host owns, in the order of their ids: all, or the first `channels_max`."""
         ids = self._channel_ids_at.get(host_id, ())
         return [self.channels[one] for one in (sorted(ids) if channels_max is None else nsmallest(channels_max, ids))]
 
@@ -112,7 +112,7 @@ class Tables:
         self.changes.note(ChangeKind.ADDED, channel)
 
     def replace_channel(self, channel: ChannelRecord) -> None:
-        """Replace the channel of that id, which keeps its name. The new owner may be another known host."""
+        """Replace the channel with the same id and name. The new owner may be another known host."""
         before = self.channels[channel.channel_id].host_id
         self.channels[channel.channel_id] = channel
         if before != channel.host_id:

@@ -176,7 +176,7 @@ def test_an_item_that_all_consumers_consumed_before_the_group_existed_counts_for
     used.consume(1, [1, 2], NOW)
     assert used.newest is None
     assert OwnChannelTimes(used, NOW).times(1).newest == 120
-    put(used, 110)  # late, which consumption allows
+    put(used, 110)  # a late item, which a channel with consumers accepts
     assert OwnChannelTimes(used, NOW).times(1) == ChannelTimes(1, INCARNATION, 120)
 
 

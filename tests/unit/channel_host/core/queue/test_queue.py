@@ -230,7 +230,7 @@ def test_a_retry_of_a_partly_accepted_run_continues_at_its_position() -> None:
     core.ack(1, 2)
     assert core.queue.take_finished() == [repeated]
     assert repeated.outcome is not None
-    assert [tuple(part) for part in repeated.outcome.parts] == [(0, 1, 3, 1000)], "the seqs follow, under one stamp"
+    assert [tuple(part) for part in repeated.outcome.parts] == [(0, 1, 3, 1000)], "consecutive seqs have one time"
     assert not repeated.outcome.refusals
     assert core.counted("accepted") == (3,)
 

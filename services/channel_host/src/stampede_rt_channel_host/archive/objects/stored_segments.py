@@ -27,7 +27,8 @@ from stampede_rt_channel_host.core.archive.stored_segment import (
 OBJECTS = "channels"
 OUTDATED_MAX = 1000
 """The most names of outdated objects that the host keeps: about 256 KiB."""
-CHANGES_LEAST = 1000  # the list on the disk is written anew after this many changes, or twice as many as objects
+# The host writes the list on the disk anew after at least this many changes, and twice as many changes as objects.
+CHANGES_LEAST = 1000
 
 
 class PackedSegment(NamedTuple):
@@ -41,7 +42,8 @@ class PackedSegment(NamedTuple):
 class StoredSegments(SegmentFolder):
     """The segments of one channel in a folder and in an object store. A segment in both counts as in the folder.
 
-    Any threads read at the same time. Only the thread of the archive's writes calls `find`, `settle` and `remove`.
+    Any threads read at the same time, and any thread may call `find`. Only the thread of the archive's writes calls
+    `settle` and `remove`.
     """
 
     def __init__(self, path: Path, cache: ChunkCache, store: SegmentStore) -> None:
@@ -96,8 +98,8 @@ class StoredSegments(SegmentFolder):
         return self._segments_of(listed), self._stops_of(name for name, _ in listed)
 
     def _index_overlaps(self, found: Sequence[StoredSegment], following: int | None) -> None:
-        """Read the indexes of the segments whose last items the next segment has, too. Then the thread of writes, which
-        leaves these items out, need not wait for the store. Raises StoreError.
+        """Read the index of each segment that overlaps with the next one: the next segment also has its last items. The
+        thread of writes leaves these items out, and then need not wait for the store. Raises StoreError.
         """
         firsts = [*(one.segment.begin for one in found[1:]), following]
         for one, first in zip(found, firsts, strict=False):
@@ -109,7 +111,8 @@ class StoredSegments(SegmentFolder):
     def known(self, epoch: int, *, is_whole: bool) -> dict[int, StoredSegment] | None:
         """The segments in the store as the disk knows them; None: the disk does not know all of them.
 
-        `epoch`: the channel's present epoch. `is_whole`: no other host has had the channel since. Raises OSError.
+        `epoch`: the channel's present epoch. `is_whole`: no other host has had the channel since this host wrote the
+        list on its disk. Raises OSError.
         """
         known = self._known.read()
         if known is None and epoch == 1 and not self.path.exists():  # a new channel
@@ -285,7 +288,7 @@ class StoredSegments(SegmentFolder):
 
     @contextmanager
     def opened(self, number: int) -> Iterator[ReadAt]:
-        """Open a segment: within the context the function reads its bytes."""
+        """Open a segment. Yields a function that reads its bytes within the context."""
         stored = self._stored.get(number)
         if stored is not None and not self.file_of(number).exists():
             yield self._reads(stored)

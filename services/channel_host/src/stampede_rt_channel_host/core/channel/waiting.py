@@ -1,8 +1,8 @@
 """The needs of blocked gets, and how far new items reach. A change polls only the gets that it may release. Pure.
 
 A new item may release a get if the item's time, or under the match mode `span` its span, reaches the get's interval.
-The channel also releases a get when it has passed the interval. A poll of a get looks at all present items. So if the
-get stays blocked, only an item accepted after that poll can release it.
+The channel also releases a get when it has passed the interval. A poll of a get looks at all visible items. So if the
+get stays blocked, later changes poll it only for items that come, or become visible, after that poll.
 """
 
 from __future__ import annotations

@@ -8,12 +8,15 @@ from stampede_rt_channel_host.core.queue.items import QueuedRun, TrackedItem
 from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
 
 WHOLE_LEASES_MAX = 32
-"""A message with more leases than this is copied by its changes. Otherwise each change would cost all its leases."""
+"""If a message has more leases than this, copies get only its changes. Otherwise each change would send all its leases.
+"""
 
 
 class ItemChange:
-    """The changes of one message. `acknowledged_before`: its acknowledgements before. `deliveries`: their leases have
-    begun, changed or ended.
+    """The changes of one message.
+
+    `acknowledged_before`: the number of its acknowledgements before the changes. `deliveries`: the ids of the
+    deliveries whose leases have begun, changed or ended.
     """
 
     __slots__ = ("acknowledged_before", "deliveries")
@@ -27,8 +30,9 @@ class QueueChanges:
     """The changes since the last `clear`. Times are instants of the host's clock.
 
     `runs`: the accepted runs. `items`: the tracked messages that have changed and that the queue still holds, by seq.
-    `of_items`: their changes; None for a message that is copied whole.
-    `removed`: the seqs of the messages that have left. The other lists have the queue's notes, in order.
+    `of_items`: their changes; None for a message that is copied whole. `removed`: the seqs of the messages that have
+    left. `acknowledged`, `producers` and `message_ids`: the new entries of the lists that the queue keeps to recognise
+    repeated calls, in order.
     """
 
     __slots__ = ("acknowledged", "items", "message_ids", "of_items", "producers", "removed", "runs")

@@ -45,7 +45,7 @@ class GroupTable:
         return None if found is None else self.by_id[found]
 
     def with_channel(self, channel_id: bytes) -> list[GroupRecord]:
-        """The groups of a channel, by id."""
+        """The groups of a channel, in the order of their ids."""
         return [self.by_id[one] for one in sorted(self._ids_with.get(channel_id, ()))]
 
     def count_with(self, channel_id: bytes) -> int:
@@ -70,7 +70,7 @@ class GroupTable:
         self._note(ChangeKind.ADDED, group)
 
     def replace(self, group: GroupRecord, witnesses: tuple[bytes, ...]) -> None:
-        """Replace the group of that id, which keeps its name. If only the witnesses change, no change is noted."""
+        """Replace the group with the same id and name. If only the witnesses change, no change is noted."""
         before, held = self._entries[group.group_id]
         if (group, witnesses) == (before, held):
             return

@@ -71,5 +71,5 @@ def _mailbox_of(tables: Tables, peer_name: str) -> QueueRecord:
 
 
 def queues_of(tables: Tables, host_id: bytes) -> tuple[QueueRecord, ...]:
-    """The queues and mailboxes that a host owns: the first HOST_QUEUES_MAX, by id."""
+    """The queues and mailboxes that a host owns: the first HOST_QUEUES_MAX in the order of their ids."""
     return tuple(islice(tables.queues.at(host_id), HOST_QUEUES_MAX))

@@ -15,7 +15,7 @@ Note = Callable[[ChangeKind, QueueRecord], None]
 class QueueTable:
     """The queues. The table calls `note` for every change.
 
-    Edit it through `Tables`, which removes a host that is not alive when the host owns nothing any more.
+    Edit it through `Tables`: when a dead host owns nothing any more, `Tables` removes the host.
     """
 
     def __init__(self, queues: Iterable[QueueRecord], note: Note) -> None:
@@ -37,7 +37,7 @@ class QueueTable:
         return None if found is None else self.by_id[found]
 
     def at(self, host_id: bytes) -> list[QueueRecord]:
-        """The queues and mailboxes that a host owns, by id."""
+        """The queues and mailboxes that a host owns, in the order of their ids."""
         return [self.by_id[one] for one in sorted(self._ids_at.get(host_id, ()))]
 
     def count_at(self, host_id: bytes) -> int:
@@ -45,11 +45,11 @@ class QueueTable:
         return len(self._ids_at.get(host_id, ()))
 
     def feeding(self, queue_id: bytes) -> list[QueueRecord]:
-        """The queues that send their dead letters to this queue, by id."""
+        """The queues that send their dead letters to this queue, in the order of their ids."""
         return [self.by_id[one] for one in sorted(self._feeding.get(queue_id, ()))]
 
     def put(self, queue: QueueRecord) -> None:
-        """Add or replace the queue of that id, which keeps its name."""
+        """Add a queue, or replace the queue with the same id and name."""
         before = self.by_id.get(queue.queue_id)
         if before == queue:
             return

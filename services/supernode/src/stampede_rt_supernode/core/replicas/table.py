@@ -26,7 +26,7 @@ class ReplicaTable:
         return self._by_channel.get(channel_id, ())
 
     def entries(self) -> list[tuple[bytes, tuple[ReplicaRecord, ...]]]:
-        """The (channel id, its copies) of each channel with a copy, by id."""
+        """The (channel id, its copies) of each channel with a copy, in the order of the ids."""
         return sorted(self._by_channel.items(), key=itemgetter(0))
 
     def at(self, channel_id: bytes, host_id: bytes) -> ReplicaRecord | None:

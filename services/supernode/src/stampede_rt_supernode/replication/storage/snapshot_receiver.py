@@ -130,7 +130,7 @@ class SnapshotReceiver:
             return None
         self._opening = None
         decoded.restore()
-        # Without a configuration, neither the sender nor this log has ever seen a change of the members.
+        # If the snapshot has no configuration, the members have never changed. Then the log's own one is right.
         configuration = snapshot.configuration or self._log.configurations.current
         self._log.adopt_snapshot(stored, snapshot.previous, snapshot.last, configuration)
         return snapshot.last
