@@ -49,7 +49,7 @@ FIGURES: dict[str, tuple[str, Figure]] = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the benchmarks. Returns the exit code: 0, 1 if charts cannot be written, 130 after Ctrl-C."""
+    """Run the benchmarks. Returns the exit code: 0; 1 if a run fails or a file cannot be written; 130 after Ctrl-C."""
     parser = _parser()
     arguments = parser.parse_args(sys.argv[1:] if argv is None else argv)
     if arguments.kind is None:
@@ -225,7 +225,8 @@ def _add_capacity(kinds: Any) -> None:
     )  # fmt: skip
     capacity.add_argument(
         "--items", type=_between(20, 1_000_000), default=20_000, metavar="N",
-        help="the single items of each run of memory; other things in proportion (default: 20,000)",
+        help="the items that each run of memory puts one by one; other things in numbers that take similar memory "
+        "(default: 20,000)",
     )  # fmt: skip
     _add_times(capacity, Path("out/bench"), rounds=3)
     capacity.set_defaults(run=measure_capacity)

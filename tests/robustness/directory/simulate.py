@@ -288,8 +288,8 @@ def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, lost_commits: int = 0
     random_source = random.Random(f"directory-{seed}")
     size, fault_rates = random_source.choice([3, 3, 3, 5]), draw_fault_rates(random_source)
     if seed % 5 in (1, 3):
-        # Among the supernodes only leaders have faults, so that others succeed them: they hang (1), or they hang or are
-        # cut off (3).
+        # Among the supernodes only leaders have faults, so that others succeed them. With 1 leaders hang. With 3 they
+        # hang or are cut off.
         fault_rates = FaultRates(delay_mean=fault_rates.delay_mean)
     ttl_nanos, timing = (LONG_TTL_NANOS, SOON_SUCCEEDED) if seed % 5 == 1 else (LEASE_TTL_NANOS, TIMING)
     world = DirectoryWorld(

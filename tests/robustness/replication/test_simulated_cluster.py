@@ -412,7 +412,7 @@ def is_caught(seed: int, *, rules: type = PreVoteElections, lost_commits: int = 
 
 
 def with_older_member(world: World, *, leads: bool) -> tuple[SimMember, SimMember]:
-    """Returns a member that does not know the command NEWER_COMMAND, and leads if `leads`; and the leader."""
+    """A member that does not know the command NEWER_COMMAND, and the leader. With `leads` this member is the leader."""
     older = next(iter(world.members.values()))
     older.is_older = True
     for member in world.members.values():

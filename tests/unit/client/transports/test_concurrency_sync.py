@@ -42,7 +42,7 @@ def interrupted_in(wait: Callable[[], object]) -> bool:
     """Whether a signal of the system ends `wait`.
 
     The test sends the signal to another thread while the main thread waits for a lock. So the signal does not wake the
-    main thread, as a signal that comes just before the wait does not.
+    main thread. A signal that comes just before the wait does not wake it, either.
     """
     main = threading.main_thread()
     assert threading.current_thread() is main

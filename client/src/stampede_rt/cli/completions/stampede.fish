@@ -802,7 +802,7 @@ complete -c stampede -n '_shtab_stampede_using bench growth' -s o -l output -xka
 complete -c stampede -n '_shtab_stampede_using bench; and test $_shtab_stampede_npos -eq 0' -a capacity -d 'Measure rates, latencies and memory of one host, to choose the size of a cluster; docs/capacity.md explains them.'
 complete -c stampede -n '_shtab_stampede_using bench capacity' -s h -l help -d 'show this help message and exit'
 complete -c stampede -n '_shtab_stampede_using bench capacity' -l work -xka "memory put-64b put-18kb put-300kb stream-64b stream-18kb stream-300kb latency-300" -d 'only this; may be repeated; memory, put-64b, put-18kb, put-300kb, stream-64b, stream-18kb, stream-300kb, latency-300'
-complete -c stampede -n '_shtab_stampede_using bench capacity' -l items -x -d 'the single items of each run of memory; other things in proportion (default: 20,000)'
+complete -c stampede -n '_shtab_stampede_using bench capacity' -l items -x -d 'the items that each run of memory puts one by one; other things in numbers that take similar memory (default: 20,000)'
 complete -c stampede -n '_shtab_stampede_using bench capacity' -l seconds -x -d 'the time of each run in steady state (default: 5)'
 complete -c stampede -n '_shtab_stampede_using bench capacity' -l rounds -x -d 'the runs of each workload (default: 3)'
 complete -c stampede -n '_shtab_stampede_using bench capacity' -l out -x -d 'the folder for the report (default: out/bench)'

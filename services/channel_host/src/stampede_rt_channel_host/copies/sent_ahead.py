@@ -24,7 +24,7 @@ class SentAhead:
     def stored(self, next_place: int) -> bool:
         """Note that the owner has stored everything before `next_place`.
 
-        Returns whether the feed has sent the last part of it ahead, and so need not send it now.
+        Returns whether the feed has sent the run or step before `next_place` ahead, and so need not send it now.
         """
         ahead, self._unstored_next = self._unstored_next, 0
         return ahead == next_place

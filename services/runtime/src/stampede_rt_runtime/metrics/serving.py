@@ -20,7 +20,9 @@ logger = logging.getLogger(__name__)
 
 REUSE_SECONDS_MIN, REUSE_SECONDS_MAX = 1.0, 10.0
 REUSE_FACTOR = 20
-"""A page is reused for this many times as long as it took to make, so that scrapes take at most 5 % of a core."""
+"""A page is reused for this many times as long as it took to make, so that scrapes take at most 5 % of a core. If it
+took more than half a second to make, REUSE_SECONDS_MAX limits the reuse, and scrapes may take more.
+"""
 
 STEP_SECONDS = 0.001
 """How long one step makes the page before other work runs. A step for each family would take long on a busy event

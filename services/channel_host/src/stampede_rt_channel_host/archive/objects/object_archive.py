@@ -22,7 +22,9 @@ from stampede_rt_channel_host.core.archive.stored_segment import StoredSegment
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 LISTING_SECONDS_MAX = 3.0
-"""If a listing takes longer and the disk has a list of the objects, the mover finishes the listing."""
+"""If a listing takes longer and the disk has a list of the objects, the host opens the files with this list. The mover
+lists the store later.
+"""
 UNKNOWN_SECONDS_MAX = 4.0
 """How much longer the host waits for a listing if the disk has no list. Both waits fit into a call of a client, because
 the wait begins again if the call ends.
