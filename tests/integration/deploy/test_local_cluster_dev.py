@@ -118,8 +118,8 @@ def test_stampede_dev_runs_the_requested_number_of_hosts_and_supernodes(home: Pa
     with running("--hosts", "2", "--supernodes", "3", "--archive", str(home / "kept")) as dev:
         assert "(3 supernodes, 2 hosts, 1 front-end; " in dev.screen
         assert (
-            f"Archives of channels are in {home / 'kept'}, with all names; everything else is held in memory."
-            in dev.screen
+            f"Archives of channels are in {home / 'kept'}. The names of channels, groups and queues are on disk, too; "
+            "everything else is held in memory." in dev.screen
         )
         assert len(dev.children) == 6
 

@@ -49,7 +49,7 @@ def nats_server(*options: str) -> Iterator[RunningServer]:
 async def connect(address: str, failures: list[Exception] | None = None) -> Any:
     """Return a connection with the client's defaults.
 
-    `failures` gets the errors of callbacks and the losses of the client.
+    `failures` gets the errors of callbacks, and an error when the client has lost items.
     """
     import nats
 

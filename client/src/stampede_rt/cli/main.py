@@ -1,6 +1,6 @@
 """The entry of the command line. It is small, so that it can handle Ctrl-C while the other modules load.
 
-Exit status: 0 done, 1 failed, 2 wrong usage, 3 nothing to return, 130 interrupted.
+Exit status: 0 done, 1 failed, 2 wrong usage, 3 nothing to return or items missing, 130 interrupted.
 """
 
 from __future__ import annotations

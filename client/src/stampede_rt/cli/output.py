@@ -93,7 +93,7 @@ def attributes_text(attributes: Mapping[str, str]) -> str:
 
 
 def policy_text(policy: Policy) -> str:
-    """Return the limits, the number of consumers and the overlap of a channel's policy, as a text for people."""
+    """Return a channel's policy as a text for people: its limits, consumers, overlap, archive and replicas."""
     parts = []
     if policy.max_age_nanos is not None:
         longest = policy.max_age_unconsumed_nanos

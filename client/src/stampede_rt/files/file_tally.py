@@ -181,7 +181,7 @@ class FileTally:
 
     @property
     def has_own(self) -> bool:
-        """Whether there is a channel of Stampede RT, and not of another program only."""
+        """Whether the file has a channel of Stampede RT, and not only topics of other programs."""
         return any(key[1] is not None for key in self._counts)
 
     def summary(self, path: str, absent: tuple[str, ...] = (), damaged: tuple[str, ...] = ()) -> RecordingSummary:
@@ -232,7 +232,7 @@ def _recorded_at_most(first_seq: int, last_seq: int, stated: RecordedCounts) -> 
 
 
 def _seqs_of(gaps: Iterable[RecordingGap]) -> SeqRanges:
-    """Return the seqs of the gaps of which each seq had an item."""
+    """Return the seqs of the gaps that have one item for each of their seqs."""
     named = SeqRanges()
     for gap in gaps:
         if gap.first_seq is not None and gap.last_seq is not None and gap.items == gap.last_seq - gap.first_seq + 1:

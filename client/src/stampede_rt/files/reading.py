@@ -82,7 +82,7 @@ class FileReader:
             elif frame.opcode not in (Opcode.DATA_END, Opcode.FOOTER):
                 if (found := self._read_or_damage(frame)) is not None:
                     yield found
-            elif self.index is None:  # damaged, or a file without an index: search on for its end mark
+            elif self.index is None:  # no index, or a damaged one: read on to the end of the file
                 if frame.opcode == Opcode.DATA_END:
                     self.data_is_whole = data_sum.is_stated_at(frame.offset)
             elif frame.offset < self.index.data_end:
@@ -93,7 +93,7 @@ class FileReader:
                 return
 
     def data_sum(self) -> DataSum:
-        """Return a checksum of the data that has no bytes yet."""
+        """Begin a checksum of the file's data. It covers no bytes yet."""
         return DataSum(self._records)
 
     def _frames(self) -> Iterator[RecordFrame | Damage]:
@@ -248,7 +248,7 @@ class FileReader:
         return content
 
     def _learn_from_facts(self, messages: Sequence[Message]) -> None:
-        """Learn the topics that the facts at the end of a chunk name, if the chunk with their records is damaged."""
+        """Learn topics from the facts at the end of a chunk, if the chunk with the records of the topics is damaged."""
         unnamed = [one for one in messages if self._topic_of(one.channel_id) is None]
         if not unnamed:
             return

@@ -43,7 +43,7 @@ def picture_of(jpeg: bytes) -> Picture:
 
 
 def film(stage: Stage, side: Side) -> dict[str, object]:
-    """Put each frame that is not lost when it is due. Then tell the consumers that no further frame will come."""
+    """Put each frame at its time, except the lost ones. Then tell the consumers that no further frame will come."""
     video = clip()
     wide = [luma_thumbnail(frame, WIDE, HEIGHT) for frame in video.frames]
     length = stage.settings.length_nanos

@@ -174,7 +174,10 @@ In Python:
 def _kept(archive: Path | str | None) -> str:
     if archive is None:
         return "Everything is held in memory."
-    return f"Archives of channels are in {escaped(str(archive))}, with all names; everything else is held in memory."
+    return (
+        f"Archives of channels are in {escaped(str(archive))}. The names of channels, groups and queues are on disk, "
+        "too; everything else is held in memory."
+    )
 
 
 def _count(number: int, noun: str) -> str:

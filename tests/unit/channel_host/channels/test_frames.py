@@ -116,7 +116,7 @@ def test_a_message_that_is_short_or_has_short_parts_is_joined(lengths: list[int]
     delivery = SharedDeliveries().encode(slices, b"", without_payloads=False, readers=1)
     parts, length_bytes = delivery.parts, delivery.length_bytes
     assert delivery.message(takes_parts=True) == b"".join(parts)
-    assert [len(part) for part in delivery.parts] == [length_bytes]  # memory has no run beside the message
+    assert [len(part) for part in delivery.parts] == [length_bytes]  # it now keeps the joined message, and no parts
 
 
 def test_a_message_for_a_single_reader_is_not_kept() -> None:

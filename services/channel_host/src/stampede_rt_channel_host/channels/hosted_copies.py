@@ -31,7 +31,7 @@ class HostedCopies:
         self._add = add
         self._forget = forget
         self.on_bound: Callable[[RecordedChannel], Awaitable[None]] = _refuse
-        self.on_inherited: Callable[[Sequence[CutFloor]], None] = _ignore_floors  # with the cuts that the copy knew
+        self.on_inherited: Callable[[Sequence[CutFloor]], None] = _ignore_floors  # gets the cuts that the copy knew
 
     def of(self, channel_id: bytes) -> HostedChannel | None:
         """The copy of the channel; None if there is none."""
@@ -124,7 +124,7 @@ def changes_kind(hosted: HostedChannel, record: RecordedChannel) -> bool:
 def is_undecided(hosted: HostedChannel, record: RecordedChannel) -> bool:
     """Whether a move that is under way must be decided before this host serves the channel in the way of `record`.
 
-    Another object would know nothing of the move, and would accept puts that the next owner does not get.
+    A new object for the channel would not know the move, and would accept puts that the next owner does not get.
     """
     return hosted.moving is not None and hosted.moving.is_held and record.epoch <= hosted.record.epoch
 

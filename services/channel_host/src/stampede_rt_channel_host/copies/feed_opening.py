@@ -27,7 +27,8 @@ async def fed_channel(store: ChannelStore, moves: OutgoingMoves, opening: pb.Fee
     if opening.owner_facts and hosted.copy is not None:
         raise refusals.copy_cannot(hosted.record.name, "does not know the facts that only the owner has")
     if opening.move_id:
-        # before the feed begins, because the feed of a replica that begins anew clears the replica's flag
+        # Checked before the feed begins: a replica whose feed begins anew leaves the replicas in sync, and a refused
+        # move must not cause this.
         moves.check(hosted, opening.host_id)
     return hosted
 

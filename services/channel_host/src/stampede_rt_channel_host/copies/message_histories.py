@@ -31,7 +31,9 @@ def items_of(entries: Iterable[pb.HandedMessage]) -> Iterator[ItemState]:
                 yield item
             item = _item_of(entry)
         elif item is None:
-            raise InvalidArgument("the handed queue continues no message; install the same release on both hosts")
+            raise InvalidArgument(
+                "the first entry of the handed queue continues no message; install the same release on both hosts"
+            )
         else:
             item = _continued(item, entry)
     if item is not None:

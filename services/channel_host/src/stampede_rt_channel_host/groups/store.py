@@ -59,7 +59,7 @@ class GroupStore:
         self._changed_groups: Backlog[HostedGroup] = Backlog(
             self._table.refresh, channels.scheduler.begin, GROUPS_PER_PIECE
         )
-        self._to_learn: set[bytes] = set()  # channels that other hosts ask for and that no group known here has
+        self._to_learn: set[bytes] = set()  # channels that other hosts ask for, in no group that this host knows
         self.in_use = asyncio.Event()  # set as soon as this host has learned a group
 
     def known(self, group_id: bytes) -> HostedGroup | None:

@@ -14,10 +14,10 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 def check_queue_access(
     verb: AccessVerb, queue: RecordedQueue, check: Callable[[AccessVerb, AccessKind, str], None] = check_access
 ) -> None:
-    """Check that the caller may perform `verb` on the queue. `check` checks one right, and may also demand it until a
-    wait ends.
+    """Check that the caller may perform `verb` on the queue. Raises PermissionDenied if not, Unavailable if this host
+    does not know the rules yet.
 
-    Raises PermissionDenied if not, Unavailable if this host does not know the rules yet.
+    `check` gets the right that is needed. It checks this right, or notes it for a request that waits.
     """
     if not queue.is_mailbox:
         check(verb, AccessKind.QUEUE, queue.name)

@@ -72,7 +72,7 @@ class MovingFiles(SegmentFiles):
         return opened._replace(stop=opened.stop and opened.stop._replace(end_seq=0), own=own)
 
     def _own_part(self, end_seq: int) -> OwnPart | None:
-        """The beginning of the last segments in the folder, up to a segment before which items are missing.
+        """The beginning of the last segments in the folder that follow each other without a hole.
 
         None unless the last segment ends at the seq `end_seq`, and these segments have items.
         """
