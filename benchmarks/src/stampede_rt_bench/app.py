@@ -225,8 +225,8 @@ def _add_capacity(kinds: Any) -> None:
     )  # fmt: skip
     capacity.add_argument(
         "--items", type=_between(20, 1_000_000), default=20_000, metavar="N",
-        help="the items that each run of memory puts one by one; other things in numbers that take similar memory "
-        "(default: 20,000)",
+        help="the items that each run of memory puts one by one; it makes so many other things that they take similar "
+        "memory (default: 20,000)",
     )  # fmt: skip
     _add_times(capacity, Path("out/bench"), rounds=3)
     capacity.set_defaults(run=measure_capacity)

@@ -128,7 +128,7 @@ class ChannelModel:
                 return ExistingChannel(answer.channel_id, 1, value, 1)
             return None
         if answer is None:
-            return None  # the order that leaves this call out has the same effect
+            return None  # an order without this call has the same effect
         return self._observe(state, answer) if isinstance(answer, SeenChannel) and not answer.created else None
 
     def _resolve(self, state: State, answer: object) -> State | None:

@@ -1,5 +1,5 @@
-"""Checks the messages and commits of members against their disks: rules of Raft whose breach callers may notice late or
-never.
+"""Checks the messages and commits of members against their disks, by rules of Raft. If a member breaks one of them,
+callers may notice it late or never.
 
 The proofs of Raft rest on these rules (Ongaro and Ousterhout 2014, figure 2 and section 5.4; the dissertation, section
 4.1 with the correction of July 2015). These checks show a fault at its cause. The answers to callers may show the fault

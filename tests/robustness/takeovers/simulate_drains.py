@@ -1,9 +1,9 @@
 """Drains of hosts with several channels under random faults.
 
 The streams of drains and of moves also break at random messages, and hosts die or stop at such a message. Some channels
-are idle, so that their owner holds them early. No acknowledged or seen item may be lost unless its owner's lease ends,
-and none may be there twice. Two hosts never serve a channel at the same time. When the faults are over, puts go on, and
-a drain whose stream breaks once more leaves no channel at its host.
+are idle: their owner holds them before the destination requests this. No acknowledged or seen item may be lost unless
+its owner's lease ends, and none may be there twice. Two hosts never serve a channel at the same time. When the faults
+are over, puts go on, and a drain whose stream breaks once more leaves no channel at its host.
 """
 
 from __future__ import annotations

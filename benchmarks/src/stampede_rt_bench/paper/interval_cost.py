@@ -79,7 +79,7 @@ def _table(lines: dict[str, Points]) -> Table:
         cells = [spread(points[place][1]) for points in lines.values()]
         table.rows.append([number(int(count)), *cells, number(remote.median / count, 2)])
     table.notes = [
-        "At the host stored runs are given by reference; a client makes an Item of each. Medians (least to most).",
+        "At the host an answer refers to stored runs; a client makes an Item for each item. Medians (least to most).",
         "Paper: the time of a get grows about linearly with the items returned; it gives no figures.",
     ]
     return table

@@ -28,7 +28,7 @@ def add_policy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--overlap",
         metavar="DURATION",
-        help="for this time a later item does not end the span of an item with a duration",
+        help="an item with a duration may last for this time, even if later items come meanwhile",
     )
     parser.add_argument("--content-type", metavar="MIME", help='the MIME type of the items, such as "image/jpeg"')
 

@@ -94,7 +94,10 @@ def _add_policy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--replicas", type=int, metavar="N", help="copies that can take over if the host is lost")
     parser.add_argument("--ack", choices=("host", "replica"), help="when the host acknowledges a put")
     parser.add_argument(
-        "--min-replicas", type=int, metavar="N", help="with --ack replica, the queue pauses with fewer in sync"
+        "--min-replicas",
+        type=int,
+        metavar="N",
+        help="with --ack replica, the queue pauses while fewer than N replicas are in sync",
     )
 
 

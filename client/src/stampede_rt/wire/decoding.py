@@ -23,7 +23,7 @@ _NO_LABELS = item_pb2.ItemRun()
 class ItemDecoder:
     """Turns delivered runs of one channel and incarnation into Items; `coding` decodes their values.
 
-    `overlap_nanos`: for this time a later item does not end the span of an item with a duration.
+    `overlap_nanos`: an item with a duration may last for this time, even if later items come meanwhile.
     """
 
     def __init__(

@@ -1120,7 +1120,7 @@ _shtab_stampede_put_options=(
   "--replicas[copies that can take over if the host is lost]:N:"
   "--ack[when the host acknowledges a put]:ack:(host disk replica)"
   "--min-replicas[with --ack replica, acknowledge puts only while N replicas are in sync]:N:"
-  "--overlap[for this time a later item does not end the span of an item with a duration]:DURATION:"
+  "--overlap[an item with a duration may last for this time, even if later items come meanwhile]:DURATION:"
   "--content-type[the MIME type of the items, such as \"image\/jpeg\"]:MIME:"
   ":the channel\'s name:"
   ":the payload as text\; default\: standard input:"
@@ -1215,7 +1215,7 @@ _shtab_stampede_queue_put_options=(
   "--dead-letter[the queue for messages that leave after --max-deliveries]:QUEUE:"
   "--replicas[copies that can take over if the host is lost]:N:"
   "--ack[when the host acknowledges a put]:ack:(host replica)"
-  "--min-replicas[with --ack replica, the queue pauses with fewer in sync]:N:"
+  "--min-replicas[with --ack replica, the queue pauses while fewer than N replicas are in sync]:N:"
   ":the queue\'s name:"
   ":the payload as text\; default\: standard input:"
 )

@@ -18,8 +18,8 @@ class ArchiveReach:
 
     @property
     def may_read(self) -> bool:
-        """Whether the archive has items, or may get some of a former owner, or memory has lost items that the archive
-        does not have.
+        """Whether the archive has items, the archive may get items of a former owner, or memory has lost items that the
+        archive does not have.
         """
         recorder = self._recorder
         return bool(recorder.segments or recorder.lost_items or recorder.former.are_expected)

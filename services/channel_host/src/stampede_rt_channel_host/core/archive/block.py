@@ -78,8 +78,8 @@ class TimeRange(NamedTuple):
 class ArchivedRun(NamedTuple):
     """A run to archive, and the host's clock when its items were accepted.
 
-    `rows`: None, or the instants of several puts whose items one run has. A host that moves a channel joins them, and
-    so does a host that starts. `begin`: with `rows`, the first seq to archive.
+    `rows`: the instants of the puts, if one run has the items of several puts; otherwise None. A host that moves a
+    channel makes such runs, and so does a host that starts. `begin`: with `rows`, the first seq to archive.
     """
 
     accepted: int
@@ -126,7 +126,7 @@ def pieces_of(body: Body) -> Sequence[bytes]:
 
 
 NOTHING_LOST = MIN_INSTANT
-"""The acceptance instant of a gap without seqs that withdraws an earlier gap."""
+"""A gap without seqs, and with this acceptance instant, withdraws an earlier gap."""
 
 
 def encode_gap(first_seq: int, end_seq: int, near: ItemKey, accepted: int) -> tuple[BlockHead, list[bytes]]:

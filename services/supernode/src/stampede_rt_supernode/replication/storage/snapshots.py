@@ -70,9 +70,9 @@ class SnapshotKeeper:
     def continue_snapshot(self) -> Entry | None:
         """Continue to take the snapshot under way.
 
-        Returns None unless the snapshot ends in this step. If the log adopts the snapshot, returns the entry before the
-        last entry that the snapshot covers: it is now the log's first entry. If a leader has sent a newer snapshot
-        meanwhile, drops its own, and returns that entry of the dropped snapshot.
+        Returns None unless the snapshot ends in this step. Otherwise returns the entry before the last entry that the
+        snapshot covers. If the log adopts the snapshot, this entry is now the log's first entry. The log does not adopt
+        the snapshot if a leader has sent a newer one meanwhile.
 
         Another thread encodes the snapshot. Then each step writes one piece, so that no step takes long. The trailer
         and the log's new beginning reach the disk together. Raises the errors of the encoding.
