@@ -35,7 +35,7 @@ CLIENT_PROCESSES = os.cpu_count() or 1  # more processes would wait for a proces
 RECONNECTIONS = 5
 SAMPLE_SECONDS = 5.0
 CALL_SECONDS = 20.0
-MISSED_ENTRIES = 12_000  # more than two snapshots apart
+MISSED_ENTRIES = 12_000  # more than twice the entries between two snapshots
 START_SECONDS_MAX = 180.0
 FAN_OUT_SECONDS_MAX = 120.0
 # Each client has its own connection, as if it were a separate process. By default the clients would share one.

@@ -44,7 +44,7 @@ class Upgrade:
 
     def __init__(self, world: UpgradeWorld) -> None:
         self.world, self.over = world, False
-        # The outcomes of the newer release's command.
+        # How often the newer release's command has succeeded.
         self.capped = 0
         self._numbers = iter(range(1, 10**9))
         # The answers to processes that asked to join.

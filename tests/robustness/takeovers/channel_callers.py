@@ -21,7 +21,7 @@ from tests.robustness.takeovers.world import Cluster, LeasedHost, serving
 
 ACK_SECONDS = 2.0
 LAG_SECONDS_MAX, SLACK_SECONDS = 1.0, 0.1
-FACTOR = 16  # more than the producers
+FACTOR = 16  # greater than the number of each producer
 
 Item = tuple[int, int]
 """A producer and the number of its item."""

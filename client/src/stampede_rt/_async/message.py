@@ -115,7 +115,7 @@ class Message(BoundToProcess):
       type.
     - `seq` is the message's number in the queue, within one `incarnation` of the queue.
     - `time` is the message's time, in nanoseconds since the epoch: by default the time at which the queue accepted it.
-    - `deliveries` counts the deliveries of this message, from 1.
+    - `deliveries` counts the deliveries of this message, from 1. In a queue with `copies` it counts those of this copy.
     - `lease_s` is the length of the lease in seconds at the delivery. `extend` does not change it.
     - `origin` says which queue a dead letter left, and why. It is None for other messages.
     """

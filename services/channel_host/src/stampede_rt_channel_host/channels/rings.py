@@ -121,7 +121,7 @@ class Rings:
             self._free(memory)  # the items have grown meanwhile
 
     def _fit_for(self, run_bytes: int, freed_bytes: int = 0) -> RingFit | None:
-        """The best ring for runs of this length for which there is memory, if `freed_bytes` are free before."""
+        """The best ring for runs of this length for which there is memory, after `freed_bytes` have become free."""
         room_bytes = self._memory.bytes_max // MEMORY_SHARE - self._used_bytes + freed_bytes
         for fit in ring_fits_for(run_bytes):
             whole_bytes = ring_size(fit.data_bytes).whole_bytes

@@ -67,8 +67,9 @@ class AccessWatch:
                 "GetAccessState", request, CALL_SECONDS_MAX, service=access_service_pb2_grpc.AccessServiceStub
             )
         except StampedeError as error:
-            # While the cluster has such a supernode, its feature level allows no rules. So an empty state is right.
             if not is_unknown_call(error):
                 raise
+            # The supernode does not know the call. While the cluster has such a supernode, its feature level allows no
+            # rules. So an empty state is right.
             return AccessState()
         return state_from(response)

@@ -24,7 +24,7 @@ class HostedGroups:
         self.idling: set[bytes] = set()
         self._groups_of: dict[bytes, set[bytes]] = {}  # by channel id: the ids of the channel's groups
         self._concerned: dict[bytes, dict[HostedGroup, None]] = {}  # by channel id: the groups that its change concerns
-        self._keys: dict[bytes, Collection[bytes]] = {}  # by group id: the channel ids in `_concerned` that have it
+        self._keys: dict[bytes, Collection[bytes]] = {}  # by group id: the channel ids with it in `_concerned`
 
     def ids_of(self, channel_id: bytes) -> set[bytes]:
         """The ids of the groups that the channel is a member of, as far as this host knows."""

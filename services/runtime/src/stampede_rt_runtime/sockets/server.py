@@ -195,7 +195,7 @@ class SocketServer:
         If it has an error, or is beyond the limits, refuse it before the service reads any of its bytes.
         """
         error = error or self._too_many(made)
-        if error is not None:  # gives the peer no time to read, because there may be many
+        if error is not None:  # does not wait until the peer has read it, because there may be many such peers
             with contextlib.suppress(OSError), accepted:
                 if secured is None:
                     accepted.send(frame_of(FrameKind.STATUS, encode_status(error)))
@@ -221,8 +221,8 @@ class SocketServer:
         if unopened.has_room_for(made.machine) and len(self._streams) < connections_max() // 2:
             return None
         error = Overloaded(
-            f"{len(self._streams)} sockets are open at this service, {len(unopened)} of them without a StreamOpening, "
-            "and more than it serves; close some streams, or go to another host"
+            f"{len(self._streams)} sockets are open at this service, {len(unopened)} of them without a StreamOpening; "
+            "it serves no more; close some streams, or go to another host"
         )
         self._refused.note(error)
         return error
@@ -272,7 +272,8 @@ class SocketServer:
             stream.task.cancel()
 
     def _note_end(self, task: asyncio.Task[None]) -> None:
-        failure_of(task)  # the stream's entry keeps the task, and the frames of a cancelled task refer to the entry
+        # `_Stream` keeps the task, and the frames of a cancelled task refer to its `_Stream`. This call removes them.
+        failure_of(task)
         self._changed.set()
 
     async def _serve(self, stream: _Stream, opening: pb.StreamOpening) -> None:

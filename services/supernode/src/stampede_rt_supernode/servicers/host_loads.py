@@ -1,7 +1,7 @@
 """Keeps the loads that hosts report with their renewals, and notes changed loads in the log.
 
-A part of `lease_keeper`, used on its event loop. One entry of the log has the loads of all hosts, and there is at most
-one entry in NOTE_NANOS. While no load changes, there are no entries.
+A part of `lease_keeper`, used on its event loop. It notes loads at most once in NOTE_NANOS. One entry of the log has
+the loads of up to HOSTS_PER_ENTRY_MAX hosts. While no load changes, there are no entries.
 """
 
 from __future__ import annotations

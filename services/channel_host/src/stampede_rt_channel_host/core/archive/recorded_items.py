@@ -87,7 +87,7 @@ class RecordedItems:
         return LAST_KEY if self._window.end is None else self._window.end
 
     def snapshot(self) -> IndexSnapshot:
-        """All these items, and the items in memory."""
+        """A snapshot of the items of the window and of the items in memory."""
         snapshot = self._held.snapshot()
         snapshot.begin_with(self._items, self.border, self._window.following)
         return snapshot
