@@ -60,7 +60,7 @@ async def put_all(
 
 
 async def repeated_fields(attacked: AttackedCluster, on_begun: Callable[[], None]) -> None:
-    """150 puts in which a field of 4 MiB comes twice, of which only the last one is an item's payload."""
+    """150 puts in which the payload field comes twice: first with 4 MiB, and then with the payload that counts."""
     twice = item_pb2.ItemRun(payloads=bytes(4 * MIB)).SerializeToString() + encode_run([b"one"], times=None)
     await _put_and_stay(attacked, itertools.repeat(twice, TWICE), on_begun)
 

@@ -101,7 +101,7 @@ class Matched(ByChannel[Key, Item]):
 class NewestItems(ByChannel[Key, Item | None]):
     """The newest visible item of each channel, or None. `reasons[channel]` says why a channel has no such item.
 
-    With `as_of` a reason may also say why a later item may have been visible then.
+    With `as_of` a channel with an item may have a reason, too: a later item may have been visible then, and is missing.
     """
 
     def __init__(self, channels: Sequence[Key], answers: Mapping[bytes, Items], reason: Reason | None = None) -> None:

@@ -58,7 +58,7 @@ _blocks = PortBlocks(Path(tempfile.gettempdir()) / f"stampede-ports-{os.geteuid(
 
 
 def free_ports(count: int, host: str = "localhost", *, excluded: int = 0) -> list[int]:
-    """Return `count` different ports that are free at `host` now, and none of the ports `excluded`.
+    """Return `count` different ports that are free at `host` now. Leaves out the port `excluded`.
 
     No other process of the same user gets them while this one runs. Raises OSError if there are none.
     """

@@ -142,7 +142,7 @@ class _Feed:
         for arrived in self._arrivals(request):
             if isinstance(arrived, WholeQueue):
                 core = await asyncio.to_thread(self._restored, arrived)
-                # another owner, perhaps this host
+                # the queue may have another owner now, perhaps this host
                 if not is_latest() or self._queues.known(self.record.queue_id) is not None:
                     raise refusals.moved(self.record)
                 self._copies.begin(self.record, core, arrived.next_step)
@@ -156,7 +156,7 @@ class _Feed:
         return self._copies.restored(self.record, arrived.state())
 
     def take_put(self, put: AheadPut, request_bytes: int, write: Callable[[bytes], None]) -> bool:
-        """Apply a request that is a put. Returns False, and does nothing, if the copy cannot take it in any case.
+        """Apply a request that is a put. Returns False, and does nothing, if the copy might refuse it.
 
         Like `take_steps`, it answers the request before this host repeats the step.
         """
