@@ -1,8 +1,8 @@
-"""The four maps of the directory, and the indexes derived from them (paper, section 4.3). Pure.
+"""The tables of the directory, and the indexes derived from them (paper, section 4.3). Pure.
 
-The maps host id -> gatekeepers and channel id -> host id are in the records. The names have maps of their own. Every
-edit keeps the invariants stated beside the attributes, and notes the change for watchers. The values are immutable, so
-a copy of a map is a snapshot.
+The paper has four maps. Its maps host id -> gatekeepers and channel id -> host id are in the records here, and its maps
+of names are `host_ids` and `channel_ids`. Every edit keeps the invariants stated beside the attributes, and notes the
+change for watchers. The values are immutable, so a copy of a map is a snapshot.
 """
 
 from __future__ import annotations
