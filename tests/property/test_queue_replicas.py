@@ -1,8 +1,8 @@
 """A copy of a queue repeats the owner's steps, and equals the owner after each. It can continue as the next owner.
 
 The scenarios are the same as in `test_queue_against_oracle`. Copies begin at any moment, get steps in parts, get them
-twice, and begin anew. A copy that has all steps gets some puts before the owner stores them. A copy that has all steps
-takes the queue over, and the oracle checks the rest of the scenario.
+twice, and begin anew. The owner sends some puts to the copies that have all steps, before it stores them. A copy that
+has all steps takes the queue over, and the oracle checks the rest of the scenario.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class OwnersQueue(ReplicatedQueue):
 
 class ReplicatedPair(QueuePair):
     """A queue with copies. `seen`: the queue's contents after each step, with the clock of that step. `ahead`: the puts
-    that are sent, and no steps yet.
+    that have been sent to copies, but are not in a step yet.
     """
 
     def __post_init__(self) -> None:
