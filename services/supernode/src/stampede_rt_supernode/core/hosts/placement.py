@@ -33,9 +33,9 @@ def least_loaded(tables: Tables, hosts: Iterable[HostRecord], count: Callable[[H
     """The host of `hosts` with the lowest load; None if there is none.
 
     Three kinds of hosts come after the others, in this order: hosts that own far more than the others (SHARE_FACTOR),
-    hosts without room, and full hosts. Among hosts with about the same load it is the host with the lowest `count`, and
-    among these the first host. If no load is known, only `count` decides: no load is known while the feature level is
-    below LOADS_LEVEL. Private hosts are left out.
+    hosts with a load of FULL_PERMILLE or more, and full hosts (`is_full`). Among hosts with about the same load it
+    is the host with the lowest `count`, and among these the first host. If no load is known, only `count` decides: no
+    load is known while the feature level is below LOADS_LEVEL. Private hosts are left out.
     """
     candidates = [host for host in hosts if not is_private(host)]
     if all(host.load is None for host in candidates):
