@@ -1,8 +1,8 @@
 """The bytes that leave a host for 1, 8 and 32 readers, over ordinary subscriptions and over multicast.
 
 `python -m tests.benchmarks.multicast` (root, Linux): a host in one network namespace, all readers in one process in
-another. A producer puts ITEMS items of 18 KB, then ITEMS of 200 B. The kernel counts the bytes at the link of the host,
-all packet headers included, in both directions of the host's own traffic. `host s`: the CPU time of the host.
+another. A producer puts ITEMS items of 18 KB, then ITEMS of 200 B. The kernel counts the bytes that the host sends on
+its link, with all packet headers. `host s`: the CPU time of the host.
 """
 
 from __future__ import annotations
