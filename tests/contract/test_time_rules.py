@@ -15,7 +15,7 @@ from tests.support.waiting import pause
 
 MS = 1_000_000
 SECOND = 1_000 * MS
-SOON_S = 20  # the limit for an answer "immediately" on any machine; the timeout of the call is much longer
+SOON_S = 20  # on any machine, an immediate answer comes within this time, which is much shorter than LONG_S
 LONG_S = 3_600
 
 

@@ -162,7 +162,7 @@ class ArchivedChannel:
             moment.close()
 
     def view(self, query: Query, horizon: Horizon, within: ResolvedInterval | None = None) -> RecordedView:
-        """The answer to one request of a get that may wait, before a cut."""
+        """The answer to one request of a get that may wait, with the items before a group's cut."""
         moment = self.channel.snapshot(self.now)
         try:
             view = RecordedView(moment, span_of(self.segments), query, horizon)
@@ -213,7 +213,7 @@ class ArchivedChannel:
         return archive.part_of(runs, chosen)
 
     def read_in_group(self, query: Query, horizon: Horizon) -> ReadAnswer:
-        """The answer before a cut, in as many requests as a host would need."""
+        """The answer with the items before a group's cut, in as many requests as a host would need."""
         within, left, answers = None, query, []
         while True:
             view = self.view(left, horizon, within)
@@ -228,7 +228,9 @@ class ArchivedChannel:
         return archive.past_of(self.segments, self._blocks_of, self._archived_runs_of, self._advances_of, as_of)
 
     def read_in_group_as_of(self, query: Query, horizon: Horizon, as_of: int) -> ReadAnswer:
-        """The answer before a cut as of an earlier instant, in as many requests as a host would need."""
+        """The answer as of an earlier instant, with the items before a group's cut, in as many requests as a host would
+        need.
+        """
         past, within, left, answers = self.past(as_of), None, query, []
         facts = PastFacts(self.channel.policy, self.channel.incarnation, past.advance, None, None)
         while True:

@@ -1,4 +1,4 @@
-"""A cluster in memory has no data after a restart. Handles then find the channels that have their names."""
+"""A cluster in memory has no data after a restart. Handles then open, by name, what they had opened before."""
 
 from __future__ import annotations
 

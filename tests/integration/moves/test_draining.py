@@ -69,7 +69,7 @@ def test_stampede_move_and_stampede_host_drain_move_channels(
 def test_a_cluster_without_load_is_balanced(cluster: LocalCluster, capsys: pytest.CaptureFixture[str]) -> None:
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = rt.channel(f"cam/{next(numbers)}", host="h1")
-        # Before that, a host may report the work of its start, or of an earlier test.
+        # At first a host may report the work of its start, or of an earlier test.
         eventually(lambda: all(is_quiet(one) for one in rt.hosts()), "both hosts have reported that they are quiet")
         assert rt.rebalance(apply=True, over="1ms") == []
         for over in ("0s", "-1s", "1000d"):

@@ -105,8 +105,8 @@ def test_a_reader_that_uses_the_proxy_gets_archived_items_from_the_owner(
 ) -> None:
     """In an earlier version a get through the group said COLLECTED, and had only the items in the memory of the proxy.
 
-    The proxy refuses a get of archived items, and then gets no more gets of this connection for a while. So the first
-    get is one that the proxy answers.
+    If the proxy refuses a get of archived items, this connection sends it no gets for a while. So the proxy must be
+    able to answer the first get.
     """
     source = recorded.group[recorded.channel()] if through_group else recorded.channel()
 

@@ -1,4 +1,4 @@
-"""Reads through a group as of an instant answer as the group did then, at the cut that its hosts had reached then."""
+"""A read of a group as of an instant gets the answer of the group at that instant, up to the cut at that instant."""
 
 from __future__ import annotations
 
@@ -58,7 +58,9 @@ class PastGroup:
 
 
 def past_cut(small: dict[bytes, ArchivedChannel], as_of: int) -> PastCut:
-    """The cut as a client computes it: the smallest of the members' newest times and advances at that instant."""
+    """Compute the cut as a client does. The mark of a member is its newest time or its advance at that instant,
+    whichever is later. The cut is the earliest mark.
+    """
     marks = []
     for one in small.values():
         found, advance = one.read_as_of(NEWEST, as_of), one.past(as_of).advance

@@ -69,7 +69,7 @@ class CoreConnection:
 
 
 class CoreHandle:
-    """The methods of the clients' handles of a channel. Puts and blocking gets are calls that may have to wait."""
+    """Has the same methods as a client's handle of a channel. A put, and a get with a timeout, return a `Call`."""
 
     incarnation = INCARNATION
 
@@ -171,7 +171,7 @@ class CoreHandle:
 
 
 class CoreSurface:
-    """A surface over the core. A call under `do` must not have to wait."""
+    """A surface over the core. `do` fails if its call has to wait."""
 
     def __init__(self, host: CoreHost) -> None:
         self._owners: dict[int, CoreOwner] = {}
@@ -206,7 +206,7 @@ class CoreSurface:
 def core_surface(items_per_block: int) -> Iterator[tuple[CoreSurface, CoreHost]]:
     """Yield the core as a surface, and its host.
 
-    Blocks that count items are small, because the tests have few items.
+    `items_per_block`: the usual size of the blocks of `item_blocks`. It is small, because the tests have few items.
     """
     host = CoreHost()
     with mock.patch.object(item_blocks, "BLOCK_ITEMS", items_per_block):

@@ -130,7 +130,7 @@ class ReplayedVisible(ReplayedSteps):
         return True
 
     async def _take_late(self, items: list[Item]) -> None:
-        """Fetch items that came before the cut."""
+        """Fetch late items, with times before the cut."""
         for one in items:
             query = ReadQuery(parse_interval(one.time, one.time), match=Match.START, payloads=self._payloads)
             found = await self._own.read_as_of(query, self._at)

@@ -24,7 +24,7 @@ from stampede_rt.values.timeline import MAX_INSTANT
 
 CDR = "application/x-ros-cdr"
 READ_NANOS = 10**9
-"""The search for the last message of chosen topics of a rosbag2 halves the time down to this length."""
+"""The search for the last message of some topics halves an interval until it is at most this long."""
 
 
 def _check_whole_database(path: Path) -> None:
@@ -62,13 +62,13 @@ class RosbagSource:
         # The files of a bag, each with its own topics and counts. The reader of one file has none.
         self._files: Sequence[Any] = getattr(self._reader.storage, "storages", ())
         self._unnamed = _unnamed_files(path, {Path(one.path).name for one in self._files}) if self._files else []
-        self._is_empty: dict[int, bool] = {}  # the topics without messages in the metadata, by their numbers
+        self._is_empty: dict[int, bool] = {}  # for each topic that has no messages by the metadata, by its number
 
     @property
     def damaged(self) -> Sequence[str]:
         """The files that the metadata does not name, and the topics of which some messages could not be read.
 
-        The topics are known after their `events`.
+        Such a topic is known only when the caller has read all its `events`.
         """
         return [*self._unnamed, *self._missing.values()]
 
@@ -105,7 +105,8 @@ class RosbagSource:
     def _times(self, connections: Sequence[Any], start: int, end: int) -> tuple[int, int]:
         """The first and last time of some topics, in a bag from `start` to `end`.
 
-        A bag has no index by topic. So this reads few messages of these topics, and at the end those of a second.
+        A bag has no index by topic. So the search for the last time halves an interval. It reads one message in each
+        step, and at the end all messages of the last READ_NANOS.
         """
         try:
             last = self._a_time(connections, start, end + 1)

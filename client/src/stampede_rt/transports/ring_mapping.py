@@ -26,7 +26,7 @@ from stampede_rt.wire.stream_frames import FrameKind, FrameReader, frame_of
 
 SHARE_METHOD = "/stampede_rt.v1.ChannelService/ShareMemory"
 WAIT_S_MAX = 0.5  # the longest wait between two looks of a reader at the host's fence
-_LISTENING_PERIOD_NANOS = 50_000_000  # at most so often a reader checks whether the host has closed the stream
+_LISTENING_PERIOD_NANOS = 50_000_000  # a reader looks at most once in this time whether the host has closed the stream
 _SEALS = 0x2 | 0x4 | 0x10  # F_SEAL_SHRINK, GROW and FUTURE_WRITE
 _GET_SEALS = getattr(fcntl, "F_GET_SEALS", 1034)
 _RECEIVE_BYTES = 4096

@@ -222,7 +222,7 @@ class UnackedRuns:
     def acknowledge(self, refused: int) -> None:
         """Count the host's answer to the run that was sent first, and remove the run. `refused`: items of this run.
 
-        A call that a signal has ended may be repeated, while this object `awaits` the run's ack.
+        If a signal handler ends this call with an exception, repeat the call if `awaits` is True for the run's number.
         """
         run, (number, accepted, refused_before) = self._runs[0], self.answered
         if run.first_number > number:

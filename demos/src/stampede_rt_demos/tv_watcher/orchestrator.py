@@ -133,7 +133,7 @@ def _run_programme(
 
 
 def _create_channels(rt: st.Connection) -> Mapping[str, st.Channel]:
-    """Make all channels at both hosts, and the group with the captions as reference."""
+    """Make all channels, some at each host, and the group with the captions as reference."""
     hosts = sorted(host.name for host in rt.hosts())
     channels = {
         stream.name: rt.channel(

@@ -140,7 +140,7 @@ class EmbeddedHost:
         loop, served = self._loop, self._served
         try:
             takes = self._look(takes_runs, channel_id, epoch)
-        except StampedeError:  # the usual way finds the reason
+        except StampedeError:  # the caller opens a stream over the wire instead, and gets the error there
             return None
         if not takes or loop is None or served is None:
             return None
@@ -238,7 +238,8 @@ class EmbeddedHost:
         finally:
             self._has_ended = True
             self._turns.loop_ended()
-            _here.discard(self)  # another program may have the host's port now
+            # From now on a forked child must close no sockets at the host's port: they may be of another server.
+            _here.discard(self)
             for answer in [*self._pending_answers]:  # the loop no longer answers these calls
                 _set_result(answer, None)
             for stream in [*self._puts]:

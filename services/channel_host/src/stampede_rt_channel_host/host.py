@@ -68,7 +68,8 @@ from stampede_rt_runtime.sockets.tickets import SocketTickets
 
 logger = logging.getLogger(__name__)
 
-FINISH_SECONDS_MAX = 1.0  # a host that stops keeps its lease this much longer, for its archive; `leave` has 2 s
+# A host that stops keeps its lease this much longer, for its archive. The server gives `leave` 2 s in all.
+FINISH_SECONDS_MAX = 1.0
 CHANNELS_LISTED_MAX = QUEUES_LISTED_MAX = 1000  # the most channels and the most queues in the answer to a registration
 
 
@@ -263,8 +264,9 @@ class ChannelHost:
         self._start(watch_forever(self._supernodes, of_queues, self.queues), "queue watch")
 
     async def give_away(self, seconds: float) -> None:
-        """Move the channels to other hosts, for `seconds` at most, and accept no channels from them, because this host
-        stops. In the rest of this time brings the archive to its object store.
+        """Move the channels and queues to other hosts, and accept none from other hosts, because this host stops.
+
+        Then brings the archive to its object store. All this takes `seconds` at most.
         """
         ends_s = time.monotonic() + seconds
         self.moves_here.close()

@@ -126,7 +126,7 @@ class Supervisor:
     async def _pass_on_lines(self, number: int, process: Process) -> bool:
         """Print the lines that the process prints on stdout, until it ends. Returns whether there were any.
 
-        A host prints only its ready line. With the first line of the last process, all are ready.
+        A host prints only its ready line. The service is ready when each process has printed a line.
         """
         assert process.stdout is not None
         was_ready = False

@@ -13,7 +13,7 @@ from stampede_rt.cluster.cluster_ids import may_change_to
 from stampede_rt.values.peering import ClockOffset
 from stampede_rt_frontend.ranking import Supernode, smooth
 
-SUPERNODES_MAX = 64  # probed at the same time; a consensus group has 3 to 7 members
+SUPERNODES_MAX = 64  # probed at the same time; a cluster has at most 9 members
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

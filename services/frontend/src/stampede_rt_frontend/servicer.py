@@ -86,7 +86,8 @@ def _check_callable(response: frontend_service_pb2.BindResponse, peer: str) -> N
     if targets and all(map(is_loopback, targets)) and is_of_another_machine(peer):
         raise Unavailable(
             f"the supernodes of this cluster are known as {', '.join(targets)}, which only their own machine can call; "
-            "found them with addresses that other machines can call (--listen or --advertise of the supernodes)",
+            "create the cluster again, with addresses that other machines can call (--listen or --advertise of the "
+            "supernodes)",
             reason="NO_QUORUM",
         )
 

@@ -13,7 +13,7 @@ from typing import Any
 
 
 def failure_of(task: asyncio.Task[Any]) -> BaseException | None:
-    """The error of an ended task, which is not cancelled; None if there is none.
+    """Return the error of an ended task; None if the task was cancelled or has succeeded.
 
     A task keeps the frames of its error or of its cancellation until code asks for its result, as this function does.
     `Task.exception` does not remove them.

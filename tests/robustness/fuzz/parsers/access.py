@@ -25,7 +25,7 @@ KNOWN.add("kind", 0, 1, 2, 3, 4)
 
 
 def client_token(source: ByteSource) -> None:
-    """Check that only a text signed by the cluster is a token, whatever the input changes."""
+    """Change a token as the input says. Check that the cluster refuses the text, or reads the same claims from it."""
     claims = TokenClaims(cluster_id="c", name="a", roles=(Role.CLIENT,), serial="1", ends_unix_nano=10**18)
     real = make_token(KEY, claims)
     at = source.below(len(real))

@@ -61,7 +61,7 @@ def test_a_replica_without_its_flag_in_the_directory_counts_no_more() -> None:
     replicas.know([KnownReplica(REPLICA, 1, False)])
     assert replicas.copies(NEXT) == 1
     replicas.join()
-    assert replicas.copies(NEXT) == 1, "the log has the flag cleared once more"
+    assert replicas.copies(NEXT) == 1, "the log has cleared the flag once more"
     replicas.join()
     assert replicas.copies(NEXT) == 2
 

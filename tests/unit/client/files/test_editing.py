@@ -266,9 +266,9 @@ def heads_of(path: Path) -> list[int]:
 
 
 def lost_in_silence(report: FileReport, output: Path, true: set[tuple[str, int]]) -> set[tuple[str, int]]:
-    """The items of `true` that a recovered file lacks, and that no gap of the file names. The file has no other items.
+    """Return the items of `true` that a recovered file lacks, and that no gap of the file names.
 
-    If the file no longer names the topic of a channel, only the reported damage shows that items are missing.
+    Checks that the file has no items beside those of `true`. If the file no longer names the topic of a channel, only the reported damage shows that items are missing.
     """
     found, _ = read(output)
     items = {(one.topic.name, one.seq) for one in found if isinstance(one, FileEntry)}

@@ -28,7 +28,10 @@ class AnsweringSupernode(directory_service_pb2_grpc.DirectoryServiceServicer):
 
 
 async def watched(one: AnsweringSupernode, looks_max: int = 20) -> str:
-    """The finding of process 7 of s1, of cluster "c": "itself", "copy", or "looks" if it has found nothing yet."""
+    """Return the finding of a process with boot incarnation 7, of supernode s1 in cluster "c".
+
+    "itself": the process reaches itself. "copy": it runs from a copy. "looks": it has found nothing yet.
+    """
     looks = 0
 
     async def count(seconds: float) -> None:

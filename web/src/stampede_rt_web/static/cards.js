@@ -118,6 +118,6 @@ function facts(item, others) {
     ["payload", `${bytesText(item.bytes)}${item.content_type ? `, ${item.content_type}` : ""}`],
     ...Object.entries(item.attributes),
   ];
-  if (others) rows.push(["also", `${others} more items hold this instant`]);
+  if (others) rows.push(["also", `${others} more items are valid at this instant`]);
   return rows.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, value)]);
 }

@@ -17,7 +17,8 @@ SEALS = 0x1 | 0x2 | 0x4 | 0x10  # F_SEAL_SEAL, SHRINK, GROW and FUTURE_WRITE
 class RingMemory:
     """Memory that no process can shrink, and that only this process can write. The system frees it after its last user.
 
-    Python closes an unused object by itself. This matters if the caller of the thread that made it has given up.
+    When no code refers to the object any more, Python frees the memory and closes the file. So both are freed even if
+    the caller gives up while a worker thread makes the object.
     """
 
     def __init__(self, size: RingSize) -> None:

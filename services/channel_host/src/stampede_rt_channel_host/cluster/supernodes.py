@@ -84,7 +84,7 @@ class Supernodes:
 
         Updates carry a request id and the age of the request, so it is safe to repeat them. The age counts from now, or
         from `since_s` by `age_clock_s`. Raises the error with which the directory answers, or the last failure as soon
-        as `timeout_s` is over. Does not wait until an error with the reason `final_reason` passes.
+        as `timeout_s` is over. Raises an error with the reason `final_reason` immediately, without another try.
         """
         backoff = Backoff(time.monotonic() + timeout_s)
         call = _Call(method, request, service, age_clock_s() if since_s is None else since_s, final_reason)
@@ -117,7 +117,7 @@ class Supernodes:
             await self.bind(time.monotonic() + BIND_SECONDS_MAX)
         if not self._targets:
             raise Unavailable("the front-ends name no supernode")
-        target = self._targets[-1]  # not the leader, if there are others: the leader has more to do
+        target = self._targets[-1]  # after a `bind` not the leader, if there are others: the leader has more work
         call = getattr(directory_service_pb2_grpc.DirectoryServiceStub(self._channel(target)), method)(request)
         try:
             async for response in call:
@@ -127,7 +127,7 @@ class Supernodes:
                 raise
             raise closed(target) from None
         except grpc.RpcError as error:
-            self._prefer(target)  # so that the next call goes to another supernode
+            self._prefer(target)  # so that the next stream goes to another supernode
             raise from_rpc_error(error, target) from error
         finally:
             call.cancel()

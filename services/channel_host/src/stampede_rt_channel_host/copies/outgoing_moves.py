@@ -33,7 +33,7 @@ class OutgoingMoves:
     def __init__(
         self, identity: HostIdentity, store: ChannelStore, directory: MoveDirectory, keeper: CopyKeeper
     ) -> None:
-        """`keeper` feeds the replicas that former owners become."""
+        """This host may become a replica of a channel that has moved away. `keeper` then feeds this replica."""
         self.keeper = keeper
         self.identity = identity
         self.store = store
@@ -44,7 +44,7 @@ class OutgoingMoves:
         self.moved = NameLog(logger, "channel", "moved away", event="channel_moved_away")
 
     def begin(self, hosted: HostedChannel, host_id: bytes, target: str) -> OutgoingMove:
-        """Begin a move to the host with that gatekeeper. Raises the errors of `check`."""
+        """Begin a move to the host `host_id`, whose gatekeeper is at `target`. Raises the errors of `check`."""
         self.check(hosted, host_id)
         self._slots.take(hosted.record)
         return OutgoingMove(self, hosted, hosted.begin_move(), host_id, target)
@@ -158,8 +158,8 @@ class OutgoingMove:
     def released(self) -> None:
         """Drop the items of this host, if the directory no longer needs them. Idempotent.
 
-        The destination has asked for it. This host asks the directory first: if the destination was stopped until its
-        lease ended, this host is the owner again.
+        The destination has asked for this. This host asks the directory first: if the lease of the destination has
+        ended meanwhile, this host may be the owner again.
         """
         if self.is_committed and not self._is_released and self._is_under_way:
             self._is_released = True

@@ -70,7 +70,7 @@ class QueueHandovers:
         except TimeoutError:
             raise Overloaded(f"the move of queue {display_name(hosted.record)} took too long; move it again") from None
         except InternalError:
-            pass  # the caller has gone; the queue stays
+            pass  # the caller has gone; `_end` learns from the directory whether the queue stays
         finally:
             self._slots.give_back(hosted.record)
             end = self._end(hosted, opening.host_id, is_committed=is_committed)
@@ -92,7 +92,7 @@ class QueueHandovers:
         return isinstance(answer, pb.HandOverQueueRequest) and answer.committed_epoch > 0
 
     async def _keep(self, hosted: HostedQueue, state: QueueHandoff, next_step: int) -> None:
-        """Make the copy that stays here if the queue moves: this host takes the place of the new owner's replica.
+        """Make the copy that stays here if the queue moves. If the new owner held a replica, this copy replaces it.
 
         From the commit on, the directory knows this copy as in sync. This host may learn of the commit late or never.
         Raises Overloaded if there is no room for the copy: then the queue does not move.

@@ -57,7 +57,7 @@ class SocketContext:
         await self._connection.write(message if self._encode is None else self._encode(message))
 
     def answer_in_same_turn(self, take: TakeInSameTurn) -> None:
-        """From now on pass each encoded message for which `read` waits to `take` first. `take` must not wait."""
+        """While `read` waits for a message, `take` gets each message first, still encoded. `take` must not wait."""
         self._connection.take_in_same_turn = take
 
     @property
@@ -66,7 +66,9 @@ class SocketContext:
         return self._connection.write_now
 
     async def write_with_file(self, message: Any, file: int) -> None:
-        """Write a short message, and pass the open file with it, by its number. gRPC's contexts have no such method.
+        """Write a short message, and pass an open file with it. `file` is the file's descriptor.
+
+        gRPC's contexts have no such method.
 
         Raises InternalError if the caller has gone, or takes nothing at present.
         """

@@ -216,9 +216,9 @@ class StreamSocket(asyncio.BufferedProtocol):
         return None if self._is_full or self.is_over or self._is_closing else self._write_message
 
     def write_with_file(self, message: bytes, file: int) -> None:
-        """Write a short message, and pass the open file with it, by its number. Does not wait.
+        """Write a short message, and pass an open file with it. `file` is the file's descriptor. Does not wait.
 
-        The peer gets a file of its own. Raises InternalError if the peer has gone, or takes nothing at present.
+        The peer gets a descriptor of its own. Raises InternalError if the peer has gone, or takes nothing at present.
         """
         if not self.is_local or self.is_over or self._is_closing or self._transport.get_write_buffer_size():
             raise InternalError("the stream has ended, or its caller takes nothing, or is at another machine")

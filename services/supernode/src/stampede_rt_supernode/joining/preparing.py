@@ -171,7 +171,7 @@ def _check_callable(address: str, members: Mapping[str, str]) -> None:
     if here and not is_loopback(address):
         raise ValueError(
             f"{', '.join(here)} can be called only from its own machine, so a supernode at {address} cannot reach it; "
-            "found the cluster with an address that all machines can call (stampede supernode init --advertise)"
+            "create the cluster again, with an address that all machines can call (stampede supernode init --advertise)"
         )
 
 

@@ -124,7 +124,7 @@ class RaftReplica:
         if node.term > TERM_MAX:
             raise StoreDamaged(
                 f"this member is in term {node.term}, and its log ends in term {last_term}: no elections explain that, "
-                f"so a hostile member has raised its term. {REJOIN}; if all supernodes say so, found a new cluster "
+                f"so a hostile member has raised its term. {REJOIN}; if all supernodes say so, make a new cluster "
                 "from the folder of one of them, which loses nothing that it holds (stampede supernode init --restore)"
             )
         return node

@@ -35,7 +35,7 @@ class Submission:
         self._replica = replica
         self._time_unix_nano = time_unix_nano
         self._closed = False
-        self._under_way: Counter[str] = Counter()  # the commands of each caller with a name
+        self._under_way: Counter[str] = Counter()  # by the caller's name; "" for all callers without a name
 
     def close(self) -> None:
         """Repeat nothing from now on.
@@ -66,7 +66,7 @@ class Submission:
 
     @contextmanager
     def _counted(self, caller: str) -> Iterator[None]:
-        """Count a command of the caller, unless it has no name of its own. Raises Overloaded if too many wait."""
+        """Count a command of the caller. Raises Overloaded if a caller with a name has too many commands under way."""
         if caller and self._under_way[caller] >= UNDER_WAY_OF_ONE_MAX:
             raise errors.Overloaded(
                 f"{UNDER_WAY_OF_ONE_MAX} changes of {caller} are under way at this supernode, the most for one caller; "
@@ -101,7 +101,7 @@ class Submission:
     def check_level(self, what: str, needed: int) -> None:
         """Raises VersionMismatch if the cluster's feature level is below `needed`.
 
-        `what`: names the use in the error.
+        `what`: the thing that needs the level, for the text of the error.
         """
         if self._replica.feature_level < needed:
             raise above_level(what, needed, self._log.status())
@@ -114,7 +114,7 @@ class Submission:
     async def _propose(self, encoded: bytes, timeout: float) -> Result:
         result = decode_result(await self._log.propose(encoded, timeout=timeout))
         if isinstance(result, RefusedOperation) and result.reason == "NO_QUORUM":
-            raise LogUnavailable(result.message)  # the directory says that it is too early
+            raise LogUnavailable(result.message)  # the cluster has just been founded, see `check_founded`
         return result
 
     async def confirm(self, *, seconds: float) -> int:

@@ -52,7 +52,7 @@ async def test_a_read_before_the_file_of_the_former_owner_came_does_not_double_i
     await move(second, store)
     after = files.find_again(files.stored.find(3), 9)
     assert seqs(files, after) == ITEMS
-    assert seqs(files, before) == ITEMS, "of a read that began before the file came"
+    assert seqs(files, before) == ITEMS, "a read that began before the file came has each item once"
     assert seqs(files, after) == ITEMS
     window = files.load(after, ALL, decode, lambda: None)
     assert window.holes == []

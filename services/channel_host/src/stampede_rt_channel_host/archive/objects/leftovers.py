@@ -33,7 +33,8 @@ class ThreadCall(Protocol):
 class Leftovers:
     """The folders that were in `folder` when the host started, and the channels that were deleted since.
 
-    The folder of a channel that stopped cleanly keeps the note of this stop. `open_files` makes the files of a folder.
+    The folder of a channel that stopped cleanly keeps the note of this stop. `open_files` makes the `MovingFiles` of
+    the channel with the given id.
     """
 
     def __init__(self, folder: Path, store: SegmentStore, open_files: Callable[[bytes], MovingFiles]) -> None:
@@ -48,11 +49,11 @@ class Leftovers:
         self._owned = dict(epochs)
 
     def stops(self) -> dict[str, Callable[[], None]]:
-        """The objects that report clean stops of channels which this host owns and has not served since its start.
+        """The names of objects that the host must make, each with the function that the caller then calls.
 
-        Each object comes with the function to call after the host has made it. The host accepted no items of these
-        channels in the present epoch. So the note of its former stop is still true if the note names the epoch before
-        the present one. Blocks. Raises OSError.
+        An object reports the clean stop of a channel that this host owns, and has not served since its start. The host
+        accepted no items of the channel in the present epoch. So the note of the host's former stop is still true if it
+        names the epoch before the present one. Blocks. Raises OSError.
         """
         found: dict[str, Callable[[], None]] = {}
         for channel_id, epoch in self._owned.items():
@@ -118,7 +119,7 @@ class Leftovers:
     def _delete_some(self, channel_id: bytes) -> list[str]:
         """Delete some objects of a channel, and the folder after the last one. Returns the names. Blocks."""
         path = self._folder / channel_id.hex()
-        if not (path / _DELETED_FILE).exists():  # the next process continues the deletion
+        if not (path / _DELETED_FILE).exists():  # with this file, the next process continues the deletion
             path.mkdir(mode=0o700, parents=True, exist_ok=True)
             (path / _DELETED_FILE).touch(mode=0o600)
             sync_folder(path)

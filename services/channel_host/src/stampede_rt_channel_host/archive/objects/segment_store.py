@@ -73,7 +73,8 @@ def advice(url: str) -> str:
 async def check_store(store: SegmentStore) -> None:
     """Check that the store makes and lists objects, and that it overwrites none.
 
-    Raises SettingsError if the store refuses to. Only logs it if the store cannot be reached now.
+    Raises SettingsError if the store refuses a request or overwrites an object. If the store cannot be reached now,
+    only logs this.
     """
     try:
         async with asyncio.timeout(CHECK_SECONDS_MAX):

@@ -35,7 +35,7 @@ class Credit:
     def grant(self, amount: int, *, one_response: bool = False) -> None:
         """Add the credit that the reader granted.
 
-        `one_response`: the credit replaces the rest, and the next response with items takes all of it.
+        `one_response`: the new credit replaces the unspent credit, and the next response with items uses up all of it.
         """
         if amount:
             rest = 0 if one_response or self._is_for_one else self.left

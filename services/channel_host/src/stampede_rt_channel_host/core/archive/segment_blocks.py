@@ -26,9 +26,10 @@ BLOCK_INDEX_BYTES = 192
 
 
 class _Columns(NamedTuple):
-    """Columns in the order of the file. The columns before `places` have all blocks, the others only blocks with items.
+    """Columns in the order of the file. `heads` and `offsets` have all blocks.
 
-    `places` are the positions of the blocks with items among all blocks.
+    `advances` and `places` have positions among all blocks: of the blocks of advances, and of the blocks with items.
+    The columns after `places` have only the blocks with items.
     """
 
     heads: bytes
@@ -157,8 +158,10 @@ class SegmentBlocks(Sequence[PlacedBlock]):
 
     @property
     def lost_before(self) -> int | None:
-        """The instant before which the former owner was lost with items. None: no gap before all items records such a
-        loss, or a later gap records that there was none, because the host learned later of the clean stop.
+        """The former owner was lost with items from before this instant. None: the segment records no such loss.
+
+        A gap before the first block of items records the loss. A later gap revokes this record, if the host has learned
+        that the former owner stopped cleanly.
         """
         places = self._columns.places
         first = (self[at].head for at in range(places[0] if places else len(self)))

@@ -15,8 +15,8 @@ from stampede_rt_channel_host.core.channel.run import Run, SingleItemRun, Slice
 class IndexPart:
     """An entry of a run of several items: positions `lo` up to `hi` of the run, exclusive.
 
-    A split changes `hi`. A trim that leaves items of the entry's first bucket changes `lo`. It does not change
-    `first_seq`, because the index finds the entry by this number.
+    A split changes `hi`. A trim that removes only a part of the entry's first bucket changes `lo`, but not `first_seq`,
+    because the index finds the entry by this number. Any other trim makes a new entry.
     """
 
     __slots__ = ("first_seq", "first_time", "hi", "lo", "run")

@@ -65,8 +65,8 @@ class ChannelLimits:
     def is_a_fourth(self, waiting_bytes: int, waiting_items: int) -> bool:
         """Whether the items that wait for the archive are a fourth of max_bytes or max_items.
 
-        max_items counts only if a full channel drops no items. The channel frees items only when they are archived. If
-        many more waited, max_bytes would collect items before they are written, or puts would have to wait.
+        max_items counts only if a full channel drops no items. Of the limits, only max_bytes collects items that are
+        not archived yet. If many more items waited, max_bytes would collect them, or puts would have to wait.
         """
         most_items = None if self.drops_oldest else self.max_items
         return 4 * waiting_bytes >= self.max_bytes or (most_items is not None and 4 * waiting_items >= most_items)

@@ -328,9 +328,10 @@ class Retention:
     def retry_at(self, time: int, own_end: int | None) -> int | None:
         """The instant at which the passing of time next makes room for an item at `time`.
 
-        `own_end` is the item's time plus its duration, or None. Returns the instant of the next collection with the
-        item or without it, whichever is earlier. The collection without the item may be earlier if the item would
-        belong to the oldest bucket. Returns None if only another put or a consumption makes room.
+        `own_end` is the item's time plus its duration, or None. The method finds the next collection twice: as if the
+        channel had the item, and without it. It returns the earlier instant. Without the item the collection may be
+        earlier if the item would belong to the oldest bucket. Returns None if only another put or a consumption makes
+        room.
         """
         instants = (self._due_as_if_put(time, own_end), self.next_due())
         return min((one for one in instants if one is not None), default=None)

@@ -158,7 +158,7 @@ class ColumnRun(Run):
 
     @property
     def span(self) -> TimeSpan:
-        """The span of its times. The run keeps it, so it gets no more items afterwards."""
+        """The span of its times. The run stores the span, so the caller must add no more items afterwards."""
         if self._span is None:
             self._span = time_span(self.times)
         return self._span

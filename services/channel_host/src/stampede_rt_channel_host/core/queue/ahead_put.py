@@ -12,7 +12,7 @@ from stampede_rt_channel_host.core.run_outcome import RunOutcome, RunPart
 
 
 class AheadPut(NamedTuple):
-    """A step of a queue (`number`) that is only this put: one message, of a producer with an id, without a message id.
+    """A step of a queue, with its number, that puts only one message. The producer has an id, and the message has none.
 
     `stamped_time`: the time that the owner gave the message, or None if the producer gave its time. `owner`: see
     `RetryWindow.record`. `body`: the stored run.
@@ -28,7 +28,7 @@ class AheadPut(NamedTuple):
     body: bytes
 
     def changes(self, tally: QueueTally, next_delivery_id: int) -> QueueHandoff:
-        """The changes of the step. The other arguments: of the queue before the step."""
+        """The changes of the step. `tally` and `next_delivery_id` are those of the queue before the step."""
         outcome = RunOutcome(1, 1, (RunPart(0, self.seq, 1, self.stamped_time),), (), 0)
         return QueueHandoff(
             next_seq=self.seq + 1,

@@ -124,11 +124,11 @@ def _reset_channels(tables: Tables, operation: RegisterHost, *, continues: bool)
 
 
 def deregister_host(tables: Tables, operation: DeregisterHost) -> None:
-    """Deregister a host. Its channels with a warm replica in sync get that replica's host as their owner.
+    """Deregister a host. A channel or queue with a warm replica in sync gets that replica's host as its owner.
 
-    The other channels have no live owner from then on. The host's mailboxes move to other hosts. If the host is lost,
-    the call only takes it off the list of lost hosts. Does nothing if the host is not registered. Raises LeaseExpired
-    for another boot incarnation.
+    The host's other mailboxes move to other hosts. Its other channels and queues have no live owner from then on. If
+    the host is lost, the call only takes it off the list of lost hosts. Does nothing if the host is not registered.
+    Raises LeaseExpired for another boot incarnation.
     """
     check_id(operation.host_id, "host_id")
     host = tables.hosts.get(operation.host_id)

@@ -5,7 +5,7 @@ answered a message of that round or a later one in the leader's own term. This p
 when the round began (Ongaro's dissertation, section 6.4). A follower asks the leader for the position. Many reads share
 one round and one request.
 
-The library has no such reads. Its `lastResponseTime` does not suffice, because replies to messages from before the read
+PySyncObj has no such reads. Its `lastResponseTime` does not suffice, because replies to messages from before the read
 update it, too.
 """
 
