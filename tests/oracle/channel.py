@@ -121,7 +121,7 @@ class OracleChannel:
     def frontier(self) -> int | None:
         """The latest span end of a collected item, but at most the time of the oldest held item.
 
-        If no item is held, at most the instant up to which items had come at the last collection.
+        If no item is held, the frontier is at most `came_up_to`.
         """
         if not self.collected_ends:
             return None
@@ -175,8 +175,8 @@ class OracleChannel:
         """Put one item: accept it, refuse it, or let it wait.
 
         `since`: the item has no time of its own, and has waited since then. It is judged as if it had been put at
-        `since`, or just after the newest item if that is later, because it will get such a time. The oldest bucket
-        makes room for the item if it would be too old by now after the acceptance of the item.
+        `since`, or just after the newest item if that is later, because it will get such a time. If the acceptance of
+        the item makes the oldest bucket too old, the channel collects this bucket to make room.
         """
         self.age(clock)
         as_if_time = time if since is None else max([since, *(item.time + 1 for item in self.held)])

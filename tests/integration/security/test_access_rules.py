@@ -247,7 +247,7 @@ def test_listings_and_watches_hide_things_that_the_caller_may_not_list(
         watch = directory_grpc.DirectoryServiceStub(supernode).Watch(
             directory_pb.WatchRequest(include_queues=True), timeout=20, metadata=bearer
         )
-        assert not next(watch).changes, "where the watch begins"
+        assert not next(watch).changes, "the first response only says where the watch begins"
         rt.channel("hidden/new")
         rt.queue("shown", max_items=7)
         assert [change.queue.name for change in next(watch).changes] == ["shown"]
@@ -302,7 +302,7 @@ def test_an_operator_sees_the_effect_of_a_rule_and_the_reason_of_a_denial(
     explanation = capsys.readouterr().out
     assert "may not put channel video/1: the rule: deny cam put video/1" in explanation
     assert "If cam is an operator or a service of the cluster, rules do not limit it." in explanation
-    # In an earlier version, the command answered as for a thing of that name.
+    # In an earlier version, the command took a pattern for a name.
     for words in (("cam", "put", "video/*"), ("cam-*", "put", "video/1")):
         assert operator.run("acl", "check", *words) == 2
         assert "* is a pattern; name one" in capsys.readouterr().err

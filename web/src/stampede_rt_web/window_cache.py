@@ -1,4 +1,4 @@
-"""The items of windows that are older than the items in memory. The page has read them for these windows. Pure."""
+"""The items that the page has read for windows of the past, because they are older than the items in memory. Pure."""
 
 from __future__ import annotations
 

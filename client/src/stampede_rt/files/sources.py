@@ -46,7 +46,7 @@ class McapSource:
 
     @property
     def damaged(self) -> Sequence[str]:
-        """See `FileSource.damaged`. The last text says that the checksum is wrong; known after `events`."""
+        """See `FileSource.damaged`. After `events`, the last text says so if the checksum is wrong."""
         return self._damaged
 
     def close(self) -> None:

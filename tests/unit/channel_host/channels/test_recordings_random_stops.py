@@ -26,7 +26,7 @@ class History:
     free_places = "abc"
     """The hosts at which the next owner may be."""
     lacking = {"LOST"}
-    """The reasons that an answer may have which lacks items."""
+    """An answer that lacks items must have one of these reasons."""
 
     def __init__(self, path: Path, seed: int) -> None:
         self.path, self.dice = path, random.Random(seed)

@@ -268,7 +268,8 @@ def heads_of(path: Path) -> list[int]:
 def lost_in_silence(report: FileReport, output: Path, true: set[tuple[str, int]]) -> set[tuple[str, int]]:
     """Return the items of `true` that a recovered file lacks, and that no gap of the file names.
 
-    Checks that the file has no items beside those of `true`. If the file no longer names the topic of a channel, only the reported damage shows that items are missing.
+    Checks that the file has no items beside those of `true`. If the file no longer names the topic of a channel, only
+    the reported damage shows that items are missing.
     """
     found, _ = read(output)
     items = {(one.topic.name, one.seq) for one in found if isinstance(one, FileEntry)}

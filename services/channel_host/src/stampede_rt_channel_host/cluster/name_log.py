@@ -42,7 +42,10 @@ class NameLog:
         self._write()
 
     def _write_and_gather(self) -> None:
-        """Log the names that wait, and gather the next ones for a time. Without names, the next one does not wait."""
+        """Log the names that wait, and gather the next ones for a time.
+
+        If no names wait, the next name gets a line immediately.
+        """
         self._timer = None
         if self._names:
             self._timer = asyncio.get_running_loop().call_later(GATHER_SECONDS, self._write_and_gather)

@@ -110,12 +110,12 @@ class SharingHosts:
         return other is not None and other.link is not None
 
     def wanted_of(self, host_id: bytes) -> Set[bytes]:
-        """The channels that this host wants to receive about from the host `host_id`, at most INTEREST_MAX."""
+        """The channels whose times this host wants from the host `host_id`, at most INTEREST_MAX."""
         other = self._hosts.get(host_id)
         return other.wanted.requested if other is not None else frozenset()
 
     def report_times(self, channel_id: bytes) -> None:
-        """Send the times of a channel of this host to the other hosts that want to receive about the channel."""
+        """Send the times of a channel of this host to the other hosts that want them."""
         for other in self._hosts.values():
             if other.link is not None:
                 other.link.report_times(channel_id)
@@ -166,9 +166,9 @@ class SharingHosts:
     def _drop(self, other: SharingHost) -> None:
         """Drop the link to a host that no longer shares a group with this one.
 
-        If the other host opened the stream, that host decides how long the stream stays. Until then this host remembers
-        the link. Otherwise, if both shared a group again, this host would wait for a new stream, and the other host
-        would not open one.
+        If the other host opened the stream, that host decides how long the stream stays. This host remembers the link
+        until the stream ends. If it forgot the link and both shared a group again, this host would wait for a new
+        stream, and the other host would not open one.
         """
         other.groups = set()
         if other.link is not None:

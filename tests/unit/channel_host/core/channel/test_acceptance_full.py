@@ -1,4 +1,4 @@
-"""A put into a full channel costs little more than one into a channel with room."""
+"""A put into a full channel takes at most a few times as many steps as a put into a channel with room."""
 
 from __future__ import annotations
 

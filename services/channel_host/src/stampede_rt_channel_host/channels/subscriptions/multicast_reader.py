@@ -51,7 +51,10 @@ class MulticastReader:
         self._repair_seq, self.repair_bytes = max(1, request.repair_next_seq), max(1, request.credit_bytes)
 
     def begin_repair(self, incarnation: int) -> pb.SubscribeOpen:
-        """Begin the requested repair. Returns its place as an opening. Call this only if `has_repair_request`."""
+        """Begin the requested repair. Returns an opening with the cursor at which the repair begins.
+
+        Call this only if `has_repair_request`.
+        """
         assert self._repair_seq is not None, "the reader has asked for a repair"
         self._owed_seq, self._repair_seq = self._repair_seq, None
         cursor = pb.SubscriptionCursor(incarnation=incarnation, next_seq=self._owed_seq)

@@ -256,7 +256,7 @@ class VisibleChannel:
         return held.items - held.items_below(FIRST_KEY if cut is None else (cut, 0))
 
     def window_too_short(self, cut: int | None, now: int) -> bool:
-        """Whether retention has collected items that the group has not shown yet, or soon will because of max_age."""
+        """Whether retention has collected items that the group has not shown yet, or will soon do so by max_age."""
         held, retention = self._channel.look(now)
         return _has_lost(held, cut) or _leads_by_more_than_max_age(held, retention, cut)
 

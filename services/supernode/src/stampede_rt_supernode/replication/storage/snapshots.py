@@ -29,7 +29,10 @@ class _SnapshotUnderWay:
 
 @dataclass(slots=True)
 class _SnapshotTransfer:
-    """A snapshot that is being sent to a member. A newer snapshot does not replace it, so that the transfer ends."""
+    """A snapshot that is being sent to a member.
+
+    A newer snapshot replaces it only if the log lacks the entries after it. Otherwise a transfer might never end.
+    """
 
     snapshot: StoredSnapshot
     sent_bytes: int = 0
