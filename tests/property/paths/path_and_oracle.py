@@ -29,7 +29,7 @@ class SteeredHost(Protocol):
     """The host of the channels. Its clock moves only by `tick`."""
 
     def tick(self, nanos: int, *, wall_step: int = 0) -> int:
-        """Let `nanos` pass, and set the wall clock on or back by `wall_step`. Returns the host's time afterwards."""
+        """Let `nanos` pass, and move the wall clock by `wall_step`. Returns the host's time afterwards."""
 
     def settle_wall_clock(self) -> int:
         """Set the wall clock to the host's time, so that the host has no difference to make up. Returns this time."""

@@ -123,7 +123,10 @@ def as_kind(cell: Cell, kind: str) -> Cell:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value that JSON does not have as lists or text. The text of an array of numpy may lack numbers."""
+    """Convert a value that JSON does not have: an array to lists, any other value to text.
+
+    An array does not become text, because numpy leaves out numbers of a long array there.
+    """
     return value.tolist() if hasattr(value, "ndim") and value.ndim else str(value)
 
 

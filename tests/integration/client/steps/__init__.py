@@ -1,1 +1,1 @@
-"""Steps of iterators that callers cancel, and functions that exit."""
+"""Callers that cancel the steps of iterators, and callbacks that exit."""
